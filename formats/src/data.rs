@@ -1,0 +1,146 @@
+//! The plain data that readers return and writers take.
+//!
+//! Everything is a public vector or a borrowed slice; there are no invariants beyond equal lengths.
+
+/// Particle positions, in the precision of the file.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Positions {
+    /// 32-bit positions, world units.
+    F32(Vec<[f32; 3]>),
+    /// 64-bit positions, world units.
+    F64(Vec<[f64; 3]>),
+}
+
+impl Positions {
+    /// The number of particles.
+    pub fn len(&self) -> usize {
+        match self {
+            Positions::F32(positions) => positions.len(),
+            Positions::F64(positions) => positions.len(),
+        }
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+impl Default for Positions {
+    fn default() -> Positions {
+        Positions::F32(Vec::new())
+    }
+}
+
+/// What an attribute means to a renderer or to the method, whatever the file calls it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// World units per second, arity 3.
+    Velocity,
+    /// Direction, arity 3.
+    Normal,
+    /// Red, green, blue and perhaps alpha, arity 3 or 4.
+    Color,
+    /// World units, arity 1. (A file's diameter or width is halved by the reader.)
+    Radius,
+    /// Arity 1.
+    Density,
+    /// Arity 1.
+    Mass,
+    /// Integer identity of the particle over time, arity 1.
+    Id,
+    /// Phase, type or group, arity 1.
+    Kind,
+}
+
+/// The values of one attribute, `arity` of them per particle, particle by particle.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// 32-bit reals.
+    F32(Vec<f32>),
+    /// 64-bit reals.
+    F64(Vec<f64>),
+    /// Unsigned bytes (colours in 0..=255, flags).
+    U8(Vec<u8>),
+    /// Integers of up to 32 bits.
+    I32(Vec<i32>),
+    /// Wider integers, and unsigned 32-bit ones.
+    I64(Vec<i64>),
+    /// Indices into a table of strings; an index outside the table means none.
+    Strings {
+        /// The distinct strings.
+        table: Vec<String>,
+        /// One index per component.
+        indices: Vec<i32>,
+    },
+}
+
+/// One named attribute of all particles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attribute {
+    /// The name in the file; for a vector that the file splits into columns, the common stem.
+    pub name: String,
+    /// Values per particle.
+    pub arity: usize,
+    /// What it was recognised as.
+    pub role: Option<Role>,
+    /// `arity` values per particle.
+    pub values: Values,
+}
+
+/// One frame of particles.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ParticleFrame {
+    /// Where the particles are. Not yet checked for being finite.
+    pub positions: Positions,
+    /// Everything else the file says of each particle.
+    pub attributes: Vec<Attribute>,
+    /// What a user should know though the file was read: rows skipped, columns guessed.
+    pub notes: Vec<String>,
+}
+
+/// What made a file: name and value pairs, written in this order.
+/// No clock, host, path or random number belongs here: equal inputs make equal bytes.
+pub type Provenance = [(String, String)];
+
+/// A triangle mesh to write: borrowed from whoever made it.
+#[derive(Clone, Copy, Debug)]
+pub struct MeshView<'a> {
+    /// Vertex positions relative to `origin`, world units.
+    pub positions: &'a [[f32; 3]],
+    /// Unit vertex normals, pointing outward; as many as positions.
+    pub normals: &'a [[f32; 3]],
+    /// Vertex indices, counter-clockwise seen from outside.
+    pub triangles: &'a [[u32; 3]],
+    /// World position of the point that `positions` are relative to.
+    pub origin: [f64; 3],
+}
+
+/// A mesh read from a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MeshData {
+    /// Vertex positions, world units.
+    pub positions: Vec<[f64; 3]>,
+    /// Vertex normals, or none.
+    pub normals: Vec<[f32; 3]>,
+    /// Vertex indices; larger polygons are cut into triangle fans.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A narrow-band level set to write, leaf by leaf.
+///
+/// A leaf holds the 8 × 8 × 8 voxels from its origin on, z fastest: voxel (x, y, z) relative to the
+/// origin is value `x·64 + y·8 + z`. Values are signed distances **in voxels**, negative inside;
+/// the writer multiplies by `voxel_size`. Where there is no leaf, the sign of the nearest leaf
+/// decides between inside and outside.
+#[derive(Clone, Copy, Debug)]
+pub struct LevelSetView<'a> {
+    /// Leaf origins in voxels, multiples of 8, distinct, in any order.
+    pub origins: &'a [[i32; 3]],
+    /// Values of each leaf. Values beyond ± `half_width_voxels` are allowed, and written as that.
+    pub leaves: &'a [[f32; 512]],
+    /// Half the thickness of the band, positive; times `voxel_size` it is the background value.
+    pub half_width_voxels: f32,
+    /// Edge length of a voxel, world units. Voxel (0, 0, 0) is centred on the world's origin.
+    pub voxel_size: f64,
+}

@@ -1,0 +1,56 @@
+//! Leaves of values, and the order of voxels in them.
+
+use bytemuck::{Pod, Zeroable};
+use glam::IVec3;
+
+/// Voxels along an edge of a leaf.
+pub const LEAF_EDGE: i32 = 8;
+
+/// Voxels in a leaf.
+pub const LEAF_VOXELS: usize = 512;
+
+/// The values of one leaf, z fastest, on a cache line of their own.
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C, align(64))]
+pub struct Leaf {
+    /// Value of voxel (x, y, z) at `x·64 + y·8 + z`.
+    pub values: [f32; LEAF_VOXELS],
+}
+
+impl Leaf {
+    /// A leaf with one value everywhere.
+    pub const fn splat(value: f32) -> Leaf {
+        Leaf { values: [value; LEAF_VOXELS] }
+    }
+}
+
+/// One value for every voxel of a topology's leaves, in the topology's order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Field {
+    /// One entry a leaf.
+    pub leaves: Vec<Leaf>,
+}
+
+impl Field {
+    /// A field of `leaf_count` leaves with one value everywhere.
+    pub fn splat(leaf_count: usize, value: f32) -> Field {
+        Field { leaves: vec![Leaf::splat(value); leaf_count] }
+    }
+
+    /// The leaves as plain arrays, for writers that know nothing of the grid.
+    pub fn as_arrays(&self) -> &[[f32; LEAF_VOXELS]] {
+        bytemuck::cast_slice(&self.leaves)
+    }
+}
+
+/// The place in a leaf of a voxel given relative to the leaf's origin (0 ..= 7 on each axis).
+pub fn offset_in_leaf(voxel: IVec3) -> usize {
+    debug_assert!(voxel.cmpge(IVec3::ZERO).all() && voxel.cmplt(IVec3::splat(LEAF_EDGE)).all());
+    (voxel.x as usize) << 6 | (voxel.y as usize) << 3 | voxel.z as usize
+}
+
+/// The voxel, relative to its leaf's origin, at a place in the leaf.
+pub fn voxel_in_leaf(offset: usize) -> IVec3 {
+    debug_assert!(offset < LEAF_VOXELS);
+    IVec3::new((offset >> 6) as i32, (offset >> 3 & 7) as i32, (offset & 7) as i32)
+}

@@ -1,0 +1,26 @@
+//! The sparse grid: leaves of 8 × 8 × 8 voxels, and nothing where nothing happens.
+//!
+//! ```text
+//!   Topology            which leaves there are, in one fixed order, and who is next to whom
+//!     leaf 0  leaf 1  leaf 2 …
+//!   Field<f32>          one value per voxel:  [512 values][512 values][512 values] …
+//!   Field of masks      one bit per voxel:    [512 bits][512 bits] …
+//!
+//!   one leaf            value index = x·64 + y·8 + z        (z fastest)
+//!                       a row is the 8 values along z: one vector register
+//!                       mask word x, byte y of it, bit z
+//! ```
+//!
+//! All fields of a frame share one [`Topology`]; a field is one flat, aligned allocation of leaves in the
+//! topology's order. The grid knows nothing of distances or particles.
+//!
+//! Invariants: leaf origins are multiples of 8, distinct, and sorted as an OpenVDB tree walks them
+//! (so that writing one is a walk); `neighbors` is symmetric.
+
+mod leaf;
+mod mask;
+mod topology;
+
+pub use leaf::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
+pub use mask::LeafMask;
+pub use topology::{Direction, NO_LEAF, Topology};

@@ -1,0 +1,20 @@
+//! Particles in, smooth surfaces out.
+//!
+//! meniscus skins frames of particles by the level-set method of Bhattacharya, Gao and Bargteil
+//! ("A Level-set Method for Skinning Animated Particle Data"): the smoothest surface, in the sense
+//! of least thin-plate energy, that stays between two unions of spheres around the particles.
+//!
+//! ```text
+//!  file ──read──▶ Particles ──rasterize──▶ NarrowBand + Bounds ──smooth──▶ NarrowBand ──contour──▶ Mesh ──write──▶ files
+//!         formats             level set φ, and the φ interval              smoothed φ    │                  .glb .obj .ply
+//!                             it may move in                                             └────────────────▶ .vdb (φ itself)
+//! ```
+//!
+//! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
+//! by the voxel size h makes every stage free of units. World units appear at both ends only.
+
+pub mod grid;
+pub mod level_set;
+pub mod mesh;
+pub mod particles;
+pub mod space;
