@@ -17,4 +17,6 @@ pub mod grid;
 pub mod level_set;
 pub mod mesh;
 pub mod particles;
+pub mod rasterize;
+pub mod smooth;
 pub mod space;

@@ -30,6 +30,13 @@ impl LeafMask {
         self.words[offset >> 6] |= 1 << (offset & 63);
     }
 
+    /// Takes out every voxel that is in `other`.
+    pub fn remove_all(&mut self, other: &LeafMask) {
+        for (word, other) in self.words.iter_mut().zip(other.words) {
+            *word &= !other;
+        }
+    }
+
     /// The 8 bits of row (x, y), bit z for voxel z; `row` is `x·8 + y`.
     pub fn row(&self, row: usize) -> u8 {
         (self.words[row >> 3] >> ((row & 7) * 8)) as u8

@@ -19,8 +19,10 @@
 
 mod leaf;
 mod mask;
+mod stencil;
 mod topology;
 
 pub use leaf::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
 pub use mask::LeafMask;
+pub use stencil::{Neighborhood, ROW_COUNT, Row};
 pub use topology::{Direction, NO_LEAF, Topology};

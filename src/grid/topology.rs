@@ -89,9 +89,40 @@ impl Topology {
 /// Unit steps through the six faces.
 const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
 
-/// The order of an OpenVDB tree's depth-first walk: by root child (4096 voxels), then by lower
-/// internal node (128), then by leaf, each in lexicographic order of x, y, z.
-fn tree_order(origin: IVec3) -> [[i32; 3]; 3] {
-    let corner = |log2_edge: i32| (origin >> IVec3::splat(log2_edge)).to_array();
-    [corner(12), corner(7), corner(3)]
+/// The order of an OpenVDB tree's depth-first walk, as one number: root child (4096 voxels), lower
+/// internal node (128), leaf, each in lexicographic order of x, y, z.
+fn tree_order(origin: IVec3) -> u128 {
+    // Shifting the sign bit makes signed order unsigned order.
+    let [x, y, z] = origin.to_array().map(|axis| u128::from((axis as u32) ^ 0x8000_0000));
+    let digits = |shift: u32, bits: u32| {
+        let part = |axis: u128| axis >> shift & ((1 << bits) - 1);
+        part(x) << (2 * bits) | part(y) << bits | part(z)
+    };
+    digits(12, 20) << 27 | digits(7, 5) << 12 | digits(3, 4)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn leaves_are_sorted_as_a_vdb_tree_walks_them() {
+        let origins = [[-8, 0, 0], [0, 0, 0], [0, 0, 8], [0, 8, 0], [8, 0, 0], [0, 0, 128], [4096, 0, 0]];
+        let mut shuffled: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
+        shuffled.rotate_left(3);
+        let topology = Topology::new(shuffled);
+        assert_eq!(topology.origins(), origins.map(IVec3::from));
+    }
+
+    #[test]
+    fn neighbors_are_symmetric() {
+        let topology = Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, 0), IVec3::new(8, 0, -8)]);
+        for (leaf, faces) in topology.neighbors().iter().enumerate() {
+            for (face, &neighbor) in faces.iter().enumerate().filter(|&(_, &neighbor)| neighbor != NO_LEAF) {
+                assert_eq!(topology.neighbors()[neighbor as usize][face ^ 1] as usize, leaf);
+            }
+        }
+        let below = topology.find(IVec3::new(8, 0, -8)).unwrap();
+        assert_eq!(topology.find_voxel(IVec3::new(9, 2, -1)), Some((below, IVec3::new(1, 2, 7))));
+    }
 }

@@ -9,7 +9,13 @@
 //!
 //! Beyond the stored leaves φ is + or − the band's half width: outside or inside.
 
+mod bounds;
+mod redistance;
+
 use std::sync::Arc;
+
+pub use bounds::Bounds;
+pub use redistance::{UNREACHED, extend, redistance};
 
 use crate::grid::{Field, Topology};
 

@@ -1,0 +1,104 @@
+//! Which voxels a step may change, and which rows it must visit.
+//!
+//! ```text
+//!      |φ| ≤ 3   free: the unknowns of a step
+//!      + 1       their face neighbours: the inner Laplacian is needed here too
+//!      + 1       theirs: values that are read and held fixed
+//! ```
+//!
+//! A band is chosen from φ at the start of a step (paper, §3.5) and stays for the step.
+
+use rayon::prelude::*;
+
+use crate::grid::{Direction, LeafMask, NO_LEAF};
+use crate::level_set::NarrowBand;
+
+/// The free voxels of a step, and the rows where the inner Laplacian is needed.
+pub(super) struct Band {
+    /// Free voxels, by leaf.
+    pub(super) free: Vec<LeafMask>,
+    /// Rows with a free voxel, by leaf: bit `x·8 + y`.
+    pub(super) free_rows: Vec<u64>,
+    /// Rows with a free voxel or a face neighbour of one, by leaf: bit `x·8 + y`.
+    pub(super) laplacian_rows: Vec<u64>,
+}
+
+impl Band {
+    /// The band of the voxels with |φ| ≤ `width` voxels.
+    pub(super) fn new(band: &NarrowBand, width: f32) -> Band {
+        let free: Vec<LeafMask> = band
+            .phi
+            .leaves
+            .par_iter()
+            .map(|leaf| LeafMask::from_fn(|offset| leaf.values[offset].abs() <= width))
+            .collect();
+        let neighbors = band.topology.neighbors();
+        let laplacian_rows =
+            (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
+        let free_rows = free.par_iter().map(occupied_rows).collect();
+        Band { free, free_rows, laplacian_rows }
+    }
+
+    /// Makes `free_rows` follow `free` after voxels were taken out. `laplacian_rows` may stay: rows too
+    /// many cost time only.
+    pub(super) fn recount_free_rows(&mut self) {
+        self.free_rows = self.free.par_iter().map(occupied_rows).collect();
+    }
+
+    /// The number of free voxels.
+    pub(super) fn free_count(&self) -> usize {
+        self.free.par_iter().map(|mask| mask.count() as usize).sum()
+    }
+}
+
+/// The rows of a leaf that hold a free voxel or a face neighbour of one.
+fn dilated_rows(free: &[LeafMask], neighbors: &[u32; 6], leaf: usize) -> u64 {
+    let face = |direction: Direction| {
+        let neighbor = neighbors[direction as usize];
+        if neighbor == NO_LEAF { LeafMask::EMPTY } else { free[neighbor as usize] }
+    };
+    let own = occupied_rows(&free[leaf]);
+    // Rows are bits x·8 + y: a step in x shifts by 8, a step in y by 1 within each byte.
+    let along_x = own << 8 | own >> 8;
+    let along_y = (own << 1 & !0x0101_0101_0101_0101) | (own >> 1 & !0x8080_8080_8080_8080);
+    let from_x = occupied_rows(&face(Direction::XMinus)) >> 56 | occupied_rows(&face(Direction::XPlus)) << 56;
+    let from_y = (occupied_rows(&face(Direction::YMinus)) >> 7 & 0x0101_0101_0101_0101)
+        | (occupied_rows(&face(Direction::YPlus)) << 7 & 0x8080_8080_8080_8080);
+    let from_z = rows_with(&face(Direction::ZMinus), 0x80) | rows_with(&face(Direction::ZPlus), 0x01);
+    own | along_x | along_y | from_x | from_y | from_z
+}
+
+fn occupied_rows(mask: &LeafMask) -> u64 {
+    rows_with(mask, 0xff)
+}
+
+/// The rows that hold a voxel whose bit along z is in `along_z`.
+fn rows_with(mask: &LeafMask, along_z: u8) -> u64 {
+    (0..64).fold(0, |rows, row| rows | u64::from(mask.row(row) & along_z != 0) << row)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{Field, Topology};
+    use glam::IVec3;
+    use std::sync::Arc;
+
+    #[test]
+    fn laplacian_rows_reach_one_voxel_in_every_direction() {
+        let corner = IVec3::new(7, 0, 7);
+        let topology =
+            Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, 0), IVec3::new(0, -8, 0), IVec3::new(0, 0, 8)]);
+        let mut phi = Field::splat(topology.len(), 6.0);
+        phi.leaves[topology.find(IVec3::ZERO).unwrap()].values[crate::grid::offset_in_leaf(corner)] = 1.0;
+        let narrow = NarrowBand { topology: Arc::new(topology), phi, half_width: 6.0 };
+        let band = Band::new(&narrow, 3.0);
+        assert_eq!(band.free_count(), 1);
+        let rows =
+            |x: i32, y: i32, z: i32| band.laplacian_rows[narrow.topology.find(IVec3::new(x, y, z)).unwrap()];
+        assert_eq!(rows(0, 0, 0), 1 << 56 | 1 << 57 | 1 << 48);
+        assert_eq!(rows(8, 0, 0), 1 << 0);
+        assert_eq!(rows(0, -8, 0), 1 << 63);
+        assert_eq!(rows(0, 0, 8), 1 << 56);
+    }
+}

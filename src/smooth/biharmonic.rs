@@ -1,0 +1,50 @@
+//! The biharmonic operator ∇⁴φ = ∇²(∇²φ), by two rounds of central differences (paper, Eq. 4).
+//!
+//! Its eigenvalues on the lattice lie in [0, 144] in units of 1/h⁴: the 7-point Laplacian's lie in
+//! [−12, 0].
+
+use rayon::prelude::*;
+
+use super::band::Band;
+use crate::grid::{Field, Leaf, Neighborhood, Row, Topology};
+
+/// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.
+pub(super) const EIGENVALUE_MAX: f32 = 144.0;
+
+/// The first round: the Laplacian of `values` in the rows where the band needs it, voxel units.
+pub(super) fn inner_laplacian(topology: &Topology, band: &Band, values: &Field, laplacian: &mut Field) {
+    let neighbors = topology.neighbors();
+    laplacian.leaves.par_iter_mut().zip(&band.laplacian_rows).enumerate().for_each(
+        |(leaf, (laplacian, &rows))| {
+            if rows == 0 {
+                return;
+            }
+            let around = Neighborhood::new(&values.leaves, neighbors, leaf);
+            for row in rows_in(rows) {
+                *row_mut(laplacian, row) = around.laplacian(row);
+            }
+        },
+    );
+}
+
+/// The set bits, in order.
+pub(super) fn rows_in(rows: u64) -> impl Iterator<Item = usize> {
+    let mut rest = rows;
+    std::iter::from_fn(move || {
+        (rest != 0).then(|| {
+            let row = rest.trailing_zeros() as usize;
+            rest &= rest - 1;
+            row
+        })
+    })
+}
+
+/// A row of a leaf.
+pub(super) fn row_of(leaf: &Leaf, row: usize) -> &Row {
+    &leaf.values.as_chunks::<8>().0[row]
+}
+
+/// A row of a leaf, to change.
+pub(super) fn row_mut(leaf: &mut Leaf, row: usize) -> &mut Row {
+    &mut leaf.values.as_chunks_mut::<8>().0[row]
+}

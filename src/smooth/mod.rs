@@ -1,0 +1,143 @@
+//! The constrained optimization: the smoothest surface that stays between its bounds (paper, §3.2
+//! to §3.5).
+//!
+//! ```text
+//!   φ_0 ──15 Laplacian steps──▶ φ ──step──▶ redistance ──▶ clamp ──▶ … ──▶ φ
+//!                                  └── explicit, implicit or fast ──┘
+//! ```
+//!
+//! Every frame is integrated for the same fictitious time, never until it converges: that keeps a
+//! sequence coherent. The clamp comes last, so that the bounds (Eq. 6) hold at every voxel of the
+//! result; the redistancing before it would break them by itself.
+
+mod band;
+mod biharmonic;
+mod conjugate_gradient;
+mod explicit;
+mod heavy_ball;
+mod implicit;
+mod laplacian;
+
+pub use implicit::Convergence;
+
+use crate::grid::Field;
+use crate::level_set::{Bounds, NarrowBand, redistance};
+use band::Band;
+
+/// How the constrained smoothing is integrated in fictitious time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Integrator {
+    /// Implicit steps solved without reductions: local, and the same bytes on any number of threads.
+    Fast,
+    /// The paper's Algorithm 2: conjugate gradients with an active set that grows.
+    Implicit,
+    /// The paper's Algorithm 1: many small explicit steps.
+    Explicit,
+}
+
+/// What to do, in units of voxels and of the time h⁴.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Config {
+    /// Laplacian steps before the biharmonic ones.
+    pub laplacian_steps: u32,
+    /// How a biharmonic step is taken.
+    pub integrator: Integrator,
+    /// Biharmonic steps.
+    pub steps: u32,
+    /// Size of a biharmonic step, in units of h⁴.
+    pub step_size: f32,
+    /// Redistance after so many steps; the last step is always followed by one.
+    pub redistance_every: u32,
+    /// Relative tolerance of the conjugate gradients (`Implicit` only).
+    pub cg_tolerance: f64,
+}
+
+/// What smoothing took.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SmoothReport {
+    /// Unknowns of the first step: voxels with |φ| ≤ 3 voxels.
+    pub free_voxel_count: usize,
+    /// Applications of the biharmonic operator.
+    pub pass_count: usize,
+    /// How far a change of φ_0 or the bounds can reach, in voxels; `None` for `Implicit`, whose
+    /// dot products couple every voxel to every other.
+    pub reach_voxels: Option<u32>,
+    /// Of `Implicit` only.
+    pub convergence: Option<Convergence>,
+    /// Explicit steps that moved some value by more than a voxel (Eq. 8).
+    pub cfl_exceeded_count: usize,
+}
+
+/// Size of a Laplacian step, in units of h².
+const LAPLACIAN_STEP_SIZE: f32 = 0.1;
+
+/// Free unknowns of a biharmonic step: |φ| up to this many voxels (paper, §3.5).
+const FREE_WIDTH: f32 = 3.0;
+
+/// Jacobi sweeps of a redistancing (paper, §3.4).
+const REDISTANCE_SWEEPS: u32 = 8;
+
+/// A redistancing reads the neighbours of what it pins, and then sweeps.
+const REDISTANCE_REACH: u32 = REDISTANCE_SWEEPS + 1;
+
+/// Fields that every step needs and none keeps.
+struct Scratch {
+    laplacian: Field,
+    values: Field,
+}
+
+/// Smooths `band` within `bounds`.
+pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> SmoothReport {
+    laplacian::smooth_laplacian(band, bounds, config.laplacian_steps, LAPLACIAN_STEP_SIZE);
+    let leaf_count = band.topology.len();
+    let mut scratch = Scratch { laplacian: Field::splat(leaf_count, 0.0), values: band.phi.clone() };
+    let mut report = SmoothReport::default();
+    let mut reach = config.laplacian_steps;
+    for step in 1..=config.steps {
+        let region = Band::new(band, FREE_WIDTH);
+        if step == 1 {
+            report.free_voxel_count = region.free_count();
+        }
+        match config.integrator {
+            Integrator::Fast => {
+                let iterations = heavy_ball::iteration_count(config.step_size);
+                heavy_ball::step(band, bounds, &region, config.step_size, iterations, &mut scratch);
+                report.pass_count += iterations as usize;
+                reach += 2 * iterations;
+            }
+            Integrator::Explicit => {
+                let moved = explicit::step(band, bounds, &region, config.step_size, &mut scratch);
+                report.cfl_exceeded_count += usize::from(moved > 1.0);
+                report.pass_count += 1;
+                reach += 2;
+            }
+            Integrator::Implicit => {
+                let solved =
+                    implicit::step(band, bounds, region, config.step_size, config.cg_tolerance, &mut scratch);
+                report.pass_count += solved.iterations + solved.restarts + 1;
+                report.convergence = Some(solved.and(report.convergence));
+            }
+        }
+        if step % config.redistance_every == 0 || step == config.steps {
+            redistance(band, REDISTANCE_SWEEPS);
+            bounds.clamp(&mut band.phi);
+            reach += REDISTANCE_REACH;
+        }
+    }
+    report.reach_voxels = (config.integrator != Integrator::Implicit).then_some(reach);
+    report
+}
+
+/// The Laplacian flow alone, for comparison with the biharmonic one (paper, Fig. 5): `steps` steps
+/// of 0.1 h², redistanced and clamped every 50 and at the end.
+pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
+    const REDISTANCE_EVERY: u32 = 50;
+    let mut left = steps;
+    while left > 0 {
+        let now = left.min(REDISTANCE_EVERY);
+        laplacian::smooth_laplacian(band, bounds, now, LAPLACIAN_STEP_SIZE);
+        redistance(band, REDISTANCE_SWEEPS);
+        bounds.clamp(&mut band.phi);
+        left -= now;
+    }
+}
