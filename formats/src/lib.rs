@@ -8,6 +8,8 @@
 pub mod data;
 pub mod error;
 pub mod limits;
+pub mod names;
+pub mod scalar;
 
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,
