@@ -5,6 +5,7 @@
 //! its input as hostile: counts are compared with the bytes that remain before anything is
 //! allocated, and every failure is an [`Error`] that names the place and what was expected there.
 
+pub mod bgeo;
 pub mod data;
 pub mod error;
 pub mod limits;
