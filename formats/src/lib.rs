@@ -6,6 +6,7 @@
 //! allocated, and every failure is an [`Error`] that names the place and what was expected there.
 
 pub mod bgeo;
+pub mod csv;
 pub mod data;
 pub mod error;
 pub mod limits;
