@@ -160,7 +160,7 @@ fn errors_say_what_was_expected() {
     let mut version_6 = Layout::new(0, 0).end();
     version_6[8] = 6;
     let table: Vec<(&str, Vec<u8>, &str)> = vec![
-        ("nothing", Vec::new(), "expected 5 bytes of the signature, 0 remain"),
+        ("nothing", Vec::new(), "expected 5 bytes of the signature, found 0"),
         ("another file", b"\x7fNSJb.....".to_vec(), "expected the signature BgeoV"),
         ("version", version_6, "version 6; only version 5 is read"),
         ("negative count", Layout::new(-1, 0).end(), "at byte 9: expected the number of points, found -1"),

@@ -1,4 +1,4 @@
-//! Delimited text: every file of `corpus/{valid,invalid}/csv` against the description beside it.
+//! Delimited text: every file of `corpus/delimited/{valid,invalid}` against the description beside it.
 //!
 //! A new case is a new file. Run once with `MENISCUS_BLESS=1` to write its description, and read
 //! that before committing it.
@@ -30,7 +30,7 @@ fn invalid_files_fail_as_is_written_beside_them() {
 }
 
 fn corpus(promise: &str) -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(promise).join("csv");
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/delimited").join(promise);
     let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let mut paths: Vec<PathBuf> = paths.filter(|path| path.extension().unwrap() != "expected").collect();
     paths.sort();
@@ -100,7 +100,8 @@ fn limits_bound_rows_columns_and_head() {
 #[test]
 fn precision_follows_what_was_written() {
     let value = |index: i32| f64::from(index).sin() * 10f64.powi(index % 7 - 3);
-    let cases: [(&str, fn(f64) -> String, bool); 8] = [
+    type Print = fn(f64) -> String;
+    let cases: [(&str, Print, bool); 8] = [
         ("shortest f32", |v| format!("{}", v as f32), false),
         ("9 digits of f32", |v| format!("{:.8e}", v as f32), false),
         ("12 digits of f32", |v| format!("{:.11e}", v as f32), false),

@@ -1,5 +1,6 @@
 //! The grammar of one line: cells, quotes, and what counts as a number.
 
+use crate::text::parse_number;
 use std::borrow::Cow;
 
 /// What stands between two cells.
@@ -100,7 +101,9 @@ pub(super) fn unquoted(cell: &[u8]) -> Cow<'_, [u8]> {
 /// What a cell without quotes says. Fortran's exponents, `1.5D-3`, are numbers too.
 pub(super) fn meaning(text: &[u8]) -> Meaning {
     let text = text.trim_ascii();
-    if let Ok(value) = fast_float2::parse::<f64, _>(text) {
+    if let Some((value, length)) = parse_number::<f64>(text)
+        && length == text.len()
+    {
         return Meaning::Number(value);
     }
     let lower = text.to_ascii_lowercase();
@@ -191,22 +194,7 @@ pub(super) fn shown(text: &[u8]) -> String {
 }
 
 /// Words for a number that is not there, in lower case. (`nan` is a number.)
-const MISSING: [&[u8]; 14] = [
-    b"",
-    b"na",
-    b"n/a",
-    b"#n/a",
-    b"null",
-    b"none",
-    b"-",
-    b"nan(ind)",
-    b"-nan(ind)", // what the C runtime of Windows prints
-    b"1.#qnan",
-    b"1.#ind",
-    b"-1.#ind",
-    b"1.#inf",
-    b"-1.#inf",
-];
+const MISSING: [&[u8]; 7] = [b"", b"na", b"n/a", b"#n/a", b"null", b"none", b"-"];
 
 /// Numbers are rarely written with more decimals than these.
 const NEGATIVE_POWERS: [f64; 24] = [
