@@ -9,6 +9,7 @@
 
 pub mod bgeo;
 pub mod bytes;
+pub mod csv;
 pub mod data;
 pub mod error;
 mod gzip;
@@ -51,7 +52,7 @@ pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<
     match kind {
         Kind::Ply => ply::read(bytes, limits),
         Kind::ClassicBgeo => bgeo::read(bytes, limits),
-        Kind::Delimited => Err(Error::unsupported(kind.name(), "not yet")),
+        Kind::Delimited => csv::read(bytes, limits),
         _ => Err(unreadable(kind)),
     }
 }

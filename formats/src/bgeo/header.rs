@@ -1,6 +1,7 @@
 //! The counts and the dictionary of point attributes, up to the first point.
 
 use super::{FORMAT, MAGIC, POSITION_WORDS, TRAILER, VERSION};
+use crate::bytes::{Cursor, Endian};
 use crate::{Error, Limits, Place, Result};
 
 /// What the file says before its first point.
@@ -58,22 +59,22 @@ pub fn header(bytes: &[u8]) -> Result<Header> {
 
 /// [`header`], with limits on what it may ask for.
 pub(super) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
-    let mut cursor = Cursor { bytes, at: 0 };
+    let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature BgeoV"));
     }
-    let version = cursor.i32("the version")?;
+    let version = i32::from_le_bytes(cursor.array("the version")?);
     if version != VERSION {
         return Err(Error::unsupported(FORMAT, format!("version {version}; only version 5 is read")));
     }
-    let point_count = cursor.count("points")?;
-    let primitive_count = cursor.count("primitives")?;
-    let point_group_count = cursor.count("point groups")?;
-    let primitive_group_count = cursor.count("primitive groups")?;
-    let attribute_count = cursor.count("point attributes")?;
-    let vertex_attribute_count = cursor.count("vertex attributes")?;
-    let primitive_attribute_count = cursor.count("primitive attributes")?;
-    let detail_attribute_count = cursor.count("detail attributes")?;
+    let point_count = count(&mut cursor, "points")?;
+    let primitive_count = count(&mut cursor, "primitives")?;
+    let point_group_count = count(&mut cursor, "point groups")?;
+    let primitive_group_count = count(&mut cursor, "primitive groups")?;
+    let attribute_count = count(&mut cursor, "point attributes")?;
+    let vertex_attribute_count = count(&mut cursor, "vertex attributes")?;
+    let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
+    let detail_attribute_count = count(&mut cursor, "detail attributes")?;
     if point_count as u64 > limits.particle_count {
         let what = format!("{point_count} points, more than the limit of {}", limits.particle_count);
         return Err(Error::too_large(FORMAT, what));
@@ -95,9 +96,9 @@ pub(super) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
         point_count,
         primitive_count,
         attributes,
-        points_offset: cursor.at,
+        points_offset: cursor.at(),
         record_bytes,
-        expected_bytes: cursor.at as u64 + points_bytes + TRAILER.len() as u64,
+        expected_bytes: cursor.at() as u64 + points_bytes + TRAILER.len() as u64,
         expected_bytes_is_exact: counts_after == [0; 6],
     })
 }
@@ -108,19 +109,18 @@ fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<
         let what = format!("{count} point attributes, more than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
     }
-    cursor.require(count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
+    require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
     (0..count).map(|_| dictionary_entry(cursor)).collect()
 }
 
 fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
-    let name = cursor.string("an attribute name")?;
-    let arity = usize::from(cursor.u16("the size of an attribute")?);
-    let type_offset = cursor.at as u64;
-    let kind = match cursor.i32("the type of an attribute")? {
-        kind @ (0 | 1 | 5) => {
-            cursor.take(4 * arity, "the defaults of an attribute")?;
-            [AttributeKind::Float, AttributeKind::Int, AttributeKind::Vector][kind.min(2) as usize].clone()
-        }
+    let name = string(cursor, "an attribute name")?;
+    let arity = usize::from(u16::from_le_bytes(cursor.array("the size of an attribute")?));
+    let type_offset = cursor.at() as u64;
+    let kind = match i32::from_le_bytes(cursor.array("the type of an attribute")?) {
+        0 => AttributeKind::Float,
+        1 => AttributeKind::Int,
+        5 => AttributeKind::Vector,
         4 => AttributeKind::Strings(string_table(cursor)?),
         kind @ (2 | 3) => {
             let word = if kind == 2 { "fixed-length string" } else { "mixed" };
@@ -138,66 +138,43 @@ fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
             return Err(Error::invalid(FORMAT, Place::Offset(type_offset), what));
         }
     };
+    if !matches!(kind, AttributeKind::Strings(_)) {
+        cursor.take(4 * arity, "the defaults of an attribute")?;
+    }
     Ok(AttributeHeader { name, arity, kind })
 }
 
 fn string_table(cursor: &mut Cursor) -> Result<Vec<String>> {
     const STRING_BYTES_MIN: usize = 2; // its length
-    let count = cursor.count("strings")?;
-    cursor.require(count.saturating_mul(STRING_BYTES_MIN), "the strings of an attribute")?;
-    (0..count).map(|_| cursor.string("a string")).collect()
+    let count = count(cursor, "strings")?;
+    require(cursor, count.saturating_mul(STRING_BYTES_MIN), "the strings of an attribute")?;
+    (0..count).map(|_| string(cursor, "a string")).collect()
 }
 
-/// A place in the file; every step checks that the bytes are there.
-struct Cursor<'a> {
-    bytes: &'a [u8],
-    at: usize,
+/// Fails unless `byte_count` more bytes are there.
+fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
+    if byte_count <= cursor.remaining() {
+        return Ok(());
+    }
+    Err(cursor
+        .invalid(format!("expected {byte_count} bytes of {what} or more, {} remain", cursor.remaining())))
 }
 
-impl<'a> Cursor<'a> {
-    /// Fails unless `byte_count` more bytes are there.
-    fn require(&self, byte_count: usize, what: &str) -> Result<()> {
-        let remaining = self.bytes.len() - self.at;
-        if byte_count <= remaining {
-            return Ok(());
-        }
-        let what = format!("expected {byte_count} bytes of {what}, {remaining} remain");
-        Err(Error::invalid(FORMAT, Place::Offset(self.at as u64), what))
-    }
+/// A number of `things`, which cannot be negative.
+fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
+    let offset = cursor.at() as u64;
+    let count = i32::from_le_bytes(cursor.array(things)?);
+    usize::try_from(count).map_err(|_| {
+        let what = format!("expected the number of {things}, found {count}");
+        Error::invalid(FORMAT, Place::Offset(offset), what)
+    })
+}
 
-    fn take(&mut self, byte_count: usize, what: &str) -> Result<&'a [u8]> {
-        self.require(byte_count, what)?;
-        let taken = &self.bytes[self.at..self.at + byte_count];
-        self.at += byte_count;
-        Ok(taken)
-    }
-
-    fn u16(&mut self, what: &str) -> Result<u16> {
-        let bytes = self.take(2, what)?;
-        Ok(u16::from_be_bytes([bytes[0], bytes[1]]))
-    }
-
-    fn i32(&mut self, what: &str) -> Result<i32> {
-        let bytes = self.take(4, what)?;
-        Ok(i32::from_be_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]))
-    }
-
-    /// A number of `things`, which cannot be negative.
-    fn count(&mut self, things: &str) -> Result<usize> {
-        let offset = self.at as u64;
-        let count = self.i32("a count")?;
-        usize::try_from(count).map_err(|_| {
-            let what = format!("expected the number of {things}, found {count}");
-            Error::invalid(FORMAT, Place::Offset(offset), what)
-        })
-    }
-
-    /// A length of 16 bits, or 0xffff and one of 32 bits, then as many bytes.
-    fn string(&mut self, what: &str) -> Result<String> {
-        let length = match self.u16(what)? {
-            0xffff => self.count("characters")?,
-            short => usize::from(short),
-        };
-        Ok(String::from_utf8_lossy(self.take(length, what)?).into_owned())
-    }
+/// A length of 16 bits, or 0xffff and one of 32 bits, then as many bytes.
+fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
+    let length = match u16::from_le_bytes(cursor.array(what)?) {
+        0xffff => count(cursor, "characters")?,
+        short => usize::from(short),
+    };
+    Ok(String::from_utf8_lossy(cursor.take(length, what)?).into_owned())
 }
