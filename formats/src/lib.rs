@@ -5,6 +5,8 @@
 //! its input as hostile: counts are compared with the bytes that remain before anything is
 //! allocated, and every failure is an [`Error`] that names the place and what was expected there.
 
+#![forbid(unsafe_code)]
+
 pub mod bgeo;
 pub mod bytes;
 pub mod csv;
