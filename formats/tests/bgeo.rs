@@ -303,7 +303,7 @@ fn files_of_real_producers_are_read() {
             _ => found_names.join(" "),
         };
         assert_eq!(found_names, names, "{path}");
-        assert!(positions(&frame).as_flattened().iter().all(|x| x.is_finite() && x.abs() < 100.0), "{path}");
+        assert!(positions(&frame).as_flattened().iter().all(|x| x.is_finite() && x.abs() < 1e4), "{path}");
         let header = bgeo::header(&bytes).unwrap();
         assert!(header.expected_bytes <= bytes.len() as u64, "{path}");
         if header.expected_bytes_is_exact {

@@ -11,7 +11,7 @@ use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use meniscus_formats::{Limits, Result, bgeo, ply, read_particles};
+use meniscus_formats::{Limits, Result, bgeo, csv, ply, read_particles};
 
 /// Bytes that a reader may hold besides as many as its input has.
 const ALLOWED_BYTES: usize = 64 << 20;
@@ -32,6 +32,13 @@ fn damaged_ply_files_are_survived() {
 fn damaged_bgeo_files_are_survived() {
     for (name, bytes) in corpus("bgeo") {
         sweep(&name, &bytes, |bytes| bgeo::read(bytes, &Limits::default()));
+    }
+}
+
+#[test]
+fn damaged_tables_are_survived() {
+    for (name, bytes) in corpus("").into_iter().chain(folder("delimited/valid")) {
+        sweep(&name, &bytes, |bytes| csv::read(bytes, &Limits::default()));
     }
 }
 
@@ -58,17 +65,16 @@ fn gzip_bombs_are_refused() {
 
 /// The files of the corpus, valid and invalid, whose name contains the ending.
 fn corpus(ending: &str) -> Vec<(String, Vec<u8>)> {
-    let mut files = Vec::new();
-    for folder in ["valid", "invalid"] {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(folder);
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            if name.contains(ending) {
-                files.push((name, std::fs::read(&path).unwrap()));
-            }
-        }
-    }
+    let files = ["valid", "invalid"].into_iter().flat_map(folder);
+    files.filter(|(name, _)| name.contains(ending)).collect()
+}
+
+/// The files of a folder of the corpus by name.
+fn folder(folder: &str) -> Vec<(String, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(folder);
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
+    let mut files: Vec<_> = paths.map(|path| (name(&path), std::fs::read(&path).unwrap())).collect();
     files.sort();
     files
 }
