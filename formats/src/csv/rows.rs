@@ -213,7 +213,7 @@ impl<'a> Rows<'a> {
     }
 
     fn not_a_number(&self, text: &[u8], index: usize) -> Error {
-        if self.delimiter != Some(b',') && has_decimal_comma(text) {
+        if has_decimal_comma(text) {
             return decimal_commas(self.line);
         }
         let what = format!("expected a number in the column {:?}, found {}", self.names[index], shown(text));
