@@ -17,4 +17,7 @@ pub mod grid;
 pub mod level_set;
 pub mod mesh;
 pub mod particles;
+pub mod report;
+pub mod settings;
+pub mod skin;
 pub mod space;
