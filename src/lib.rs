@@ -13,10 +13,20 @@
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
 //! by the voxel size h makes every stage free of units. World units appear at both ends only.
 
-pub mod grid;
-pub mod level_set;
-pub mod mesh;
-pub mod particles;
+pub mod skin;
+
+pub mod report;
+pub mod settings;
+
+pub mod certify;
+pub mod contour;
 pub mod rasterize;
 pub mod smooth;
+
+pub mod level_set;
+
+pub mod grid;
+
+pub mod mesh;
+pub mod particles;
 pub mod space;

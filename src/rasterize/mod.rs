@@ -48,6 +48,12 @@ impl Radii {
         // Radii that differ by whole voxels but for rounding need no voxel more.
         5.0 + ((self.max - self.init).max(self.init - self.min) - 1e-4).max(0.0).ceil()
     }
+
+    /// How far a particle can change φ_0 and the bounds, in voxels: its exact distances, what is swept
+    /// from them for three fields at once, and the leaves that come and go with them.
+    pub fn reach_voxels(&self) -> u32 {
+        (self.max + EXACT_MARGIN).ceil() as u32 + sweep_count(self.half_width()) + 2 * LEAF_EDGE as u32
+    }
 }
 
 /// The band around the initial surface, with φ_0, and the bounds on the same leaves.

@@ -1,0 +1,191 @@
+//! A dam break of 3 072 particles, by position-based fluids: the small sequence in `examples/frames`.
+//!
+//! ```text
+//! cargo run --release --example dam_break -- examples/frames 6
+//! ```
+//!
+//! Each frame is a classic BGEO with velocity, as SPlisHSPlasH and partio write them. The simulation
+//! is as small as it can be and still splash; it has no random numbers, so its frames are always the
+//! same.
+//!
+//! This work is based on:
+//! Miles Macklin, Matthias Müller. Position Based Fluids. 2013
+
+use std::collections::HashMap;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+use glam::{IVec3, Vec3};
+use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo};
+
+/// Distance between particles at rest, metres.
+const SPACING: f32 = 0.05;
+/// Reach of the smoothing kernel.
+const REACH: f32 = 2.2 * SPACING;
+/// The tank, from the origin to here; y is up.
+const TANK: Vec3 = Vec3::new(1.6, 1.2, 0.6);
+/// Particles along the edges of the block of water.
+const BLOCK: IVec3 = IVec3::new(16, 16, 12);
+const GRAVITY: Vec3 = Vec3::new(0.0, -9.81, 0.0);
+const SECONDS_PER_STEP: f32 = 1.0 / 120.0;
+const STEPS_PER_FRAME: usize = 15;
+/// Corrections of the positions in each step.
+const SOLVER_ITERATIONS: usize = 4;
+/// Softens the density constraint where a particle has few neighbours.
+const RELAXATION: f32 = 200.0;
+/// How much velocities of neighbours blend in a step.
+const VISCOSITY: f32 = 0.02;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let (Some(folder), Some(count)) = (arguments.next(), arguments.next()) else {
+        return Err("usage: dam_break FOLDER FRAMES".into());
+    };
+    let folder = PathBuf::from(folder);
+    std::fs::create_dir_all(&folder)?;
+    let mut water = Water::block();
+    for frame in 1..=count.parse::<usize>()? {
+        write_frame(&water, &folder.join(format!("dam.{frame:04}.bgeo")))?;
+        for _ in 0..STEPS_PER_FRAME {
+            water.step();
+        }
+    }
+    Ok(())
+}
+
+/// Writes under another name and renames: whoever watches the folder sees whole frames only.
+fn write_frame(water: &Water, path: &Path) -> Result<(), Box<dyn Error>> {
+    let velocity = Attribute {
+        name: "v".into(),
+        arity: 3,
+        role: Some(Role::Velocity),
+        values: Values::F32(water.velocities.iter().flat_map(|velocity| velocity.to_array()).collect()),
+    };
+    let frame = ParticleFrame {
+        positions: Positions::F32(water.positions.iter().map(|position| position.to_array()).collect()),
+        attributes: vec![velocity],
+        ..ParticleFrame::default()
+    };
+    let unfinished = path.with_extension("unfinished");
+    let mut file = std::io::BufWriter::new(std::fs::File::create(&unfinished)?);
+    bgeo::write(&frame, &mut file)?;
+    file.into_inner()?.sync_all()?;
+    std::fs::rename(&unfinished, path)?;
+    Ok(())
+}
+
+struct Water {
+    positions: Vec<Vec3>,
+    velocities: Vec<Vec3>,
+    /// The density of the block at rest, in units of one particle's mass.
+    rest_density: f32,
+}
+
+impl Water {
+    /// A block of water at rest in a corner of the tank.
+    fn block() -> Water {
+        let mut positions = Vec::new();
+        for x in 0..BLOCK.x {
+            for y in 0..BLOCK.y {
+                positions.extend((0..BLOCK.z).map(|z| (IVec3::new(x, y, z).as_vec3() + 0.5) * SPACING));
+            }
+        }
+        let velocities = vec![Vec3::ZERO; positions.len()];
+        let mut water = Water { positions, velocities, rest_density: 1.0 };
+        let neighbors = neighbors(&water.positions);
+        let densities = (0..water.positions.len()).map(|i| water.density(i, &neighbors[i]));
+        water.rest_density = densities.fold(0.0, f32::max);
+        water
+    }
+
+    fn step(&mut self) {
+        let before = self.positions.clone();
+        for (position, velocity) in self.positions.iter_mut().zip(&mut self.velocities) {
+            *velocity += GRAVITY * SECONDS_PER_STEP;
+            *position += *velocity * SECONDS_PER_STEP;
+        }
+        let neighbors = neighbors(&self.positions);
+        for _ in 0..SOLVER_ITERATIONS {
+            let corrections = self.corrections(&neighbors);
+            for (position, correction) in self.positions.iter_mut().zip(corrections) {
+                let margin = 0.5 * SPACING;
+                *position = (*position + correction).clamp(Vec3::splat(margin), TANK - margin);
+            }
+        }
+        let moved = self.positions.iter().zip(before).map(|(now, before)| (now - before) / SECONDS_PER_STEP);
+        self.velocities = moved.collect();
+        self.velocities = (0..self.positions.len()).map(|i| self.blended_velocity(i, &neighbors[i])).collect();
+    }
+
+    fn density(&self, i: usize, neighbors: &[usize]) -> f32 {
+        neighbors.iter().map(|&j| kernel(self.positions[i].distance(self.positions[j]))).sum()
+    }
+
+    /// The moves that bring every density that is too high towards that at rest (Eq. 12).
+    fn corrections(&self, neighbors: &[Vec<usize>]) -> Vec<Vec3> {
+        let multiplier = |i: usize| {
+            let excess = (self.density(i, &neighbors[i]) / self.rest_density - 1.0).max(0.0);
+            let gradients = neighbors[i].iter().map(|&j| self.gradient(i, j));
+            let own: Vec3 = gradients.clone().sum();
+            -excess / (gradients.map(Vec3::length_squared).sum::<f32>() + own.length_squared() + RELAXATION)
+        };
+        let multipliers: Vec<f32> = (0..self.positions.len()).map(multiplier).collect();
+        let correction = |i: usize| {
+            neighbors[i].iter().map(|&j| self.gradient(i, j) * (multipliers[i] + multipliers[j])).sum::<Vec3>()
+        };
+        (0..self.positions.len()).map(correction).collect()
+    }
+
+    /// The gradient of particle i's relative density with its own position, as far as j causes it.
+    fn gradient(&self, i: usize, j: usize) -> Vec3 {
+        let offset = self.positions[i] - self.positions[j];
+        let distance = offset.length();
+        if distance == 0.0 { Vec3::ZERO } else { offset / distance * kernel_slope(distance) / self.rest_density }
+    }
+
+    fn blended_velocity(&self, i: usize, neighbors: &[usize]) -> Vec3 {
+        let own = self.velocities[i];
+        let pull: Vec3 = neighbors
+            .iter()
+            .map(|&j| {
+                let weight = kernel(self.positions[i].distance(self.positions[j])) / self.rest_density;
+                (self.velocities[j] - own) * weight
+            })
+            .sum();
+        own + VISCOSITY * pull
+    }
+}
+
+/// Poly6, normalised.
+fn kernel(distance: f32) -> f32 {
+    let rest = (REACH * REACH - distance * distance).max(0.0);
+    315.0 / (64.0 * std::f32::consts::PI * REACH.powi(9)) * rest * rest * rest
+}
+
+/// The slope of the spiky kernel, normalised.
+fn kernel_slope(distance: f32) -> f32 {
+    let rest = (REACH - distance).max(0.0);
+    -45.0 / (std::f32::consts::PI * REACH.powi(6)) * rest * rest
+}
+
+/// The particles within reach of each, itself included, in order of their index.
+fn neighbors(positions: &[Vec3]) -> Vec<Vec<usize>> {
+    let cell_of = |position: Vec3| (position / REACH).floor().as_ivec3();
+    let mut cells: HashMap<IVec3, Vec<usize>> = HashMap::new();
+    for (index, &position) in positions.iter().enumerate() {
+        cells.entry(cell_of(position)).or_default().push(index);
+    }
+    let around = |&position: &Vec3| {
+        let cell = cell_of(position);
+        let steps = (0..27).map(|step| IVec3::new(step / 9, step / 3 % 3, step % 3) - 1);
+        let mut near: Vec<usize> = steps
+            .filter_map(|step| cells.get(&(cell + step)))
+            .flatten()
+            .copied()
+            .filter(|&other| position.distance(positions[other]) < REACH)
+            .collect();
+        near.sort_unstable();
+        near
+    };
+    positions.iter().map(around).collect()
+}

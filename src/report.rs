@@ -1,0 +1,46 @@
+//! What each stage measured: plain numbers, filled in by the stages, written out by the pipeline.
+
+pub use crate::certify::Certificate;
+use crate::mesh::MeshMeasures;
+pub use crate::smooth::Convergence;
+
+/// Everything measured while skinning one frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SkinReport {
+    /// Particles that were skinned.
+    pub particle_count: usize,
+    /// Particles dropped: not finite, or outside the grid's range of indices.
+    pub dropped_count: usize,
+    /// Leaves of 8³ voxels that were stored.
+    pub leaf_count: usize,
+    /// Voxels with |φ| at most 3 voxels at the start of smoothing: the solver's unknowns.
+    pub free_voxel_count: usize,
+    /// Passes of the biharmonic operator over the band.
+    pub pass_count: usize,
+    /// How far a change of one particle can reach, in voxels; `None` where the integrator couples
+    /// all voxels (conjugate gradients).
+    pub reach_voxels: Option<u32>,
+    /// Of the conjugate gradients only.
+    pub convergence: Option<Convergence>,
+    /// Explicit steps whose CFL bound (Eq. 8) was exceeded.
+    pub cfl_exceeded_count: usize,
+    /// Seconds in each stage.
+    pub seconds: StageSeconds,
+    /// What was checked of the result.
+    pub certificate: Certificate,
+    /// ∫H² over the surface, from φ; 4π for a sphere of any size.
+    pub bending_energy: f64,
+    /// What was measured on the mesh.
+    pub mesh: MeshMeasures,
+}
+
+/// Wall-clock seconds in each stage of the method.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StageSeconds {
+    /// Particles to level sets.
+    pub rasterize: f64,
+    /// Laplacian and biharmonic smoothing.
+    pub smooth: f64,
+    /// Level set to mesh, and the measures and certificate of the result.
+    pub contour: f64,
+}

@@ -1,0 +1,166 @@
+//! Every number of the method, resolved and checked once.
+//!
+//! [`Choices`] is what somebody asked for; [`Settings`] is what is meant. A sequence has one
+//! `Settings` for all its frames: an estimate for each frame would flicker.
+
+use std::fmt;
+
+pub use crate::contour::Contouring;
+pub use crate::smooth::Integrator;
+
+/// What a user may choose. `None` means the default of the paper.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Choices {
+    /// Radius of the inner spheres r_min, world units; √3·h by default (Eq. 13).
+    pub radius_min: Option<f64>,
+    /// r_max / r_min; 2 by default.
+    pub radius_ratio: Option<f64>,
+    /// Radius of the first surface, world units; (r_min + r_max) / 2 by default (Eq. 2).
+    pub radius_init: Option<f64>,
+    /// Which integrator; `Fast` by default.
+    pub integrator: Option<Integrator>,
+    /// Laplacian steps before the biharmonic ones; 15 by default.
+    pub laplacian_steps: Option<u32>,
+    /// Biharmonic steps; 5, or 500 for `Explicit`.
+    pub steps: Option<u32>,
+    /// Size of a step in units of h⁴; 20, or 0.01 for `Explicit` (Eq. 14, 15).
+    pub step_size: Option<f64>,
+    /// Redistance after so many steps; 1, or 50 for `Explicit`.
+    pub redistance_every: Option<u32>,
+    /// Relative tolerance of the conjugate gradients; 1e-4 by default.
+    pub cg_tolerance: Option<f64>,
+    /// Which contouring; `Dual` by default.
+    pub contouring: Option<Contouring>,
+}
+
+/// All settings of a sequence, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Edge length h of a voxel, world units.
+    pub voxel_size: f64,
+    /// r_min, world units.
+    pub radius_min: f64,
+    /// r_init, world units.
+    pub radius_init: f64,
+    /// r_max, world units.
+    pub radius_max: f64,
+    /// Which integrator.
+    pub integrator: Integrator,
+    /// Laplacian steps before the biharmonic ones.
+    pub laplacian_steps: u32,
+    /// Biharmonic steps.
+    pub steps: u32,
+    /// Size of a biharmonic step, in units of h⁴.
+    pub step_size: f64,
+    /// Redistance after so many biharmonic steps.
+    pub redistance_every: u32,
+    /// Relative tolerance of the conjugate gradients (`Implicit` only).
+    pub cg_tolerance: f64,
+    /// Which contouring.
+    pub contouring: Contouring,
+}
+
+/// Explicit steps of more than this, in units of h⁴, are unstable: 2 / λ_max, and the largest
+/// eigenvalue of the discrete biharmonic is 144 / h⁴.
+pub const EXPLICIT_STEP_MAX: f64 = 2.0 / 144.0;
+
+/// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
+const RADIUS_MAX_VOXELS: f64 = 64.0;
+
+/// Why choices make no settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingsError {
+    /// What is wrong, and what would be right.
+    pub what: String,
+}
+
+impl fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)
+    }
+}
+
+impl std::error::Error for SettingsError {}
+
+impl Settings {
+    /// Fills in the defaults and checks every number.
+    ///
+    /// # Errors
+    /// When a number is not finite or out of its range, or when the radii are out of order.
+    pub fn resolve(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
+        let h = positive("voxel size", voxel_size)?;
+        let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
+        let ratio = positive("radius ratio", choices.radius_ratio.unwrap_or(2.0))?;
+        let radius_max = ratio * radius_min;
+        let radius_init = choices.radius_init.unwrap_or(0.5 * (radius_min + radius_max));
+        let radius_init = positive("radius r_init", radius_init)?;
+        require(ratio >= 1.0, || {
+            format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
+        })?;
+        require((radius_min..=radius_max).contains(&radius_init), || {
+            format!(
+                "r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}"
+            )
+        })?;
+        require(radius_max <= RADIUS_MAX_VOXELS * h, || {
+            format!(
+                "r_max is {} voxels; more than {RADIUS_MAX_VOXELS} is not supported: choose a larger voxel size",
+                radius_max / h
+            )
+        })?;
+        let integrator = choices.integrator.unwrap_or(Integrator::Fast);
+        let explicit = integrator == Integrator::Explicit;
+        let settings = Settings {
+            voxel_size: h,
+            radius_min,
+            radius_init,
+            radius_max,
+            integrator,
+            laplacian_steps: choices.laplacian_steps.unwrap_or(15),
+            steps: choices.steps.unwrap_or(if explicit { 500 } else { 5 }),
+            step_size: positive(
+                "step size",
+                choices.step_size.unwrap_or(if explicit { 0.01 } else { 20.0 }),
+            )?,
+            redistance_every: choices.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            cg_tolerance: positive("conjugate gradient tolerance", choices.cg_tolerance.unwrap_or(1e-4))?,
+            contouring: choices.contouring.unwrap_or(Contouring::Dual),
+        };
+        require(settings.redistance_every > 0, || {
+            "redistance at least every so many steps: 1 or more".into()
+        })?;
+        require(settings.step_size <= 1e4, || {
+            format!("a step of {} h⁴ is not supported: at most 10000", settings.step_size)
+        })?;
+        Ok(settings)
+    }
+
+    /// What a user should be told before work begins, one sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
+            warnings.push(format!(
+                "explicit steps of {} h⁴ are beyond the stable bound of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
+                self.step_size
+            ));
+        }
+        if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
+            warnings.push(format!(
+                "r_min is {:.3} voxels: below √3 a particle may fall between the voxels and be left outside",
+                self.radius_min / self.voxel_size
+            ));
+        }
+        warnings
+    }
+}
+
+fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+    require(value.is_finite() && value > 0.0, || {
+        format!("the {name} is {value}; it must be a positive number")
+    })?;
+    Ok(value)
+}
+
+fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
+    if holds { Ok(()) } else { Err(SettingsError { what: what() }) }
+}

@@ -1,0 +1,119 @@
+//! The whole method in three calls: rasterize, smooth, contour.
+//!
+//! The calls are separate so that a pipeline can have a different frame in each of them; [`skin`]
+//! is the three in a row. None of them starts threads of its own or touches a file: loops run in
+//! whatever rayon pool the caller is in.
+
+use std::time::Instant;
+
+use crate::certify::certify;
+use crate::contour;
+use crate::level_set::{Bounds, NarrowBand};
+use crate::mesh::Mesh;
+use crate::particles::Particles;
+use crate::rasterize::{self, ParticleBins, Radii};
+use crate::report::SkinReport;
+use crate::settings::Settings;
+use crate::smooth;
+use crate::space::Lattice;
+
+/// The surface of one frame.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    /// The level set that was meshed.
+    pub band: NarrowBand,
+    /// The mesh.
+    pub mesh: Mesh,
+    /// What was measured on the way.
+    pub report: SkinReport,
+}
+
+/// What rasterization hands to smoothing.
+#[derive(Clone, Debug)]
+pub struct Rasterized {
+    bins: ParticleBins,
+    band: NarrowBand,
+    bounds: Bounds,
+    report: SkinReport,
+}
+
+/// What smoothing hands to contouring.
+#[derive(Clone, Debug)]
+pub struct Smoothed {
+    bins: ParticleBins,
+    band: NarrowBand,
+    bounds: Bounds,
+    report: SkinReport,
+}
+
+/// Skins one frame: rasterize, smooth, contour.
+pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
+    contour(smooth(rasterize(particles, settings), settings), settings)
+}
+
+/// The first stage: particles to level sets.
+pub fn rasterize(particles: &Particles, settings: &Settings) -> Rasterized {
+    let started = Instant::now();
+    let bins = ParticleBins::new(particles, &lattice(settings));
+    let (band, bounds) = rasterize::rasterize(&bins, radii(settings));
+    let mut report = SkinReport {
+        particle_count: bins.len(),
+        dropped_count: bins.dropped_count,
+        leaf_count: band.topology.len(),
+        ..SkinReport::default()
+    };
+    report.seconds.rasterize = started.elapsed().as_secs_f64();
+    Rasterized { bins, band, bounds, report }
+}
+
+/// The second stage: the constrained smoothing.
+pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
+    let started = Instant::now();
+    let Rasterized { bins, mut band, bounds, mut report } = rasterized;
+    let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
+    report.free_voxel_count = smoothed.free_voxel_count;
+    report.pass_count = smoothed.pass_count;
+    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach + radii(settings).reach_voxels());
+    report.convergence = smoothed.convergence;
+    report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+    report.seconds.smooth = started.elapsed().as_secs_f64();
+    Smoothed { bins, band, bounds, report }
+}
+
+/// The third stage: the mesh, its measures and the certificate.
+pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
+    let started = Instant::now();
+    let Smoothed { bins, band, bounds, mut report } = smoothed;
+    let lattice = lattice(settings);
+    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &lattice);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    report.mesh = mesh.measure();
+    report.seconds.contour = started.elapsed().as_secs_f64();
+    Surface { band, mesh, report }
+}
+
+fn lattice(settings: &Settings) -> Lattice {
+    Lattice { voxel_size: settings.voxel_size }
+}
+
+/// The radii in voxels.
+fn radii(settings: &Settings) -> Radii {
+    let voxels = |world: f64| (world / settings.voxel_size) as f32;
+    Radii {
+        min: voxels(settings.radius_min),
+        init: voxels(settings.radius_init),
+        max: voxels(settings.radius_max),
+    }
+}
+
+fn smooth_config(settings: &Settings) -> smooth::Config {
+    smooth::Config {
+        laplacian_steps: settings.laplacian_steps,
+        integrator: settings.integrator,
+        steps: settings.steps,
+        step_size: settings.step_size as f32,
+        redistance_every: settings.redistance_every,
+        cg_tolerance: settings.cg_tolerance,
+    }
+}
