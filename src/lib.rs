@@ -13,6 +13,7 @@
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
 //! by the voxel size h makes every stage free of units. World units appear at both ends only.
 
+pub mod contour;
 pub mod grid;
 pub mod level_set;
 pub mod mesh;
