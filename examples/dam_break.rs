@@ -114,7 +114,8 @@ impl Water {
         }
         let moved = self.positions.iter().zip(before).map(|(now, before)| (now - before) / SECONDS_PER_STEP);
         self.velocities = moved.collect();
-        self.velocities = (0..self.positions.len()).map(|i| self.blended_velocity(i, &neighbors[i])).collect();
+        self.velocities =
+            (0..self.positions.len()).map(|i| self.blended_velocity(i, &neighbors[i])).collect();
     }
 
     fn density(&self, i: usize, neighbors: &[usize]) -> f32 {
@@ -131,7 +132,10 @@ impl Water {
         };
         let multipliers: Vec<f32> = (0..self.positions.len()).map(multiplier).collect();
         let correction = |i: usize| {
-            neighbors[i].iter().map(|&j| self.gradient(i, j) * (multipliers[i] + multipliers[j])).sum::<Vec3>()
+            neighbors[i]
+                .iter()
+                .map(|&j| self.gradient(i, j) * (multipliers[i] + multipliers[j]))
+                .sum::<Vec3>()
         };
         (0..self.positions.len()).map(correction).collect()
     }
@@ -140,7 +144,11 @@ impl Water {
     fn gradient(&self, i: usize, j: usize) -> Vec3 {
         let offset = self.positions[i] - self.positions[j];
         let distance = offset.length();
-        if distance == 0.0 { Vec3::ZERO } else { offset / distance * kernel_slope(distance) / self.rest_density }
+        if distance == 0.0 {
+            Vec3::ZERO
+        } else {
+            offset / distance * kernel_slope(distance) / self.rest_density
+        }
     }
 
     fn blended_velocity(&self, i: usize, neighbors: &[usize]) -> Vec3 {

@@ -1,0 +1,148 @@
+//! How the surface cuts a cell, from the signs of its corners alone.
+//!
+//! On each face of a cell the surface is drawn as segments between the middles of crossed edges, one
+//! segment around each run of inside corners along the face's rim:
+//!
+//! ```text
+//!    ○─────○     ●──┼──○     ●──┼──○     ●──┼──○      ● inside   ○ outside
+//!    │     │     │  │  │     │   ╲ │     ┼─╯   │      ┼ crossed edge
+//!    ┼─╮   │     │  │  │     │    ╲┼     │   ╭─┼
+//!    ●──┼──○     ●──┼──○     ●─────●     ○──┼──●      the last: ambiguous; the insides are separated
+//! ```
+//!
+//! The rule reads nothing but the face's own four signs, so the two cells of a face draw the same
+//! segments. A crossed edge lies on two faces of its cell and ends one segment on each; hence the
+//! segments of a cell join into simple closed *cycles*, one to four of them, each going around one
+//! sheet of the surface.
+//!
+//! Numbering. Corner `4x + 2y + z`. Edge `4a + 2b + c`: along axis a, at b and c on the two axes that
+//! follow a in the order x, y, z, x, y. Face `2a + side`: normal to axis a.
+
+use std::sync::LazyLock;
+
+/// No cycle goes through this edge.
+pub(super) const NO_CYCLE: u8 = u8::MAX;
+
+/// The cycles of a cell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CellCycles {
+    /// How many there are, 0 to 4.
+    pub(super) count: usize,
+    /// For each cycle a bit for each edge it goes through.
+    pub(super) edges: [u16; 4],
+    /// For each edge its cycle, or [`NO_CYCLE`] where it is not crossed.
+    pub(super) of_edge: [u8; 12],
+    /// A bit for each ambiguous face whose two segments belong to one cycle.
+    pub(super) joined_faces: u8,
+}
+
+/// The cycles of a cell whose inside corners are the bits of `signs`.
+pub(super) fn cell_cycles(signs: u8) -> &'static CellCycles {
+    static TABLE: LazyLock<[CellCycles; 256]> =
+        LazyLock::new(|| std::array::from_fn(|signs| trace_cycles(signs as u8)));
+    &TABLE[usize::from(signs)]
+}
+
+/// The bit of a corner's number that an axis owns.
+pub(super) const fn corner_bit(axis: usize) -> usize {
+    4 >> axis
+}
+
+/// The first and last corner of an edge.
+pub(super) const fn edge_corners(edge: usize) -> (usize, usize) {
+    let (axis, b, c) = (edge / 4, edge / 2 % 2, edge % 2);
+    let start = b * corner_bit((axis + 1) % 3) + c * corner_bit((axis + 2) % 3);
+    (start, start + corner_bit(axis))
+}
+
+fn trace_cycles(signs: u8) -> CellCycles {
+    let segments: Vec<(usize, [usize; 2])> = (0..6)
+        .flat_map(|face| segments_on(face, signs).into_iter().map(move |segment| (face, segment)))
+        .collect();
+    let mut cycles = CellCycles { count: 0, edges: [0; 4], of_edge: [NO_CYCLE; 12], joined_faces: 0 };
+    for first_edge in 0..12 {
+        let is_crossed = segments.iter().any(|(_, ends)| ends.contains(&first_edge));
+        if !is_crossed || cycles.of_edge[first_edge] != NO_CYCLE {
+            continue;
+        }
+        let mut edges: u16 = 1 << first_edge;
+        // A cycle has at most 12 edges, so 12 rounds reach all of it.
+        for _ in 0..12 {
+            for (_, [one, other]) in &segments {
+                if edges & (1 << one | 1 << other) != 0 {
+                    edges |= 1 << one | 1 << other;
+                }
+            }
+        }
+        for edge in (0..12).filter(|edge| edges >> edge & 1 == 1) {
+            cycles.of_edge[edge] = cycles.count as u8;
+        }
+        cycles.edges[cycles.count] = edges;
+        cycles.count += 1;
+    }
+    for pair in segments.windows(2) {
+        let [(face, one), (other_face, other)] = [pair[0], pair[1]];
+        if face == other_face && cycles.of_edge[one[0]] == cycles.of_edge[other[0]] {
+            cycles.joined_faces |= 1 << face;
+        }
+    }
+    cycles
+}
+
+/// The segments on a face: for each run of inside corners along its rim, the crossed edges where the
+/// run begins and ends.
+fn segments_on(face: usize, signs: u8) -> Vec<[usize; 2]> {
+    let (axis, side) = (face / 2, face % 2);
+    let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
+    let rim = [0, b, b | c, c].map(|corner| corner + side * corner_bit(axis));
+    let is_inside = |k: usize| signs >> rim[k % 4] & 1 == 1;
+    let edge_after = |k: usize| edge_between(rim[k % 4], rim[(k + 1) % 4]);
+    (0..4)
+        .filter(|&k| is_inside(k) && !is_inside(k + 3))
+        .map(|first| {
+            let last = (first..first + 4).find(|&k| !is_inside(k + 1)).unwrap_or(first);
+            [edge_after(first + 3), edge_after(last)]
+        })
+        .collect()
+}
+
+fn edge_between(one: usize, other: usize) -> usize {
+    let ends = (one.min(other), one.max(other));
+    (0..12)
+        .find(|&edge| edge_corners(edge) == ends)
+        .expect("corners next to each other on a rim share an edge")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_crossed_edge_is_in_one_cycle_and_no_other_edge_is() {
+        for signs in 0..=255u8 {
+            let cycles = cell_cycles(signs);
+            for edge in 0..12 {
+                let (start, end) = edge_corners(edge);
+                let is_crossed = (signs >> start ^ signs >> end) & 1 == 1;
+                assert_eq!(is_crossed, cycles.of_edge[edge] != NO_CYCLE, "{signs:#010b} edge {edge}");
+            }
+            let all = cycles.edges.iter().fold(0, |all, edges| {
+                assert_eq!(all & edges, 0);
+                all | edges
+            });
+            let lengths = cycles.edges[..cycles.count].iter().map(|edges| edges.count_ones());
+            assert!(lengths.clone().all(|length| length >= 3), "{signs:#010b}");
+            assert_eq!(lengths.sum::<u32>(), u32::from(all).count_ones());
+        }
+    }
+
+    #[test]
+    fn separated_insides_give_four_cycles_and_joined_ones_a_ring() {
+        // Four inside corners, no two next to each other.
+        assert_eq!(cell_cycles(0b0110_1001).count, 4);
+        // Two inside corners across a face: apart. Their complement: one sheet around two outsides.
+        assert_eq!(cell_cycles(0b0000_1001).count, 2);
+        assert_eq!(cell_cycles(0b1111_0110).count, 1);
+        assert_eq!(cell_cycles(0b1111_0110).joined_faces.count_ones(), 1);
+    }
+}

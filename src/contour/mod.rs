@@ -1,0 +1,129 @@
+//! From φ to triangles.
+//!
+//! ```text
+//!   Neighborhood ──▶ SignRows ──▶ crossed cells and edges ──▶ vertices of a leaf  ─┐  prefix sums in the
+//!   of each leaf     Block    ──▶ crossings, gradients    ──▶                      ├▶ topology's order
+//!                                                             triangles of a leaf ─┘  ──▶ Mesh
+//! ```
+//!
+//! Both contourings promise, for any φ: the mesh is closed, every edge is in two triangles that run
+//! along it in opposite directions, the triangles around a vertex form one ring, all face outward,
+//! none is degenerate, and no two vertices of a triangle are the same. Each leaf is worked on alone
+//! and the results are joined in the topology's order, so the mesh does not depend on the number of
+//! threads, to the last byte.
+//!
+//! Inside is φ < 0; zero is outside. What is needed of a band: the voxels next to a change of sign
+//! are stored together with all their neighbours. Cells with a corner that is not stored are taken
+//! to hold no surface.
+
+mod cell_cycles;
+mod cell_vertex;
+mod curvature;
+mod dual_contouring;
+mod marching_tetrahedra;
+mod neighborhood;
+mod normals;
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+pub use curvature::{bending_energy, mean_curvatures};
+
+use crate::grid::{LEAF_EDGE, Topology};
+use crate::level_set::NarrowBand;
+use crate::mesh::Mesh;
+use crate::space::{CoordBox, Lattice};
+
+/// How to make triangles from φ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Contouring {
+    /// Dual contouring: even triangles, one vertex for each sheet in a cell.
+    #[default]
+    Dual,
+    /// Marching tetrahedra: about four times as many triangles, no special cases.
+    Tetrahedra,
+}
+
+/// The surface φ = 0 as a closed triangle mesh in world units, outward, with unit normals.
+pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> Mesh {
+    assert_eq!(band.phi.leaves.len(), band.topology.len(), "one leaf of values for each leaf");
+    let placement = Placement::new(&band.topology, lattice);
+    let mut mesh = match contouring {
+        Contouring::Dual => dual_contouring::dual_contour(band, &placement),
+        Contouring::Tetrahedra => marching_tetrahedra::march_tetrahedra(band, &placement),
+    };
+    normals::fill_zero_normals(&mut mesh);
+    mesh
+}
+
+/// Where the mesh's origin is, and how long a voxel.
+struct Placement {
+    origin_index: IVec3,
+    voxel_size: f64,
+}
+
+/// Up to this index 32-bit positions resolve a 1024th of a voxel, and the mesh keeps the world's
+/// origin.
+const NEAR_ORIGIN: i32 = 16384;
+
+/// Mesh origins away from the world's are multiples of this many voxels, so that frames of a
+/// sequence that moves share them for a while.
+const ORIGIN_STEP: i32 = 1024;
+
+impl Placement {
+    fn new(topology: &Topology, lattice: &Lattice) -> Placement {
+        let mut bounds = CoordBox::EMPTY;
+        for &origin in topology.origins() {
+            bounds.include(origin);
+            bounds.include(origin + IVec3::splat(LEAF_EDGE - 1));
+        }
+        let is_near = bounds.is_empty()
+            || bounds.min.cmpge(IVec3::splat(-NEAR_ORIGIN)).all()
+                && bounds.max.cmple(IVec3::splat(NEAR_ORIGIN)).all();
+        let origin_index = if is_near {
+            IVec3::ZERO
+        } else {
+            // Halved first: the sum of two indices may not fit.
+            let center = (bounds.min >> 1) + (bounds.max >> 1);
+            (center + ORIGIN_STEP / 2) & !(ORIGIN_STEP - 1)
+        };
+        Placement { origin_index, voxel_size: lattice.voxel_size }
+    }
+
+    /// The world position that mesh positions are relative to.
+    fn world_origin(&self) -> DVec3 {
+        self.origin_index.as_dvec3() * self.voxel_size
+    }
+
+    /// The mesh position of a point given relative to a cell; rounded once.
+    fn position(&self, cell: IVec3, local: Vec3) -> Vec3 {
+        (((cell - self.origin_index).as_dvec3() + local.as_dvec3()) * self.voxel_size).as_vec3()
+    }
+}
+
+/// The sum of the counts before each one.
+fn prefix_sums(counts: impl Iterator<Item = usize>) -> Vec<u32> {
+    let mut total = 0;
+    let mut sums = Vec::new();
+    for count in counts {
+        sums.push(total as u32);
+        total += count;
+    }
+    assert!(total <= u32::MAX as usize, "more vertices than 32-bit indices");
+    sums
+}
+
+/// All parts in one piece, in order.
+fn concatenate<'a, T: Copy + Default + Send + Sync + 'a>(parts: impl Iterator<Item = &'a Vec<T>>) -> Vec<T> {
+    let parts: Vec<&Vec<T>> = parts.collect();
+    let mut whole = vec![T::default(); parts.iter().map(|part| part.len()).sum()];
+    let mut rest = &mut whole[..];
+    let mut places = Vec::with_capacity(parts.len());
+    for part in &parts {
+        let (place, after) = rest.split_at_mut(part.len());
+        places.push(place);
+        rest = after;
+    }
+    places.into_par_iter().zip(parts).for_each(|(place, part)| place.copy_from_slice(part));
+    whole
+}
