@@ -21,3 +21,4 @@ pub mod report;
 pub mod settings;
 pub mod skin;
 pub mod space;
+pub mod spacing;
