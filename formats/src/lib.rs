@@ -5,9 +5,14 @@
 //! its input as hostile: counts are compared with the bytes that remain before anything is
 //! allocated, and every failure is an [`Error`] that names the place and what was expected there.
 
+pub mod bytes;
 pub mod data;
 pub mod error;
 pub mod limits;
+pub mod names;
+pub mod ply;
+pub mod scalar;
+mod text;
 
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,

@@ -1,0 +1,111 @@
+//! A checked walk over the bytes of a binary file.
+
+use crate::error::{Error, Place, Result};
+use crate::scalar::Scalar;
+
+/// The order of the bytes of a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Endian {
+    /// Least significant byte first.
+    Little,
+    /// Most significant byte first.
+    Big,
+}
+
+/// A position in a file, with reads that fail instead of passing the end.
+#[derive(Clone, Debug)]
+pub(crate) struct Cursor<'a> {
+    format: &'static str,
+    endian: Endian,
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Cursor<'a> {
+    /// Starts at byte `at` of a file of the named format.
+    pub(crate) fn new(format: &'static str, endian: Endian, bytes: &'a [u8], at: usize) -> Cursor<'a> {
+        Cursor { format, endian, bytes, at: at.min(bytes.len()) }
+    }
+
+    /// Bytes from the start of the file.
+    pub(crate) fn at(&self) -> usize {
+        self.at
+    }
+
+    /// Bytes up to the end of the file.
+    pub(crate) fn remaining(&self) -> usize {
+        self.bytes.len() - self.at
+    }
+
+    /// The next bytes; `what` names them in the error.
+    pub(crate) fn take(&mut self, length: usize, what: &str) -> Result<&'a [u8]> {
+        match self.bytes[self.at..].get(..length) {
+            Some(taken) => {
+                self.at += length;
+                Ok(taken)
+            }
+            None => Err(self.invalid(format!(
+                "expected {length} bytes of {what}, found {} before the end",
+                self.remaining()
+            ))),
+        }
+    }
+
+    /// The next bytes as an array.
+    pub(crate) fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N, what)?);
+        if self.endian == Endian::Big {
+            array.reverse();
+        }
+        Ok(array)
+    }
+
+    /// The next number, which must be of an integer type.
+    pub(crate) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
+        Ok(match scalar {
+            Scalar::I8 => i8::from_le_bytes(self.array(what)?).into(),
+            Scalar::U8 => u8::from_le_bytes(self.array(what)?).into(),
+            Scalar::I16 => i16::from_le_bytes(self.array(what)?).into(),
+            Scalar::U16 => u16::from_le_bytes(self.array(what)?).into(),
+            Scalar::I32 => i32::from_le_bytes(self.array(what)?).into(),
+            Scalar::U32 => u32::from_le_bytes(self.array(what)?).into(),
+            Scalar::F32 | Scalar::F64 => {
+                return Err(self.invalid(format!("{what} must be of an integer type")));
+            }
+        })
+    }
+
+    /// An error at the present position.
+    pub(crate) fn invalid(&self, what: impl Into<String>) -> Error {
+        Error::invalid(self.format, Place::Offset(self.at as u64), what)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_come_in_both_orders() {
+        let bytes = [0x01, 0x02, 0xff, 0xfe];
+        let mut little = Cursor::new("test", Endian::Little, &bytes, 0);
+        assert_eq!(little.integer(Scalar::U16, "n").unwrap(), 0x0201);
+        assert_eq!(little.integer(Scalar::I16, "n").unwrap(), -257);
+        let mut big = Cursor::new("test", Endian::Big, &bytes, 0);
+        assert_eq!(big.integer(Scalar::U16, "n").unwrap(), 0x0102);
+        assert_eq!(big.integer(Scalar::I8, "n").unwrap(), -1);
+        assert_eq!(big.remaining(), 1);
+    }
+
+    #[test]
+    fn the_end_is_an_error_with_its_offset() {
+        let mut cursor = Cursor::new("test", Endian::Little, &[1, 2, 3], 0);
+        cursor.take(2, "x").unwrap();
+        let error = cursor.take(usize::MAX, "the table").unwrap_err().to_string();
+        assert!(
+            error.starts_with("test, at byte 2: expected 18446744073709551615 bytes of the table, found 1")
+        );
+        assert_eq!(Cursor::new("test", Endian::Big, &[1], 9).remaining(), 0);
+    }
+}

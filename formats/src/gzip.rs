@@ -1,0 +1,137 @@
+//! Gunzips a file that another format is packed in.
+//!
+//! The result is not believed to be small because the file is: it is produced piece by piece, and
+//! abandoned at the first piece beyond the limits.
+
+use std::io::Read;
+
+use flate2::bufread::GzDecoder;
+
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+const FORMAT: &str = "gzip";
+
+/// What every gzip member starts with.
+const MAGIC: [u8; 2] = [0x1f, 0x8b];
+
+/// Bytes inflated between two looks at the limits.
+const PIECE_BYTES: usize = 256 << 10;
+
+/// Bytes that may come out before their ratio to what went in counts.
+const RATIO_FREE_BYTES: u64 = 1 << 20;
+
+/// Whether the file is gzipped.
+pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
+    bytes.starts_with(&MAGIC)
+}
+
+/// Inflates all members of the file, one after the other.
+///
+/// # Errors
+/// `Invalid`, with the offset in the compressed file, if it is damaged or ends too soon; `TooLarge`
+/// beyond `decompressed_bytes` or `decompression_ratio`.
+pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+    let mut inflated = Vec::new();
+    let mut rest = bytes;
+    while is_gzip(rest) {
+        rest = inflate_member(bytes.len(), rest, limits, &mut inflated)?;
+    }
+    // Tapes and some copying tools pad files with zeros.
+    if let Some(at) = rest.iter().position(|&byte| byte != 0) {
+        let place = Place::Offset((bytes.len() - rest.len() + at) as u64);
+        return Err(Error::invalid(FORMAT, place, "the compressed data is followed by something else"));
+    }
+    Ok(inflated)
+}
+
+/// Inflates the member at the start of `rest`, and returns what follows it.
+fn inflate_member<'a>(
+    total: usize,
+    rest: &'a [u8],
+    limits: &Limits,
+    inflated: &mut Vec<u8>,
+) -> Result<&'a [u8]> {
+    let mut decoder = GzDecoder::new(rest);
+    loop {
+        let before = inflated.len();
+        let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(inflated);
+        let consumed = total - decoder.get_ref().len();
+        check_limits(inflated.len() as u64, consumed as u64, limits)?;
+        if let Err(source) = outcome {
+            let what = match source.kind() {
+                std::io::ErrorKind::UnexpectedEof => "the compressed data ends too soon".into(),
+                _ => format!("the compressed data is damaged: {source}"),
+            };
+            return Err(Error::invalid(FORMAT, Place::Offset(consumed as u64), what));
+        }
+        if inflated.len() == before {
+            return Ok(decoder.into_inner());
+        }
+    }
+}
+
+fn check_limits(inflated: u64, consumed: u64, limits: &Limits) -> Result<()> {
+    if inflated > limits.decompressed_bytes {
+        let most = limits.decompressed_bytes;
+        return Err(Error::too_large(FORMAT, format!("more than {most} bytes after decompression")));
+    }
+    let allowed = consumed.saturating_mul(limits.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
+    if inflated > allowed {
+        let most = limits.decompression_ratio;
+        return Err(Error::too_large(FORMAT, format!("more than {most} bytes out of each compressed byte")));
+    }
+    Ok(())
+}
+
+/// The first bytes of the content, as many as can be had, at most `length`.
+pub(crate) fn inflate_head(bytes: &[u8], length: usize) -> Vec<u8> {
+    let mut head = Vec::new();
+    // What was inflated before an error is in `head`, and is all that is asked for.
+    let _ = GzDecoder::new(bytes).take(length as u64).read_to_end(&mut head);
+    head
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    fn gzipped(bytes: &[u8]) -> Vec<u8> {
+        let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+        encoder.write_all(bytes).unwrap();
+        encoder.finish().unwrap()
+    }
+
+    #[test]
+    fn members_are_joined_and_padding_is_dropped() {
+        let mut file = [gzipped(b"one "), gzipped(b"two")].concat();
+        assert_eq!(inflate(&file, &Limits::default()).unwrap(), b"one two");
+        file.extend([0; 100]);
+        assert_eq!(inflate(&file, &Limits::default()).unwrap(), b"one two");
+        file.push(7);
+        let error = inflate(&file, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("followed by something else"), "{error}");
+    }
+
+    #[test]
+    fn damage_is_told_with_its_offset() {
+        let mut file = gzipped(&[7; 5000]);
+        let error = inflate(&file[..file.len() - 3], &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("ends too soon"), "{error}");
+        let middle = file.len() - 7; // within the checksum
+        file[middle] ^= 1;
+        let error = inflate(&file, &Limits::default()).unwrap_err().to_string();
+        assert!(error.contains("is damaged"), "{error}");
+    }
+
+    #[test]
+    fn a_bomb_is_abandoned_early() {
+        let bomb = gzipped(&vec![0; 64 << 20]);
+        let limits = Limits { decompression_ratio: 100, ..Limits::default() };
+        assert!(matches!(inflate(&bomb, &limits), Err(Error::TooLarge { .. })));
+        let limits = Limits { decompressed_bytes: 5 << 20, ..Limits::default() };
+        assert!(matches!(inflate(&bomb, &limits), Err(Error::TooLarge { .. })));
+        assert_eq!(inflate(&bomb, &Limits::default()).unwrap().len(), 64 << 20);
+    }
+}

@@ -1,0 +1,561 @@
+//! Which columns make up which attribute, and what it means.
+//!
+//! PLY and delimited text know scalars only: a velocity arrives as three columns, and every
+//! producer has its own way to spell them. Here the spellings are taken apart and put together
+//! again; formats whose attributes are vectors already ask for the roles alone.
+//!
+//! ```text
+//!   "Points:0" "Points:1" "Points:2"       ->  the position
+//!   vx vy vz   velocity_x ..   "Vel.x [m/s]" ..  U_0 ..   ->  an attribute of arity 3, Velocity
+//!   red green blue Alpha                   ->  color, arity 4, Color
+//!   width                                  ->  width, arity 1, Radius, to be halved
+//!   f_rest_0 .. f_rest_44                  ->  f_rest, arity 45, no role
+//!   temperature                            ->  temperature, arity 1, no role
+//! ```
+//!
+//! A name is matched without quotes, the prefix `scalar_` (CloudCompare), a unit in brackets, and
+//! case; what is kept as the attribute's name has the case of the file. Each role is given at most
+//! once: where two columns could have it, the one that stands first in the table below wins and the
+//! other stays an attribute without a role. The same holds for the position.
+
+use crate::data::Role;
+use crate::scalar::Scalar;
+use std::collections::HashMap;
+
+/// What a list of columns was understood as.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Columns {
+    /// The columns of the x, y and z of the position, or none were recognised. They may differ in type.
+    pub position: Option<[usize; 3]>,
+    /// Every other column, in exactly one group; ordered by the first column of each.
+    pub groups: Vec<Group>,
+}
+
+/// The columns that make up one attribute. All have the same type.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Group {
+    /// The common stem of the columns, or the whole name (without quotes) of a single one.
+    pub name: String,
+    /// What it was recognised as.
+    pub role: Option<Role>,
+    /// Indices into the list of columns, in the order of the components; never empty.
+    pub columns: Vec<usize>,
+    /// What the values must be multiplied by: 0.5 for a diameter, which becomes a radius; else 1.
+    pub scale: f64,
+}
+
+impl Group {
+    /// Values per particle.
+    pub fn arity(&self) -> usize {
+        self.columns.len()
+    }
+}
+
+/// Sorts named columns into the position and attributes.
+pub fn group_columns(columns: &[(&str, Scalar)]) -> Columns {
+    let names: Vec<&str> = columns.iter().map(|(name, _)| matched_part(name)).collect();
+    let mut families = Families::collect(&names);
+    let position = families.position();
+    let mut taken = vec![false; columns.len()];
+    for index in position.into_iter().flatten() {
+        taken[index] = true;
+    }
+
+    let mut groups = families.vectors(columns, &mut taken);
+    for (index, (name, _)) in columns.iter().enumerate() {
+        if !taken[index] {
+            groups.push(Group { name: unquoted(name).into(), role: None, columns: vec![index], scale: 1.0 });
+        }
+    }
+    groups.sort_by_key(|group| group.columns.iter().copied().min());
+
+    let attributes: Vec<(&str, usize)> =
+        groups.iter().map(|group| (group.name.as_str(), group.arity())).collect();
+    let roles = roles_of(&attributes);
+    for (group, role) in groups.iter_mut().zip(roles) {
+        group.role = role;
+        if role == Some(Role::Radius) {
+            group.scale = radius_scale(&group.name);
+        }
+    }
+    Columns { position, groups }
+}
+
+/// What an attribute of this name and arity means.
+pub fn role_of(name: &str, arity: usize) -> Option<Role> {
+    ranked_role(name, arity).map(|(role, _)| role)
+}
+
+/// What each of the attributes, given as name and arity, means; no role is given twice.
+pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
+    let ranked: Vec<_> = attributes.iter().map(|&(name, arity)| ranked_role(name, arity)).collect();
+    let mut roles = vec![None; attributes.len()];
+    for &(role, _) in ROLES {
+        let candidates = ranked.iter().enumerate().filter_map(|(index, found)| match found {
+            Some((found, rank)) if *found == role => Some((*rank, index)),
+            _ => None,
+        });
+        if let Some((_, index)) = candidates.min() {
+            roles[index] = Some(role);
+        }
+    }
+    roles
+}
+
+/// What the values of an attribute with [`Role::Radius`] must be multiplied by to be radii.
+pub fn radius_scale(name: &str) -> f64 {
+    let name = matched_part(name).to_ascii_lowercase();
+    if DIAMETERS.contains(&name.as_str()) { 0.5 } else { 1.0 }
+}
+
+/// The unit that a name carries in brackets: `m/s` in `"Vel.x [m/s]"`.
+pub fn unit_of(name: &str) -> Option<&str> {
+    split_unit(unquoted(name)).1
+}
+
+/// A name without the quotes and spaces around it.
+pub fn unquoted(name: &str) -> &str {
+    let name = name.trim();
+    for quote in ['"', '\''] {
+        if let Some(inner) = name.strip_prefix(quote).and_then(|rest| rest.strip_suffix(quote)) {
+            return inner.trim();
+        }
+    }
+    name
+}
+
+/// The role and its rank among the aliases, lower being better.
+fn ranked_role(name: &str, arity: usize) -> Option<(Role, usize)> {
+    let stem = matched_part(name);
+    if stem == "U" && arity == 3 {
+        return Some((Role::Velocity, usize::MAX)); // OpenFOAM's; a small u is more often a displacement
+    }
+    let stem = stem.to_ascii_lowercase();
+    ROLES.iter().find_map(|&(role, aliases)| {
+        let arity_fits = match role {
+            Role::Velocity | Role::Normal => arity == 3,
+            Role::Color => arity == 3 || arity == 4,
+            Role::Radius | Role::Density | Role::Mass | Role::Id | Role::Kind => arity == 1,
+        };
+        let rank = aliases.iter().position(|&alias| alias == stem)?;
+        arity_fits.then_some((role, rank))
+    })
+}
+
+/// The part of a name that carries its meaning.
+fn matched_part(name: &str) -> &str {
+    let (name, _) = split_unit(unquoted(name));
+    match name.get(..7) {
+        Some(prefix) if prefix.eq_ignore_ascii_case("scalar_") && name.len() > 7 => &name[7..],
+        _ => name,
+    }
+}
+
+/// Cuts ` [unit]` or ` (unit)` off the end. An index such as `[0]` is no unit.
+fn split_unit(name: &str) -> (&str, Option<&str>) {
+    for (open, close) in [('[', ']'), ('(', ')')] {
+        let Some(inside) = name.strip_suffix(close) else { continue };
+        let Some((front, unit)) = inside.rsplit_once(open) else { continue };
+        let is_index = !unit.is_empty() && unit.bytes().all(|byte| byte.is_ascii_digit());
+        if !is_index && !front.trim().is_empty() {
+            return (front.trim_end(), Some(unit.trim()));
+        }
+    }
+    (name, None)
+}
+
+/// How a component is attached to the stem. Columns of one attribute are spelled in one way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Spelling {
+    /// `vx`
+    Bare,
+    /// `v_x`, `v.x`: the separator.
+    Letter(char),
+    /// `Cd_r`: the separator.
+    ColorLetter(char),
+    /// `v_0`, `v:0`, and `v[0]` with the bracket as separator.
+    Digit(char),
+    /// A family whose members have nothing in common, such as red, green, blue: index into `WORDS`.
+    Word(usize),
+}
+
+/// Takes `velocity_x` apart into the stem, the spelling and the number of the component.
+fn split_component(name: &str) -> Option<(&str, Spelling, usize)> {
+    for (family, (_, words)) in WORDS.iter().enumerate() {
+        if let Some(component) = words.iter().position(|word| word.eq_ignore_ascii_case(name)) {
+            return Some(("", Spelling::Word(family), component));
+        }
+    }
+    if let Some((stem, index)) = name.strip_suffix(']').and_then(|inside| inside.rsplit_once('[')) {
+        return Some((stem, Spelling::Digit('['), component_index(index)?));
+    }
+    if let Some((at, separator)) = name.char_indices().rev().find(|(_, c)| ['_', '.', ':', ' '].contains(c)) {
+        let (stem, component) = (&name[..at], &name[at + 1..]);
+        if let Some(index) = component_index(component) {
+            return Some((stem, Spelling::Digit(separator), index));
+        }
+        if let Some(index) = letter_index("xyzw", component) {
+            return Some((stem, Spelling::Letter(separator), index));
+        }
+        if let Some(index) = letter_index("rgba", component) {
+            return Some((stem, Spelling::ColorLetter(separator), index));
+        }
+    }
+    let (at, _) = name.char_indices().next_back()?;
+    let index = letter_index("xyz", &name[at..])?;
+    Some((&name[..at], Spelling::Bare, index))
+}
+
+fn component_index(digits: &str) -> Option<usize> {
+    let canonical = !digits.is_empty()
+        && digits.len() <= 4
+        && digits.bytes().all(|byte| byte.is_ascii_digit())
+        && (digits == "0" || !digits.starts_with('0'));
+    if canonical { digits.parse().ok() } else { None }
+}
+
+fn letter_index(letters: &str, component: &str) -> Option<usize> {
+    letters.find(component.to_ascii_lowercase().as_str()).filter(|_| component.len() == 1)
+}
+
+/// One stem in one spelling, and the column of each component seen.
+struct Family<'a> {
+    stem: &'a str,
+    spelling: Spelling,
+    components: Vec<(usize, usize)>,
+}
+
+impl Family<'_> {
+    /// The columns of components 0, 1, 2 and so on, as far as none is missing.
+    fn contiguous(&mut self) -> Vec<usize> {
+        self.components.sort_unstable();
+        self.components.dedup_by_key(|(component, _)| *component);
+        let unbroken = self.components.iter().enumerate().take_while(|(expected, (got, _))| expected == got);
+        unbroken.map(|(_, &(_, column))| column).collect()
+    }
+
+    fn arity_min(&self) -> usize {
+        match self.spelling {
+            Spelling::Letter(_) | Spelling::Digit(_) => 2,
+            Spelling::Bare | Spelling::ColorLetter(_) | Spelling::Word(_) => 3,
+        }
+    }
+}
+
+/// All families of a list of columns, in order of appearance.
+struct Families<'a> {
+    list: Vec<Family<'a>>,
+}
+
+impl<'a> Families<'a> {
+    fn collect(names: &[&'a str]) -> Families<'a> {
+        let mut list: Vec<Family<'a>> = Vec::new();
+        let mut index_of: HashMap<(String, Spelling), usize> = HashMap::new();
+        for (column, name) in names.iter().enumerate() {
+            let Some((stem, spelling, component)) = split_component(name) else { continue };
+            let index = *index_of.entry((stem.to_ascii_lowercase(), spelling)).or_insert_with(|| {
+                list.push(Family { stem, spelling, components: Vec::new() });
+                list.len() - 1
+            });
+            list[index].components.push((component, column));
+        }
+        Families { list }
+    }
+
+    /// The columns of the position: of all families that spell one, the one named best.
+    fn position(&mut self) -> Option<[usize; 3]> {
+        let mut best: Option<(usize, [usize; 3])> = None;
+        for family in &mut self.list {
+            let stem = match family.spelling {
+                Spelling::Word(words) => WORDS[words].0,
+                Spelling::ColorLetter(_) => continue,
+                _ => family.stem,
+            };
+            let stem = stem.to_ascii_lowercase();
+            let Some(rank) = POSITIONS.iter().position(|&alias| alias == stem) else { continue };
+            if let [x, y, z, ..] = family.contiguous()[..]
+                && best.is_none_or(|(best_rank, _)| rank < best_rank)
+            {
+                best = Some((rank, [x, y, z]));
+            }
+        }
+        best.map(|(_, position)| position)
+    }
+
+    /// The groups of more than one column; marks their columns as taken.
+    fn vectors(&mut self, columns: &[(&str, Scalar)], taken: &mut [bool]) -> Vec<Group> {
+        let mut groups = Vec::new();
+        for family in &mut self.list {
+            let members = family.contiguous();
+            let same_type = members.windows(2).all(|pair| columns[pair[0]].1 == columns[pair[1]].1);
+            if members.len() < family.arity_min() || !same_type || members.iter().any(|&column| taken[column])
+            {
+                continue;
+            }
+            for &column in &members {
+                taken[column] = true;
+            }
+            let name = match family.spelling {
+                Spelling::Word(words) => WORDS[words].0,
+                _ => family.stem,
+            };
+            groups.push(Group { name: name.into(), role: None, columns: members, scale: 1.0 });
+        }
+        groups
+    }
+}
+
+/// Stems of the position, best first. The empty one stands for plain `x y z`.
+const POSITIONS: &[&str] = &[
+    "",
+    "position",
+    "positions",
+    "pos",
+    "points",
+    "point",
+    "coordinates",
+    "coordinate",
+    "coords",
+    "coord",
+    "p",
+    "unwrapped",
+];
+
+/// Families whose members share no stem, under the name that the attribute gets.
+const WORDS: &[(&str, &[&str])] = &[
+    ("color", &["red", "green", "blue", "alpha"]),
+    ("color", &["r", "g", "b", "a"]),
+    ("color", &["diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"]),
+    ("unwrapped", &["xu", "yu", "zu"]), // LAMMPS: not folded back into the periodic box
+];
+
+/// Names of each role in lower case, best first.
+const ROLES: &[(Role, &[&str])] = &[
+    (Role::Velocity, &["velocity", "velocities", "vel", "v"]),
+    (Role::Normal, &["normal", "normals", "n"]),
+    (Role::Color, &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"]),
+    (
+        Role::Radius,
+        &[
+            "radius",
+            "radii",
+            "particle_radius",
+            "particleradius",
+            "pscale",
+            "r",
+            "diameter",
+            "particle_diameter",
+            "diam",
+            "width",
+            "widths",
+        ],
+    ),
+    (Role::Density, &["density", "rho", "rhop"]),
+    (Role::Mass, &["mass"]),
+    (Role::Id, &["id", "ids", "idp", "particle_id", "particleid", "index"]),
+    (Role::Kind, &["type", "phase", "mk", "group", "piece"]),
+];
+
+/// Aliases of the radius that hold twice the radius.
+const DIAMETERS: &[&str] = &["diameter", "particle_diameter", "diam", "width", "widths"];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One line per attribute: `name columns role scale`, after one for the position.
+    fn described(header: &str) -> String {
+        let columns: Vec<(&str, Scalar)> = header.split(',').map(|name| (name, Scalar::F32)).collect();
+        describe(&group_columns(&columns))
+    }
+
+    fn describe(columns: &Columns) -> String {
+        let mut text = format!("{:?}", columns.position.map(Vec::from).unwrap_or_default());
+        for group in &columns.groups {
+            text += &format!(" | {} {:?}", group.name, group.columns);
+            if let Some(role) = group.role {
+                text += &format!(" {role:?}");
+            }
+            if group.scale != 1.0 {
+                text += &format!(" *{}", group.scale);
+            }
+        }
+        text
+    }
+
+    #[test]
+    fn headers_of_real_producers_are_understood() {
+        let table = [
+            ("x,y,z", "[0, 1, 2]"),
+            ("z,y,x", "[2, 1, 0]"),
+            ("X,Y,Z", "[0, 1, 2]"),
+            ("px,py,pz", "[0, 1, 2]"),
+            ("Px,Py,Pz", "[0, 1, 2]"),
+            ("pos_x,pos_y,pos_z", "[0, 1, 2]"),
+            ("P[0],P[1],P[2]", "[0, 1, 2]"),
+            ("position_x,position_y,position_z", "[0, 1, 2]"),
+            ("Points_0,Points_1,Points_2", "[0, 1, 2]"),
+            ("Position X (m),Position Y (m),Position Z (m)", "[0, 1, 2]"),
+            ("xu,yu,zu", "[0, 1, 2]"),
+            // A family of positions that is not complete is none.
+            ("x,y", "[] | x [0] | y [1]"),
+            // Taichi.
+            (
+                "x,y,z,vx,vy,vz,red,green,blue,Alpha,pscale,id",
+                "[0, 1, 2] | v [3, 4, 5] Velocity | color [6, 7, 8, 9] Color | pscale [10] Radius | id [11] Id",
+            ),
+            // Blender.
+            (
+                "x,y,z,id,radius,velocity_x,velocity_y,velocity_z,s,t",
+                "[0, 1, 2] | id [3] Id | radius [4] Radius | velocity [5, 6, 7] Velocity | s [8] | t [9]",
+            ),
+            // VTK and ParaView.
+            (
+                r#""velocity:0","velocity:1","velocity:2","radius","id","Points:0","Points:1","Points:2""#,
+                "[5, 6, 7] | velocity [0, 1, 2] Velocity | radius [3] Radius | id [4] Id",
+            ),
+            // DualSPHysics.
+            (
+                "Pos.x [m],Pos.y [m],Pos.z [m],Idp,Vel.x [m/s],Vel.y [m/s],Vel.z [m/s],Rhop [kg/m^3],Mk",
+                "[0, 1, 2] | Idp [3] Id | Vel [4, 5, 6] Velocity | Rhop [kg/m^3] [7] Density | Mk [8] Kind",
+            ),
+            // OpenFOAM.
+            ("x,y,z,U_0,U_1,U_2,p", "[0, 1, 2] | U [3, 4, 5] Velocity | p [6]"),
+            ("x,y,z,u_0,u_1,u_2", "[0, 1, 2] | u [3, 4, 5]"),
+            // LAMMPS.
+            (
+                "id,type,x,y,z,vx,vy,vz,fx,fy,fz,diameter",
+                "[2, 3, 4] | id [0] Id | type [1] Kind | v [5, 6, 7] Velocity | f [8, 9, 10] | diameter [11] Radius *0.5",
+            ),
+            // CloudCompare.
+            (
+                "x,y,z,scalar_velocity_x,scalar_velocity_y,scalar_velocity_z,scalar_Density,nx,ny,nz",
+                "[0, 1, 2] | velocity [3, 4, 5] Velocity | scalar_Density [6] Density | n [7, 8, 9] Normal",
+            ),
+            // Research codes.
+            ("ID,X,Y,Z,VX,VY,VZ", "[1, 2, 3] | ID [0] Id | V [4, 5, 6] Velocity"),
+            ("x,y,z,velx,vely,velz", "[0, 1, 2] | vel [3, 4, 5] Velocity"),
+        ];
+        for (header, expected) in table {
+            assert_eq!(described(header), expected, "of {header}");
+        }
+    }
+
+    #[test]
+    fn one_role_goes_to_one_attribute() {
+        let table = [
+            ("x,y,z,pscale,radius", "[0, 1, 2] | pscale [3] | radius [4] Radius"),
+            ("x,y,z,width,diameter", "[0, 1, 2] | width [3] | diameter [4] Radius *0.5"),
+            ("x,y,z,rho,density", "[0, 1, 2] | rho [3] | density [4] Density"),
+            ("px,py,pz,x,y,z", "[3, 4, 5] | p [0, 1, 2]"),
+            ("x,y,z,r", "[0, 1, 2] | r [3] Radius"),
+            ("x,y,z,r,g,b", "[0, 1, 2] | color [3, 4, 5] Color"),
+            ("x,y,z,r,g,b,a", "[0, 1, 2] | color [3, 4, 5, 6] Color"),
+            ("x,y,z,r,g", "[0, 1, 2] | r [3] Radius | g [4]"),
+            ("x,y,z,red,green", "[0, 1, 2] | red [3] | green [4]"),
+            ("x,y,z,alpha", "[0, 1, 2] | alpha [3]"),
+        ];
+        for (header, expected) in table {
+            assert_eq!(described(header), expected, "of {header}");
+        }
+    }
+
+    #[test]
+    fn broken_families_stay_scalars() {
+        let table = [
+            ("x,y,z,vx,vy", "[0, 1, 2] | vx [3] | vy [4]"),
+            ("x,y,z,a_1,a_2", "[0, 1, 2] | a_1 [3] | a_2 [4]"),
+            ("x,y,z,a_0,a_1,a_3", "[0, 1, 2] | a [3, 4] | a_3 [5]"),
+            ("x,y,z,x", "[0, 1, 2] | x [3]"),
+            ("x,y,z,w", "[0, 1, 2] | w [3]"),
+            ("x,y,z,v_x,v:1,v.z", "[0, 1, 2] | v_x [3] | v:1 [4] | v.z [5]"),
+            ("x,y,z,life_0,life_1", "[0, 1, 2] | life [3, 4]"),
+            ("pos_x,pos_y,pos_z,pos_w", "[0, 1, 2] | pos_w [3]"),
+            ("x,y,z,a_00,a_01", "[0, 1, 2] | a_00 [3] | a_01 [4]"),
+            ("", "[] |  [0]"),
+            (
+                "x,y,z,é,éx,_,[,],_x,[0]",
+                "[0, 1, 2] | é [3] | éx [4] | _ [5] | [ [6] | ] [7] | _x [8] | [0] [9]",
+            ),
+        ];
+        for (header, expected) in table {
+            assert_eq!(described(header), expected, "of {header}");
+        }
+    }
+
+    #[test]
+    fn columns_of_different_types_make_a_position_but_no_attribute() {
+        let columns = [
+            ("x", Scalar::F32),
+            ("y", Scalar::F64),
+            ("z", Scalar::F32),
+            ("vx", Scalar::F32),
+            ("vy", Scalar::F64),
+            ("vz", Scalar::F32),
+        ];
+        assert_eq!(describe(&group_columns(&columns)), "[0, 1, 2] | vx [3] | vy [4] | vz [5]");
+    }
+
+    #[test]
+    fn splats_are_grouped() {
+        let mut header = String::from("x,y,z,nx,ny,nz,f_dc_0,f_dc_1,f_dc_2");
+        for index in 0..45 {
+            header += &format!(",f_rest_{index}");
+        }
+        header += ",opacity,scale_0,scale_1,scale_2,rot_0,rot_1,rot_2,rot_3";
+        let columns: Vec<(&str, Scalar)> = header.split(',').map(|name| (name, Scalar::F32)).collect();
+        let groups = group_columns(&columns).groups;
+        let arities: Vec<(&str, usize)> = groups.iter().map(|g| (g.name.as_str(), g.arity())).collect();
+        assert_eq!(
+            arities,
+            [("n", 3), ("f_dc", 3), ("f_rest", 45), ("opacity", 1), ("scale", 3), ("rot", 4)]
+        );
+    }
+
+    #[test]
+    fn vector_attributes_have_roles() {
+        let table = [
+            ("v", 3, Some(Role::Velocity)),
+            ("velocity", 3, Some(Role::Velocity)),
+            ("Velocity", 3, Some(Role::Velocity)),
+            ("U", 3, Some(Role::Velocity)),
+            ("u", 3, None),
+            ("velocity", 1, None),
+            ("Cd", 3, Some(Role::Color)),
+            ("Cd", 4, Some(Role::Color)),
+            ("N", 3, Some(Role::Normal)),
+            ("pscale", 1, Some(Role::Radius)),
+            ("pscale", 3, None),
+            ("radius", 1, Some(Role::Radius)),
+            ("width", 1, Some(Role::Radius)),
+            ("density", 1, Some(Role::Density)),
+            ("mass", 1, Some(Role::Mass)),
+            ("id", 1, Some(Role::Id)),
+            ("type", 1, Some(Role::Kind)),
+            ("temperature", 1, None),
+            ("", 1, None),
+        ];
+        for (name, arity, role) in table {
+            assert_eq!(role_of(name, arity), role, "of {name}, arity {arity}");
+        }
+        assert_eq!(roles_of(&[("v", 3), ("velocity", 3)]), [None, Some(Role::Velocity)]);
+        assert_eq!(radius_scale("Diameter"), 0.5);
+        assert_eq!(radius_scale("pscale"), 1.0);
+    }
+
+    #[test]
+    fn units_are_told_from_indices() {
+        let table = [
+            ("Vel.x [m/s]", Some("m/s")),
+            ("\"Rhop [kg/m^3]\"", Some("kg/m^3")),
+            ("Position X (mm)", Some("mm")),
+            ("radius[m]", Some("m")),
+            ("v[0]", None),
+            ("[m]", None),
+            ("x", None),
+        ];
+        for (name, unit) in table {
+            assert_eq!(unit_of(name), unit, "of {name}");
+        }
+    }
+}

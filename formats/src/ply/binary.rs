@@ -1,0 +1,182 @@
+//! Columns out of packed binary records.
+//!
+//! ```text
+//!   records   x y z vx vy vz id | x y z vx vy vz id | ..       stride apart
+//!   targets   [x y z] [x y z] ..    [vx vy vz] ..    [id] ..
+//! ```
+//!
+//! The records are taken in blocks that fit the cache; within a block each target is filled by a
+//! loop whose type, byte order and arity are known when it is compiled.
+
+use crate::bytes::Endian;
+use crate::error::Result;
+use crate::scalar::Scalar;
+
+use super::header::{Element, PropertyType};
+use super::read::{Slots, Target};
+use super::rows::Rows;
+
+/// Bytes of records per block: small enough for the second-level cache, with the targets beside it.
+const BLOCK_BYTES: usize = 128 << 10;
+
+/// Fills the targets from records of `stride` bytes; `offsets` tells where each property starts.
+pub(super) fn gather(
+    records: &[u8],
+    stride: usize,
+    offsets: &[usize],
+    endian: Endian,
+    targets: &mut [Target<'_>],
+) {
+    let block_records = (BLOCK_BYTES / stride).max(1);
+    for (index, records) in records.chunks(block_records * stride).enumerate() {
+        let block = Block { records, stride, first: index * block_records };
+        for target in targets.iter_mut() {
+            match endian {
+                Endian::Little => block.fill::<false>(offsets, target),
+                Endian::Big => block.fill::<true>(offsets, target),
+            }
+        }
+    }
+}
+
+/// The offset of each property in a record that holds the scalar ones only, and the record's length.
+/// Properties that are lists have the offset of what follows.
+pub(super) fn scalar_offsets(element: &Element) -> (Vec<usize>, usize) {
+    let mut at = 0;
+    let mut offsets = Vec::with_capacity(element.properties.len());
+    for property in &element.properties {
+        offsets.push(at);
+        if let PropertyType::Scalar(scalar) = property.kind {
+            at += scalar.size();
+        }
+    }
+    (offsets, at)
+}
+
+/// Copies records that hold lists, without the lists.
+pub(super) fn without_lists(rows: &mut Rows<'_>, element: &Element, count: usize) -> Result<Vec<u8>> {
+    let (_, stride) = scalar_offsets(element);
+    // The caller has compared `count` with the remaining bytes, at `stride` or more for each.
+    let mut packed = Vec::with_capacity(count * stride);
+    for _ in 0..count {
+        for property in &element.properties {
+            match (property.kind, &mut *rows) {
+                (PropertyType::Scalar(scalar), Rows::Binary(cursor)) => {
+                    packed.extend_from_slice(cursor.take(scalar.size(), &property.name)?);
+                }
+                _ => rows.skip(property)?,
+            }
+        }
+    }
+    Ok(packed)
+}
+
+/// Some of the records.
+struct Block<'a> {
+    records: &'a [u8],
+    stride: usize,
+    /// Index of the first record.
+    first: usize,
+}
+
+impl Block<'_> {
+    /// Reads the columns of one target.
+    fn fill<const BIG: bool>(&self, offsets: &[usize], target: &mut Target<'_>) {
+        let scalar = target.columns[0].1;
+        let arity = target.columns.len();
+        if target.columns.iter().all(|column| column.1 == scalar) && arity <= 4 {
+            let mut at = [0; 4];
+            for (at, &(property, _)) in at.iter_mut().zip(&target.columns) {
+                *at = offsets[property];
+            }
+            match arity {
+                1 => self.convert::<BIG, 1>([at[0]], scalar, &mut target.slots, 0, 1),
+                2 => self.convert::<BIG, 2>([at[0], at[1]], scalar, &mut target.slots, 0, 2),
+                3 => self.convert::<BIG, 3>([at[0], at[1], at[2]], scalar, &mut target.slots, 0, 3),
+                _ => self.convert::<BIG, 4>(at, scalar, &mut target.slots, 0, 4),
+            }
+            return;
+        }
+        for (component, &(property, scalar)) in target.columns.iter().enumerate() {
+            self.convert::<BIG, 1>([offsets[property]], scalar, &mut target.slots, component, arity);
+        }
+    }
+
+    /// Picks the conversion from the type in the file to the one of the slots.
+    fn convert<const BIG: bool, const A: usize>(
+        &self,
+        offsets: [usize; A],
+        scalar: Scalar,
+        slots: &mut Slots<'_>,
+        component: usize,
+        arity: usize,
+    ) {
+        macro_rules! copy {
+            ($out:ident, $from:ty) => {
+                self.copy(offsets, &mut $out[self.first * arity..], component, arity, |bytes| {
+                    <$from>::from_le_bytes(ordered::<BIG, _>(bytes)).into()
+                })
+            };
+        }
+        match (slots, scalar) {
+            (Slots::F32(out), Scalar::F32) => copy!(out, f32),
+            (Slots::F32(out), Scalar::I8) => copy!(out, i8),
+            (Slots::F32(out), Scalar::U8) => copy!(out, u8),
+            (Slots::F32(out), Scalar::I16) => copy!(out, i16),
+            (Slots::F32(out), Scalar::U16) => copy!(out, u16),
+            (Slots::F64(out), Scalar::F64) => copy!(out, f64),
+            (Slots::F64(out), Scalar::F32) => copy!(out, f32),
+            (Slots::F64(out), Scalar::I8) => copy!(out, i8),
+            (Slots::F64(out), Scalar::U8) => copy!(out, u8),
+            (Slots::F64(out), Scalar::I16) => copy!(out, i16),
+            (Slots::F64(out), Scalar::U16) => copy!(out, u16),
+            (Slots::F64(out), Scalar::I32) => copy!(out, i32),
+            (Slots::F64(out), Scalar::U32) => copy!(out, u32),
+            (Slots::U8(out), Scalar::U8) => copy!(out, u8),
+            (Slots::I32(out), Scalar::I8) => copy!(out, i8),
+            (Slots::I32(out), Scalar::I16) => copy!(out, i16),
+            (Slots::I32(out), Scalar::U16) => copy!(out, u16),
+            (Slots::I32(out), Scalar::I32) => copy!(out, i32),
+            (Slots::I64(out), Scalar::U32) => copy!(out, u32),
+            _ => unreachable!("slots are chosen to hold every value of their scalars"),
+        }
+    }
+
+    /// The loop itself. With `A` components at once, `A` is the arity and `component` is 0.
+    fn copy<T, const N: usize, const A: usize>(
+        &self,
+        offsets: [usize; A],
+        out: &mut [T],
+        component: usize,
+        arity: usize,
+        decode: impl Fn([u8; N]) -> T + Copy,
+    ) {
+        let records = self.records.chunks_exact(self.stride);
+        if A == arity {
+            for (row, record) in out.as_chunks_mut::<A>().0.iter_mut().zip(records) {
+                for (slot, offset) in row.iter_mut().zip(offsets) {
+                    *slot = decode(array_at(record, offset));
+                }
+            }
+        } else {
+            let slots = out.iter_mut().skip(component).step_by(arity);
+            for (slot, record) in slots.zip(records) {
+                *slot = decode(array_at(record, offsets[0]));
+            }
+        }
+    }
+}
+
+fn array_at<const N: usize>(record: &[u8], offset: usize) -> [u8; N] {
+    let mut array = [0; N];
+    array.copy_from_slice(&record[offset..offset + N]);
+    array
+}
+
+/// The bytes with the least significant first.
+fn ordered<const BIG: bool, const N: usize>(mut bytes: [u8; N]) -> [u8; N] {
+    if BIG {
+        bytes.reverse();
+    }
+    bytes
+}

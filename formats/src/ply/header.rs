@@ -1,0 +1,316 @@
+//! The text header of a PLY file: how the body is encoded, and what its records hold.
+//!
+//! Lines may end in LF, CR LF or CR, also where the body is binary: a program that opens its file
+//! in text mode for the header and appends the body writes CR LF on Windows. The body starts
+//! exactly one line end after `end_header`, of the kind that ended the first line.
+
+use crate::bytes::Endian;
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::names::{Columns, group_columns};
+use crate::scalar::Scalar;
+use crate::text::Lines;
+
+use super::FORMAT;
+
+/// How the records after the header are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// One record per line.
+    Ascii,
+    /// Packed records, least significant byte first.
+    BinaryLittleEndian,
+    /// Packed records, most significant byte first.
+    BinaryBigEndian,
+}
+
+impl Encoding {
+    /// The byte order of a binary body.
+    pub fn endian(self) -> Option<Endian> {
+        match self {
+            Encoding::Ascii => None,
+            Encoding::BinaryLittleEndian => Some(Endian::Little),
+            Encoding::BinaryBigEndian => Some(Endian::Big),
+        }
+    }
+}
+
+/// What a property holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PropertyType {
+    /// One number.
+    Scalar(Scalar),
+    /// A count of the first type, then as many numbers of the second.
+    List {
+        /// Type of the count, an integer.
+        count: Scalar,
+        /// Type of the numbers.
+        item: Scalar,
+    },
+}
+
+impl PropertyType {
+    /// The fewest bytes that the property takes in a record of a binary file.
+    fn size_min(self) -> usize {
+        match self {
+            PropertyType::Scalar(scalar) => scalar.size(),
+            PropertyType::List { count, .. } => count.size(),
+        }
+    }
+}
+
+/// One named part of each record of an element.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Property {
+    /// As in the file.
+    pub name: String,
+    /// What it holds.
+    pub kind: PropertyType,
+}
+
+/// A table of records, such as the vertices.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Element {
+    /// As in the file.
+    pub name: String,
+    /// Number of records, as the header claims.
+    pub count: u64,
+    /// The parts of each record.
+    pub properties: Vec<Property>,
+}
+
+impl Element {
+    /// Whether any property is a list, so that records differ in length.
+    pub fn has_list(&self) -> bool {
+        self.properties.iter().any(|property| matches!(property.kind, PropertyType::List { .. }))
+    }
+
+    /// Bytes of a record in a binary file: exact without lists, else the fewest.
+    pub fn record_size_min(&self) -> usize {
+        self.properties.iter().map(|property| property.kind.size_min()).sum()
+    }
+
+    /// The scalar properties as position and attributes. Columns are indices into `properties`.
+    pub fn columns(&self) -> Columns {
+        let mut indices = Vec::new();
+        let mut columns = Vec::new();
+        for (index, property) in self.properties.iter().enumerate() {
+            if let PropertyType::Scalar(scalar) = property.kind {
+                indices.push(index);
+                columns.push((property.name.as_str(), scalar));
+            }
+        }
+        let mut grouped = group_columns(&columns);
+        grouped.position = grouped.position.map(|position| position.map(|column| indices[column]));
+        for column in grouped.groups.iter_mut().flat_map(|group| &mut group.columns) {
+            *column = indices[*column];
+        }
+        grouped
+    }
+}
+
+/// What the header of a PLY file says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// How the body is stored.
+    pub encoding: Encoding,
+    /// The tables, in the order of the body.
+    pub elements: Vec<Element>,
+    /// Texts of the `comment` and `obj_info` lines.
+    pub comments: Vec<String>,
+    /// Where the body starts, bytes from the start of the file.
+    pub body_offset: usize,
+}
+
+impl Header {
+    /// The element that holds the particles: the one called `vertex`, else the first with a position.
+    pub fn vertex_element(&self) -> Option<&Element> {
+        let named = self.elements.iter().find(|element| element.name.eq_ignore_ascii_case("vertex"));
+        named.or_else(|| self.elements.iter().find(|element| element.columns().position.is_some()))
+    }
+
+    /// The fewest bytes that a complete file with this header has; exact for a binary file without
+    /// lists. `None` if the header claims more than 2⁶⁴.
+    pub fn file_size_min(&self) -> Option<u64> {
+        let mut size = self.body_offset as u64;
+        for element in &self.elements {
+            let record = match self.encoding {
+                Encoding::Ascii => 2 * element.properties.len(), // a digit and what ends it
+                _ => element.record_size_min(),
+            };
+            size = size.checked_add(element.count.checked_mul(record as u64)?)?;
+        }
+        // The last line of a text need not be ended.
+        let unended = self.encoding == Encoding::Ascii && size > self.body_offset as u64;
+        Some(size - u64::from(unended))
+    }
+}
+
+/// Reads the header alone.
+///
+/// # Errors
+/// `Invalid` if it is malformed or ends before `end_header`; `TooLarge` beyond `header_bytes` or
+/// `attribute_count`.
+pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
+    let capped = usize::try_from(limits.header_bytes).map_or(bytes, |most| &bytes[..bytes.len().min(most)]);
+    let mut lines = Lines::new(capped);
+    if lines.next().map(<[u8]>::trim_ascii) != Some(b"ply") {
+        return Err(Error::invalid(FORMAT, Place::Line(1), "expected `ply`"));
+    }
+    let mut parsed = Parsed { encoding: None, elements: Vec::new(), comments: Vec::new() };
+    while let Some(line) = lines.next() {
+        let line = String::from_utf8_lossy(line);
+        let (keyword, rest) = first_word(&line);
+        if keyword == "end_header" {
+            let encoding = parsed.encoding.ok_or_else(|| {
+                Error::invalid(FORMAT, Place::Line(lines.number()), "the header has no `format` line")
+            })?;
+            let Parsed { elements, comments, .. } = parsed;
+            return Ok(Header { encoding, elements, comments, body_offset: lines.at() });
+        }
+        parsed
+            .line(keyword, rest, limits)?
+            .map_err(|what| Error::invalid(FORMAT, Place::Line(lines.number()), what))?;
+    }
+    if capped.len() < bytes.len() {
+        return Err(Error::too_large(
+            FORMAT,
+            format!("no `end_header` within the {} bytes allowed for a header", limits.header_bytes),
+        ));
+    }
+    Err(Error::invalid(FORMAT, Place::Offset(bytes.len() as u64), "the file ends before `end_header`"))
+}
+
+/// What was understood so far.
+struct Parsed {
+    encoding: Option<Encoding>,
+    elements: Vec<Element>,
+    comments: Vec<String>,
+}
+
+impl Parsed {
+    /// Takes one line in. The inner result tells what is wrong with the line itself.
+    fn line(
+        &mut self,
+        keyword: &str,
+        rest: &str,
+        limits: &Limits,
+    ) -> Result<std::result::Result<(), String>> {
+        let outcome = match keyword {
+            "" => Ok(()),
+            "comment" | "obj_info" => {
+                self.comments.push(rest.into());
+                Ok(())
+            }
+            "format" => parse_format(rest).map(|encoding| self.encoding = Some(encoding)),
+            "element" => parse_element(rest).map(|element| self.elements.push(element)),
+            "property" => match self.elements.last_mut() {
+                None => Err("a property before any element".into()),
+                Some(element) if element.properties.len() >= limits.attribute_count => {
+                    let most = limits.attribute_count;
+                    let what = format!("element `{}` has more than {most} properties", element.name);
+                    return Err(Error::too_large(FORMAT, what));
+                }
+                Some(element) => parse_property(rest).map(|property| element.properties.push(property)),
+            },
+            _ => Err(format!("unknown keyword `{}`", shortened(keyword))),
+        };
+        Ok(outcome)
+    }
+}
+
+fn parse_format(rest: &str) -> std::result::Result<Encoding, String> {
+    let (name, version) = first_word(rest);
+    if version != "1.0" {
+        return Err(format!("expected format version 1.0, found `{}`", shortened(version)));
+    }
+    match name {
+        "ascii" => Ok(Encoding::Ascii),
+        "binary_little_endian" => Ok(Encoding::BinaryLittleEndian),
+        "binary_big_endian" => Ok(Encoding::BinaryBigEndian),
+        _ => Err(format!("unknown encoding `{}`", shortened(name))),
+    }
+}
+
+fn parse_element(rest: &str) -> std::result::Result<Element, String> {
+    let (name, count) = first_word(rest);
+    let count = count
+        .parse()
+        .map_err(|_| format!("expected the number of `{name}` records, found `{}`", shortened(count)))?;
+    Ok(Element { name: name.into(), count, properties: Vec::new() })
+}
+
+fn parse_property(rest: &str) -> std::result::Result<Property, String> {
+    let (first, rest) = first_word(rest);
+    let (kind, name) = if first == "list" {
+        let (count, rest) = first_word(rest);
+        let (item, name) = first_word(rest);
+        let count = parse_scalar(count)?;
+        if matches!(count, Scalar::F32 | Scalar::F64) {
+            return Err("the count of a list must be of an integer type".into());
+        }
+        (PropertyType::List { count, item: parse_scalar(item)? }, name)
+    } else {
+        (PropertyType::Scalar(parse_scalar(first)?), rest)
+    };
+    if name.is_empty() {
+        return Err("a property without a name".into());
+    }
+    Ok(Property { name: name.into(), kind })
+}
+
+fn parse_scalar(name: &str) -> std::result::Result<Scalar, String> {
+    let named = SCALARS.iter().find(|(names, _)| names.contains(&name));
+    named.map(|&(_, scalar)| scalar).ok_or_else(|| format!("unknown type `{}`", shortened(name)))
+}
+
+/// The first word, and the rest without spaces around it.
+fn first_word(text: &str) -> (&str, &str) {
+    let text = text.trim();
+    text.split_once(char::is_whitespace).map_or((text, ""), |(word, rest)| (word, rest.trim_start()))
+}
+
+/// Enough of a word to recognise it by in an error.
+fn shortened(word: &str) -> String {
+    word.chars().take(40).collect()
+}
+
+/// The names of the types, in the first definition and in the one with sizes.
+const SCALARS: &[([&str; 2], Scalar)] = &[
+    (["char", "int8"], Scalar::I8),
+    (["uchar", "uint8"], Scalar::U8),
+    (["short", "int16"], Scalar::I16),
+    (["ushort", "uint16"], Scalar::U16),
+    (["int", "int32"], Scalar::I32),
+    (["uint", "uint32"], Scalar::U32),
+    (["float", "float32"], Scalar::F32),
+    (["double", "float64"], Scalar::F64),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_body_starts_one_line_end_after_the_header() {
+        for end in ["\n", "\r\n", "\r"] {
+            let lines =
+                ["ply", " format binary_little_endian 1.0", "comment a", "element vertex 0", "end_header"];
+            let header = lines.map(|line| format!("{line}{end}")).concat();
+            // A body that starts with bytes that look like a line end.
+            let file = format!("{header}\n\r\n");
+            let read = read_header(file.as_bytes(), &Limits::default()).unwrap();
+            assert_eq!(read.body_offset, header.len(), "after {end:?}");
+            assert_eq!(read.comments, ["a"]);
+        }
+    }
+
+    #[test]
+    fn the_size_of_a_binary_file_is_known_from_its_header() {
+        let header = "ply\nformat binary_big_endian 1.0\nelement a 2\nproperty list uchar int v\n\
+                      element Vertex 3\nproperty double x\nproperty short k\nend_header\n";
+        let read = read_header(header.as_bytes(), &Limits::default()).unwrap();
+        assert_eq!(read.file_size_min(), Some(header.len() as u64 + 2 + 30));
+        assert_eq!(read.vertex_element().unwrap().name, "Vertex");
+    }
+}

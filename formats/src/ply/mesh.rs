@@ -1,0 +1,97 @@
+//! A PLY file as a mesh: its vertices and faces.
+
+use crate::data::{MeshData, Positions, Role, Values};
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::scalar::Scalar;
+
+use super::FORMAT;
+use super::header::{Element, Property, PropertyType, read_header};
+use super::rows::{Rows, checked_count, rows_of};
+
+/// Reads vertices, normals and faces; a polygon of more than three corners becomes a fan.
+///
+/// # Errors
+/// As [`super::read`]; and `Unsupported` for triangle strips.
+pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    let frame = super::read(bytes, limits)?;
+    let positions = match frame.positions {
+        Positions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
+        Positions::F64(positions) => positions,
+    };
+    let mut mesh = MeshData { positions, ..MeshData::default() };
+    if let Some(normal) = frame.attributes.iter().find(|attribute| attribute.role == Some(Role::Normal)) {
+        mesh.normals = normals(&normal.values);
+    }
+
+    let header = read_header(bytes, limits)?;
+    let named = |name: &str| header.elements.iter().find(|element| element.name.eq_ignore_ascii_case(name));
+    if named("tristrips").is_some_and(|strips| strips.count > 0) {
+        return Err(Error::unsupported(FORMAT, "triangle strips are not read: save the mesh with faces"));
+    }
+    if let Some(faces) = named("face") {
+        let rows = rows_of(bytes, &header, faces)?;
+        mesh.triangles = triangles(rows, faces, mesh.positions.len())?;
+    }
+    Ok(mesh)
+}
+
+fn normals(values: &Values) -> Vec<[f32; 3]> {
+    match values {
+        Values::F32(values) => values.as_chunks().0.to_vec(),
+        #[expect(clippy::cast_possible_truncation, reason = "directions need no more than 24 bits")]
+        Values::F64(values) => values.as_chunks().0.iter().map(|n| n.map(|x: f64| x as f32)).collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn triangles(mut rows: Rows<'_>, faces: &Element, vertex_count: usize) -> Result<Vec<[u32; 3]>> {
+    let count = checked_count(&rows, faces)?;
+    let is_list = |property: &&Property| matches!(property.kind, PropertyType::List { .. });
+    let is_named =
+        |property: &&Property| ["vertex_indices", "vertex_index"].contains(&property.name.as_str());
+    let mut lists = faces.properties.iter().filter(is_list);
+    let Some(corners) = lists.clone().find(is_named).or_else(|| lists.next()) else {
+        return Ok(Vec::new());
+    };
+    let mut triangles = Vec::new();
+    for _ in 0..count {
+        rows.start()?;
+        for property in &faces.properties {
+            match property.kind {
+                PropertyType::List { count, item } if std::ptr::eq(property, corners) => {
+                    let length = rows.list_length(count, property)?;
+                    fan(&mut rows, item, length, vertex_count, &mut triangles)?;
+                }
+                _ => rows.skip(property)?,
+            }
+        }
+        rows.finish()?;
+    }
+    Ok(triangles)
+}
+
+/// Reads one polygon and cuts it into triangles that share its first corner.
+fn fan(
+    rows: &mut Rows<'_>,
+    item: Scalar,
+    length: usize,
+    vertex_count: usize,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<()> {
+    let (mut first, mut last) = (0, 0);
+    for corner in 0..length {
+        let index = rows.integer(item, "vertex_indices")?;
+        let index =
+            u32::try_from(index).ok().filter(|&index| (index as usize) < vertex_count).ok_or_else(|| {
+                rows.invalid(format!("a face has vertex {index}, and there are {vertex_count}"))
+            })?;
+        match corner {
+            0 => first = index,
+            1 => {}
+            _ => triangles.push([first, last, index]),
+        }
+        last = index;
+    }
+    Ok(())
+}

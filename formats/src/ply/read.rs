@@ -1,0 +1,192 @@
+//! A PLY file as a frame of particles.
+
+use crate::data::{Attribute, ParticleFrame, Positions, Values};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::names::{Columns, Group};
+use crate::scalar::Scalar;
+
+use super::header::{Element, Header, PropertyType, read_header};
+use super::rows::{Rows, check_limit, checked_count, rows_of};
+use super::{FORMAT, ascii, binary};
+
+/// Reads the vertices of a PLY file as particles, with all their scalar properties.
+///
+/// # Errors
+/// `Invalid` for a malformed or truncated file and for one without positions; `TooLarge` beyond the
+/// limits.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let header = read_header(bytes, limits)?;
+    let element = header.vertex_element().ok_or_else(|| {
+        Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
+    })?;
+    let columns = element.columns();
+    let Some(position) = columns.position else { return Err(no_position(element)) };
+    let mut rows = rows_of(bytes, &header, element)?;
+    let count = checked_count(&rows, element)?;
+    check_limit(count, limits)?;
+
+    let mut frame = empty_frame(element, &columns, position, count);
+    let mut targets = targets(element, &columns, position, &mut frame);
+    match header.encoding.endian() {
+        None => ascii::read(&mut rows, element, count, &mut targets)?,
+        Some(endian) => {
+            let (offsets, stride) = binary::scalar_offsets(element);
+            if element.has_list() {
+                let records = binary::without_lists(&mut rows, element, count)?;
+                binary::gather(&records, stride, &offsets, endian, &mut targets);
+            } else if let Rows::Binary(cursor) = &mut rows {
+                let records = cursor.take(count * stride, &element.name)?;
+                binary::gather(records, stride, &offsets, endian, &mut targets);
+            }
+        }
+    }
+    for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
+        scale(attribute, group.scale);
+    }
+    frame.notes = notes(&header, element, &columns);
+    Ok(frame)
+}
+
+/// Where values go.
+pub(super) struct Target<'a> {
+    /// Index and type of the property of each component; never empty.
+    pub(super) columns: Vec<(usize, Scalar)>,
+    /// All components of all particles.
+    pub(super) slots: Slots<'a>,
+}
+
+/// The vector that a target fills. Its type holds every value of the scalars of the columns.
+pub(super) enum Slots<'a> {
+    F32(&'a mut [f32]),
+    F64(&'a mut [f64]),
+    U8(&'a mut [u8]),
+    I32(&'a mut [i32]),
+    I64(&'a mut [i64]),
+}
+
+fn no_position(element: &Element) -> Error {
+    let names: Vec<&str> =
+        element.properties.iter().take(12).map(|property| property.name.as_str()).collect();
+    let what = format!(
+        "element `{}` has no properties x, y and z (or px, pos_x and the like); found: {}",
+        element.name,
+        names.join(", ")
+    );
+    Error::invalid(FORMAT, Place::File, what)
+}
+
+/// A frame with room for all values. `count` was compared with the bytes that remain.
+fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
+    let fits_f32 = position.iter().all(|&column| {
+        matches!(
+            scalar_of(element, column),
+            Scalar::F32 | Scalar::I8 | Scalar::U8 | Scalar::I16 | Scalar::U16
+        )
+    });
+    let positions = match fits_f32 {
+        true => Positions::F32(vec![[0.0; 3]; count]),
+        false => Positions::F64(vec![[0.0; 3]; count]),
+    };
+    let attributes = columns.groups.iter().map(|group| Attribute {
+        name: group.name.clone(),
+        arity: group.arity(),
+        role: group.role,
+        values: empty_values(scalar_of(element, group.columns[0]), count * group.arity()),
+    });
+    ParticleFrame { positions, attributes: attributes.collect(), notes: Vec::new() }
+}
+
+fn empty_values(scalar: Scalar, length: usize) -> Values {
+    match scalar {
+        Scalar::U8 => Values::U8(vec![0; length]),
+        Scalar::I8 | Scalar::I16 | Scalar::U16 | Scalar::I32 => Values::I32(vec![0; length]),
+        Scalar::U32 => Values::I64(vec![0; length]),
+        Scalar::F32 => Values::F32(vec![0.0; length]),
+        Scalar::F64 => Values::F64(vec![0.0; length]),
+    }
+}
+
+/// The type of a property that is known to be no list.
+fn scalar_of(element: &Element, property: usize) -> Scalar {
+    match element.properties[property].kind {
+        PropertyType::Scalar(scalar) => scalar,
+        PropertyType::List { item, .. } => item,
+    }
+}
+
+/// The position and all attributes of the frame, as what there is to fill.
+fn targets<'a>(
+    element: &Element,
+    columns: &Columns,
+    position: [usize; 3],
+    frame: &'a mut ParticleFrame,
+) -> Vec<Target<'a>> {
+    let typed = |properties: &[usize]| {
+        properties.iter().map(|&property| (property, scalar_of(element, property))).collect()
+    };
+    let mut targets = Vec::with_capacity(1 + columns.groups.len());
+    let slots = match &mut frame.positions {
+        Positions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
+        Positions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
+    };
+    targets.push(Target { columns: typed(&position), slots });
+    for (group, attribute) in columns.groups.iter().zip(&mut frame.attributes) {
+        let slots = match &mut attribute.values {
+            Values::F32(values) => Slots::F32(values),
+            Values::F64(values) => Slots::F64(values),
+            Values::U8(values) => Slots::U8(values),
+            Values::I32(values) => Slots::I32(values),
+            Values::I64(values) => Slots::I64(values),
+            Values::Strings { .. } => continue, // PLY has none
+        };
+        targets.push(Target { columns: typed(&group.columns), slots });
+    }
+    targets
+}
+
+/// Multiplies an attribute; integers become reals.
+fn scale(attribute: &mut Attribute, factor: f64) {
+    if factor == 1.0 {
+        return;
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "the factor is a half, exact in both")]
+    let factor_f32 = factor as f32;
+    match &mut attribute.values {
+        Values::F32(values) => values.iter_mut().for_each(|value| *value *= factor_f32),
+        Values::F64(values) => values.iter_mut().for_each(|value| *value *= factor),
+        Values::U8(values) => {
+            attribute.values =
+                Values::F32(values.iter().map(|&value| f32::from(value) * factor_f32).collect());
+        }
+        Values::I32(values) => {
+            attribute.values = Values::F64(values.iter().map(|&value| f64::from(value) * factor).collect());
+        }
+        // At most 32 bits of a 64-bit integer are in use here: the conversion is exact.
+        Values::I64(values) => {
+            attribute.values = Values::F64(values.iter().map(|&value| value as f64 * factor).collect());
+        }
+        Values::Strings { .. } => {}
+    }
+}
+
+fn notes(header: &Header, element: &Element, columns: &Columns) -> Vec<String> {
+    let mut notes = Vec::new();
+    if !element.name.eq_ignore_ascii_case("vertex") {
+        notes.push(format!("no element is called `vertex`: particles are taken from `{}`", element.name));
+    }
+    let halved = |group: &&Group| group.scale != 1.0;
+    for group in columns.groups.iter().filter(halved) {
+        notes.push(format!("`{}` is taken for a diameter: the radius is half of it", group.name));
+    }
+    for property in &element.properties {
+        if matches!(property.kind, PropertyType::List { .. }) {
+            notes.push(format!("the list `{}` of each vertex is not read", property.name));
+        }
+    }
+    let faces = header.elements.iter().find(|other| other.name.eq_ignore_ascii_case("face"));
+    if let Some(faces) = faces.filter(|faces| faces.count > 0) {
+        notes.push(format!("the file also has {} faces: only its vertices are read", faces.count));
+    }
+    notes
+}

@@ -1,0 +1,155 @@
+//! A walk over the records of a body, value by value, whatever its encoding.
+//!
+//! This is the slow way: for faces, for elements that are skipped, for records with lists.
+
+use crate::bytes::Cursor;
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::scalar::Scalar;
+
+use super::FORMAT;
+use super::ascii::Lines;
+use super::header::{Element, Header, Property, PropertyType};
+
+/// A position in the body.
+pub(super) enum Rows<'a> {
+    Binary(Cursor<'a>),
+    Ascii(Lines<'a>),
+}
+
+impl<'a> Rows<'a> {
+    /// Starts at byte `at` of the file.
+    pub(super) fn new(bytes: &'a [u8], header: &Header, at: usize) -> Rows<'a> {
+        match header.encoding.endian() {
+            Some(endian) => Rows::Binary(Cursor::new(FORMAT, endian, bytes, at)),
+            None => Rows::Ascii(Lines::new(bytes, at)),
+        }
+    }
+
+    /// Bytes from the start of the file.
+    pub(super) fn at(&self) -> usize {
+        match self {
+            Rows::Binary(cursor) => cursor.at(),
+            Rows::Ascii(lines) => lines.at(),
+        }
+    }
+
+    /// Goes to the next record.
+    pub(super) fn start(&mut self) -> Result<()> {
+        match self {
+            Rows::Binary(_) => Ok(()),
+            Rows::Ascii(lines) => lines.start(),
+        }
+    }
+
+    /// Leaves the record, of which nothing may be left.
+    pub(super) fn finish(&mut self) -> Result<()> {
+        match self {
+            Rows::Binary(_) => Ok(()),
+            Rows::Ascii(lines) => lines.finish(),
+        }
+    }
+
+    /// The next value, an integer.
+    pub(super) fn integer(&mut self, scalar: Scalar, what: &str) -> Result<i64> {
+        match self {
+            Rows::Binary(cursor) => cursor.integer(scalar, what),
+            Rows::Ascii(lines) => lines.integer(scalar, what),
+        }
+    }
+
+    /// The count of a list, which is at least 0 and less than the bytes that remain.
+    pub(super) fn list_length(&mut self, scalar: Scalar, property: &Property) -> Result<usize> {
+        let count = self.integer(scalar, &property.name)?;
+        let most = match self {
+            Rows::Binary(cursor) => cursor.remaining(),
+            Rows::Ascii(lines) => lines.remaining(),
+        };
+        usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
+            let what = if count < 0 { "a negative count" } else { "a count beyond the end of the file" };
+            self.invalid(format!("list `{}` has {what}, {count}", property.name))
+        })
+    }
+
+    /// Passes over one property.
+    pub(super) fn skip(&mut self, property: &Property) -> Result<()> {
+        let (item, count) = match property.kind {
+            PropertyType::Scalar(scalar) => (scalar, 1),
+            PropertyType::List { count, item } => (item, self.list_length(count, property)?),
+        };
+        match self {
+            Rows::Binary(cursor) => {
+                let length = count.saturating_mul(item.size());
+                cursor.take(length, &property.name).map(|_| ())
+            }
+            Rows::Ascii(lines) => (0..count).try_for_each(|_| lines.skip(&property.name)),
+        }
+    }
+
+    /// Passes over all records of an element.
+    pub(super) fn skip_element(&mut self, element: &Element) -> Result<()> {
+        let count = checked_count(self, element)?;
+        if let (Rows::Binary(cursor), false) = (&mut *self, element.has_list()) {
+            // The product was compared with the bytes that remain.
+            cursor.take(count * element.record_size_min(), &element.name)?;
+            return Ok(());
+        }
+        for _ in 0..count {
+            self.start()?;
+            for property in &element.properties {
+                self.skip(property)?;
+            }
+            self.finish()?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn invalid(&self, what: String) -> Error {
+        match self {
+            Rows::Binary(cursor) => cursor.invalid(what),
+            Rows::Ascii(lines) => lines.invalid(what),
+        }
+    }
+}
+
+/// The number of records of the element at the present position, which the remaining bytes can hold.
+pub(super) fn checked_count(rows: &Rows<'_>, element: &Element) -> Result<usize> {
+    if element.properties.is_empty() {
+        return Ok(0); // whatever the count, there is nothing to read
+    }
+    let (remaining, record, kind) = match rows {
+        Rows::Binary(cursor) => (cursor.remaining(), element.record_size_min(), "bytes"),
+        // A digit and a separator each, but the last line need not be ended.
+        Rows::Ascii(lines) => (lines.remaining() + 1, 2 * element.properties.len(), "bytes of text"),
+    };
+    let most = remaining / record;
+    usize::try_from(element.count).ok().filter(|&count| count <= most).ok_or_else(|| {
+        let Element { name, count, .. } = element;
+        Error::invalid(
+            FORMAT,
+            Place::Offset(rows.at() as u64),
+            format!(
+                "the header claims {count} `{name}` records of at least {record} {kind}, but only {} bytes follow",
+                remaining - usize::from(matches!(rows, Rows::Ascii(_)))
+            ),
+        )
+    })
+}
+
+/// Walks from the start of the body to the records of `element`, which is one of the header's.
+pub(super) fn rows_of<'a>(bytes: &'a [u8], header: &Header, element: &Element) -> Result<Rows<'a>> {
+    let mut rows = Rows::new(bytes, header, header.body_offset);
+    for earlier in header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element)) {
+        rows.skip_element(earlier)?;
+    }
+    Ok(rows)
+}
+
+/// Compares the number of particles with what is allowed.
+pub(super) fn check_limit(count: usize, limits: &Limits) -> Result<()> {
+    if count as u64 <= limits.particle_count {
+        return Ok(());
+    }
+    let most = limits.particle_count;
+    Err(Error::too_large(FORMAT, format!("{count} vertices, and the limit is {most}")))
+}
