@@ -174,10 +174,15 @@ fn looks_like_obj(text: &[u8], name: &str) -> bool {
 fn looks_like_table(text: &[u8]) -> bool {
     let mut lines = telling_lines(text);
     let Some(header) = lines.next() else { return false };
+    // At least half of the cells are numbers: names may stand among them.
     let is_numeric = |line: &[u8]| {
         let cells = line.split(|byte| b",;|\t ".contains(byte)).map(<[u8]>::trim_ascii);
-        let mut cells = cells.filter(|cell| !cell.is_empty()).peekable();
-        cells.peek().is_some() && cells.any(|cell| parse_number::<f64>(cell).is_some())
+        let (mut cell_count, mut number_count) = (0, 0);
+        for cell in cells.filter(|cell| !cell.is_empty()) {
+            cell_count += 1;
+            number_count += usize::from(parse_number::<f64>(cell).is_some());
+        }
+        cell_count > 0 && 2 * number_count >= cell_count
     };
     // Some programs write several lines of free text before the table.
     is_numeric(header) || lines.any(is_numeric) || header.iter().any(|byte| b",;\t".contains(byte))
@@ -260,6 +265,7 @@ mod tests {
             (b"# x y z\n0.5 2 3", "a.xyz", Kind::Delimited),
             (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::Delimited),
             (b"Dear reader,\nthere is nothing here\n", "a", Kind::Delimited), // has a comma: told by the reader
+            (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", Kind::UnknownText),
             (b"Dear reader\n", "a", Kind::UnknownText),
             (b"\x93NUMPY\x01\0", "a.npy", Kind::Npy),
             (b"PK\x03\x04", "a.npz", Kind::Foreign("ZIP archive, perhaps NumPy's .npz")),

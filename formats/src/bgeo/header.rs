@@ -1,0 +1,180 @@
+//! The counts and the dictionary of point attributes, up to the first point.
+
+use super::{FORMAT, MAGIC, POSITION_WORDS, TRAILER, VERSION};
+use crate::bytes::{Cursor, Endian};
+use crate::{Error, Limits, Place, Result};
+
+/// What the file says before its first point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// Points, each of which is taken as a particle.
+    pub point_count: usize,
+    /// Primitives, which are not read. A particle system is one.
+    pub primitive_count: usize,
+    /// The point attributes in the order of the file.
+    pub attributes: Vec<AttributeHeader>,
+    /// Where the first point begins, bytes from the start of the file.
+    pub points_offset: usize,
+    /// Bytes from one point to the next.
+    pub record_bytes: usize,
+    /// Bytes that a complete file has at least, uncompressed.
+    pub expected_bytes: u64,
+    /// Whether a complete file has exactly `expected_bytes`: true where only points follow.
+    pub expected_bytes_is_exact: bool,
+}
+
+/// One point attribute.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AttributeHeader {
+    /// The name in the file.
+    pub name: String,
+    /// Values per point.
+    pub arity: usize,
+    /// What the values are.
+    pub kind: AttributeKind,
+}
+
+/// The type of an attribute; every value takes four bytes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AttributeKind {
+    /// 32-bit reals.
+    Float,
+    /// 32-bit integers.
+    Int,
+    /// 32-bit reals that turn with the object, such as a velocity.
+    Vector,
+    /// Indices into these strings.
+    Strings(Vec<String>),
+}
+
+/// Reads what precedes the points. The points themselves need not be there yet.
+///
+/// # Errors
+///
+/// [`Error::Unsupported`] for another version or an attribute type that this program does not
+/// know, [`Error::Invalid`] where the header contradicts itself or ends too soon.
+pub fn header(bytes: &[u8]) -> Result<Header> {
+    header_within(bytes, &Limits::default())
+}
+
+/// [`header`], with limits on what it may ask for.
+pub(super) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
+    let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
+    if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature BgeoV"));
+    }
+    let version = i32::from_le_bytes(cursor.array("the version")?);
+    if version != VERSION {
+        return Err(Error::unsupported(FORMAT, format!("version {version}; only version 5 is read")));
+    }
+    let point_count = count(&mut cursor, "points")?;
+    let primitive_count = count(&mut cursor, "primitives")?;
+    let point_group_count = count(&mut cursor, "point groups")?;
+    let primitive_group_count = count(&mut cursor, "primitive groups")?;
+    let attribute_count = count(&mut cursor, "point attributes")?;
+    let vertex_attribute_count = count(&mut cursor, "vertex attributes")?;
+    let primitive_attribute_count = count(&mut cursor, "primitive attributes")?;
+    let detail_attribute_count = count(&mut cursor, "detail attributes")?;
+    if point_count as u64 > limits.particle_count {
+        let what = format!("{point_count} points, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let attributes = dictionary(&mut cursor, attribute_count, limits)?;
+
+    let words: usize = POSITION_WORDS + attributes.iter().map(|attribute| attribute.arity).sum::<usize>();
+    let record_bytes = 4 * words;
+    let points_bytes = point_count as u64 * record_bytes as u64; // 31 bits times 30 bits
+    let counts_after = [
+        primitive_count,
+        point_group_count,
+        primitive_group_count,
+        vertex_attribute_count,
+        primitive_attribute_count,
+        detail_attribute_count,
+    ];
+    Ok(Header {
+        point_count,
+        primitive_count,
+        attributes,
+        points_offset: cursor.at(),
+        record_bytes,
+        expected_bytes: cursor.at() as u64 + points_bytes + TRAILER.len() as u64,
+        expected_bytes_is_exact: counts_after == [0; 6],
+    })
+}
+
+fn dictionary(cursor: &mut Cursor, count: usize, limits: &Limits) -> Result<Vec<AttributeHeader>> {
+    const ENTRY_BYTES_MIN: usize = 8; // length of an empty name, size, type
+    if count > limits.attribute_count {
+        let what = format!("{count} point attributes, more than the limit of {}", limits.attribute_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    require(cursor, count * ENTRY_BYTES_MIN, "the point attribute dictionary")?;
+    (0..count).map(|_| dictionary_entry(cursor)).collect()
+}
+
+fn dictionary_entry(cursor: &mut Cursor) -> Result<AttributeHeader> {
+    let name = string(cursor, "an attribute name")?;
+    let arity = usize::from(u16::from_le_bytes(cursor.array("the size of an attribute")?));
+    let type_offset = cursor.at() as u64;
+    let kind = match i32::from_le_bytes(cursor.array("the type of an attribute")?) {
+        0 => AttributeKind::Float,
+        1 => AttributeKind::Int,
+        5 => AttributeKind::Vector,
+        4 => AttributeKind::Strings(string_table(cursor)?),
+        kind @ (2 | 3) => {
+            let word = if kind == 2 { "fixed-length string" } else { "mixed" };
+            let what = format!(
+                "the point attribute {name:?} has the type {word}, whose values cannot be read: \
+                 remove it before exporting"
+            );
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        kind => {
+            let what = format!(
+                "expected the type of the point attribute {name:?} to be 0 (float), 1 (int), \
+                 4 (strings) or 5 (vector), found {kind}"
+            );
+            return Err(Error::invalid(FORMAT, Place::Offset(type_offset), what));
+        }
+    };
+    if !matches!(kind, AttributeKind::Strings(_)) {
+        cursor.take(4 * arity, "the defaults of an attribute")?;
+    }
+    Ok(AttributeHeader { name, arity, kind })
+}
+
+fn string_table(cursor: &mut Cursor) -> Result<Vec<String>> {
+    const STRING_BYTES_MIN: usize = 2; // its length
+    let count = count(cursor, "strings")?;
+    require(cursor, count.saturating_mul(STRING_BYTES_MIN), "the strings of an attribute")?;
+    (0..count).map(|_| string(cursor, "a string")).collect()
+}
+
+/// Fails unless `byte_count` more bytes are there.
+fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
+    if byte_count <= cursor.remaining() {
+        return Ok(());
+    }
+    Err(cursor
+        .invalid(format!("expected {byte_count} bytes of {what} or more, {} remain", cursor.remaining())))
+}
+
+/// A number of `things`, which cannot be negative.
+fn count(cursor: &mut Cursor, things: &str) -> Result<usize> {
+    let offset = cursor.at() as u64;
+    let count = i32::from_le_bytes(cursor.array(things)?);
+    usize::try_from(count).map_err(|_| {
+        let what = format!("expected the number of {things}, found {count}");
+        Error::invalid(FORMAT, Place::Offset(offset), what)
+    })
+}
+
+/// A length of 16 bits, or 0xffff and one of 32 bits, then as many bytes.
+fn string(cursor: &mut Cursor, what: &str) -> Result<String> {
+    let length = match u16::from_le_bytes(cursor.array(what)?) {
+        0xffff => count(cursor, "characters")?,
+        short => usize::from(short),
+    };
+    Ok(String::from_utf8_lossy(cursor.take(length, what)?).into_owned())
+}

@@ -1,0 +1,200 @@
+//! From the point records to one vector per attribute.
+//!
+//! The length of a record is known, so each attribute is gathered with its own stride. That is done
+//! for a block of records at a time, while the block is in the nearest cache.
+
+use super::header::{AttributeHeader, AttributeKind, Header, header_within};
+use super::{FORMAT, POSITION_WORDS, TRAILER, narrow};
+use crate::names::{radius_scale, roles_of};
+use crate::{Attribute, Error, Limits, ParticleFrame, Place, Positions, Result, Role, Values};
+
+/// Bytes of records that all attributes are gathered from before the next ones are touched: less
+/// than a first-level cache, so that only the first attribute waits for memory.
+const BLOCK_BYTES: usize = 16 << 10;
+
+/// Reads the points of an uncompressed classic BGEO file.
+///
+/// A position is divided by its weight w, unless that is 0. What follows the points is not read.
+///
+/// # Errors
+///
+/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Invalid`] where
+/// points are missing.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let header = header_within(bytes, limits)?;
+    let after_header = &bytes[header.points_offset..];
+    let records_bytes = header.point_count as u64 * header.record_bytes as u64; // 31 and 30 bits
+    let Some((records, rest)) =
+        usize::try_from(records_bytes).ok().and_then(|length| after_header.split_at_checked(length))
+    else {
+        let what = format!(
+            "expected {} points of {} bytes each, {records_bytes} in all, {} remain",
+            header.point_count,
+            header.record_bytes,
+            after_header.len()
+        );
+        return Err(Error::invalid(FORMAT, Place::Offset(header.points_offset as u64), what));
+    };
+
+    let mut notes = notes(&header, rest);
+    let (positions, mut columns) = gather(records, &header);
+    for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
+        clear_strings_outside(column, attribute, &mut notes);
+    }
+    let attributes = attributes(header.attributes, columns);
+    Ok(ParticleFrame { positions: Positions::F32(positions), attributes, notes })
+}
+
+fn notes(header: &Header, rest: &[u8]) -> Vec<String> {
+    let mut notes = Vec::new();
+    if header.expected_bytes_is_exact && rest != TRAILER {
+        notes.push("The file does not end as it should, though all points are there.".into());
+    }
+    for attribute in header.attributes.iter().filter(|attribute| attribute.arity == 0) {
+        notes.push(format!("The point attribute {:?} has no values and was left out.", attribute.name));
+    }
+    notes
+}
+
+/// One attribute on its way: 32-bit words, already in the order of this machine.
+enum Column {
+    Reals(Vec<f32>),
+    Integers(Vec<i32>),
+}
+
+fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
+    let stride = header.record_bytes;
+    let mut positions = Vec::with_capacity(header.point_count);
+    let mut columns: Vec<Column> = header
+        .attributes
+        .iter()
+        .map(|attribute| match attribute.kind {
+            AttributeKind::Float | AttributeKind::Vector => {
+                Column::Reals(Vec::with_capacity(header.point_count * attribute.arity))
+            }
+            AttributeKind::Int | AttributeKind::Strings(_) => {
+                Column::Integers(Vec::with_capacity(header.point_count * attribute.arity))
+            }
+        })
+        .collect();
+
+    let records_per_block = (BLOCK_BYTES / stride).max(1);
+    for block in records.chunks(records_per_block * stride) {
+        gather_positions(block, stride, &mut positions);
+        let mut offset = 4 * POSITION_WORDS;
+        for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
+            match column {
+                Column::Reals(values) => {
+                    gather_words(block, stride, offset, attribute.arity, f32::from_be_bytes, values);
+                }
+                Column::Integers(values) => {
+                    gather_words(block, stride, offset, attribute.arity, i32::from_be_bytes, values);
+                }
+            }
+            offset += 4 * attribute.arity;
+        }
+    }
+    (positions, columns)
+}
+
+fn gather_positions(block: &[u8], stride: usize, positions: &mut Vec<[f32; 3]>) {
+    positions.extend(block.chunks_exact(stride).map(|record| {
+        let [x, y, z, w] = words::<4, f32>(record, f32::from_be_bytes);
+        if w == 0.0 || w == 1.0 { [x, y, z] } else { [x / w, y / w, z / w] }
+    }));
+}
+
+/// Appends the `arity` words at `offset` of each record.
+fn gather_words<T: Copy + Default>(
+    block: &[u8],
+    stride: usize,
+    offset: usize,
+    arity: usize,
+    decode: impl Fn([u8; 4]) -> T + Copy,
+    values: &mut Vec<T>,
+) {
+    let records = block.chunks_exact(stride).map(|record| &record[offset..]);
+    match arity {
+        1 => values.extend(records.map(|record| words::<1, T>(record, decode)[0])),
+        2 => values.extend(records.flat_map(|record| words::<2, T>(record, decode))),
+        3 => values.extend(records.flat_map(|record| words::<3, T>(record, decode))),
+        4 => values.extend(records.flat_map(|record| words::<4, T>(record, decode))),
+        _ => {
+            for record in records {
+                let (quads, _) = record[..4 * arity].as_chunks::<4>();
+                values.extend(quads.iter().map(|&quad| decode(quad)));
+            }
+        }
+    }
+}
+
+/// The first `N` words of a record.
+#[inline(always)]
+fn words<const N: usize, T: Copy + Default>(record: &[u8], decode: impl Fn([u8; 4]) -> T) -> [T; N] {
+    let (quads, _) = record[..4 * N].as_chunks::<4>();
+    std::array::from_fn(|index| decode(quads[index]))
+}
+
+/// Makes string indices that point nowhere -1. That none is meant is usual; any other is told.
+fn clear_strings_outside(column: &mut Column, attribute: &AttributeHeader, notes: &mut Vec<String>) {
+    let (Column::Integers(indices), AttributeKind::Strings(table)) = (column, &attribute.kind) else {
+        return;
+    };
+    let mut outside_count = 0usize;
+    for index in indices {
+        if usize::try_from(*index).map_or(true, |index| table.len() <= index) {
+            outside_count += usize::from(*index != -1);
+            *index = -1;
+        }
+    }
+    if outside_count != 0 {
+        let (name, count) = (&attribute.name, table.len());
+        notes.push(format!(
+            "The point attribute {name:?} has {count} strings; {outside_count} values point outside them."
+        ));
+    }
+}
+
+fn attributes(headers: Vec<AttributeHeader>, columns: Vec<Column>) -> Vec<Attribute> {
+    let named: Vec<(&str, usize)> =
+        headers.iter().map(|header| (header.name.as_str(), header.arity)).collect();
+    let roles = roles_of(&named);
+    let mut attributes = Vec::with_capacity(headers.len());
+    for ((header, column), role) in headers.into_iter().zip(columns).zip(roles) {
+        if header.arity == 0 {
+            continue;
+        }
+        let (values, role) = match (header.kind, column) {
+            (AttributeKind::Strings(table), Column::Integers(indices)) => {
+                // A phase may go by its name; a velocity or a number may not.
+                (Values::Strings { table, indices }, role.filter(|&role| role == Role::Kind))
+            }
+            (_, Column::Integers(values)) => (Values::I32(values), role),
+            (_, Column::Reals(values)) => (Values::F32(values), role),
+        };
+        let (name, arity) = (header.name, header.arity);
+        let mut attribute = Attribute { name, arity, role, values };
+        if role == Some(Role::Radius) {
+            scale_radius(&mut attribute);
+        }
+        attributes.push(attribute);
+    }
+    attributes
+}
+
+/// Turns a diameter into a radius.
+fn scale_radius(attribute: &mut Attribute) {
+    let scale = radius_scale(&attribute.name);
+    match &mut attribute.values {
+        Values::F32(values) if scale != 1.0 => {
+            for value in values {
+                *value = narrow(f64::from(*value) * scale);
+            }
+        }
+        Values::I32(values) => {
+            attribute.values =
+                Values::F32(values.iter().map(|&value| narrow(f64::from(value) * scale)).collect());
+        }
+        _ => {}
+    }
+}

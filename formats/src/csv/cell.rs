@@ -1,0 +1,203 @@
+//! The grammar of one line: cells, quotes, and what counts as a number.
+
+use crate::text::parse_number;
+use std::borrow::Cow;
+
+/// What stands between two cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Delimiter {
+    /// Exactly one of this byte; blanks around it do not matter.
+    Byte(u8),
+    /// Any number of spaces and tabs.
+    Blanks,
+}
+
+/// Delimiters in the order in which they are tried: a line with commas and spaces is one of commas.
+pub(super) const DELIMITERS: [Delimiter; 5] = [
+    Delimiter::Byte(b','),
+    Delimiter::Byte(b';'),
+    Delimiter::Byte(b'|'),
+    Delimiter::Byte(b'\t'),
+    Delimiter::Blanks,
+];
+
+/// What a cell says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Meaning {
+    /// A number, perhaps not finite.
+    Number(f64),
+    /// Nothing, or a word for nothing.
+    Missing,
+    /// Anything else.
+    Text,
+}
+
+/// The cells of a line, without the blanks around them but with their quotes.
+pub(super) fn cells(line: &[u8], delimiter: Delimiter) -> impl Iterator<Item = &[u8]> {
+    let mut rest = Some(line);
+    std::iter::from_fn(move || {
+        let cell_start = skip_blanks(rest?, delimiter);
+        if delimiter == Delimiter::Blanks && cell_start.is_empty() {
+            return None;
+        }
+        let quoted = quoted_length(cell_start).unwrap_or(0);
+        let ends = |byte: &u8| match delimiter {
+            Delimiter::Byte(delimiter) => *byte == delimiter,
+            Delimiter::Blanks => matches!(byte, b' ' | b'\t'),
+        };
+        let end = cell_start[quoted..].iter().position(ends).map(|length| quoted + length);
+        rest = end.map(|end| &cell_start[end + 1..]);
+        Some(cell_start[..end.unwrap_or(cell_start.len())].trim_ascii())
+    })
+}
+
+/// Whether a line has `count` cells, or one more that is empty because of a delimiter at its end.
+pub(super) fn has_cells(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
+    let mut cells = cells(line, delimiter).skip(count.saturating_sub(1));
+    cells.next().is_some() && cells.next().is_none_or(|cell| cell.is_empty() && cells.next().is_none())
+}
+
+/// What follows the blanks at the start. A tab that delimits is none.
+fn skip_blanks(text: &[u8], delimiter: Delimiter) -> &[u8] {
+    let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Delimiter::Byte(b'\t'));
+    let length = text.iter().take_while(|byte| is_blank(byte)).count();
+    &text[length..]
+}
+
+/// Bytes of a quoted cell with its quotes, if there is one. A quote inside is written twice.
+pub(super) fn quoted_length(text: &[u8]) -> Option<usize> {
+    if text.first() != Some(&b'"') {
+        return None;
+    }
+    let mut at = 1;
+    loop {
+        at += text[at..].iter().take_while(|byte| !matches!(byte, b'"' | b'\n' | b'\r')).count();
+        match text[at..] {
+            [b'"', b'"', ..] => at += 2,
+            [b'"', ..] => return Some(at + 1),
+            _ => return None,
+        }
+    }
+}
+
+/// The text of a cell without its quotes.
+pub(super) fn unquoted(cell: &[u8]) -> Cow<'_, [u8]> {
+    if cell.len() < 2 || quoted_length(cell) != Some(cell.len()) {
+        return Cow::Borrowed(cell);
+    }
+    let inside = &cell[1..cell.len() - 1];
+    if !inside.contains(&b'"') {
+        return Cow::Borrowed(inside);
+    }
+    let mut text = inside.to_vec();
+    let mut previous_was_quote = false;
+    text.retain(|&byte| {
+        previous_was_quote = byte == b'"' && !previous_was_quote;
+        !previous_was_quote
+    });
+    Cow::Owned(text)
+}
+
+/// What a cell without quotes says. Fortran's exponents, `1.5D-3`, are numbers too.
+pub(super) fn meaning(text: &[u8]) -> Meaning {
+    let text = text.trim_ascii();
+    if let Some((value, length)) = parse_number::<f64>(text)
+        && length == text.len()
+    {
+        return Meaning::Number(value);
+    }
+    let lower = text.to_ascii_lowercase();
+    if MISSING.contains(&lower.as_slice()) {
+        return Meaning::Missing;
+    }
+    let is_exponent = |byte: &u8| *byte == b'd';
+    if let Some(at) = lower.iter().position(is_exponent) {
+        let mut number = lower;
+        number[at] = b'e';
+        if let Ok(value) = fast_float2::parse::<f64, _>(&number) {
+            return Meaning::Number(value);
+        }
+    }
+    Meaning::Text
+}
+
+/// Whether a cell looks like a number whose decimals follow a comma.
+pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
+    let commas = text.iter().filter(|&&byte| byte == b',').count();
+    let with_point: Vec<u8> = text.iter().map(|&byte| if byte == b',' { b'.' } else { byte }).collect();
+    commas == 1 && matches!(meaning(&with_point), Meaning::Number(_))
+}
+
+/// Whether a 32-bit real cannot stand for the number that `text` says and `value` is.
+///
+/// That is so if more than 7 digits are written, and the nearest 32-bit real is further away than
+/// half of the last digit. Numbers that were 32-bit reals before they were printed, with however
+/// many digits, therefore always pass; most 64-bit reals printed in full do not.
+pub(super) fn exceeds_f32(text: &[u8], value: f64) -> bool {
+    const DIGITS_ALWAYS_HELD: u32 = 7; // as near as makes no difference: 6 hold exactly
+    let nearest = f64::from(narrow(value));
+    if nearest == value || !value.is_finite() {
+        return false;
+    }
+    if nearest.is_infinite() {
+        return true;
+    }
+    let (digit_count, last_digit_exponent) = written_precision(text);
+    let half_of_last_digit = 0.5 * power_of_ten(last_digit_exponent);
+    let rounding_of_value = f64::EPSILON * value.abs();
+    digit_count > DIGITS_ALWAYS_HELD && (value - nearest).abs() > half_of_last_digit + rounding_of_value
+}
+
+/// The number of significant digits, and the power of ten that the last of them counts.
+fn written_precision(text: &[u8]) -> (u32, i32) {
+    let mut digit_count = 0u32;
+    let mut decimal_count = 0i32;
+    let mut after_point = false;
+    for (at, byte) in text.iter().enumerate() {
+        match byte {
+            b'0'..=b'9' => {
+                digit_count += u32::from(0 < digit_count || *byte != b'0');
+                decimal_count += i32::from(after_point);
+            }
+            b'.' => after_point = true,
+            b'e' | b'E' | b'd' | b'D' => {
+                let exponent =
+                    std::str::from_utf8(&text[at + 1..]).ok().and_then(|digits| digits.parse().ok());
+                return (digit_count, exponent.unwrap_or(0i32).saturating_sub(decimal_count));
+            }
+            _ => {}
+        }
+    }
+    (digit_count, -decimal_count)
+}
+
+fn power_of_ten(exponent: i32) -> f64 {
+    let tabulated = usize::try_from(-i64::from(exponent)).ok().and_then(|index| NEGATIVE_POWERS.get(index));
+    tabulated.copied().unwrap_or_else(|| 10f64.powi(exponent))
+}
+
+/// The nearest 32-bit real; what is beyond them becomes infinite.
+#[expect(clippy::cast_possible_truncation, reason = "called where 32 bits are meant")]
+pub(super) fn narrow(value: f64) -> f32 {
+    value as f32
+}
+
+/// A piece of the file for an error: printable and not long.
+pub(super) fn shown(text: &[u8]) -> String {
+    const LENGTH_MAX: usize = 40;
+    let text = String::from_utf8_lossy(text);
+    let mut shown: String = text.chars().take(LENGTH_MAX).collect();
+    if shown.len() < text.len() {
+        shown += "...";
+    }
+    format!("{shown:?}")
+}
+
+/// Words for a number that is not there, in lower case. (`nan` is a number.)
+const MISSING: [&[u8]; 7] = [b"", b"na", b"n/a", b"#n/a", b"null", b"none", b"-"];
+
+/// Numbers are rarely written with more decimals than these.
+const NEGATIVE_POWERS: [f64; 24] = [
+    1e0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14, 1e-15,
+    1e-16, 1e-17, 1e-18, 1e-19, 1e-20, 1e-21, 1e-22, 1e-23,
+];

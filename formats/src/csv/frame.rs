@@ -1,0 +1,141 @@
+//! From columns to the position and attributes.
+
+use super::cell::narrow;
+use super::column::{Column, ColumnValues};
+use super::layout::{self, Layout};
+use super::rows::Table;
+use crate::names::{self, Group};
+use crate::{Attribute, ParticleFrame, Positions, Role, Values};
+
+/// Puts the columns together as their names say.
+pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
+    let mut notes = layout.notes;
+    if table.dropped_row_count != 0 {
+        let (dropped, all) = (table.dropped_row_count, table.dropped_row_count + table.row_count as u64);
+        notes.push(format!("{dropped} of {all} rows have no finite position and were left out."));
+    }
+    let [x, ..] = layout.position;
+    if let Some(unit) = names::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {
+        notes.push(format!("Positions are in {unit:?}, and were taken as they are."));
+    }
+
+    let is_text = |index: usize| table.columns[index].is_text();
+    let groups = layout::group(&layout.names, is_text).groups;
+    let positions = positions(&mut table.columns, layout.position, table.row_count);
+    let mut attributes = Vec::with_capacity(groups.len());
+    for group in groups {
+        if table.columns[group.columns[0]].is_text() {
+            take_texts(&group, &layout.names, &mut table.columns, &mut attributes);
+        } else {
+            let values = numbers(&group, &mut table.columns, table.row_count);
+            let name = without_unit(&group.name);
+            attributes.push(Attribute { name, arity: group.arity(), role: group.role, values });
+        }
+    }
+    ParticleFrame { positions, attributes, notes }
+}
+
+fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> Positions {
+    let [x, y, z] = position.map(|index| take_reals(&mut columns[index]));
+    let exceeds_f32 = position.iter().any(|&index| columns[index].exceeds_f32);
+    let rows = (0..row_count).map(|row| [x[row], y[row], z[row]]);
+    if exceeds_f32 {
+        Positions::F64(rows.collect())
+    } else {
+        Positions::F32(rows.map(|position| position.map(narrow)).collect())
+    }
+}
+
+/// Each column of text is an attribute of its own: their tables differ.
+fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attributes: &mut Vec<Attribute>) {
+    for &index in &group.columns {
+        let empty = ColumnValues::Reals(Vec::new());
+        if let ColumnValues::Texts(texts) = std::mem::replace(&mut columns[index].values, empty) {
+            let values = Values::Strings { table: texts.table, indices: texts.indices };
+            // A phase may go by its name; a velocity or a number may not.
+            let role = group.role.filter(|&role| role == Role::Kind);
+            attributes.push(Attribute { name: without_unit(&names[index]), arity: 1, role, values });
+        }
+    }
+}
+
+/// The values of a group, row by row, in the narrowest type that holds them all.
+fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
+    if let Some(range) = integer_range(group, columns) {
+        let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
+        // A colour of 0 and 1 only is one of reals that were printed short.
+        let are_reals = match group.role {
+            Some(Role::Velocity | Role::Normal | Role::Radius | Role::Density | Role::Mass) => true,
+            Some(Role::Color) => all(0, 1),
+            Some(Role::Id | Role::Kind) | None => false,
+        };
+        if !are_reals {
+            let integers = interleaved(group, row_count, |index| take_integers(&mut columns[index]));
+            return if group.role == Some(Role::Color) && all(0, u8::MAX.into()) {
+                Values::U8(integers.into_iter().filter_map(|value| u8::try_from(value).ok()).collect())
+            } else if all(i32::MIN.into(), i32::MAX.into()) {
+                Values::I32(integers.into_iter().filter_map(|value| i32::try_from(value).ok()).collect())
+            } else {
+                Values::I64(integers)
+            };
+        }
+    }
+    let mut reals = interleaved(group, row_count, |index| take_reals(&mut columns[index]));
+    if group.scale != 1.0 {
+        reals.iter_mut().for_each(|value| *value *= group.scale);
+    }
+    if group.columns.iter().any(|&index| columns[index].exceeds_f32) {
+        Values::F64(reals)
+    } else {
+        Values::F32(reals.into_iter().map(narrow).collect())
+    }
+}
+
+/// The least and the greatest value of a group, if all its columns hold integers. None of none.
+fn integer_range(group: &Group, columns: &[Column]) -> Option<Option<(i64, i64)>> {
+    let mut range: Option<(i64, i64)> = None;
+    for &index in &group.columns {
+        let ColumnValues::Integers(integers) = &columns[index].values else { return None };
+        for &value in integers {
+            let (min, max) = range.unwrap_or((value, value));
+            range = Some((min.min(value), max.max(value)));
+        }
+    }
+    Some(range)
+}
+
+/// The columns of a group, value by value in turn.
+fn interleaved<T: Copy>(group: &Group, row_count: usize, mut take: impl FnMut(usize) -> Vec<T>) -> Vec<T> {
+    if let [single] = group.columns[..] {
+        return take(single);
+    }
+    let columns: Vec<Vec<T>> = group.columns.iter().map(|&index| take(index)).collect();
+    let mut values = Vec::with_capacity(row_count * columns.len());
+    for row in 0..row_count {
+        values.extend(columns.iter().map(|column| column[row]));
+    }
+    values
+}
+
+fn take_reals(column: &mut Column) -> Vec<f64> {
+    column.reals().map(std::mem::take).unwrap_or_default()
+}
+
+fn take_integers(column: &mut Column) -> Vec<i64> {
+    match &mut column.values {
+        ColumnValues::Integers(integers) => std::mem::take(integers),
+        _ => Vec::new(),
+    }
+}
+
+/// A name as an attribute carries it.
+fn without_unit(name: &str) -> String {
+    let name = names::unquoted(name);
+    match names::unit_of(name) {
+        Some(_) => {
+            let end = name.rfind(['[', '(']).unwrap_or(name.len());
+            name[..end].trim_end().into()
+        }
+        None => name.into(),
+    }
+}

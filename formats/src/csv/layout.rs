@@ -1,0 +1,340 @@
+//! What precedes the rows: where the header is, what delimits the cells, what the columns are called.
+
+use super::FORMAT;
+use super::cell::{
+    DELIMITERS, Delimiter, Meaning, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
+};
+use crate::names::{self, Columns};
+use crate::scalar::Scalar;
+use crate::{Error, Limits, Place, Result};
+
+/// How the rows are to be read.
+#[derive(Clone, Debug)]
+pub(super) struct Layout {
+    pub(super) delimiter: Delimiter,
+    /// One name per column.
+    pub(super) names: Vec<String>,
+    /// The columns of the position.
+    pub(super) position: [usize; 3],
+    /// Where the first row begins, in bytes from the start.
+    pub(super) rows_offset: usize,
+    /// The line of the first row, from 1.
+    pub(super) rows_line: u64,
+    pub(super) notes: Vec<String>,
+}
+
+/// Finds the header and the delimiter.
+pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
+    let mut head = Head::default();
+    let mut lines = Lines::new(bytes, limits);
+    while let Some(line) = lines.next_line()? {
+        if line.text.starts_with(b"ITEM:") {
+            let what = "this is a LAMMPS dump, which is not read: write it as CSV or VTK instead";
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        if let Some(comment) = comment(line.text) {
+            head.take_comment(comment, limits)?;
+            continue;
+        }
+        if let Some((delimiter, count)) = row_shape(line.text) {
+            return head.above_row(delimiter, count, line, limits);
+        }
+        let next = lines.peek_row()?;
+        for delimiter in DELIMITERS {
+            let Some(header) = header(line.text, delimiter, limits)? else { continue };
+            let is_confirmed = next.is_none_or(|next| has_cells(next, delimiter, header.names.len()));
+            if is_confirmed {
+                return Ok(header.into_layout(delimiter, lines.at, lines.number + 1, head.notes()));
+            }
+            head.doubtful.get_or_insert((header, delimiter, lines.at, lines.number + 1));
+        }
+        head.take_text(line)?;
+    }
+    head.above_nothing(bytes, lines.number)
+}
+
+/// What was seen so far above the rows.
+#[derive(Default)]
+struct Head<'a> {
+    /// Lines that are neither comment nor header.
+    text_line_count: u64,
+    /// The first and the last of them.
+    text_first: Option<Line<'a>>,
+    text_last: Option<Line<'a>>,
+    /// The last comment that names a position.
+    comment: Option<&'a [u8]>,
+    /// The first line that names a position though the next one has another number of cells.
+    doubtful: Option<(Header, Delimiter, usize, u64)>,
+}
+
+impl<'a> Head<'a> {
+    fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) -> Result<()> {
+        for delimiter in DELIMITERS {
+            if header(comment, delimiter, limits)?.is_some() {
+                self.comment = Some(comment);
+            }
+        }
+        Ok(())
+    }
+
+    fn take_text(&mut self, line: Line<'a>) -> Result<()> {
+        let is_row_with_commas = |delimiter: &Delimiter| {
+            let numbers = |cell| has_decimal_comma(cell) || matches!(meaning(cell), Meaning::Number(_));
+            has_enough_cells(line.text, *delimiter) && cells(line.text, *delimiter).take(3).all(numbers)
+        };
+        if DELIMITERS[1..].iter().any(is_row_with_commas) {
+            return Err(decimal_commas(line.number));
+        }
+        self.text_line_count += 1;
+        self.text_first.get_or_insert(line);
+        self.text_last = Some(line);
+        Ok(())
+    }
+
+    /// The first row was found before a header.
+    fn above_row(self, delimiter: Delimiter, count: usize, row: Line, limits: &Limits) -> Result<Layout> {
+        if let Some((header, header_delimiter, rows_offset, rows_line)) = self.doubtful {
+            // Names may stand apart in another way than numbers. If that was not the doubt, the row
+            // that does not fit will be complained about.
+            let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
+            return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
+        }
+        for header_delimiter in DELIMITERS {
+            let Some(comment) = self.comment else { break };
+            match header(comment, header_delimiter, limits)? {
+                Some(header) if header.names.len() == count => {
+                    return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
+                }
+                _ => {}
+            }
+        }
+        if let Some(text) = self.text_last.filter(|text| is_header_like(text.text, delimiter, count)) {
+            return Err(no_position(text, delimiter));
+        }
+        check_column_count(count, limits)?;
+        let mut notes = self.notes();
+        if 3 < count {
+            notes.push(format!(
+                "The file has no header: the first 3 of {count} columns were taken for the position, \
+                 the others are called column_4 and so on."
+            ));
+        }
+        let names = (0..count)
+            .map(|index| ["x", "y", "z"].get(index).map_or(column_name(index), ToString::to_string));
+        let header = Header { names: names.collect(), position: [0, 1, 2] };
+        Ok(header.into_layout(delimiter, row.offset, row.number, notes))
+    }
+
+    /// The file has ended before any row.
+    fn above_nothing(self, bytes: &[u8], line: u64) -> Result<Layout> {
+        if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
+            return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
+        }
+        if let Some(comment) = self.comment {
+            for delimiter in DELIMITERS {
+                if let Some(header) = header(comment, delimiter, &Limits::default())? {
+                    return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
+                }
+            }
+        }
+        let expected =
+            "expected a header that names a position, such as x,y,z, or rows of three numbers or more";
+        Err(match self.text_first {
+            Some(text) => {
+                let what = format!("{expected}, found {}", shown(text.text));
+                Error::invalid(FORMAT, Place::Line(text.number), what)
+            }
+            None => Error::invalid(FORMAT, Place::File, format!("{expected}, found nothing but comments")),
+        })
+    }
+
+    fn notes(&self) -> Vec<String> {
+        match (self.text_line_count, self.text_first) {
+            (1, Some(first)) => vec![format!("A line above the table was skipped: {}.", shown(first.text))],
+            (count, Some(first)) => {
+                vec![format!("{count} lines above the table were skipped, the first: {}.", shown(first.text))]
+            }
+            (_, None) => Vec::new(),
+        }
+    }
+}
+
+/// Names of columns among which there is a position.
+struct Header {
+    names: Vec<String>,
+    position: [usize; 3],
+}
+
+impl Header {
+    fn into_layout(
+        self,
+        delimiter: Delimiter,
+        rows_offset: usize,
+        rows_line: u64,
+        notes: Vec<String>,
+    ) -> Layout {
+        Layout { delimiter, names: self.names, position: self.position, rows_offset, rows_line, notes }
+    }
+}
+
+/// The line as a header, if it names a position with this delimiter.
+fn header(line: &[u8], delimiter: Delimiter, limits: &Limits) -> Result<Option<Header>> {
+    if !has_enough_cells(line, delimiter) {
+        return Ok(None);
+    }
+    let mut names: Vec<String> = Vec::new();
+    for cell in cells(line, delimiter) {
+        check_column_count(names.len(), limits)?;
+        let name = String::from_utf8_lossy(&unquoted(cell)).trim().to_string();
+        match names.last_mut() {
+            // A unit that stands apart belongs to the name before it.
+            Some(last) if delimiter == Delimiter::Blanks && name.starts_with('[') && name.ends_with(']') => {
+                *last = format!("{last} {name}");
+            }
+            _ => names.push(name),
+        }
+    }
+    if names.last().is_some_and(String::is_empty) {
+        names.pop();
+    }
+    if delimiter == Delimiter::Byte(b'\t') && names.iter().skip(1).any(String::is_empty) {
+        return Ok(None); // columns lined up by several tabs
+    }
+    for (index, name) in names.iter_mut().enumerate() {
+        if name.is_empty() {
+            *name = column_name(index);
+        }
+    }
+    let Columns { position, .. } = group(&names, |_| false);
+    Ok(position.map(|position| Header { names, position }))
+}
+
+/// Sorts the columns by their names. Columns of text make no vectors with columns of numbers.
+pub(super) fn group(names: &[String], is_text: impl Fn(usize) -> bool) -> Columns {
+    let scalar = |index| if is_text(index) { Scalar::U8 } else { Scalar::F64 };
+    let columns: Vec<(&str, Scalar)> =
+        names.iter().enumerate().map(|(index, name)| (name.as_str(), scalar(index))).collect();
+    names::group_columns(&columns)
+}
+
+fn column_name(index: usize) -> String {
+    format!("column_{}", index + 1)
+}
+
+/// The delimiter and the number of cells of a line that begins with three numbers.
+fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
+    DELIMITERS.into_iter().find_map(|delimiter| {
+        let is_number = |cell| matches!(meaning(&unquoted(cell)), Meaning::Number(_));
+        if !has_enough_cells(line, delimiter) || !cells(line, delimiter).take(3).all(is_number) {
+            return None;
+        }
+        let count = cells(line, delimiter).count();
+        let ends_with_delimiter = cells(line, delimiter).last().is_some_and(<[u8]>::is_empty);
+        Some((delimiter, count - usize::from(ends_with_delimiter)))
+    })
+}
+
+fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {
+    cells(line, delimiter).nth(2).is_some()
+}
+
+/// Whether the line must be meant as a header: as many cells as the row below it, and none a number.
+fn is_header_like(line: &[u8], delimiter: Delimiter, count: usize) -> bool {
+    let is_text = |cell| matches!(meaning(&unquoted(cell)), Meaning::Text);
+    has_cells(line, delimiter, count) && cells(line, delimiter).take(count).all(is_text)
+}
+
+fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
+    if count <= limits.attribute_count {
+        return Ok(());
+    }
+    let what = format!("more columns than the limit of {}", limits.attribute_count);
+    Err(Error::too_large(FORMAT, what))
+}
+
+fn no_position(header: Line, delimiter: Delimiter) -> Error {
+    const NAMES_MAX: usize = 12;
+    let names: Vec<String> =
+        cells(header.text, delimiter).take(NAMES_MAX).map(|cell| shown(&unquoted(cell))).collect();
+    let what = format!("expected a header that names a position, such as x,y,z, found {}", names.join(", "));
+    Error::invalid(FORMAT, Place::Line(header.number), what)
+}
+
+/// The error for numbers that are written in the French or German way.
+pub(super) fn decimal_commas(line: u64) -> Error {
+    let what = format!("line {line} has numbers with a decimal comma, which are not read: use a point");
+    Error::unsupported(FORMAT, what)
+}
+
+/// The text behind a comment mark.
+pub(super) fn comment(line: &[u8]) -> Option<&[u8]> {
+    let line = line.trim_ascii_start();
+    let text = line.strip_prefix(b"#").or(line.strip_prefix(b"%")).or(line.strip_prefix(b"//"))?;
+    let marks = text.iter().take_while(|byte| matches!(byte, b'#' | b'%' | b'/')).count();
+    Some(text[marks..].trim_ascii())
+}
+
+/// One line without its end.
+#[derive(Clone, Copy)]
+struct Line<'a> {
+    text: &'a [u8],
+    offset: usize,
+    /// From 1.
+    number: u64,
+}
+
+/// The lines above the rows, none of them blank. They end in LF, CR LF or CR.
+struct Lines<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    number: u64,
+    /// No line may reach beyond this.
+    end: usize,
+}
+
+impl<'a> Lines<'a> {
+    fn new(bytes: &'a [u8], limits: &Limits) -> Lines<'a> {
+        let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
+        let end = usize::try_from(limits.header_bytes).unwrap_or(usize::MAX).min(bytes.len());
+        Lines { bytes, at, number: 0, end }
+    }
+
+    fn next_line(&mut self) -> Result<Option<Line<'a>>> {
+        while self.at < self.bytes.len() {
+            let offset = self.at;
+            let rest = self.bytes.get(offset..self.end).unwrap_or_default();
+            let ending = rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+            let length = match ending {
+                Some(length) => length,
+                None if self.end == self.bytes.len() => rest.len(),
+                None => {
+                    let what = format!("no row in the first {} bytes", self.end);
+                    return Err(Error::too_large(FORMAT, what));
+                }
+            };
+            let text = &rest[..length];
+            self.at = offset + length;
+            self.at += match self.bytes[self.at..] {
+                [b'\r', b'\n', ..] => 2,
+                [_, ..] => 1,
+                [] => 0,
+            };
+            self.number += 1;
+            if !text.trim_ascii().is_empty() {
+                return Ok(Some(Line { text, offset, number: self.number }));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The next line that is no comment, without going there.
+    fn peek_row(&self) -> Result<Option<&'a [u8]>> {
+        let mut ahead = Lines { ..*self };
+        while let Some(line) = ahead.next_line()? {
+            if comment(line.text).is_none() {
+                return Ok(Some(line.text));
+            }
+        }
+        Ok(None)
+    }
+}

@@ -1,0 +1,66 @@
+//! Tables of particles as text: one row per particle, whatever stands between the cells.
+//!
+//! ```text
+//!   Simulation of a dam break, t = 0.5 s       free text       skipped, and told
+//!   # made by hand                             a comment       #, % or //
+//!   x, y, z, "Vel.x [m/s]", ..., type          the header      the first line that names a position
+//!   0.1, 0.2, 0.3, 1.5e-3, ..., water          a row           as many cells as the header
+//!   0.1, nan, 0.3, 0, ..., water               no position     left out, and told
+//! ```
+//!
+//! The delimiter is a comma, a semicolon, a vertical bar, a tab or blanks: the one with which the
+//! header names a position and the next line has as many cells. A comment right above the rows may be
+//! the header. Without any header, the first three columns are the position. A delimiter at the end
+//! of a line is allowed everywhere; quotes may surround any cell, on one line.
+//!
+//! What a column holds is told by its values: text if the first is none that a number can be, else
+//! integers as long as all are, else reals. Reals are kept in 64 bits if a 32-bit one cannot stand
+//! for what the file says, see [`cell::exceeds_f32`]; an attribute or the position is decided as a
+//! whole.
+//!
+//! Not read: decimal commas, LAMMPS dumps, several tables in one file, quoted line breaks.
+
+mod cell;
+mod column;
+mod frame;
+mod layout;
+mod rows;
+
+use crate::{Error, Limits, ParticleFrame, Place, Result};
+
+/// The format as users know it, for errors.
+const FORMAT: &str = "delimited text";
+
+/// Reads a table of particles.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] with the line where a row has too many or too few cells, where text stands in
+/// a column of numbers, or if no position can be made out; [`Error::Unsupported`] for dialects that
+/// are recognised but not read; [`Error::TooLarge`] beyond `limits`.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    if bytes.is_empty() {
+        return Err(Error::invalid(FORMAT, Place::File, "expected text, found an empty file"));
+    }
+    refuse_binary(bytes)?;
+    let layout = layout::layout(bytes, limits)?;
+    let table = rows::read_rows(bytes, &layout, limits)?;
+    Ok(frame::frame(layout, table))
+}
+
+/// Tells binary data from text by its first bytes, before it is complained about as a bad number.
+fn refuse_binary(bytes: &[u8]) -> Result<()> {
+    const SAMPLE_BYTES: usize = 64 << 10; // binary data has a control byte in the first few dozen
+    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+        return Err(Error::unsupported(FORMAT, "this is UTF-16 text: save it as UTF-8"));
+    }
+    let sample = &bytes[..bytes.len().min(SAMPLE_BYTES)];
+    let is_control = |byte: &u8| *byte < b' ' && !matches!(byte, b'\t' | b'\n' | b'\r' | 0x0c);
+    match sample.iter().position(is_control) {
+        Some(offset) => {
+            let what = format!("expected text, found the byte 0x{:02x}: this is binary data", sample[offset]);
+            Err(Error::invalid(FORMAT, Place::Offset(offset as u64), what))
+        }
+        None => Ok(()),
+    }
+}

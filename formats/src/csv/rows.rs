@@ -1,0 +1,256 @@
+//! The rows, in one pass over the bytes.
+//!
+//! A number is taken where it stands; only if what follows it is not the end of its cell is the cell
+//! looked at as a whole: quotes, words for missing values, texts. Neither lines nor cells are
+//! searched for beforehand.
+
+use super::FORMAT;
+use super::cell::{Delimiter, Meaning, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
+use super::column::Column;
+use super::layout::{Layout, comment, decimal_commas};
+use crate::{Error, Limits, Place, Result};
+
+/// All columns, in the order of the file.
+#[derive(Debug)]
+pub(super) struct Table {
+    pub(super) columns: Vec<Column>,
+    /// Rows in every column.
+    pub(super) row_count: usize,
+    /// Rows that were left out for want of a position.
+    pub(super) dropped_row_count: u64,
+}
+
+/// Reads all rows.
+pub(super) fn read_rows(bytes: &[u8], layout: &Layout, limits: &Limits) -> Result<Table> {
+    let capacity = row_count_estimate(&bytes[layout.rows_offset..], layout.names.len());
+    let mut rows = Rows {
+        bytes,
+        at: layout.rows_offset,
+        line: layout.rows_line,
+        delimiter: match layout.delimiter {
+            Delimiter::Byte(delimiter) => Some(delimiter),
+            Delimiter::Blanks => None,
+        },
+        names: &layout.names,
+    };
+    let mut columns: Vec<Column> = layout.names.iter().map(|_| Column::with_capacity(capacity)).collect();
+    let mut row_count = 0;
+    let mut dropped_row_count = 0;
+    while rows.next_row() {
+        rows.take_row(&mut columns, layout.position)?;
+        if layout.position.iter().all(|&index| columns[index].ends_finite()) {
+            row_count += 1;
+            if limits.particle_count < row_count as u64 {
+                let what = format!("more rows than the limit of {}", limits.particle_count);
+                return Err(Error::too_large(FORMAT, what));
+            }
+        } else {
+            columns.iter_mut().for_each(Column::pop);
+            dropped_row_count += 1;
+        }
+    }
+    Ok(Table { columns, row_count, dropped_row_count })
+}
+
+/// How many rows there probably are, judged by the first ones and never more than there can be.
+fn row_count_estimate(rows: &[u8], column_count: usize) -> usize {
+    const SAMPLE_BYTES: usize = 64 << 10;
+    let sample = &rows[..rows.len().min(SAMPLE_BYTES)];
+    let line_count = 1 + sample.iter().filter(|&&byte| byte == b'\n').count();
+    let probable = rows.len() / (sample.len() / line_count).max(1);
+    let possible = rows.len() / (2 * column_count).max(1); // a byte for each cell, and one behind it
+    (probable + probable / 32).min(possible)
+}
+
+/// The walk through the rows.
+struct Rows<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    /// The line that `at` is in, from 1.
+    line: u64,
+    /// None stands for blanks.
+    delimiter: Option<u8>,
+    names: &'a [String],
+}
+
+impl<'a> Rows<'a> {
+    /// Goes to the next line that is neither blank nor a comment.
+    fn next_row(&mut self) -> bool {
+        loop {
+            match self.bytes.get(self.at) {
+                None => return false,
+                Some(b'\n' | b'\r') => self.end_line(),
+                Some(b' ' | b'\t') if self.line_text().trim_ascii().is_empty() => {
+                    self.at += self.line_text().len()
+                }
+                Some(b' ' | b'\t' | b'#' | b'%' | b'/') if comment(self.line_text()).is_some() => {
+                    self.at += self.line_text().len();
+                }
+                Some(_) => return true,
+            }
+        }
+    }
+
+    /// Takes a row into `columns`; `at` is then behind its line.
+    #[inline]
+    fn take_row(&mut self, columns: &mut [Column], position: [usize; 3]) -> Result<()> {
+        let start = self.at;
+        let column_count = columns.len();
+        for (index, column) in columns.iter_mut().enumerate() {
+            self.at += blanks(&self.bytes[self.at..], self.delimiter);
+            if self.delimiter.is_none() && self.is_at_line_end() {
+                return Err(self.ragged(start)); // blanks make no empty cells
+            }
+            if !self.take_number(column) {
+                self.take_other(column, index, position.contains(&index))?;
+            }
+            if index + 1 < column_count && self.delimiter.is_some() {
+                if self.is_at_line_end() {
+                    return Err(self.ragged(start));
+                }
+                self.at += 1; // cells end at a delimiter or with the line
+            }
+        }
+        if !self.is_at_line_end() {
+            self.at += usize::from(self.delimiter.is_some());
+            self.at += blanks(&self.bytes[self.at..], self.delimiter);
+            if !self.is_at_line_end() {
+                return Err(self.ragged(start));
+            }
+        }
+        self.end_line();
+        Ok(())
+    }
+
+    /// Takes a cell that is a plain number, and the blanks behind it.
+    #[inline]
+    fn take_number(&mut self, column: &mut Column) -> bool {
+        if column.is_text() {
+            return false;
+        }
+        let text = &self.bytes[self.at..];
+        if let Some((value, length)) = integer(text)
+            && let Some(blanks) = end_of_cell(&text[length..], self.delimiter)
+        {
+            column.push_integer(value, &text[..length]);
+            self.at += length + blanks;
+            return true;
+        }
+        if let Ok((value, length)) = fast_float2::parse_partial::<f64, _>(text)
+            && let Some(blanks) = end_of_cell(&text[length..], self.delimiter)
+        {
+            column.push_real(value, &text[..length]);
+            self.at += length + blanks;
+            return true;
+        }
+        false
+    }
+
+    /// Takes a cell that is anything else: in quotes, missing, or text.
+    fn take_other(&mut self, column: &mut Column, index: usize, is_position: bool) -> Result<()> {
+        let rest = self.line_text();
+        let quoted = quoted_length(rest).unwrap_or(0);
+        let ends = |byte: &u8| match self.delimiter {
+            Some(delimiter) => *byte == delimiter,
+            None => matches!(byte, b' ' | b'\t'),
+        };
+        let length = rest[quoted..].iter().position(ends).map_or(rest.len(), |length| quoted + length);
+        let cell = rest[..length].trim_ascii();
+        if cell.starts_with(b"\"") && quoted_length(cell) != Some(cell.len()) {
+            let what = format!("expected a quote at the end of {}", shown(cell));
+            return Err(Error::invalid(FORMAT, Place::Line(self.line), what));
+        }
+        let text = unquoted(cell);
+        match meaning(&text) {
+            Meaning::Missing => column.push_missing(),
+            Meaning::Number(value) if !column.is_text() => match integer(&text) {
+                Some((value, length)) if length == text.len() => column.push_integer(value, &text),
+                _ => column.push_real(value, &text),
+            },
+            _ if is_position => return Err(self.not_a_number(&text, index)),
+            _ => column.push_text(&text).map_err(|_| self.not_a_number(&text, index))?,
+        }
+        self.at += length;
+        self.at += blanks(&self.bytes[self.at..], self.delimiter);
+        Ok(())
+    }
+
+    fn is_at_line_end(&self) -> bool {
+        matches!(self.bytes.get(self.at), None | Some(b'\n' | b'\r'))
+    }
+
+    /// Steps over LF, CR LF or CR.
+    #[inline]
+    fn end_line(&mut self) {
+        self.line += 1;
+        self.at += match self.bytes.get(self.at..) {
+            Some([b'\r', b'\n', ..]) => 2,
+            Some([_, ..]) => 1,
+            _ => 0,
+        };
+    }
+
+    /// What remains of the line.
+    fn line_text(&self) -> &'a [u8] {
+        let rest = &self.bytes[self.at..];
+        let length = rest.iter().position(|byte| matches!(byte, b'\n' | b'\r'));
+        &rest[..length.unwrap_or(rest.len())]
+    }
+
+    fn ragged(&mut self, start: usize) -> Error {
+        self.at = start;
+        let delimiter = self.delimiter.map_or(Delimiter::Blanks, Delimiter::Byte);
+        let found: Vec<&[u8]> = cells(self.line_text(), delimiter).collect();
+        let is_last_empty = found.last().is_some_and(|cell| cell.is_empty());
+        let found_count = found.len() - usize::from(is_last_empty);
+        let what = format!(
+            "expected {} cells, as in the first line of the table, found {found_count}",
+            self.names.len()
+        );
+        Error::invalid(FORMAT, Place::Line(self.line), what)
+    }
+
+    fn not_a_number(&self, text: &[u8], index: usize) -> Error {
+        if self.delimiter != Some(b',') && has_decimal_comma(text) {
+            return decimal_commas(self.line);
+        }
+        let what = format!("expected a number in the column {:?}, found {}", self.names[index], shown(text));
+        Error::invalid(FORMAT, Place::Line(self.line), what)
+    }
+}
+
+/// An integer at the start of `text` that fits 64 bits, and its length.
+#[inline]
+fn integer(text: &[u8]) -> Option<(i64, usize)> {
+    const DIGITS_MAX: usize = 18; // always fit
+    let sign = usize::from(matches!(text.first(), Some(b'-' | b'+')));
+    let mut value = 0i64;
+    let mut length = sign;
+    while let Some(digit @ b'0'..=b'9') = text.get(length) {
+        if length == sign + DIGITS_MAX {
+            return None;
+        }
+        value = 10 * value + i64::from(digit - b'0');
+        length += 1;
+    }
+    let value = if text.first() == Some(&b'-') { -value } else { value };
+    (sign < length).then_some((value, length))
+}
+
+/// The length of the blanks between a number and the end of its cell; none if something else follows.
+#[inline]
+fn end_of_cell(text: &[u8], delimiter: Option<u8>) -> Option<usize> {
+    let blank_count = blanks(text, delimiter);
+    match (text.get(blank_count), delimiter) {
+        (None | Some(b'\n' | b'\r'), _) => Some(blank_count),
+        (Some(byte), Some(delimiter)) => (*byte == delimiter).then_some(blank_count),
+        (Some(_), None) => (0 < blank_count).then_some(blank_count),
+    }
+}
+
+/// The length of the blanks at the start of `text`. A tab that delimits is none.
+#[inline]
+fn blanks(text: &[u8], delimiter: Option<u8>) -> usize {
+    let is_blank = |byte: &u8| *byte == b' ' || (*byte == b'\t' && delimiter != Some(b'\t'));
+    text.iter().take_while(|byte| is_blank(byte)).count()
+}

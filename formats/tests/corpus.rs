@@ -1,0 +1,135 @@
+//! Files as programs wrote them are read as what they are; broken ones are refused with a reason.
+//!
+//! A new case is a new file in `corpus/` and a line in the table beside it.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use meniscus_formats::{Limits, ParticleFrame, Positions, Values, probe, read_particles};
+
+fn corpus() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus")
+}
+
+/// The lines of a table, cut at bars.
+fn table(name: &str) -> Vec<Vec<String>> {
+    let text = std::fs::read_to_string(corpus().join(name)).unwrap();
+    let fields = |line: &str| line.split('|').map(|field| field.trim().to_string()).collect();
+    text.lines().filter(|line| !line.trim().is_empty()).map(fields).collect()
+}
+
+/// Every file of a folder of the corpus has a line in the table, and every line a file.
+fn check_complete(folder: &str, table: &[Vec<String>]) {
+    let mut files: Vec<String> = std::fs::read_dir(corpus().join(folder))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    let mut listed: Vec<String> = table.iter().map(|line| line[0].clone()).collect();
+    files.sort();
+    listed.sort();
+    assert_eq!(files, listed, "files and lines of corpus/{folder}");
+}
+
+#[test]
+fn valid_files_are_read_as_what_they_are() {
+    let table = table("valid.txt");
+    check_complete("valid", &table);
+    for line in &table {
+        let [name, kind, count, bits, first, last, attributes] = &line[..] else {
+            panic!("seven fields in {line:?}");
+        };
+        let bytes = std::fs::read(corpus().join("valid").join(name)).unwrap();
+        assert_eq!(probe(&bytes, name).to_string(), *kind, "of {name}");
+        let frame =
+            read_particles(&bytes, name, &Limits::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(frame.positions.len().to_string(), *count, "of {name}");
+        check_position(&frame, 0, first, bits, name);
+        check_position(&frame, frame.positions.len() - 1, last, bits, name);
+        assert_eq!(described(&frame), *attributes, "of {name}");
+    }
+}
+
+fn check_position(frame: &ParticleFrame, index: usize, expected: &str, bits: &str, name: &str) {
+    let expected: Vec<f64> = expected.split(' ').map(|number| number.parse().unwrap()).collect();
+    match &frame.positions {
+        Positions::F32(positions) => {
+            assert_eq!(bits, "32", "of {name}");
+            #[expect(clippy::cast_possible_truncation, reason = "written from 32 bits")]
+            // Nine digits tell one 32-bit number from all others.
+            let expected: Vec<f32> = expected.iter().map(|&x| x as f32).collect();
+            assert_eq!(positions[index][..], expected, "of {name}");
+        }
+        Positions::F64(positions) => {
+            assert_eq!(bits, "64", "of {name}");
+            for (found, expected) in positions[index].iter().zip(&expected) {
+                assert!((found - expected).abs() < 1e-9, "{name}: {found} is not {expected}");
+            }
+        }
+    }
+}
+
+/// `name:arity:type:role` of each attribute; checks the lengths on the way.
+fn described(frame: &ParticleFrame) -> String {
+    let mut text = String::new();
+    for attribute in &frame.attributes {
+        let (values, length) = match &attribute.values {
+            Values::F32(values) => ("f32", values.len()),
+            Values::F64(values) => ("f64", values.len()),
+            Values::U8(values) => ("u8", values.len()),
+            Values::I32(values) => ("i32", values.len()),
+            Values::I64(values) => ("i64", values.len()),
+            Values::Strings { indices, .. } => ("strings", indices.len()),
+        };
+        assert_eq!(length, attribute.arity * frame.positions.len(), "values of {}", attribute.name);
+        let role = attribute.role.map_or("-".into(), |role| format!("{role:?}"));
+        write!(text, " {}:{}:{values}:{role}", attribute.name, attribute.arity).unwrap();
+    }
+    text.trim_start().into()
+}
+
+#[test]
+fn invalid_files_are_refused_with_a_reason() {
+    let table = table("invalid.txt");
+    check_complete("invalid", &table);
+    let mut surprises = String::new();
+    for line in &table {
+        let [name, words] = &line[..] else { panic!("two fields in {line:?}") };
+        let bytes = std::fs::read(corpus().join("invalid").join(name)).unwrap();
+        match read_particles(&bytes, name, &Limits::default()).map_err(|error| error.to_string()) {
+            Ok(_) => writeln!(surprises, "{name} was read").unwrap(),
+            Err(error) if error.contains(words) => {}
+            Err(error) => writeln!(surprises, "{name}: expected `{words}` in: {error}").unwrap(),
+        }
+    }
+    assert!(surprises.is_empty(), "{surprises}");
+}
+
+/// Sequences are too large to be kept here; where they lie beside the sources, they are read.
+#[test]
+fn shared_sequences_are_read() {
+    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let shared = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from);
+    let sequences = [("splash_ply", 32, 12_000..=12_000, 4), ("dam_break_bgeo", 61, 1..=4_732, 3)];
+    for (name, frames, counts, arity_sum) in sequences {
+        let folder = shared.join("data/ours/sequences").join(name);
+        let Ok(entries) = std::fs::read_dir(&folder) else {
+            use std::io::Write;
+            let _ = writeln!(std::io::stderr(), "not tested, absent: {}", folder.display());
+            continue;
+        };
+        let mut frame_count = 0;
+        for entry in entries {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            let bytes = std::fs::read(&path).unwrap();
+            let frame =
+                read_particles(&bytes, &name, &Limits::default()).unwrap_or_else(|e| panic!("{name}: {e}"));
+            assert!(counts.contains(&frame.positions.len()), "{name}: {}", frame.positions.len());
+            assert!(frame.attributes.iter().map(|a| a.arity).sum::<usize>() >= arity_sum, "{name}");
+            let Positions::F32(positions) = &frame.positions else { panic!("{name}: not 32 bits") };
+            assert!(positions.iter().flatten().all(|x| x.abs() < 10.0), "{name}: beyond the scene");
+            frame_count += 1;
+        }
+        assert_eq!(frame_count, frames, "of {name}");
+    }
+}

@@ -1,0 +1,2 @@
+PGEOMETRY V5
+NPoints 0 NPrims 0

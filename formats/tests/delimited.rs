@@ -1,0 +1,157 @@
+//! Delimited text: every file of `corpus/delimited/{valid,invalid}` against the description beside it.
+//!
+//! A new case is a new file. Run once with `MENISCUS_BLESS=1` to write its description, and read
+//! that before committing it.
+
+#![expect(clippy::cast_possible_truncation, reason = "narrowing is what is tested")]
+
+use meniscus_formats::{Attribute, Error, Limits, ParticleFrame, Positions, Values, csv};
+use std::fmt::{Debug, Write};
+use std::path::{Path, PathBuf};
+
+#[test]
+fn valid_files_mean_what_is_written_beside_them() {
+    for path in corpus("valid") {
+        let bytes = std::fs::read(&path).unwrap();
+        let frame = csv::read(&bytes, &Limits::default()).unwrap_or_else(|error| panic!("{path:?}: {error}"));
+        compare(&path, &describe(&frame));
+    }
+}
+
+#[test]
+fn invalid_files_fail_as_is_written_beside_them() {
+    for path in corpus("invalid") {
+        let bytes = std::fs::read(&path).unwrap();
+        match csv::read(&bytes, &Limits::default()) {
+            Ok(frame) => panic!("{path:?} was read: {}", describe(&frame)),
+            Err(error) => compare(&path, &format!("{error}\n")),
+        }
+    }
+}
+
+fn corpus(promise: &str) -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/delimited").join(promise);
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut paths: Vec<PathBuf> = paths.filter(|path| path.extension().unwrap() != "expected").collect();
+    paths.sort();
+    paths
+}
+
+fn compare(path: &Path, found: &str) {
+    let expected_path = PathBuf::from(format!("{}.expected", path.display()));
+    if std::env::var_os("MENISCUS_BLESS").is_some() {
+        std::fs::write(&expected_path, found).unwrap();
+    }
+    let expected = std::fs::read_to_string(&expected_path).unwrap_or_default();
+    assert_eq!(found, expected, "{path:?}; MENISCUS_BLESS=1 accepts what was found");
+}
+
+/// A frame in a few lines that a reviewer can read.
+fn describe(frame: &ParticleFrame) -> String {
+    let mut text = match &frame.positions {
+        Positions::F32(positions) => format!("F32 {positions:?}\n"),
+        Positions::F64(positions) => format!("F64 {positions:?}\n"),
+    };
+    for Attribute { name, arity, role, values } in &frame.attributes {
+        let role = role.map_or(String::new(), |role| format!(" ({role:?})"));
+        writeln!(text, "{name}: {arity}{role} {}", describe_values(values)).unwrap();
+    }
+    for note in &frame.notes {
+        writeln!(text, "note: {note}").unwrap();
+    }
+    text
+}
+
+fn describe_values(values: &Values) -> String {
+    fn list(name: &str, values: &[impl Debug]) -> String {
+        format!("{name} {values:?}")
+    }
+    match values {
+        Values::F32(values) => list("F32", values),
+        Values::F64(values) => list("F64", values),
+        Values::U8(values) => list("U8", values),
+        Values::I32(values) => list("I32", values),
+        Values::I64(values) => list("I64", values),
+        Values::Strings { table, indices } => format!("{} of {table:?}", list("Strings", indices)),
+    }
+}
+
+#[test]
+fn limits_bound_rows_columns_and_head() {
+    let mut wide = String::from("x,y,z");
+    wide += &",a".repeat(5000);
+    let long_head = "no table\n".repeat(200_000);
+    let long_line = "a".repeat(3 << 20);
+    let table = [
+        ("rows", "x,y,z\n1,2,3\n4,5,6\n7,8,9\n", "more rows than the limit of 2"),
+        ("columns", wide.as_str(), "more columns than the limit of 4096"),
+        ("columns of numbers", &"1,".repeat(5000), "more columns than the limit of 4096"),
+        ("head", &long_head, "no row in the first 1048576 bytes"),
+        ("line", &long_line, "no row in the first 1048576 bytes"),
+    ];
+    let limits = Limits { particle_count: 2, ..Limits::default() };
+    for (case, text, expected) in table {
+        let error = csv::read(text.as_bytes(), &limits).expect_err(case);
+        assert!(matches!(error, Error::TooLarge { .. }), "{case}: {error}");
+        assert!(error.to_string().contains(expected), "{case}: {error}");
+    }
+}
+
+#[test]
+fn precision_follows_what_was_written() {
+    let value = |index: i32| f64::from(index).sin() * 10f64.powi(index % 7 - 3);
+    type Print = fn(f64) -> String;
+    let cases: [(&str, Print, bool); 8] = [
+        ("shortest f32", |v| format!("{}", v as f32), false),
+        ("9 digits of f32", |v| format!("{:.8e}", v as f32), false),
+        ("12 digits of f32", |v| format!("{:.11e}", v as f32), false),
+        ("17 digits of f32", |v| format!("{:.16e}", f64::from(v as f32)), false),
+        ("19 digits of f32", |v| format!("{:.18e}", f64::from(v as f32)), false),
+        ("7 digits of f64", |v| format!("{v:.6e}"), false),
+        ("shortest f64", |v| format!("{v}"), true),
+        ("19 digits of f64", |v| format!("{v:.18e}"), true),
+    ];
+    for (case, print, is_f64) in cases {
+        let mut text = String::from("x,y,z,a\n");
+        for index in 0..2000 {
+            let [x, y, z, a] = [0, 1, 2, 3].map(|k| print(value(4 * index + k)));
+            writeln!(text, "{x},{y},{z},{a}").unwrap();
+        }
+        let frame = csv::read(text.as_bytes(), &Limits::default()).unwrap();
+        assert_eq!(matches!(frame.positions, Positions::F64(_)), is_f64, "{case}");
+        assert_eq!(matches!(frame.attributes[0].values, Values::F64(_)), is_f64, "{case}");
+        let back: Vec<f64> = match frame.positions {
+            Positions::F64(positions) => positions.into_flattened(),
+            Positions::F32(positions) => positions.into_flattened().into_iter().map(f64::from).collect(),
+        };
+        for (index, &found) in back.iter().enumerate() {
+            let index = i32::try_from(index / 3 * 4 + index % 3).unwrap();
+            let printed: f64 = print(value(index)).parse().unwrap();
+            let expected = if is_f64 { printed } else { f64::from(printed as f32) };
+            assert_eq!(found, expected, "{case}, value {index}");
+        }
+    }
+}
+
+#[test]
+#[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
+fn files_of_real_producers_are_read() {
+    let root = std::env::var_os("MENISCUS_SHARED")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from);
+    let table = [
+        ("third-party/splashsurf/double_dam_break_frame_26_4732_particles.csv", 4732, ""),
+        ("ours/csv/vtkDelimitedTextWriter.csv", 64, "velocity radius id"),
+    ];
+    for (path, count, names) in table {
+        let Ok(bytes) = std::fs::read(root.join("data").join(path)) else {
+            eprintln!("not tested, for want of the file: {path}");
+            continue;
+        };
+        let frame = csv::read(&bytes, &Limits::default()).unwrap_or_else(|error| panic!("{path}: {error}"));
+        assert_eq!(frame.positions.len(), count, "{path}");
+        assert!(matches!(frame.positions, Positions::F32(_)), "{path}");
+        assert_eq!(frame.notes, Vec::<String>::new(), "{path}");
+        let found_names: Vec<&str> = frame.attributes.iter().map(|a| a.name.as_str()).collect();
+        assert_eq!(found_names.join(" "), names, "{path}");
+    }
+}

@@ -1,0 +1,204 @@
+//! Damaged files are read or refused; no reader panics, and none takes memory for what is not there.
+//!
+//! Every file of the corpus is cut at many places and has bits of it flipped. A reader may return
+//! anything, as long as it returns, and as long as it never holds more than 64 MiB beyond the size
+//! of its input: with files of a few kilobytes, more means that a count was believed.
+
+#![allow(clippy::cast_possible_truncation, reason = "sizes and small random numbers")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use meniscus_formats::{Attribute, Limits, Result, Values, bgeo, csv, ply, read_particles};
+
+/// Bytes that a reader may hold besides as many as its input has.
+const ALLOWED_BYTES: usize = 64 << 20;
+/// Places at which each file is cut off.
+const CUT_COUNT: usize = 200;
+/// Files made from each by flipping bits.
+const FLIP_COUNT: u64 = 2000;
+
+#[test]
+fn damaged_ply_files_are_survived() {
+    for (name, bytes) in corpus(&[".ply"]) {
+        sweep(&name, &bytes, |bytes| ply::read(bytes, &Limits::default()));
+        sweep(&name, &bytes, |bytes| ply::read_mesh(bytes, &Limits::default()));
+    }
+}
+
+#[test]
+fn damaged_bgeo_files_are_survived() {
+    let source = corpus(&["taichi_000007.ply"]).remove(0).1;
+    let mut frame = ply::read(&source, &Limits::default()).unwrap();
+    frame.attributes.push(Attribute {
+        name: "material".into(),
+        arity: 1,
+        role: None,
+        values: Values::Strings {
+            table: vec!["water".into(), "oil".into()],
+            indices: vec![1; frame.positions.len()],
+        },
+    });
+    let mut bytes = Vec::new();
+    bgeo::write(&frame, &mut bytes).unwrap();
+    sweep("written.bgeo", &bytes, |bytes| bgeo::read(bytes, &Limits::default()));
+}
+
+#[test]
+fn damaged_delimited_text_is_survived() {
+    for (name, bytes) in corpus(&[".csv", ".txt", ".dat", ".xyz", ".pts", ".tsv", ".dump"]) {
+        sweep(&name, &bytes, |bytes| csv::read(bytes, &Limits::default()));
+    }
+}
+
+#[test]
+fn damaged_files_of_any_kind_are_survived() {
+    for (name, bytes) in corpus(&[""]) {
+        sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
+    }
+    for (name, bytes) in corpus(&["taichi", "plyfile_ascii", "vtkDelimited"]) {
+        sweep(&name, &gzipped(&bytes), |bytes| read_particles(bytes, &name, &Limits::default()));
+    }
+}
+
+/// A bomb is refused while it is small: with a limit, little more than the limit is ever held.
+#[test]
+fn gzip_bombs_are_refused() {
+    let bomb = gzipped(&[b"x,y,z\n".as_slice(), &[b'1'; 200 << 20]].concat());
+    for limits in [
+        Limits { decompressed_bytes: 8 << 20, ..Limits::default() },
+        Limits { decompression_ratio: 50, ..Limits::default() },
+    ] {
+        check("bomb", &bomb, &|bytes| read_particles(bytes, "bomb.csv.gz", &limits));
+    }
+}
+
+/// The files of the corpus, valid and invalid, whose name ends in or contains one of the parts.
+fn corpus(parts: &[&str]) -> Vec<(String, Vec<u8>)> {
+    let mut files = Vec::new();
+    for folder in ["valid", "invalid", "delimited/valid", "delimited/invalid"] {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus").join(folder);
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if !name.ends_with(".expected") && parts.iter().any(|part| name.contains(part)) {
+                files.push((name, std::fs::read(&path).unwrap()));
+            }
+        }
+    }
+    assert!(!files.is_empty(), "no file of the corpus is called {parts:?}");
+    files.sort();
+    files
+}
+
+/// Reads the file damaged in many ways.
+fn sweep<T>(name: &str, bytes: &[u8], read: impl Fn(&[u8]) -> Result<T>) {
+    check(name, bytes, &read);
+    for cut in 0..CUT_COUNT {
+        check(name, &bytes[..bytes.len() * cut / CUT_COUNT], &read);
+    }
+    if bytes.is_empty() {
+        return;
+    }
+    let mut random = Random(name.bytes().fold(1, |seed, byte| seed * 31 % 1_000_003 + u64::from(byte)));
+    for _ in 0..FLIP_COUNT {
+        let mut damaged = bytes.to_vec();
+        // Headers decide the most, so every other flip is there.
+        let ranges = [damaged.len(), damaged.len().min(512)];
+        for _ in 0..=random.below(3) {
+            let range = ranges[random.below(2)];
+            let at = random.below(range);
+            damaged[at] ^= 1 << random.below(8);
+        }
+        check(name, &damaged, &read);
+    }
+}
+
+/// Reads once, and fails on a panic or on too much memory.
+fn check<T>(name: &str, bytes: &[u8], read: &impl Fn(&[u8]) -> Result<T>) {
+    let before = HELD.get();
+    PEAK.set(before);
+    let outcome = catch_unwind(AssertUnwindSafe(|| read(bytes)));
+    let held = (PEAK.get() - before) as usize;
+    let length = bytes.len();
+    assert!(outcome.is_ok(), "{name}: panicked on {length} bytes: {:?}", shown(bytes));
+    assert!(held <= length + ALLOWED_BYTES, "{name}: held {held} for {length} bytes: {:?}", shown(bytes));
+}
+
+/// The start of a file, to find the case again.
+fn shown(bytes: &[u8]) -> String {
+    bytes[..bytes.len().min(600)].escape_ascii().to_string()
+}
+
+fn gzipped(bytes: &[u8]) -> Vec<u8> {
+    use std::io::Write;
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+/// A small generator, the same on every machine.
+/// Steele, Lea, Flood. Fast splittable pseudorandom number generators. 2014
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut mixed = self.0;
+        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^= mixed >> 31;
+        (mixed % bound as u64) as usize
+    }
+}
+
+thread_local! {
+    /// Bytes that this thread holds, and the most that it held.
+    static HELD: Cell<isize> = const { Cell::new(0) };
+    static PEAK: Cell<isize> = const { Cell::new(0) };
+}
+
+/// The system's allocator, keeping count for each thread.
+struct Counting;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// No object is larger than `isize::MAX`, so the casts are exact.
+fn count(taken: usize, given_back: usize) {
+    // Threads allocate before and after their counters exist.
+    let _ = HELD.try_with(|held| {
+        held.set(held.get() + taken as isize - given_back as isize);
+        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
+    });
+}
+
+#[allow(unsafe_code, reason = "an allocator cannot be written without; it only counts and passes on")]
+// SAFETY: every call is passed on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count(layout.size(), 0);
+        // SAFETY: the caller keeps the contract, which is the same.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        count(layout.size(), 0);
+        // SAFETY: as above.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        count(0, layout.size());
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count(size, layout.size());
+        // SAFETY: as above.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
