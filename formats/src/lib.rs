@@ -7,7 +7,13 @@
 
 pub mod data;
 pub mod error;
+pub mod gltf;
+mod le_bytes;
 pub mod limits;
+pub mod obj;
+pub mod ply;
+pub mod provenance;
+pub mod vdb;
 
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,

@@ -1,0 +1,3 @@
+//! PLY.
+
+pub mod write;
