@@ -13,10 +13,12 @@
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
 //! by the voxel size h makes every stage free of units. World units appear at both ends only.
 
+pub mod cli;
 pub mod grid;
 pub mod level_set;
 pub mod mesh;
 pub mod particles;
+pub mod pipeline;
 pub mod report;
 pub mod settings;
 pub mod skin;

@@ -102,7 +102,9 @@ mod tests {
 
     #[test]
     fn anything_else_is_refused() {
-        for text in ["", "a", "1-", "-3", "1-3x", "1-3x0", "5-3", "1,,2", "1-2-3", "+4", "99999999999999999999"] {
+        for text in
+            ["", "a", "1-", "-3", "1-3x", "1-3x0", "5-3", "1,,2", "1-2-3", "+4", "99999999999999999999"]
+        {
             assert!(text.parse::<FrameSelection>().is_err(), "{text}");
         }
     }

@@ -96,7 +96,8 @@ impl Found {
     fn add_numbered(&mut self, input: &Path, number: &NumberPattern<'_>) -> Result<()> {
         for folder in folders(input.parent().unwrap_or(Path::new("")))? {
             for path in files_in(&folder).with_context(|| input.display().to_string())? {
-                let span = path.file_name().and_then(|name| name.to_str()).and_then(|name| number.span_in(name));
+                let span =
+                    path.file_name().and_then(|name| name.to_str()).and_then(|name| number.span_in(name));
                 if let Some(span) = span {
                     self.files.push(FrameFile::with_number_at(path, span));
                 }

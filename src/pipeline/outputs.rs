@@ -9,7 +9,7 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::writing::OutputOptions;
+use meniscus_formats::{gltf, vdb};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +37,21 @@ impl OutputFormat {
             OutputFormat::Ply => "ply",
         }
     }
+}
+
+/// What is written of each frame, and where.
+#[derive(Clone, Debug)]
+pub struct OutputOptions {
+    /// The folder of all outputs. It must exist.
+    pub folder: PathBuf,
+    /// One file for each.
+    pub formats: Vec<OutputFormat>,
+    /// Which axis of the particles points up, for glTF, where it must be y.
+    pub up: gltf::UpAxis,
+    /// 16-bit values in .vdb.
+    pub vdb_half: bool,
+    /// How values are packed in .vdb.
+    pub vdb_compression: vdb::Compression,
 }
 
 /// Where the output in `format` of the frame called `stem` goes.

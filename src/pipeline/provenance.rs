@@ -14,9 +14,8 @@ use twox_hash::XxHash3_128;
 use crate::settings::{Contouring, Integrator, Settings};
 
 use super::frame::{Frame, FrameError};
-use super::outputs::{OutputFormat, output_path};
+use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::reading::read_file;
-use super::writing::OutputOptions;
 
 /// Which input an output was made from.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -167,7 +167,13 @@ impl RunRecord {
             Outcome::Failed(error) => (Status::Failed, None, Some(error.to_string())),
             Outcome::NotStarted => (Status::NotStarted, None, None),
         };
-        self.add(FrameRecord { input: text(&frame.input), settings: sequence_index, status, measured, error });
+        self.add(FrameRecord {
+            input: text(&frame.input),
+            settings: sequence_index,
+            status,
+            measured,
+            error,
+        });
     }
 
     /// Adds a frame that had no settings to be converted with.

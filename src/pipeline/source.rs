@@ -133,9 +133,9 @@ fn strip_extension<'a>(name: &'a str, extension: &str) -> Option<&'a str> {
 
 fn last_number(text: &str) -> Option<Range<usize>> {
     let end = text.rfind(|c: char| c.is_ascii_digit())? + 1;
-    let start = text[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |before| {
-        before + text[before..].chars().next().map_or(1, char::len_utf8)
-    });
+    let start = text[..end]
+        .rfind(|c: char| !c.is_ascii_digit())
+        .map_or(0, |before| before + text[before..].chars().next().map_or(1, char::len_utf8));
     Some(start..end)
 }
 

@@ -26,9 +26,10 @@ use crate::skin::{self, Surface};
 
 use super::frame::{Frame, FrameError, FrameReport, Outcome, Stage};
 use super::memory::peak_memory_bytes;
+use super::outputs::OutputOptions;
 use super::provenance::{InputIdentity, is_done};
 use super::reading::parse_particles;
-use super::writing::{OutputOptions, write_surface};
+use super::writing::write_surface;
 
 /// The three stages of the method. Tests put a quick or a failing one in its place.
 pub trait Method: Sync {

@@ -12,27 +12,12 @@ use crate::settings::Settings;
 use crate::skin::Surface;
 
 use super::frame::{Frame, FrameError, Stage};
-use super::outputs::{OutputFormat, output_path};
+use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::provenance::{InputIdentity, provenance};
 use super::sink::write_whole;
 
 /// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
 const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
-
-/// What is written of each frame, and where.
-#[derive(Clone, Debug)]
-pub struct OutputOptions {
-    /// The folder of all outputs. It must exist.
-    pub folder: PathBuf,
-    /// One file for each.
-    pub formats: Vec<OutputFormat>,
-    /// Which axis of the particles points up, for glTF, where it must be y.
-    pub up: gltf::UpAxis,
-    /// 16-bit values in .vdb.
-    pub vdb_half: bool,
-    /// How values are packed in .vdb.
-    pub vdb_compression: vdb::Compression,
-}
 
 /// Writes a frame's surface in every format: each file whole or not at all. Returns their paths.
 ///
@@ -83,11 +68,15 @@ fn encode(
             };
             vdb::write(&levels, &write_options, provenance, out)
         }
-        OutputFormat::Glb => gltf::write_glb(&mesh, options.up, provenance, out),
-        OutputFormat::Gltf => gltf::write_gltf(&mesh, options.up, provenance, out),
-        OutputFormat::Obj => obj::write(&mesh, provenance, out),
-        OutputFormat::Ply => ply::write(&mesh, provenance, out),
+        OutputFormat::Glb => gltf::write_glb(&mesh, &gltf_options(options), provenance, out),
+        OutputFormat::Gltf => gltf::write_gltf(&mesh, &gltf_options(options), provenance, out),
+        OutputFormat::Obj => obj::write(&mesh, &obj::WriteOptions::default(), provenance, out),
+        OutputFormat::Ply => ply::write::write_mesh(&mesh, provenance, out),
     }
+}
+
+fn gltf_options(options: &OutputOptions) -> gltf::WriteOptions {
+    gltf::WriteOptions { up: options.up, ..gltf::WriteOptions::default() }
 }
 
 fn mesh_view(mesh: &Mesh) -> MeshView<'_> {

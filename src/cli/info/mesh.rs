@@ -95,9 +95,17 @@ mod tests {
             assert!((info.area - (1.5 + 0.75f64.sqrt())).abs() < 1e-9);
             assert_eq!((info.boundary_edges, info.non_manifold_edges), (0, 0));
         }
-        let open = MeshData { positions: positions.to_vec(), triangles: triangles[..3].to_vec(), ..MeshData::default() };
+        let open = MeshData {
+            positions: positions.to_vec(),
+            triangles: triangles[..3].to_vec(),
+            ..MeshData::default()
+        };
         assert_eq!(MeshInfo::of(&open).boundary_edges, 3);
-        let doubled = MeshData { positions: positions.to_vec(), triangles: [triangles.clone(), triangles].concat(), ..MeshData::default() };
+        let doubled = MeshData {
+            positions: positions.to_vec(),
+            triangles: [triangles.clone(), triangles].concat(),
+            ..MeshData::default()
+        };
         assert_eq!(MeshInfo::of(&doubled).non_manifold_edges, 6);
     }
 }

@@ -113,8 +113,7 @@ fn ranges<T, N: Copy + PartialOrd>(
         for (range, value) in ranges.iter_mut().zip(value_of_particle.iter().map(&counts)) {
             if let Some(value) = value {
                 let (min, max) = range.unwrap_or((value, value));
-                *range =
-                    Some((if value < min { value } else { min }, if value > max { value } else { max }));
+                *range = Some((if value < min { value } else { min }, if value > max { value } else { max }));
             }
         }
     }
