@@ -118,10 +118,11 @@ fn refuse_conflicts(
     let folder = &outputs.folder;
     // First, because only then is it known where the folder's path leads.
     fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    if let Some(report_folder) = report.and_then(Path::parent) {
-        if !report_folder.as_os_str().is_empty() && !report_folder.is_dir() {
-            bail!("{}: there is no such folder for the report", report_folder.display());
-        }
+    if let Some(report_folder) = report.and_then(Path::parent)
+        && !report_folder.as_os_str().is_empty()
+        && !report_folder.is_dir()
+    {
+        bail!("{}: there is no such folder for the report", report_folder.display());
     }
     // Also the frames that were not selected must stay.
     let inputs: Vec<PathBuf> =
@@ -323,11 +324,11 @@ impl Run {
                 console.warn(format_args!("failed: {failure}"));
             }
         }
-        if let Some(path) = report {
-            if let Err(error) = self.record.write(path, seconds) {
-                console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
-                return Ok(if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone });
-            }
+        if let Some(path) = report
+            && let Err(error) = self.record.write(path, seconds)
+        {
+            console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
+            return Ok(if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone });
         }
         Ok(match (failed_count, self.done_count) {
             (0, _) => Verdict::Done,

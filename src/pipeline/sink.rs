@@ -74,3 +74,72 @@ impl Drop for Temporary {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    fn names_in(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).expect("the folder is there");
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
+    }
+
+    fn write(path: &Path, text: &str) -> Result<()> {
+        write_whole(path, |out| Ok(out.write_all(text.as_bytes())?))
+    }
+
+    #[test]
+    fn a_file_appears_whole_and_replaces_the_one_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        for text in ["first", "second"] {
+            write(&path, text).expect("written");
+            assert_eq!(fs::read_to_string(&path).expect("readable"), text);
+        }
+        assert_eq!(names_in(folder.path()), ["a.glb"]);
+    }
+
+    #[test]
+    fn a_writer_that_fails_leaves_nothing_and_the_old_file_as_it_was() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        write(&path, "old").expect("written");
+        let disk_full = |out: &mut BufWriter<File>| {
+            out.write_all(&vec![0; 2 * BUFFER_BYTES])?;
+            Err(io::Error::from(io::ErrorKind::StorageFull).into())
+        };
+        assert!(write_whole(&path, disk_full).is_err());
+        let panicked = catch_unwind(AssertUnwindSafe(|| write_whole(&path, |_| panic!("a broken writer"))));
+        assert!(panicked.is_err());
+        assert_eq!(fs::read_to_string(&path).expect("readable"), "old");
+        assert_eq!(names_in(folder.path()), ["a.glb"]);
+    }
+
+    #[test]
+    fn a_folder_in_the_way_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        fs::create_dir(&path).expect("made");
+        assert!(write(&path, "text").is_err());
+        assert_eq!(names_in(folder.path()), ["a.glb"]);
+        assert!(write(&folder.path().join("missing/a.glb"), "text").is_err());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_are_replaced_and_never_written_through() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let precious = folder.path().join("precious");
+        fs::write(&precious, "precious").expect("written");
+        let path = folder.path().join("a.glb");
+        let temporary = folder.path().join(format!(".a.glb.tmp-{}", std::process::id()));
+        for link in [&path, &temporary] {
+            std::os::unix::fs::symlink(&precious, link).expect("linked");
+        }
+        write(&path, "text").expect("written");
+        assert_eq!(fs::read_to_string(&precious).expect("readable"), "precious");
+        assert!(!path.is_symlink());
+        assert!(!temporary.is_symlink());
+    }
+}

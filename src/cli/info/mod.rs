@@ -163,6 +163,16 @@ impl Bounds {
             Some(Bounds { min, max })
         })
     }
+
+    /// The same for bounds of 32-bit positions: with the digits that these have.
+    fn short(self) -> Bounds {
+        Bounds { min: self.min.map(short), max: self.max.map(short) }
+    }
+}
+
+/// The 64-bit real that prints with the digits of a 32-bit one: 1.4 and not 1.399999976158142.
+fn short(value: f64) -> f64 {
+    (value as f32).to_string().parse().unwrap_or(value)
 }
 
 impl fmt::Display for Bounds {

@@ -9,7 +9,7 @@ use crate::particles::Particles;
 use crate::pipeline::{VOXELS_PER_SPACING, particles};
 use crate::spacing::estimate_spacing;
 
-use super::{Bounds, row};
+use super::{Bounds, row, short};
 
 /// A frame of particles.
 #[derive(Debug, Serialize)]
@@ -55,6 +55,7 @@ impl ParticlesInfo {
         let particles = particles(frame.positions);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
         let spacing = estimate_spacing(&particles);
+        let bounds = Bounds::of(positions().map(|position| position.to_array()));
         ParticlesInfo {
             count: particles.len(),
             position_type: match particles {
@@ -62,7 +63,10 @@ impl ParticlesInfo {
                 Particles::Double(_) => "f64",
             },
             not_finite: positions().filter(|position| !position.is_finite()).count(),
-            bounds: Bounds::of(positions().map(|position| position.to_array())),
+            bounds: match particles {
+                Particles::Single(_) => bounds.map(Bounds::short),
+                Particles::Double(_) => bounds,
+            },
             attributes,
             spacing,
             suggested_voxel_size: spacing.map(|spacing| spacing / VOXELS_PER_SPACING),
@@ -74,8 +78,10 @@ fn attribute_info(attribute: &Attribute) -> AttributeInfo {
     let arity = attribute.arity;
     let real = |min_max: Option<(f64, f64)>| min_max.map(|(min, max)| (Number::Real(min), Number::Real(max)));
     let whole = |min_max: Option<(i64, i64)>| min_max.map(|(a, b)| (Number::Integer(a), Number::Integer(b)));
+    let f32_range = |&x: &f32| real_range(f64::from(x));
+    let short = |min_max: Option<(f64, f64)>| real(min_max.map(|(min, max)| (short(min), short(max))));
     let (value_type, ranges): (_, Vec<Option<(Number, Number)>>) = match &attribute.values {
-        Values::F32(values) => ("f32", ranges(values, arity, |&x| real_range(f64::from(x)), real)),
+        Values::F32(values) => ("f32", ranges(values, arity, f32_range, short)),
         Values::F64(values) => ("f64", ranges(values, arity, |&x| real_range(x), real)),
         Values::U8(values) => ("u8", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
         Values::I32(values) => ("i32", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
