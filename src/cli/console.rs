@@ -4,10 +4,10 @@
 //! Somebody who closes the standard output early has read enough: that is no error, and work goes
 //! on in silence.
 
-use std::fmt::Display;
+use std::fmt::{self, Display};
 use std::io::{self, Write};
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 
 /// Both outputs, and the bar that may be on one of them.
 #[derive(Debug)]
@@ -50,6 +50,10 @@ impl Console {
             return false;
         }
         let style = ProgressStyle::with_template(BAR).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let style = style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
+            // Text in memory takes everything.
+            let _ = write!(text, "{:.1}", state.per_sec());
+        });
         let bar = ProgressBar::with_draw_target(Some(frame_count as u64), ProgressDrawTarget::stderr());
         self.bar = Some(bar.with_style(style));
         true
@@ -82,4 +86,4 @@ fn suspended<T>(bar: Option<&ProgressBar>, print: impl FnOnce() -> T) -> T {
     }
 }
 
-const BAR: &str = "{bar:32} {pos}/{len} frames, {per_sec}, {eta} left";
+const BAR: &str = "{bar:32} {pos}/{len} frames, {rate} a second, {eta} left";

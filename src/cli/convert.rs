@@ -56,7 +56,8 @@ struct SelectedSequence {
 fn find_sequences(args: &ConvertArgs, console: &mut Console) -> Result<Vec<SelectedSequence>> {
     let found = find_inputs(&args.inputs)?;
     if found.passed_over_count > 0 {
-        console.say(format_args!("{} other files in the folder are no frames", found.passed_over_count));
+        let passed_over = counted(found.passed_over_count, "other file");
+        console.say(format_args!("passed over {passed_over}: no frames of particles"));
     }
     let found_count = found.files.len();
     let sequences: Vec<SelectedSequence> = pipeline::sequences(found.files)
@@ -266,13 +267,15 @@ impl Run {
             OnErrorChoice::Stop => OnError::Stop,
             OnErrorChoice::Continue => OnError::Continue,
         };
+        let frames = std::mem::take(&mut self.frames);
         if on_error == OnError::Stop && !self.failures.is_empty() {
-            self.not_started_count += self.frames.len();
+            for (index, frame) in frames.iter().enumerate() {
+                self.note(frame, index, &Outcome::NotStarted, false, console);
+            }
             return;
         }
         let conduct = Conduct { pool, outputs, on_error, skip_done: args.skip_done };
-        let has_bar = console.show_bar(self.frames.len());
-        let frames = std::mem::take(&mut self.frames);
+        let has_bar = console.show_bar(frames.len());
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
             self.note(&frames[index], index, &outcome, has_bar, console);
         });

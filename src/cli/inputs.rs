@@ -81,6 +81,13 @@ impl Found {
         let name = input.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if let Some(number) = NumberPattern::find(name) {
             self.add_numbered(input, &number)?;
+            if self.files.len() == count_before && number.width_min > 1 {
+                bail!(
+                    "{pattern}: no file matches; for numbers of any width, write {}{{}}{}",
+                    number.before,
+                    number.after
+                );
+            }
         } else if pattern.contains(['*', '?', '[']) {
             let paths = glob::glob_with(pattern, GLOB_OPTIONS).with_context(|| pattern.to_owned())?;
             self.files.extend(paths.flatten().filter(|path| path.is_file()).map(FrameFile::new));

@@ -89,7 +89,7 @@ impl fmt::Display for Conflict {
             ),
             Conflict::SameOutput { output, makers: [first, second] } => write!(
                 f,
-                "{} and {} would both become {}: choose different folders",
+                "{} and {} would both become {}: convert them one by one, into different folders",
                 first.display(),
                 second.display(),
                 output.display()

@@ -1,5 +1,6 @@
 //! What a mesh is like.
 
+use std::collections::HashMap;
 use std::fmt;
 
 use glam::DVec3;
@@ -19,6 +20,7 @@ pub(super) struct MeshInfo {
     /// Signed: negative where triangles are clockwise seen from outside. Means nothing for a mesh
     /// with boundary edges.
     volume: f64,
+    /// Vertices at one position count as one here: many formats repeat them for their normals.
     boundary_edges: usize,
     non_manifold_edges: usize,
 }
@@ -38,7 +40,7 @@ impl MeshInfo {
             area += 0.5 * (b - a).cross(c - a).length();
             volume += a.dot(b.cross(c)) / 6.0;
         }
-        let (boundary_edges, non_manifold_edges) = odd_edges(&mesh.triangles);
+        let (boundary_edges, non_manifold_edges) = odd_edges(&welded(mesh));
         MeshInfo {
             vertices: mesh.positions.len(),
             triangles: mesh.triangles.len(),
@@ -50,6 +52,18 @@ impl MeshInfo {
             non_manifold_edges,
         }
     }
+}
+
+/// The triangles with, for each vertex, the first one at the same position.
+fn welded(mesh: &MeshData) -> Vec<[u32; 3]> {
+    let mut first_at = HashMap::new();
+    let first: Vec<u32> = (0u32..)
+        .zip(&mesh.positions)
+        // Adding zero makes −0 and 0 one position bit for bit.
+        .map(|(index, position)| *first_at.entry(position.map(|x| (x + 0.0).to_bits())).or_insert(index))
+        .collect();
+    let first_of = |index: u32| first.get(index as usize).copied().unwrap_or(index);
+    mesh.triangles.iter().map(|triangle| triangle.map(first_of)).collect()
 }
 
 /// How many edges have one triangle, and how many more than two.
