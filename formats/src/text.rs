@@ -24,6 +24,11 @@ impl<'a> Lines<'a> {
         self.at
     }
 
+    /// Whether the line returned last has an end, rather than being cut off with the text.
+    pub(crate) fn was_ended(&self) -> bool {
+        self.bytes[..self.at].last() == Some(&self.end)
+    }
+
     /// The number of the line returned last, from 1.
     pub(crate) fn number(&self) -> u64 {
         self.number

@@ -284,6 +284,7 @@ fn files_of_real_producers_are_read() {
         ("third-party/partio/deltaids.bgeo", 8, "ids"),
         ("third-party/partio/json.bgeo", 5, "life id someString"),
         ("third-party/partio/test.bgeo", 5, "life id"),
+        ("third-party/partio/reindeer.bgeo", 16, "ctl_head_sss_DOT_visibility 490 more"),
         ("ours/sequences/dam_break_bgeo/ParticleData_Fluid_1.bgeo", 4_732, "id velocity density"),
         ("ours/sequences/dam_break_bgeo/ParticleData_Fluid_61.bgeo", 4_732, "id velocity density"),
     ];
@@ -297,8 +298,12 @@ fn files_of_real_producers_are_read() {
         assert_eq!(frame.positions.len(), count, "{path}");
         assert_eq!(frame.notes, Vec::<String>::new(), "{path}");
         let found_names: Vec<&str> = frame.attributes.iter().map(|a| a.name.as_str()).collect();
-        assert_eq!(found_names.join(" "), names, "{path}");
-        assert!(positions(&frame).as_flattened().iter().all(|x| x.is_finite() && x.abs() < 100.0), "{path}");
+        let found_names = match found_names[..] {
+            [first, _, _, _, ..] => format!("{first} {} more", found_names.len() - 1),
+            _ => found_names.join(" "),
+        };
+        assert_eq!(found_names, names, "{path}");
+        assert!(positions(&frame).as_flattened().iter().all(|x| x.is_finite() && x.abs() < 1e4), "{path}");
         let header = bgeo::header(&bytes).unwrap();
         assert!(header.expected_bytes <= bytes.len() as u64, "{path}");
         if header.expected_bytes_is_exact {

@@ -134,18 +134,32 @@ pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
 /// half of the last digit. Numbers that were 32-bit reals before they were printed, with however
 /// many digits, therefore always pass; most 64-bit reals printed in full do not.
 pub(super) fn exceeds_f32(text: &[u8], value: f64) -> bool {
-    const DIGITS_ALWAYS_HELD: u32 = 7; // as near as makes no difference: 6 hold exactly
     let nearest = f64::from(narrow(value));
     if nearest == value || !value.is_finite() {
         return false;
     }
-    if nearest.is_infinite() {
+    let difference = (value - nearest).abs();
+    // Nearly always it is enough to look where the point is.
+    let decimal_count = text.iter().rev().position(|&byte| byte == b'.').unwrap_or(0);
+    let has_exponent = text.iter().rev().take(EXPONENT_BYTES_MAX).any(|byte| byte.is_ascii_alphabetic());
+    let half_of_last_digit = 0.5 * NEGATIVE_POWERS.get(decimal_count).copied().unwrap_or(0.0);
+    if !has_exponent && difference <= half_of_last_digit {
+        return false;
+    }
+    exceeds_f32_by(text, value, difference)
+}
+
+/// [`exceeds_f32`] for what needs a closer look.
+#[cold]
+fn exceeds_f32_by(text: &[u8], value: f64, difference: f64) -> bool {
+    const DIGITS_ALWAYS_HELD: u32 = 7; // as near as makes no difference: 6 hold exactly
+    if difference.is_infinite() {
         return true;
     }
     let (digit_count, last_digit_exponent) = written_precision(text);
     let half_of_last_digit = 0.5 * power_of_ten(last_digit_exponent);
     let rounding_of_value = f64::EPSILON * value.abs();
-    digit_count > DIGITS_ALWAYS_HELD && (value - nearest).abs() > half_of_last_digit + rounding_of_value
+    digit_count > DIGITS_ALWAYS_HELD && difference > half_of_last_digit + rounding_of_value
 }
 
 /// The number of significant digits, and the power of ten that the last of them counts.
@@ -195,6 +209,9 @@ pub(super) fn shown(text: &[u8]) -> String {
 
 /// Words for a number that is not there, in lower case. (`nan` is a number.)
 const MISSING: [&[u8]; 7] = [b"", b"na", b"n/a", b"#n/a", b"null", b"none", b"-"];
+
+/// Bytes of the longest exponent with its letter: `e-308`.
+const EXPONENT_BYTES_MAX: usize = 5;
 
 /// Numbers are rarely written with more decimals than these.
 const NEGATIVE_POWERS: [f64; 24] = [

@@ -14,9 +14,10 @@
 //! of a line is allowed everywhere; quotes may surround any cell, on one line.
 //!
 //! What a column holds is told by its values: text if the first is none that a number can be, else
-//! integers as long as all are, else reals. Reals are kept in 64 bits if a 32-bit one cannot stand
-//! for what the file says, see [`cell::exceeds_f32`]; an attribute or the position is decided as a
-//! whole.
+//! integers as long as all are, else reals. Reals are kept in 64 bits if the file says more than a
+//! 32-bit one can stand for: if any value has more than 7 digits, and the nearest 32-bit real is
+//! further away than half of the last one. Numbers that were 32-bit reals before they were printed
+//! stay such. An attribute, and the position, is decided as a whole.
 //!
 //! Not read: decimal commas, LAMMPS dumps, several tables in one file, quoted line breaks.
 

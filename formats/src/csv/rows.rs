@@ -6,7 +6,7 @@
 
 use super::FORMAT;
 use super::cell::{Delimiter, Meaning, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
-use super::column::Column;
+use super::column::{Column, ColumnValues};
 use super::layout::{Layout, comment, decimal_commas};
 use crate::{Error, Limits, Place, Result};
 
@@ -125,11 +125,12 @@ impl<'a> Rows<'a> {
     /// Takes a cell that is a plain number, and the blanks behind it.
     #[inline]
     fn take_number(&mut self, column: &mut Column) -> bool {
-        if column.is_text() {
+        let text = &self.bytes[self.at..];
+        if matches!(column.values, ColumnValues::Texts(_)) {
             return false;
         }
-        let text = &self.bytes[self.at..];
-        if let Some((value, length)) = integer(text)
+        if matches!(column.values, ColumnValues::Integers(_))
+            && let Some((value, length)) = integer(text)
             && let Some(blanks) = end_of_cell(&text[length..], self.delimiter)
         {
             column.push_integer(value, &text[..length]);
@@ -148,11 +149,12 @@ impl<'a> Rows<'a> {
 
     /// Takes a cell that is anything else: in quotes, missing, or text.
     fn take_other(&mut self, column: &mut Column, index: usize, is_position: bool) -> Result<()> {
-        let rest = self.line_text();
+        let rest = &self.bytes[self.at..];
         let quoted = quoted_length(rest).unwrap_or(0);
-        let ends = |byte: &u8| match self.delimiter {
-            Some(delimiter) => *byte == delimiter,
-            None => matches!(byte, b' ' | b'\t'),
+        let ends = |byte: &u8| match (byte, self.delimiter) {
+            (b'\n' | b'\r', _) => true,
+            (_, Some(delimiter)) => *byte == delimiter,
+            (_, None) => matches!(byte, b' ' | b'\t'),
         };
         let length = rest[quoted..].iter().position(ends).map_or(rest.len(), |length| quoted + length);
         let cell = rest[..length].trim_ascii();
@@ -211,7 +213,7 @@ impl<'a> Rows<'a> {
     }
 
     fn not_a_number(&self, text: &[u8], index: usize) -> Error {
-        if self.delimiter != Some(b',') && has_decimal_comma(text) {
+        if has_decimal_comma(text) {
             return decimal_commas(self.line);
         }
         let what = format!("expected a number in the column {:?}, found {}", self.names[index], shown(text));

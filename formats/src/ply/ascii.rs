@@ -21,7 +21,7 @@ pub(super) fn read(
     count: usize,
     targets: &mut [Target<'_>],
 ) -> Result<()> {
-    let Rows::Ascii(_) = rows else { return Ok(()) };
+    debug_assert!(matches!(rows, Rows::Ascii(_)), "a binary body is gathered, not parsed");
     let places = places(element, targets);
     for record in 0..count {
         rows.start()?;
@@ -35,6 +35,10 @@ pub(super) fn read(
             let scalar = columns[component].1;
             match slots {
                 Slots::F32(out) => out[slot] = lines.float(scalar, &property.name)?,
+                // What is declared as 32 bits is no more precise for being written in digits.
+                Slots::F64(out) if scalar == Scalar::F32 => {
+                    out[slot] = f64::from(lines.float::<f32>(scalar, &property.name)?);
+                }
                 Slots::F64(out) => out[slot] = lines.float(scalar, &property.name)?,
                 Slots::U8(out) => out[slot] = lines.bounded(scalar, &property.name)?,
                 Slots::I32(out) => out[slot] = lines.bounded(scalar, &property.name)?,

@@ -161,7 +161,11 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
     while let Some(line) = lines.next() {
         let line = String::from_utf8_lossy(line);
         let (keyword, rest) = first_word(&line);
-        if keyword == "end_header" {
+        let is_last = keyword == "end_header";
+        if !lines.was_ended() && (!is_last || capped.len() < bytes.len()) {
+            break; // a line that is cut off says nothing
+        }
+        if is_last {
             let encoding = parsed.encoding.ok_or_else(|| {
                 Error::invalid(FORMAT, Place::Line(lines.number()), "the header has no `format` line")
             })?;
