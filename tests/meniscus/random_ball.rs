@@ -1,5 +1,7 @@
 //! 50 000 particles at random in a ball come out nearly spherical (paper, Fig. 12).
 
+#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+
 use std::collections::HashSet;
 
 use glam::{DVec3, IVec3};

@@ -7,15 +7,17 @@
 //!      radius 24 ──────  lower bound of φ
 //! ```
 
+#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+
 use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::IVec3;
 use meniscus::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand};
+use meniscus::level_set::{Bounds, NarrowBand, redistance};
 use meniscus::smooth::{Config, Integrator, smooth, smooth_laplacian_only};
 
-use crate::shapes::{Random, bending_energy, value_at, volume, voxels};
+use crate::shapes::{Random, bending_energy, volume};
 
 const RADIUS: f32 = 20.0;
 const BOUND_RADII: [f32; 2] = [16.0, 24.0];
@@ -39,8 +41,12 @@ fn noisy_sphere() -> (NarrowBand, Bounds) {
         *value += 2.0 * random.unit() as f32 - 1.0;
     }
     let bounds = Bounds { lower: sphere(BOUND_RADII[1]), upper: sphere(BOUND_RADII[0]) };
-    bounds.clamp(&mut phi);
-    (NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH }, bounds)
+    let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH };
+    // The method starts from distances. Without this the noise in the values that a step holds fixed
+    // takes 0.1 voxels off the radius.
+    redistance(&mut band, 8);
+    bounds.clamp(&mut band.phi);
+    (band, bounds)
 }
 
 /// The leaves with a voxel whose distance is within the half width.
@@ -71,8 +77,8 @@ fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
         let energy = bending_energy(&band) / (4.0 * PI);
         println!("{integrator:?}: volume {volume:.5}, ∫H² {energy:.4} of the sphere's");
         assert_eq!(bounds.violation_count(&band.phi), 0);
-        assert!((volume - 1.0).abs() < 0.1, "{integrator:?}: {volume}");
-        assert!((energy - 1.0).abs() < 0.5, "{integrator:?}: {energy}");
+        assert!((volume - 1.0).abs() < 0.01, "{integrator:?}: {volume}");
+        assert!((energy - 1.0).abs() < 0.05, "{integrator:?}: {energy}");
     }
 }
 
@@ -80,68 +86,16 @@ fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
 fn laplacian_smoothing_shrinks_a_noisy_sphere_onto_its_bound() {
     let (mut band, bounds) = noisy_sphere();
     smooth_laplacian_only(&mut band, &bounds, 1000);
-    let [smallest, _] = BOUND_RADII;
-    let volume = volume(&band);
-    let beside = voxels(&band).filter(|(_, phi)| phi.abs() < 0.5);
-    let upper = NarrowBand { phi: bounds.upper.clone(), ..band.clone() };
-    let (mut count, mut bound_count) = (0, 0);
-    for (voxel, phi) in beside {
-        count += 1;
-        bound_count += usize::from(value_at(&upper, voxel) == Some(phi));
-    }
-    println!(
-        "Laplacian: volume {:.4} of the first, {:.4} of the bound's; {bound_count} of {count} at the bound",
-        volume / ball_volume(RADIUS),
-        volume / ball_volume(smallest)
-    );
     assert_eq!(bounds.violation_count(&band.phi), 0);
-    assert!((volume / ball_volume(smallest) - 1.0).abs() < 0.02);
-    assert!(bound_count * 10 > count * 9, "{bound_count} of {count} voxels are at the bound");
-}
-#[test]
-fn explore() {
-    let radius = |band: &NarrowBand| {
-        let radii: Vec<f64> = crate::shapes::crossings(band).iter().map(|p| p.as_dvec3().length()).collect();
-        radii.iter().sum::<f64>() / radii.len() as f64
-    };
-    let (mut band, bounds) = noisy_sphere();
-    band.phi = sphere_field(&band.topology);
-    for i in 0..=200 {
-        if i % 25 == 0 {
-            println!("redistance only {i} radius {:.4}", radius(&band));
-        }
-        meniscus::level_set::redistance(&mut band, 8);
-        bounds.clamp(&mut band.phi);
-    }
-    for noisy in [false, true] {
-        let (mut band, bounds) = noisy_sphere();
-        if !noisy {
-            band.phi = sphere_field(&band.topology);
-        }
-        let mut total = 0;
-        for steps in [0, 50, 50, 100, 200, 300, 300, 500, 500, 1000, 2000, 5000] {
-            total += steps;
-            let config = Config { laplacian_steps: 0, integrator: Integrator::Explicit, steps, step_size: 0.01, redistance_every: 50, cg_tolerance: 1e-4 };
-            smooth(&mut band, &bounds, &config);
-            println!("explicit noisy {noisy} {total} radius {:.4} energy {:.4}", radius(&band), bending_energy(&band) / (4.0 * PI));
-        }
-    }
-    for noisy in [false, true] {
-        let (mut band, bounds) = noisy_sphere();
-        if !noisy {
-            band.phi = sphere_field(&band.topology);
-        }
-        for step in 0..=5 {
-            println!("fast noisy {noisy} {step} radius {:.4} energy {:.4}", radius(&band), bending_energy(&band) / (4.0 * PI));
-            let config = Config { laplacian_steps: 0, integrator: Integrator::Fast, steps: 1, step_size: 20.0, redistance_every: 1, cg_tolerance: 1e-4 };
-            smooth(&mut band, &bounds, &config);
-        }
-    }
-}
-fn sphere_field(topology: &Topology) -> Field {
-        let leaf = |&origin: &IVec3| {
-            let distance = |offset| (origin + voxel_in_leaf(offset)).as_vec3().length() - RADIUS;
-            Leaf { values: std::array::from_fn(distance).map(|d: f32| d.clamp(-HALF_WIDTH, HALF_WIDTH)) }
-        };
-        Field { leaves: topology.origins().iter().map(leaf).collect() }
+    let volume = volume(&band) / ball_volume(BOUND_RADII[0]);
+    // Where the surface meets the bound: φ just below its upper bound, and nowhere far below it.
+    let pairs = band.phi.as_arrays().as_flattened().iter().zip(bounds.upper.as_arrays().as_flattened());
+    let gaps: Vec<f32> = pairs.filter(|(phi, _)| phi.abs() < 1.0).map(|(phi, upper)| upper - phi).collect();
+    let held = gaps.iter().filter(|gap| **gap == 0.0).count() as f64 / gaps.len() as f64;
+    let widest = gaps.iter().copied().fold(0.0, f32::max);
+    println!(
+        "Laplacian: volume {volume:.4} of the bound's; {held:.2} of the voxels are held, the others within {widest:.3}"
+    );
+    assert!((volume - 1.0).abs() < 0.01, "{volume}");
+    assert!(held > 0.4 && widest < 0.1, "{held} {widest}");
 }

@@ -1,5 +1,7 @@
 //! Rasterization against what is known of spheres.
 
+#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+
 use glam::{DVec3, IVec3};
 use meniscus::particles::Particles;
 use meniscus::rasterize::{ParticleBins, Radii, rasterize};
@@ -54,23 +56,20 @@ fn distances_outside_are_exact() {
     }
 }
 
-/// Inside, and far outside, values are swept: first order, but distances.
+/// Inside, and far outside, values are swept: nearly distances.
 #[test]
 fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
     let lattice = Lattice { voxel_size: 1.0 };
     let bins = ParticleBins::new(&Particles::Double(vec![center.to_array()]), &lattice);
-    let radii = Radii { min: 9.5, init: 10.0, max: 10.5 };
-    let (band, _) = rasterize(&bins, radii);
-    let mut worst = 0.0f64;
-    for (voxel, phi) in voxels(&band) {
+    let (band, _) = rasterize(&bins, Radii { min: 9.5, init: 10.0, max: 10.5 });
+    let error = |(voxel, phi): (IVec3, f32)| {
         let exact = voxel.as_dvec3().distance(center) - 10.0;
-        if exact.abs() < f64::from(band.half_width) - 0.5 {
-            worst = worst.max((f64::from(phi) - exact).abs());
-        }
-    }
+        (exact.abs() < f64::from(band.half_width) - 0.5).then_some((f64::from(phi) - exact).abs())
+    };
+    let worst = voxels(&band).filter_map(error).fold(0.0, f64::max);
     println!("a sphere of radius 10: swept distances are within {worst:.3} voxels");
-    assert!(worst < 0.3, "{worst}");
+    assert!(worst < 0.1, "{worst}");
 }
 
 /// Between the particles of a lattice there is no cavity, and depth is told from the outer surface.
@@ -79,18 +78,19 @@ fn a_dense_lattice_is_solid() {
     let positions: Vec<DVec3> =
         (0..9 * 9 * 9).map(|i| IVec3::new(i % 9, i / 9 % 9, i / 81).as_dvec3() * 2.0).collect();
     let (band, bounds) = rasterized(&positions);
+    assert_eq!(bounds.violation_count(&band.phi), 0);
     let radius = f64::from(default_radii().init);
     for (voxel, phi) in voxels(&band) {
-        // How deep the voxel is in the box that the surface's outermost points touch.
-        let depth = (radius + 8.0) - (voxel.as_dvec3() - 8.0).abs().max_element();
-        if voxel.cmpge(IVec3::ZERO).all() && voxel.cmple(IVec3::splat(16)).all() {
-            assert!(f64::from(phi) <= 0.0, "a cavity at {voxel}: {phi}");
-            // The surface's dents between particles are less than half a voxel deep.
-            let expected = -depth.min(f64::from(band.half_width));
-            assert!((f64::from(phi) - expected).abs() < 0.6, "{voxel}: {phi} {expected}");
+        let from_center = (voxel.as_dvec3() - 8.0).abs();
+        if from_center.max_element() > 8.0 {
+            continue;
         }
+        assert!(phi < 0.0, "a cavity at {voxel}: {phi}");
+        // Away from the edges the surface is flat, but for dents of 0.42 voxels between the particles.
+        let is_at_face = from_center.to_array().iter().filter(|axis| **axis > 3.0).count() <= 1;
+        let depth = (radius + 8.0 - from_center.max_element()).min(f64::from(band.half_width));
+        assert!(!is_at_face || (f64::from(phi) + depth).abs() < 0.6, "{voxel}: {phi} {depth}");
     }
-    assert_eq!(bounds.violation_count(&band.phi), 0);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A plain dense grid of doubles.
 //!
-//! The box is so large that its outermost layer of voxels is far outside: that layer is never changed,
-//! so every voxel that is changed has six neighbours.
+//! The box is so large that its two outermost layers of voxels are far outside. They are never changed,
+//! so every voxel that is changed has two neighbours on every side.
 
 use glam::{DVec3, IVec3};
 
@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3};
 pub(super) struct Grid {
     min: IVec3,
     size: IVec3,
-    /// The places of all voxels but the outermost layer.
+    /// The places of all voxels but the two outermost layers.
     pub(super) interior: Vec<usize>,
 }
 
@@ -24,8 +24,7 @@ impl Grid {
         let min = (low - MARGIN).floor().as_ivec3();
         let max = (high + MARGIN).ceil().as_ivec3();
         let mut grid = Grid { min, size: max - min + IVec3::ONE, interior: Vec::new() };
-        grid.interior =
-            grid.voxels_between(min + IVec3::ONE, max - IVec3::ONE).map(|(_, place)| place).collect();
+        grid.interior = grid.voxels_between(min + 2, max - 2).map(|(_, place)| place).collect();
         grid
     }
 

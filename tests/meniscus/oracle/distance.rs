@@ -44,16 +44,17 @@ impl LevelSet {
 
     /// Replaces φ by the distance to its zero set, keeping the sign; then the bounds hold again.
     pub(super) fn redistance(&mut self) {
-        let (mut distance, mut pinned) = (vec![f64::INFINITY; self.grid.len()], vec![false; self.grid.len()]);
+        let sign = |phi: f64| if phi < 0.0 { -1.0 } else { 1.0 };
+        let mut distance: Vec<f64> = self.phi.iter().map(|&phi| sign(phi) * f64::INFINITY).collect();
+        let mut pinned = vec![false; self.grid.len()];
         for &index in &self.grid.interior {
             if let Some(known) = self.known_distance(index) {
-                (distance[index], pinned[index]) = (known, true);
+                (distance[index], pinned[index]) = (sign(self.phi[index]) * known, true);
             }
         }
         sweep(&self.grid, &mut distance, &pinned, REDISTANCE_SWEEPS);
-        for (phi, distance) in self.phi.iter_mut().zip(distance) {
-            *phi = distance.min(self.half_width) * if *phi < 0.0 { -1.0 } else { 1.0 };
-        }
+        self.phi =
+            distance.iter().map(|distance| distance.clamp(-self.half_width, self.half_width)).collect();
         self.clamp();
     }
 
@@ -90,46 +91,58 @@ fn nearest_distances(grid: &Grid, positions: &[DVec3], reach: f64) -> Vec<f64> {
 /// The signed distance to the union of spheres: told by the nearest centre outside and beside the
 /// surface, swept elsewhere.
 fn signed_distance(grid: &Grid, nearest: &[f64], radius: f64, half_width: f64) -> Vec<f64> {
-    let (mut distance, mut known) = (vec![f64::INFINITY; grid.len()], vec![false; grid.len()]);
+    let side = |nearest: &f64| if *nearest < radius { -f64::INFINITY } else { f64::INFINITY };
+    let mut distance: Vec<f64> = nearest.iter().map(side).collect();
+    let mut known = vec![false; grid.len()];
     for &index in &grid.interior {
         let outside = nearest[index] >= radius;
         let beside = grid.faces(index).as_flattened().iter().any(|&face| nearest[face] >= radius);
         if (outside && nearest[index].is_finite()) || (!outside && beside) {
-            (distance[index], known[index]) = ((nearest[index] - radius).abs(), true);
+            (distance[index], known[index]) = (nearest[index] - radius, true);
         }
     }
     let sweeps = (3f64.sqrt() * half_width).ceil() as usize;
     sweep(grid, &mut distance, &known, sweeps);
-    let signed = |(distance, &nearest): (f64, &f64)| {
-        if nearest < radius { -distance.min(half_width) } else { distance.min(half_width) }
-    };
-    distance.into_iter().zip(nearest).map(signed).collect()
+    distance.into_iter().map(|distance| distance.clamp(-half_width, half_width)).collect()
 }
 
-/// Sweeps distances outward from the voxels where they are known (Zhao 2005), in Jacobi order.
+/// Sweeps signed distances outward from the voxels where they are known, in Jacobi order.
 fn sweep(grid: &Grid, distance: &mut Vec<f64>, known: &[bool], sweep_count: usize) {
     let unknown: Vec<usize> = grid.interior.iter().copied().filter(|&index| !known[index]).collect();
     for _ in 0..sweep_count {
         let mut next = distance.clone();
         for &index in &unknown {
-            let nearer = grid.faces(index).map(|[low, high]| distance[low].min(distance[high]));
-            next[index] = next[index].min(eikonal(nearer));
+            let side = distance[index].signum();
+            let slopes = grid.faces(index).map(|faces| {
+                let [low, high] = faces.map(|face| side * distance[face]);
+                let nearer = if high < low { faces[1] } else { faces[0] };
+                one_sided(low.min(high), side * distance[2 * nearer - index])
+            });
+            next[index] = side * eikonal(slopes);
         }
         *distance = next;
     }
 }
 
-/// The d that solves Σ max(d − neighbour, 0)² = 1, given the nearer neighbour on each axis.
-fn eikonal(mut nearer: [f64; 3]) -> f64 {
-    nearer.sort_by(f64::total_cmp);
-    let [a, b, c] = nearer;
-    let mut solution = a + 1.0;
-    if solution > b {
-        solution = (a + b + (2.0 - (a - b).powi(2)).sqrt()) / 2.0;
-    }
-    if solution > c {
-        let sum = a + b + c;
-        solution = (sum + (sum * sum - 3.0 * (a * a + b * b + c * c - 1.0)).sqrt()) / 3.0;
+/// The slope from the nearer neighbour on an axis, as (d − from) / step. Of second order,
+/// (3 d − 4 near + far) / 2, where the neighbour's neighbour is nearer still.
+fn one_sided(near: f64, far: f64) -> [f64; 2] {
+    if far <= near && near < f64::INFINITY { [(4.0 * near - far) / 3.0, 2.0 / 3.0] } else { [near, 1.0] }
+}
+
+/// The d at which the squares of the slopes add to one, of as many axes as lie below it.
+fn eikonal(mut slopes: [[f64; 2]; 3]) -> f64 {
+    slopes.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let mut solution = f64::INFINITY;
+    // W d² − 2 A d + B = 1
+    let (mut w, mut a, mut b) = (0.0, 0.0, 0.0);
+    for [from, step] in slopes {
+        if solution <= from {
+            break;
+        }
+        let weight = 1.0 / (step * step);
+        (w, a, b) = (w + weight, a + weight * from, b + weight * from * from);
+        solution = (a + (a * a - w * (b - 1.0)).sqrt()) / w;
     }
     solution
 }
