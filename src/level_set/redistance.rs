@@ -88,9 +88,6 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
     }
 }
 
-/// Beside a sign change no voxel is farther than this from the zero set.
-const BESIDE_MAX: f32 = 1.0;
-
 /// Voxels not beside a sign change are pinned up to this distance, if φ is smooth there.
 const PINNED_MAX: f32 = 1.5;
 
@@ -126,15 +123,16 @@ fn pin_row(around: &Neighborhood, row: usize) -> [Option<f32>; 8] {
     let slopes = around.gradient_norm(row);
     std::array::from_fn(|z| {
         let inside = c[z] < 0.0;
-        let beside = [xm[z], xp[z], ym[z], yp[z], zm[z], zp[z]].iter().any(|&n| (n < 0.0) != inside);
-        let distance = c[z].abs() / slopes[z];
-        if beside {
-            // Not 0 / 0: a zero in a flat place is the zero set.
-            Some(if c[z] == 0.0 { 0.0 } else { distance.min(BESIDE_MAX) })
-        } else {
-            (SMOOTH_SLOPES.contains(&slopes[z]) && c[z].abs() < PINNED_MAX && distance < PINNED_MAX)
-                .then_some(distance)
-        }
+        let around = [xm[z], xp[z], ym[z], yp[z], zm[z], zp[z]];
+        let beside = around.iter().any(|&n| (n < 0.0) != inside);
+        // No voxel is farther from the zero set than a neighbour and one; a neighbour across it counts as
+        // on it. So nothing jumps where a neighbour's value passes through zero.
+        let side = if inside { -1.0 } else { 1.0 };
+        let nearest = around.iter().fold(PINNED_MAX, |nearest, &n| nearest.min((side * n).max(0.0)));
+        // Not 0 / 0: a zero in a flat place is the zero set.
+        let distance = if c[z] == 0.0 { 0.0 } else { (c[z].abs() / slopes[z]).min(1.0 + nearest) };
+        let smooth = SMOOTH_SLOPES.contains(&slopes[z]) && c[z].abs() < PINNED_MAX && distance < PINNED_MAX;
+        (beside || smooth).then_some(distance)
     })
 }
 
