@@ -287,3 +287,35 @@ fn solve_upwind([a, b, c]: [OneSided; 3]) -> f32 {
     let more = if two <= c.from { two } else { three };
     if one <= b.from { one } else { more }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the definition, for every row of a leaf and of the leaves beyond its faces.
+    #[test]
+    fn rows_depend_on_rows_within_two_voxels_along_an_axis() {
+        // The leaf itself is 0; the others as its neighbours are listed, by steps of a leaf in x and y.
+        let steps = [(0, 0), (-8, 0), (8, 0), (0, -8), (0, 8), (0, 0), (0, 0)];
+        for (source, (x_step, y_step)) in steps.into_iter().enumerate() {
+            for row in 0..64 {
+                let mut changed = [0; 7];
+                changed[source] = 1 << row;
+                let (x, y) = (x_step + (row >> 3), y_step + (row & 7));
+                let along_axis = |x: i32, y: i32| (x == 0 && y.abs() <= 2) || (y == 0 && x.abs() <= 2);
+                let expected = (0..64)
+                    .filter(|to: &i32| {
+                        let (dx, dy) = (x - (to >> 3), y - (to & 7));
+                        // A row beyond ±z meets only the row that it continues.
+                        if source < 5 { along_axis(dx, dy) } else { dx == 0 && dy == 0 }
+                    })
+                    .fold(0, |rows, to| rows | 1u64 << to);
+                assert_eq!(
+                    dependent_rows(&changed, &[1, 2, 3, 4, 5, 6], 0),
+                    expected,
+                    "leaf {source}, row {row}"
+                );
+            }
+        }
+    }
+}
