@@ -120,7 +120,7 @@ fn particles_outside(bins: &ParticleBins, band: &NarrowBand) -> usize {
     let origins = bins.topology.origins().par_iter().enumerate();
     origins
         .map(|(leaf, &origin)| {
-            bins.in_leaf(leaf).iter().filter(|position| !(phi_at(band, origin, **position) < 0.0)).count()
+            bins.in_leaf(leaf).iter().filter(|position| phi_at(band, origin, **position) >= 0.0).count()
         })
         .sum()
 }

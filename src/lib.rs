@@ -13,6 +13,10 @@
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
 //! by the voxel size h makes every stage free of units. World units appear at both ends only.
 
+pub mod cli;
+
+pub mod pipeline;
+
 pub mod skin;
 
 pub mod report;
@@ -22,6 +26,7 @@ pub mod certify;
 pub mod contour;
 pub mod rasterize;
 pub mod smooth;
+pub mod spacing;
 
 pub mod level_set;
 

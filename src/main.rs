@@ -1,3 +1,7 @@
 //! The meniscus command.
 
-fn main() {}
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    meniscus::cli::run(std::env::args_os())
+}

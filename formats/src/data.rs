@@ -2,6 +2,8 @@
 //!
 //! Everything is a public vector or a borrowed slice; there are no invariants beyond equal lengths.
 
+use crate::error::{Error, Place, Result};
+
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Positions {
@@ -114,6 +116,29 @@ pub struct MeshView<'a> {
     pub triangles: &'a [[u32; 3]],
     /// World position of the point that `positions` are relative to.
     pub origin: [f64; 3],
+}
+
+impl MeshView<'_> {
+    /// Refuses a mesh that no file can hold: unequal lengths, indices of no vertex, numbers that
+    /// are not finite. `format` is named in the error.
+    pub(crate) fn check(&self, format: &'static str) -> Result<()> {
+        let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
+        let (vertices, normals) = (self.positions.len(), self.normals.len());
+        if vertices != normals {
+            return invalid(format!("{normals} normals for {vertices} vertices"));
+        }
+        if let Some(index) = self.triangles.as_flattened().iter().find(|index| **index as usize >= vertices) {
+            return invalid(format!("a triangle with vertex {index} of {vertices}"));
+        }
+        let finite = |numbers: &[f32]| numbers.iter().fold(true, |all, number| all & number.is_finite());
+        if !finite(self.positions.as_flattened()) || !finite(self.normals.as_flattened()) {
+            return invalid("a vertex whose position or normal is not finite".into());
+        }
+        if !self.origin.iter().all(|c| c.is_finite()) {
+            return invalid(format!("an origin at {:?}", self.origin));
+        }
+        Ok(())
+    }
 }
 
 /// A mesh read from a file.

@@ -12,13 +12,18 @@ pub mod bytes;
 pub mod csv;
 pub mod data;
 pub mod error;
+pub mod gltf;
 mod gzip;
+mod le_bytes;
 pub mod limits;
 pub mod names;
+pub mod obj;
 pub mod ply;
 pub mod probe;
+pub mod provenance;
 pub mod scalar;
 mod text;
+pub mod vdb;
 
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,

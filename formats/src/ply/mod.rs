@@ -23,6 +23,7 @@ mod header;
 mod mesh;
 mod read;
 mod rows;
+pub mod write;
 
 pub use header::{Element, Encoding, Header, Property, PropertyType, read_header};
 pub use mesh::read_mesh;

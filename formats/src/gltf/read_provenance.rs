@@ -1,0 +1,103 @@
+//! Finds what made a file in the head of a glTF document, without reading the rest.
+
+use std::fmt;
+
+use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, Visitor};
+
+use super::{CHUNK_JSON, FORMAT, GLB_MAGIC};
+use crate::error::{Error, Place, Result};
+
+/// The JSON chunk of a `.glb`, or as much of it as the head has.
+pub(crate) fn json_of_glb_head(head: &[u8]) -> Result<&[u8]> {
+    const HEADER_BYTES: usize = 12;
+    if !head.starts_with(&GLB_MAGIC) {
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "no GLB header"));
+    }
+    match head.get(HEADER_BYTES..).and_then(|chunk| chunk.split_first_chunk::<8>()) {
+        Some(([a, b, c, d, kind @ ..], json)) if *kind == CHUNK_JSON => {
+            let length = u32::from_le_bytes([*a, *b, *c, *d]) as usize;
+            Ok(&json[..length.min(json.len())])
+        }
+        _ => Err(Error::invalid(FORMAT, Place::Offset(HEADER_BYTES as u64), "the first chunk is not JSON")),
+    }
+}
+
+/// What our writer put into `asset.extras`. `json` may be cut anywhere after that.
+pub(crate) fn read_provenance(json: &[u8]) -> Result<Vec<(String, String)>> {
+    let mut asset = None;
+    let mut deserializer = serde_json::Deserializer::from_slice(json);
+    let outcome = AssetOf(&mut asset).deserialize(&mut deserializer);
+    match (asset, outcome) {
+        // The document was left at its `asset`, which the deserializer takes for an error.
+        (Some(Asset { extras: Some(Extras::Ours { meniscus }) }), _) => Ok(meniscus.0),
+        (Some(_), _) => Ok(Vec::new()),
+        (None, Err(error)) if !error.is_eof() => {
+            Err(Error::invalid(FORMAT, Place::Line(error.line() as u64), error.to_string()))
+        }
+        (None, _) => Ok(Vec::new()),
+    }
+}
+
+#[derive(Deserialize)]
+struct Asset {
+    #[serde(default)]
+    extras: Option<Extras>,
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Extras {
+    Ours { meniscus: Entries },
+    Others(IgnoredAny),
+}
+
+/// Names and values in the order of the file.
+struct Entries(Vec<(String, String)>);
+
+impl<'de> Deserialize<'de> for Entries {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Entries, D::Error> {
+        struct Pairs;
+        impl<'de> Visitor<'de> for Pairs {
+            type Value = Entries;
+            fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+                f.write_str("names and values")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> std::result::Result<Entries, A::Error> {
+                let mut entries = Vec::new();
+                while let Some(entry) = map.next_entry()? {
+                    entries.push(entry);
+                }
+                Ok(Entries(entries))
+            }
+        }
+        deserializer.deserialize_map(Pairs)
+    }
+}
+
+/// Reads a document up to its `asset` and leaves that in the option.
+struct AssetOf<'a>(&'a mut Option<Asset>);
+
+impl<'de> DeserializeSeed<'de> for AssetOf<'_> {
+    type Value = ();
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> std::result::Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de> Visitor<'de> for AssetOf<'_> {
+    type Value = ();
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a glTF document")
+    }
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> std::result::Result<(), A::Error> {
+        while let Some(key) = map.next_key::<String>()? {
+            if key == "asset" {
+                *self.0 = Some(map.next_value()?);
+                return Ok(());
+            }
+            map.next_value::<IgnoredAny>()?;
+        }
+        Ok(())
+    }
+}

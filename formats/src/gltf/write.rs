@@ -1,0 +1,381 @@
+//! Writes a triangle mesh as glTF.
+//!
+//! The vertices are written as they are. Where the scene lies, and which axis is up, is said in the
+//! node: its translation is the mesh's origin in 64 bits, its rotation turns Z up into glTF's Y up.
+
+use std::io::Write;
+
+use base64::engine::general_purpose::STANDARD;
+use base64::write::EncoderWriter;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
+use crate::data::{MeshView, Provenance};
+use crate::error::{Error, Place, Result};
+use crate::le_bytes::{write_f32s, write_u16s, write_u32s};
+use crate::provenance::GENERATOR;
+
+/// The axis that points up in the scene that is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum UpAxis {
+    /// As in glTF itself.
+    #[default]
+    Y,
+    /// The node turns the mesh by −90° about X.
+    Z,
+}
+
+/// How to write a mesh.
+#[derive(Clone, Debug)]
+pub struct WriteOptions {
+    /// Which axis of the mesh points up.
+    pub up: UpAxis,
+    /// The name that programs show.
+    pub name: String,
+}
+
+impl Default for WriteOptions {
+    fn default() -> WriteOptions {
+        WriteOptions { up: UpAxis::Y, name: "surface".into() }
+    }
+}
+
+/// Writes a `.glb` file. A mesh without triangles becomes an empty scene.
+///
+/// # Errors
+///
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] if the file would reach 4 GiB;
+/// [`Error::Invalid`] if the mesh is inconsistent or not finite.
+pub fn write_glb(
+    mesh: &MeshView,
+    options: &WriteOptions,
+    provenance: &Provenance,
+    out: &mut impl Write,
+) -> Result<()> {
+    mesh.check(FORMAT)?;
+    let layout = Layout::of(mesh);
+    let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let bin_bytes = layout.byte_count().next_multiple_of(4);
+    let chunks_bytes = 8 + json.len() as u64 + if bin_bytes == 0 { 0 } else { 8 + bin_bytes };
+    let Ok(total) = u32::try_from(12 + chunks_bytes) else { return Err(too_large(mesh)) };
+
+    out.write_all(&GLB_MAGIC)?;
+    for number in [GLB_VERSION, total] {
+        out.write_all(&number.to_le_bytes())?;
+    }
+    write_chunk_head(json.len() as u64, CHUNK_JSON, out)?;
+    out.write_all(&json)?;
+    if bin_bytes != 0 {
+        write_chunk_head(bin_bytes, CHUNK_BIN, out)?;
+        layout.write_buffer(mesh, out)?;
+        for _ in layout.byte_count()..bin_bytes {
+            out.write_all(&[0])?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes a `.gltf` file, its buffer as a data URI inside it.
+///
+/// # Errors
+///
+/// As [`write_glb`], whose limit of 4 GiB for the buffer holds here too: nothing reads longer strings.
+pub fn write_gltf(
+    mesh: &MeshView,
+    options: &WriteOptions,
+    provenance: &Provenance,
+    out: &mut impl Write,
+) -> Result<()> {
+    const URI: &str = "data:application/octet-stream;base64,";
+    mesh.check(FORMAT)?;
+    let layout = Layout::of(mesh);
+    if u32::try_from(layout.byte_count()).is_err() {
+        return Err(too_large(mesh));
+    }
+    let json = to_json(&Document::new(mesh, &layout, options, provenance, Some(URI)))?;
+    // The URI is the document's last string, and still without its data: that goes in between.
+    let end = match layout.byte_count() {
+        0 => json.len(),
+        _ => json
+            .windows(URI.len())
+            .rposition(|part| part == URI.as_bytes())
+            .map_or(json.len(), |at| at + URI.len()),
+    };
+    out.write_all(&json[..end])?;
+    if end < json.len() {
+        let mut encoder = EncoderWriter::new(&mut *out, &STANDARD);
+        layout.write_buffer(mesh, &mut encoder)?;
+        encoder.finish()?;
+    }
+    out.write_all(&json[end..])?;
+    out.write_all(b"\n")?;
+    Ok(())
+}
+
+fn too_large(mesh: &MeshView) -> Error {
+    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    let what = format!(
+        "{vertices} vertices and {triangles} triangles take 4 GiB or more, which the format cannot hold; \
+         write .ply, or choose a larger voxel size"
+    );
+    Error::too_large(FORMAT, what)
+}
+
+fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Write) -> Result<()> {
+    let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // below the file's size, which fits
+    out.write_all(&length.to_le_bytes())?;
+    out.write_all(&kind)?;
+    Ok(())
+}
+
+fn to_json(document: &Document) -> Result<Vec<u8>> {
+    serde_json::to_vec(document).map_err(|error| Error::invalid(FORMAT, Place::File, error.to_string()))
+}
+
+/// The parts of the buffer: positions, normals, indices, in bytes.
+struct Layout {
+    vector_bytes: u64,
+    index_bytes: u64,
+    index_component: u32,
+}
+
+impl Layout {
+    fn of(mesh: &MeshView) -> Layout {
+        if mesh.triangles.is_empty() {
+            return Layout { vector_bytes: 0, index_bytes: 0, index_component: component::U16 };
+        }
+        // 65535 itself is forbidden as an index, so 65535 vertices are the most for 16 bits.
+        let narrow = mesh.positions.len() <= usize::from(u16::MAX);
+        Layout {
+            vector_bytes: 12 * mesh.positions.len() as u64,
+            index_bytes: 3 * mesh.triangles.len() as u64 * if narrow { 2 } else { 4 },
+            index_component: if narrow { component::U16 } else { component::U32 },
+        }
+    }
+
+    fn byte_count(&self) -> u64 {
+        2 * self.vector_bytes + self.index_bytes
+    }
+
+    fn write_buffer(&self, mesh: &MeshView, out: &mut impl Write) -> Result<()> {
+        write_f32s(mesh.positions.as_flattened(), out)?;
+        write_f32s(mesh.normals.as_flattened(), out)?;
+        let indices = mesh.triangles.as_flattened();
+        if self.index_component == component::U16 {
+            write_u16s(indices, out)
+        } else {
+            write_u32s(indices, out)
+        }
+    }
+}
+
+/// The document, in the order in which it is written: `asset` first, so that what made a file is
+/// found in its head, and `buffers` last, so that the data of a `.gltf` follow everything else.
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Document<'a> {
+    asset: Asset<'a>,
+    scene: usize,
+    scenes: [Scene<'a>; 1],
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    nodes: Vec<Node<'a>>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    meshes: Vec<Mesh<'a>>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    accessors: Vec<Accessor>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    buffer_views: Vec<BufferView>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    buffers: Vec<Buffer>,
+}
+
+#[derive(Serialize)]
+struct Asset<'a> {
+    version: &'static str,
+    generator: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    extras: Option<Extras<'a>>,
+}
+
+#[derive(Serialize)]
+struct Scene<'a> {
+    name: &'a str,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    nodes: Vec<usize>,
+}
+
+#[derive(Serialize)]
+struct Node<'a> {
+    name: &'a str,
+    mesh: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    translation: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rotation: Option<[f64; 4]>,
+}
+
+#[derive(Serialize)]
+struct Mesh<'a> {
+    name: &'a str,
+    primitives: [Primitive; 1],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    extras: Option<Extras<'a>>,
+}
+
+#[derive(Serialize)]
+struct Primitive {
+    attributes: Attributes,
+    indices: usize,
+    mode: u32,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "UPPERCASE")]
+struct Attributes {
+    position: usize,
+    normal: usize,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: usize,
+    component_type: u32,
+    count: usize,
+    r#type: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    min: Option<[f32; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max: Option<[f32; 3]>,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct BufferView {
+    buffer: usize,
+    byte_offset: u64,
+    byte_length: u64,
+    target: u32,
+}
+
+#[derive(Serialize)]
+#[serde(rename_all = "camelCase")]
+struct Buffer {
+    byte_length: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    uri: Option<&'static str>,
+}
+
+/// Our entries, under a name of their own among those of other programs.
+#[derive(Serialize, Clone, Copy)]
+struct Extras<'a> {
+    meniscus: Entries<'a>,
+}
+
+#[derive(Clone, Copy)]
+struct Entries<'a>(&'a Provenance);
+
+impl Serialize for Entries<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.0.len()))?;
+        for (key, value) in self.0 {
+            map.serialize_entry(key, value)?;
+        }
+        map.end()
+    }
+}
+
+impl<'a> Document<'a> {
+    fn new(
+        mesh: &MeshView,
+        layout: &Layout,
+        options: &'a WriteOptions,
+        provenance: &'a Provenance,
+        uri: Option<&'static str>,
+    ) -> Document<'a> {
+        let name = options.name.as_str();
+        let extras = (!provenance.is_empty()).then_some(Extras { meniscus: Entries(provenance) });
+        let mut document = Document {
+            asset: Asset { version: "2.0", generator: GENERATOR, extras },
+            scene: 0,
+            scenes: [Scene { name, nodes: Vec::new() }],
+            nodes: Vec::new(),
+            meshes: Vec::new(),
+            accessors: Vec::new(),
+            buffer_views: Vec::new(),
+            buffers: Vec::new(),
+        };
+        if mesh.triangles.is_empty() {
+            return document; // neither accessors nor buffers may be empty, and an empty node is no use
+        }
+        let attributes = Attributes { position: 0, normal: 1 };
+        let primitive = Primitive { attributes, indices: 2, mode: MODE_TRIANGLES };
+        document.scenes[0].nodes.push(0);
+        document.nodes.push(node(name, mesh.origin, options.up));
+        document.meshes.push(Mesh { name, primitives: [primitive], extras });
+        document.accessors = accessors(mesh, layout);
+        document.buffer_views = layout.views();
+        document.buffers.push(Buffer { byte_length: layout.byte_count(), uri });
+        document
+    }
+}
+
+/// The node places the mesh: first the mesh's origin is added, then Z up becomes Y up. glTF rotates
+/// before it translates, so the translation is the rotated origin.
+fn node(name: &str, origin: [f64; 3], up: UpAxis) -> Node<'_> {
+    const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
+    let [x, y, z] = origin;
+    let (translation, rotation) = match up {
+        UpAxis::Y => (origin, None),
+        UpAxis::Z => ([x, z, 0.0 - y], Some([-HALF_SQRT, 0.0, 0.0, HALF_SQRT])),
+    };
+    Node { name, mesh: 0, translation: (origin != [0.0; 3]).then_some(translation), rotation }
+}
+
+fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for position in mesh.positions {
+        for axis in 0..3 {
+            min[axis] = min[axis].min(position[axis]);
+            max[axis] = max[axis].max(position[axis]);
+        }
+    }
+    let vectors = |buffer_view| Accessor {
+        buffer_view,
+        component_type: component::F32,
+        count: mesh.positions.len(),
+        r#type: "VEC3",
+        min: None,
+        max: None,
+    };
+    vec![
+        Accessor { min: Some(min), max: Some(max), ..vectors(0) },
+        vectors(1),
+        Accessor {
+            buffer_view: 2,
+            component_type: layout.index_component,
+            count: 3 * mesh.triangles.len(),
+            r#type: "SCALAR",
+            min: None,
+            max: None,
+        },
+    ]
+}
+
+impl Layout {
+    fn views(&self) -> Vec<BufferView> {
+        let view =
+            |byte_offset, byte_length, target| BufferView { buffer: 0, byte_offset, byte_length, target };
+        vec![
+            view(0, self.vector_bytes, TARGET_VERTICES),
+            view(self.vector_bytes, self.vector_bytes, TARGET_VERTICES),
+            view(2 * self.vector_bytes, self.index_bytes, TARGET_INDICES),
+        ]
+    }
+}
+
+const MODE_TRIANGLES: u32 = 4;
+const TARGET_VERTICES: u32 = 34962;
+const TARGET_INDICES: u32 = 34963;

@@ -1,0 +1,10 @@
+//! Wavefront OBJ: meshes as text, out and, for a look, in.
+
+mod read;
+mod write;
+
+pub use read::read_mesh;
+pub use write::{WriteOptions, write};
+
+/// The format's name in errors.
+const FORMAT: &str = "OBJ";

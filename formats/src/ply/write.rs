@@ -1,0 +1,75 @@
+//! Writes a triangle mesh as binary little-endian PLY.
+
+use std::io::Write;
+
+use crate::data::{MeshView, Provenance};
+use crate::error::{Error, Result};
+use crate::provenance::{GENERATOR, comments};
+
+const FORMAT: &str = "PLY";
+
+/// Vertices or faces whose bytes are made at once.
+const PIECE: usize = 4096;
+
+/// Writes positions, normals and faces. Positions are floats; if the mesh has an origin, it is
+/// added and they are doubles. Axes are left as they are.
+///
+/// # Errors
+///
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] if vertices cannot be numbered in the signed
+/// 32 bits that readers expect; [`Error::Invalid`] if the mesh is inconsistent or not finite.
+pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
+    mesh.check(FORMAT)?;
+    if i32::try_from(mesh.positions.len()).is_err() {
+        let what = format!("{} vertices; 2³¹ − 1 can be numbered", mesh.positions.len());
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let far = mesh.origin != [0.0; 3];
+    out.write_all(header(mesh, far, provenance).as_bytes())?;
+    write_pieces(mesh.positions.iter().zip(mesh.normals), out, |(position, normal), bytes| {
+        if far {
+            let world = (0..3).map(|axis| mesh.origin[axis] + f64::from(position[axis]));
+            bytes.extend(world.flat_map(f64::to_le_bytes));
+        } else {
+            bytes.extend_from_slice(position.map(f32::to_le_bytes).as_flattened());
+        }
+        bytes.extend_from_slice(normal.map(f32::to_le_bytes).as_flattened());
+    })?;
+    write_pieces(mesh.triangles.iter(), out, |triangle, bytes| {
+        bytes.push(3);
+        bytes.extend_from_slice(triangle.map(u32::to_le_bytes).as_flattened());
+    })
+}
+
+fn header(mesh: &MeshView, far: bool, provenance: &Provenance) -> String {
+    let real = if far { "double" } else { "float" };
+    let mut header = format!("ply\nformat binary_little_endian 1.0\ncomment {GENERATOR}\n");
+    header += &comments(provenance, "comment ");
+    header += &format!("element vertex {}\n", mesh.positions.len());
+    for name in ["x", "y", "z"] {
+        header += &format!("property {real} {name}\n");
+    }
+    for name in ["nx", "ny", "nz"] {
+        header += &format!("property float {name}\n");
+    }
+    header += &format!("element face {}\nproperty list uchar int vertex_indices\n", mesh.triangles.len());
+    header + "end_header\n"
+}
+
+/// Writes what `append` makes of each item, many items at a time.
+fn write_pieces<T>(
+    items: impl Iterator<Item = T>,
+    out: &mut impl Write,
+    append: impl Fn(T, &mut Vec<u8>),
+) -> Result<()> {
+    let mut bytes = Vec::new();
+    for (index, item) in items.enumerate() {
+        append(item, &mut bytes);
+        if (index + 1) % PIECE == 0 {
+            out.write_all(&bytes)?;
+            bytes.clear();
+        }
+    }
+    out.write_all(&bytes)?;
+    Ok(())
+}

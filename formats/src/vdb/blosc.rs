@@ -1,0 +1,318 @@
+//! Blosc 1 frames: how OpenVDB packs the values of a node.
+//!
+//! Byte k of all elements is put side by side (the shuffle), since sign and exponent bytes repeat
+//! where mantissa bytes do not; each such stream is then compressed with LZ4 by itself.
+//!
+//! ```text
+//!   0        1        2        3         4        8           12
+//!   version  version  flags    typesize  bytes    block size  frame size   16-byte header
+//!            of codec                    u32      u32         u32
+//!   u32 start of each block, from the start of the frame
+//!   per block: per stream: i32 size, then that many bytes (size = the stream's own: stored raw)
+//! ```
+//!
+//! A block is split in `typesize` streams only if the flag "not split" is clear, `typesize` ≤ 16,
+//! a block has at least 128 elements, and it is not the short last block. A decoder that follows
+//! these rules cannot read what an encoder splits against them, so both sides ask [`is_split`].
+//!
+//! This work is based on:
+//! the header description in c-blosc's README_HEADER
+
+use super::cursor::u32_at;
+
+const SHUFFLED: u8 = 0x01;
+const STORED: u8 = 0x02;
+const BITS_SHUFFLED: u8 = 0x04;
+const NOT_SPLIT: u8 = 0x10;
+const CODEC_SHIFT: u8 = 5;
+const CODEC_LZ4: u8 = 1;
+const CODEC_ZLIB: u8 = 3;
+
+const HEADER_BYTES: usize = 16;
+/// Below this many bytes OpenVDB's own frames are stored too: headers would eat the gain.
+const BYTES_MIN: usize = 128;
+const SPLIT_ELEMENTS_MIN: usize = 128;
+const SPLIT_TYPESIZE_MAX: usize = 16;
+
+/// Why a frame was not decoded; the caller knows where in the file it lies.
+#[derive(Debug)]
+pub(super) enum FrameError {
+    Invalid(String),
+    Unsupported(String),
+}
+
+/// Memory that is kept from one frame to the next.
+pub(super) struct Encoder {
+    shuffled: Vec<u8>,
+    table: lz4_flex::block::CompressTable,
+}
+
+impl Encoder {
+    pub(super) fn new() -> Encoder {
+        Encoder { shuffled: Vec::new(), table: lz4_flex::block::CompressTable::small() }
+    }
+
+    /// Appends `bytes`, elements of `typesize` bytes, as one frame of one block. Returns whether
+    /// that saves anything; if not, `out` is as before and the bytes are better stored raw.
+    pub(super) fn append_frame(&mut self, bytes: &[u8], typesize: u8, out: &mut Vec<u8>) -> bool {
+        let Ok(byte_count) = u32::try_from(bytes.len()) else { return false };
+        if bytes.len() < BYTES_MIN {
+            return false;
+        }
+        let start = out.len();
+        let stream_count = usize::from(typesize);
+        let split = bytes.len().is_multiple_of(stream_count) && is_split(stream_count, bytes.len());
+        let flags = CODEC_LZ4 << CODEC_SHIFT | SHUFFLED | if split { 0 } else { NOT_SPLIT };
+        out.extend_from_slice(&[2, 1, flags, typesize]);
+        out.extend_from_slice(&byte_count.to_le_bytes());
+        out.extend_from_slice(&byte_count.to_le_bytes());
+        out.extend_from_slice(&[0; 4]); // the frame's size, known at the end
+        out.extend_from_slice(&20u32.to_le_bytes());
+
+        let mut shuffled = std::mem::take(&mut self.shuffled);
+        shuffle(bytes, stream_count, &mut shuffled);
+        let stream_bytes = if split { bytes.len() / stream_count } else { bytes.len() };
+        for stream in shuffled.chunks(stream_bytes) {
+            self.append_stream(stream, out);
+        }
+        self.shuffled = shuffled;
+
+        match u32::try_from(out.len() - start) {
+            Ok(frame_bytes) if frame_bytes < byte_count => {
+                out[start + 12..start + 16].copy_from_slice(&frame_bytes.to_le_bytes());
+                true
+            }
+            _ => {
+                out.truncate(start);
+                false
+            }
+        }
+    }
+
+    fn append_stream(&mut self, stream: &[u8], out: &mut Vec<u8>) {
+        let start = out.len();
+        let body = start + 4;
+        out.resize(body + lz4_flex::block::get_maximum_output_size(stream.len()), 0);
+        let packed = lz4_flex::block::compress_into_with_table(stream, &mut out[body..], &mut self.table);
+        let size = match packed {
+            Ok(size) if size < stream.len() => size,
+            _ => {
+                out[body..body + stream.len()].copy_from_slice(stream);
+                stream.len()
+            }
+        };
+        out.truncate(body + size);
+        let size = i32::try_from(size).unwrap_or(i32::MAX); // streams are parts of a node: a few KiB
+        out[start..body].copy_from_slice(&size.to_le_bytes());
+    }
+}
+
+/// Decodes a frame that must fill `out` exactly.
+pub(super) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameError> {
+    let invalid = |what: String| Err(FrameError::Invalid(what));
+    if frame.len() < HEADER_BYTES {
+        return invalid(format!("a Blosc frame of {} bytes, shorter than its header", frame.len()));
+    }
+    let (version, flags, typesize) = (frame[0], frame[2], usize::from(frame[3]));
+    let byte_count = u32_at(frame, 4) as usize;
+    let block_bytes = u32_at(frame, 8) as usize;
+    let frame_bytes = u32_at(frame, 12) as usize;
+    if version != 2 {
+        return Err(FrameError::Unsupported(format!("Blosc frame version {version}; only 2 is read")));
+    }
+    if byte_count != out.len() || frame_bytes > frame.len() {
+        return invalid(format!(
+            "a Blosc frame of {frame_bytes} bytes for {byte_count} values' bytes; {} and {} are expected",
+            frame.len(),
+            out.len()
+        ));
+    }
+    if flags & STORED != 0 {
+        let Some(stored) = frame.get(HEADER_BYTES..HEADER_BYTES + byte_count) else {
+            return invalid("a stored Blosc frame that ends too soon".into());
+        };
+        out.copy_from_slice(stored);
+        return Ok(());
+    }
+    if flags & BITS_SHUFFLED != 0 {
+        return Err(FrameError::Unsupported(
+            "Blosc with bit shuffle; rewrite the file with byte shuffle".into(),
+        ));
+    }
+    if out.is_empty() {
+        return Ok(());
+    }
+    if typesize == 0
+        || block_bytes == 0
+        || byte_count.div_ceil(block_bytes) > (frame.len() - HEADER_BYTES) / 4
+    {
+        return invalid(format!(
+            "a Blosc frame with elements of {typesize} and blocks of {block_bytes} bytes"
+        ));
+    }
+    let mut block = Vec::new();
+    for (index, part) in out.chunks_mut(block_bytes).enumerate() {
+        let start = u32_at(frame, HEADER_BYTES + 4 * index) as usize;
+        let split = flags & NOT_SPLIT == 0 && part.len() == block_bytes && is_split(typesize, block_bytes);
+        let Some(bytes) = frame.get(start..) else {
+            return invalid(format!("a Blosc block starting at byte {start} of its frame"));
+        };
+        block.resize(part.len(), 0);
+        decode_block(bytes, flags >> CODEC_SHIFT, if split { typesize } else { 1 }, &mut block)?;
+        if flags & SHUFFLED != 0 && typesize > 1 {
+            unshuffle(&block, typesize, part);
+        } else {
+            part.copy_from_slice(&block);
+        }
+    }
+    Ok(())
+}
+
+fn decode_block(mut bytes: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<(), FrameError> {
+    let invalid = |what: &str| Err(FrameError::Invalid(what.into()));
+    if !out.len().is_multiple_of(stream_count) {
+        return invalid("a Blosc block that does not divide into its streams");
+    }
+    let stream_bytes = out.len() / stream_count;
+    for stream in out.chunks_mut(stream_bytes) {
+        let Some((size, rest)) = bytes.split_first_chunk::<4>() else {
+            return invalid("a Blosc block that ends before the size of a stream");
+        };
+        let size = u32::from_le_bytes(*size) as usize;
+        if size > rest.len() {
+            return invalid("a Blosc stream that ends after its frame");
+        }
+        let (packed, rest) = rest.split_at(size);
+        bytes = rest;
+        if size == stream.len() {
+            stream.copy_from_slice(packed);
+            continue;
+        }
+        let unpacked = match codec {
+            CODEC_LZ4 => lz4_flex::block::decompress_into(packed, stream).ok(),
+            CODEC_ZLIB => inflate_into(packed, stream),
+            other => return Err(FrameError::Unsupported(unsupported_codec(other))),
+        };
+        if unpacked != Some(stream.len()) {
+            return invalid("a Blosc stream that does not decompress to its size");
+        }
+    }
+    Ok(())
+}
+
+/// Whether a full block is cut into one stream per byte of its elements.
+fn is_split(typesize: usize, block_bytes: usize) -> bool {
+    typesize <= SPLIT_TYPESIZE_MAX && block_bytes / typesize >= SPLIT_ELEMENTS_MIN
+}
+
+/// Decompresses a zlib stream into `out`; the number of bytes, or none if it is broken or larger.
+pub(super) fn inflate_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
+    let mut inflater = flate2::Decompress::new(true);
+    match inflater.decompress(packed, out, flate2::FlushDecompress::Finish) {
+        Ok(flate2::Status::StreamEnd) => usize::try_from(inflater.total_out()).ok(),
+        _ => None,
+    }
+}
+
+fn unsupported_codec(codec: u8) -> String {
+    let name = match codec {
+        0 => "BloscLZ",
+        2 => "Snappy",
+        4 => "Zstandard",
+        _ => "unknown",
+    };
+    format!("Blosc with the {name} codec; rewrite the file with LZ4, as OpenVDB itself does")
+}
+
+fn shuffle(bytes: &[u8], typesize: usize, out: &mut Vec<u8>) {
+    out.resize(bytes.len(), 0);
+    let count = bytes.len() / typesize;
+    match typesize {
+        2 => shuffle_elements::<2>(bytes, count, out),
+        4 => shuffle_elements::<4>(bytes, count, out),
+        _ => {
+            for (index, element) in bytes.chunks_exact(typesize).enumerate() {
+                for (k, &byte) in element.iter().enumerate() {
+                    out[k * count + index] = byte;
+                }
+            }
+        }
+    }
+    let whole = count * typesize;
+    out[whole..].copy_from_slice(&bytes[whole..]);
+}
+
+/// The sizes that we write, with the size known to the compiler: several times faster.
+fn shuffle_elements<const N: usize>(bytes: &[u8], count: usize, out: &mut [u8]) {
+    let (elements, _) = bytes.as_chunks::<N>();
+    for (k, stream) in out.chunks_exact_mut(count).take(N).enumerate() {
+        for (byte, element) in stream.iter_mut().zip(elements) {
+            *byte = element[k];
+        }
+    }
+}
+
+fn unshuffle(shuffled: &[u8], typesize: usize, out: &mut [u8]) {
+    let count = shuffled.len() / typesize;
+    for (index, element) in out.chunks_exact_mut(typesize).enumerate() {
+        for (k, byte) in element.iter_mut().enumerate() {
+            *byte = shuffled[k * count + index];
+        }
+    }
+    let whole = count * typesize;
+    out[whole..].copy_from_slice(&shuffled[whole..]);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn distances(count: usize) -> Vec<u8> {
+        (0..count).flat_map(|i| ((i as f32 * 0.37).sin() * 0.3).to_le_bytes()).collect()
+    }
+
+    #[test]
+    fn every_length_comes_back() {
+        let mut encoder = Encoder::new();
+        for count in 1..2000 {
+            for typesize in [2, 4] {
+                let bytes = distances(count);
+                let mut frame = vec![7];
+                if !encoder.append_frame(&bytes, typesize, &mut frame) {
+                    assert_eq!(frame, [7]);
+                    continue;
+                }
+                let mut back = vec![0; bytes.len()];
+                decode_frame(&frame[1..], &mut back).expect("own frame");
+                assert_eq!(back, bytes, "{count} floats");
+            }
+        }
+    }
+
+    #[test]
+    fn split_follows_the_length() {
+        let mut encoder = Encoder::new();
+        for (count, flags) in [(64, 0x31), (127, 0x31), (128, 0x21), (512, 0x21)] {
+            let mut frame = Vec::new();
+            assert!(encoder.append_frame(&vec![1; count * 4], 4, &mut frame));
+            assert_eq!(frame[2], flags, "{count} floats");
+        }
+        assert!(!encoder.append_frame(&[1; 124], 4, &mut Vec::new()));
+    }
+
+    #[test]
+    fn broken_frames_are_errors() {
+        let bytes = distances(300);
+        let mut frame = Vec::new();
+        assert!(Encoder::new().append_frame(&bytes, 4, &mut frame));
+        let mut back = vec![0; bytes.len()];
+        for length in 0..frame.len() {
+            assert!(decode_frame(&frame[..length], &mut back).is_err());
+        }
+        for bit in 0..frame.len() * 8 {
+            let mut broken = frame.clone();
+            broken[bit / 8] ^= 1 << (bit % 8);
+            let _ = decode_frame(&broken, &mut back);
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Little-endian bytes with a position, and errors that name it.
+
+use super::FORMAT;
+use crate::error::{Error, Place, Result};
+
+/// A read position in a file; reading past the end is an error that tells what was being read.
+#[derive(Clone, Copy)]
+pub(super) struct Cursor<'a> {
+    bytes: &'a [u8],
+    position: usize,
+}
+
+impl<'a> Cursor<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Cursor<'a> {
+        Cursor { bytes, position: 0 }
+    }
+
+    pub(super) fn position(&self) -> usize {
+        self.position
+    }
+
+    pub(super) fn remaining(&self) -> usize {
+        self.bytes.len() - self.position
+    }
+
+    /// Jumps to an absolute position.
+    pub(super) fn seek(&mut self, position: u64, what: &str) -> Result<()> {
+        match usize::try_from(position) {
+            Ok(position) if position <= self.bytes.len() => {
+                self.position = position;
+                Ok(())
+            }
+            _ => Err(self.error(format!("{what} at byte {position}, beyond the end {}", self.bytes.len()))),
+        }
+    }
+
+    pub(super) fn take(&mut self, count: usize, what: &str) -> Result<&'a [u8]> {
+        if count > self.remaining() {
+            return Err(
+                self.error(format!("{what} needs {count} bytes, but only {} remain", self.remaining()))
+            );
+        }
+        let taken = &self.bytes[self.position..self.position + count];
+        self.position += count;
+        Ok(taken)
+    }
+
+    pub(super) fn array<const N: usize>(&mut self, what: &str) -> Result<[u8; N]> {
+        let mut array = [0; N];
+        array.copy_from_slice(self.take(N, what)?);
+        Ok(array)
+    }
+
+    pub(super) fn u8(&mut self, what: &str) -> Result<u8> {
+        Ok(self.array::<1>(what)?[0])
+    }
+
+    pub(super) fn u32(&mut self, what: &str) -> Result<u32> {
+        Ok(u32::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn i32(&mut self, what: &str) -> Result<i32> {
+        Ok(i32::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn i64(&mut self, what: &str) -> Result<i64> {
+        Ok(i64::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn f32(&mut self, what: &str) -> Result<f32> {
+        Ok(f32::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn f64(&mut self, what: &str) -> Result<f64> {
+        Ok(f64::from_le_bytes(self.array(what)?))
+    }
+
+    pub(super) fn coord(&mut self, what: &str) -> Result<[i32; 3]> {
+        Ok([self.i32(what)?, self.i32(what)?, self.i32(what)?])
+    }
+
+    /// A u32 length and as many bytes; what is not UTF-8 is replaced, for names are shown only.
+    pub(super) fn string(&mut self, what: &str) -> Result<String> {
+        let length = self.u32(what)? as usize;
+        Ok(String::from_utf8_lossy(self.take(length, what)?).into_owned())
+    }
+
+    /// A bit mask in words of 64, the least significant bit first.
+    pub(super) fn mask(&mut self, word_count: usize, what: &str) -> Result<Vec<u64>> {
+        let bytes = self.take(word_count * 8, what)?;
+        Ok(bytes.as_chunks::<8>().0.iter().map(|&word| u64::from_le_bytes(word)).collect())
+    }
+
+    /// An error at the current position.
+    pub(super) fn error(&self, what: impl Into<String>) -> Error {
+        Error::invalid(FORMAT, Place::Offset(self.position as u64), what)
+    }
+}
+
+/// The u32 at a position that is known to be there.
+pub(super) fn u32_at(bytes: &[u8], position: usize) -> u32 {
+    u32::from_le_bytes([bytes[position], bytes[position + 1], bytes[position + 2], bytes[position + 3]])
+}

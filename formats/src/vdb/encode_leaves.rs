@@ -1,0 +1,213 @@
+//! Leaves of distances to the bytes of a file, in parallel.
+//!
+//! Each leaf is scaled to world units, divided into active and inactive voxels, and packed by
+//! itself. A batch of leaves is one task and one allocation; batches are joined in order, so the
+//! bytes do not depend on how many threads there are.
+
+use half::f16;
+use rayon::prelude::*;
+
+use super::Compression;
+use super::blosc::Encoder;
+use super::layout::inactive;
+use super::uuid::{Digest, digest};
+
+/// Leaves that are encoded as one task: large enough to hide its cost, small enough to share.
+const LEAVES_PER_BATCH: usize = 128;
+
+/// Bit z = 0 and bit z = 7 of every row of a mask word.
+const LOW_FACE: u64 = 0x0101_0101_0101_0101;
+const HIGH_FACE: u64 = LOW_FACE << 7;
+
+/// How to encode.
+#[derive(Clone, Copy)]
+pub(super) struct Encoding {
+    /// World units per unit of the values.
+    pub(super) scale: f64,
+    /// The background, world units; a half if `half`.
+    pub(super) background: f32,
+    pub(super) half: bool,
+    pub(super) compression: Compression,
+}
+
+/// What the tree must know of a leaf.
+#[derive(Clone, Copy)]
+pub(super) struct LeafSummary {
+    /// The active voxels. None: the leaf is not written.
+    pub(super) active: [u64; 8],
+    /// Whether most of all its voxels, of those at z = 0, and of those at z = 7 are negative.
+    pub(super) inside: bool,
+    pub(super) low_inside: bool,
+    pub(super) high_inside: bool,
+    /// Whether a value is not a number.
+    pub(super) has_nan: bool,
+}
+
+impl LeafSummary {
+    pub(super) fn is_stored(&self) -> bool {
+        self.active != [0; 8]
+    }
+}
+
+/// Leaves that were encoded together.
+pub(super) struct Batch {
+    pub(super) summaries: Vec<LeafSummary>,
+    /// The buffers of the leaves with active voxels, one after the other.
+    pub(super) bytes: Vec<u8>,
+    pub(super) digest: Digest,
+}
+
+/// Encodes the leaves in the order of the indices.
+pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Encoding) -> Vec<Batch> {
+    order
+        .par_chunks(LEAVES_PER_BATCH)
+        .map(|indices| {
+            let mut encoder = LeafEncoder::new(encoding);
+            let mut bytes = Vec::new();
+            let summaries =
+                indices.iter().map(|&index| encoder.append(&leaves[index as usize], &mut bytes)).collect();
+            let digest = digest(&bytes);
+            Batch { summaries, bytes, digest }
+        })
+        .collect()
+}
+
+/// Encodes one leaf after the other, with memory of its own.
+struct LeafEncoder {
+    encoding: Encoding,
+    world: [f32; 512],
+    chunk: Vec<u8>,
+    blosc: Encoder,
+}
+
+impl LeafEncoder {
+    fn new(encoding: Encoding) -> LeafEncoder {
+        LeafEncoder { encoding, world: [0.0; 512], chunk: Vec::with_capacity(2048), blosc: Encoder::new() }
+    }
+
+    fn append(&mut self, leaf: &[f32; 512], out: &mut Vec<u8>) -> LeafSummary {
+        self.scale(leaf);
+        let (active, negative) = self.classify();
+        let summary = LeafSummary {
+            active,
+            inside: negative.iter().map(|word| word.count_ones()).sum::<u32>() > 256,
+            low_inside: negative.iter().map(|word| (word & LOW_FACE).count_ones()).sum::<u32>() > 32,
+            high_inside: negative.iter().map(|word| (word & HIGH_FACE).count_ones()).sum::<u32>() > 32,
+            has_nan: self.world.iter().fold(false, |any, value| any | value.is_nan()),
+        };
+        if summary.is_stored() {
+            for word in active {
+                out.extend_from_slice(&word.to_le_bytes());
+            }
+            self.append_values(&active, &negative, out);
+        }
+        summary
+    }
+
+    /// Distances in world units, rounded as they will be stored.
+    fn scale(&mut self, leaf: &[f32; 512]) {
+        for (world, &value) in self.world.iter_mut().zip(leaf) {
+            *world = to_world(value, self.encoding.scale);
+        }
+        if self.encoding.half {
+            for world in &mut self.world {
+                *world = f16::from_f32(*world).to_f32();
+            }
+        }
+    }
+
+    /// The masks of the voxels with |φ| < background, and of those with φ < 0.
+    fn classify(&self) -> ([u64; 8], [u64; 8]) {
+        let background = self.encoding.background;
+        let (mut active, mut negative) = ([0u64; 8], [0u64; 8]);
+        let (bytes, _) = self.world.as_chunks::<8>();
+        for (row, values) in bytes.iter().enumerate() {
+            let (mut active_row, mut negative_row) = (0u8, 0u8);
+            for (z, value) in values.iter().enumerate() {
+                active_row |= u8::from(value.abs() < background) << z;
+                negative_row |= u8::from(*value < 0.0) << z;
+            }
+            active[row >> 3] |= u64::from(active_row) << ((row & 7) * 8);
+            negative[row >> 3] |= u64::from(negative_row) << ((row & 7) * 8);
+        }
+        (active, negative)
+    }
+
+    fn append_values(&mut self, active: &[u64; 8], negative: &[u64; 8], out: &mut Vec<u8>) {
+        let Encoding { background, half, compression, .. } = self.encoding;
+        if compression == Compression::None {
+            out.push(inactive::ALL_VALUES);
+            for value in &mut self.world {
+                *value = value.clamp(-background, background);
+            }
+            push_values(&self.world, half, out);
+            return;
+        }
+        append_inactive(active, negative, out);
+        self.chunk.clear();
+        self.gather_active(active);
+        if compression == Compression::ActiveMask {
+            out.extend_from_slice(&self.chunk);
+            return;
+        }
+        let prefix = out.len();
+        out.extend_from_slice(&[0; 8]);
+        let typesize = if half { 2 } else { 4 };
+        let size = if self.blosc.append_frame(&self.chunk, typesize, out) {
+            (out.len() - prefix - 8) as i64
+        } else {
+            out.extend_from_slice(&self.chunk);
+            -(self.chunk.len() as i64)
+        };
+        out[prefix..prefix + 8].copy_from_slice(&size.to_le_bytes());
+    }
+
+    /// The values of the active voxels, packed to the front and written as bytes.
+    fn gather_active(&mut self, active: &[u64; 8]) {
+        let mut packed = [0.0; 512];
+        let mut count = 0;
+        for (values, &word) in self.world.as_chunks::<64>().0.iter().zip(active) {
+            for (bit, &value) in values.iter().enumerate() {
+                packed[count & 511] = value; // written always, kept if active: no branch to mispredict
+                count += (word >> bit & 1) as usize;
+            }
+        }
+        push_values(&packed[..count], self.encoding.half, &mut self.chunk);
+    }
+}
+
+/// The stored distance of a value in voxels. The background is computed so too: rounding is
+/// monotonic, hence what is beyond the half width cannot come out below the background.
+pub(super) fn to_world(value: f32, scale: f64) -> f32 {
+    #[expect(clippy::cast_possible_truncation, reason = "rounded to the precision of the file")]
+    let world = (f64::from(value) * scale) as f32;
+    world
+}
+
+/// What the slots that are not `occupied` hold: + background, or − where `negative`.
+pub(super) fn append_inactive(occupied: &[u64], negative: &[u64], out: &mut Vec<u8>) {
+    let words = || occupied.iter().zip(negative);
+    if words().all(|(occupied, negative)| !occupied & negative == 0) {
+        out.push(inactive::PLUS_BACKGROUND);
+    } else if words().all(|(occupied, negative)| !occupied & !negative == 0) {
+        out.push(inactive::MINUS_BACKGROUND);
+    } else {
+        out.push(inactive::MASK_OF_BACKGROUNDS);
+        for (occupied, negative) in words() {
+            out.extend_from_slice(&(!occupied & !negative).to_le_bytes());
+        }
+    }
+}
+
+/// Values as the file stores them.
+pub(super) fn push_values(values: &[f32], half: bool, out: &mut Vec<u8>) {
+    if half {
+        out.extend(values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()));
+    } else {
+        let start = out.len();
+        out.resize(start + 4 * values.len(), 0);
+        for (bytes, value) in out[start..].as_chunks_mut::<4>().0.iter_mut().zip(values) {
+            *bytes = value.to_le_bytes();
+        }
+    }
+}

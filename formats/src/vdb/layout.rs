@@ -1,0 +1,83 @@
+//! The numbers of the file format that writer and reader share.
+
+/// The first eight bytes of a file.
+pub(super) const MAGIC: [u8; 8] = *b"\x20BDV\0\0\0\0";
+/// The file version that is written: read silently by every OpenVDB since 4.
+pub(super) const VERSION_WRITTEN: u32 = 224;
+/// The file versions that are read.
+pub(super) const VERSIONS_READ: std::ops::RangeInclusive<u32> = 222..=225;
+/// The version of OpenVDB whose layout is written.
+pub(super) const LIBRARY_VERSION: [u32; 2] = [10, 0];
+pub(super) const UUID_BYTES: usize = 36;
+
+pub(super) const TYPE_FLOAT: &str = "Tree_float_5_4_3";
+pub(super) const HALF_SUFFIX: &str = "_HalfFloat";
+pub(super) const META_HALF: &str = "is_saved_as_half_float";
+
+/// Bits of the compression word of a grid.
+pub(super) const COMPRESS_ZIP: u32 = 1;
+pub(super) const COMPRESS_ACTIVE_MASK: u32 = 2;
+pub(super) const COMPRESS_BLOSC: u32 = 4;
+
+/// The first byte of a block of values: what its inactive slots hold.
+pub(super) mod inactive {
+    /// + background, or there are none.
+    pub(in crate::vdb) const PLUS_BACKGROUND: u8 = 0;
+    /// − background.
+    pub(in crate::vdb) const MINUS_BACKGROUND: u8 = 1;
+    /// One value, which follows.
+    pub(in crate::vdb) const ONE_VALUE: u8 = 2;
+    /// A mask follows: on for + background, off for − background.
+    pub(in crate::vdb) const MASK_OF_BACKGROUNDS: u8 = 3;
+    /// A value and a mask follow: on for + background, off for the value.
+    pub(in crate::vdb) const MASK_AND_ONE_VALUE: u8 = 4;
+    /// Two values and a mask follow: on for the second, off for the first.
+    pub(in crate::vdb) const MASK_AND_TWO_VALUES: u8 = 5;
+    /// Every slot's value is stored.
+    pub(in crate::vdb) const ALL_VALUES: u8 = 6;
+}
+
+/// Log2 of the slots along an edge of a leaf, a lower and an upper internal node.
+pub(super) const LEAF_LOG2: u32 = 3;
+pub(super) const NODE4_LOG2: u32 = 4;
+pub(super) const NODE5_LOG2: u32 = 5;
+
+/// Log2 of the voxels along an edge of a lower and an upper internal node.
+pub(super) const NODE4_VOXELS_LOG2: u32 = LEAF_LOG2 + NODE4_LOG2;
+pub(super) const NODE5_VOXELS_LOG2: u32 = NODE4_VOXELS_LOG2 + NODE5_LOG2;
+
+/// The slot, z fastest, of a child in its parent; `coord` counts children from the world's origin.
+pub(super) fn slot_of(coord: [i32; 3], log2: u32) -> usize {
+    let mask = (1 << log2) - 1;
+    let [x, y, z] = coord.map(|c| (c & mask) as usize);
+    x << (2 * log2) | y << log2 | z
+}
+
+/// The child in a slot, relative to its parent.
+pub(super) fn slot_coord(slot: usize, log2: u32) -> [i32; 3] {
+    let mask = (1 << log2) - 1;
+    #[expect(clippy::cast_possible_truncation, reason = "masked to five bits at most")]
+    let coord = [slot >> (2 * log2), slot >> log2, slot].map(|c| (c & mask) as i32);
+    coord
+}
+
+/// The slots that are on in a mask, in order.
+pub(super) fn ones(mask: &[u64]) -> impl Iterator<Item = usize> + '_ {
+    mask.iter().enumerate().flat_map(|(index, &word)| {
+        std::iter::successors((word != 0).then_some(word), |&rest| {
+            let rest = rest & (rest - 1);
+            (rest != 0).then_some(rest)
+        })
+        .map(move |rest| index * 64 + rest.trailing_zeros() as usize)
+    })
+}
+
+/// The number of slots that are on.
+pub(super) fn count_ones(mask: &[u64]) -> usize {
+    mask.iter().map(|word| word.count_ones() as usize).sum()
+}
+
+/// Whether a slot is on.
+pub(super) fn is_on(mask: &[u64], slot: usize) -> bool {
+    mask[slot >> 6] >> (slot & 63) & 1 == 1
+}

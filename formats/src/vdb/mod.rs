@@ -1,0 +1,55 @@
+//! OpenVDB files: level sets out, and float grids in.
+//!
+//! ```text
+//!   header      magic, version 224, UUID, metadata of the file, number of grids
+//!   descriptor  name, Tree_float_5_4_3[_HalfFloat], three file offsets      ┐
+//!   grid        compression, metadata, transform                            │ per
+//!   topology    root ─▶ nodes of 32³ ─▶ nodes of 16³ ─▶ masks of 8³ leaves  │ grid
+//!   buffers     per leaf in the same order: mask, values                    ┘
+//!
+//!   voxels across:  root child 4096 = 32 · 128,   128 = 16 · 8,   leaf 8
+//! ```
+//!
+//! A node stores one value per slot; where a slot has no child that value, a *tile*, holds for all
+//! voxels under it. A level set is a float grid whose background is the half width of its band,
+//! whose voxels are active exactly where |φ| is less, and whose inactive voxels and tiles are
+//! exactly + background outside and − background inside.
+//!
+//! The writer is our own, since no crate writes these files that is more than a first release; the
+//! reader is our own, since the one crate that is older loses the sign of inactive voxels.
+//!
+//! This work is based on:
+//! the file format of OpenVDB 10, <https://www.openvdb.org>
+
+mod blosc;
+mod cursor;
+mod encode_leaves;
+mod layout;
+mod metadata;
+mod read;
+mod read_tree;
+mod sign_flood;
+mod uuid;
+mod write;
+
+pub use metadata::MetaValue;
+pub use read::{GridInfo, Transform, grids, read_level_set};
+pub use read_tree::{LevelSetData, Tile};
+pub use write::{WriteOptions, write};
+
+pub(crate) use read::first_grid_metadata;
+
+/// The format's name in errors.
+const FORMAT: &str = "OpenVDB";
+
+/// How values are packed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Compression {
+    /// All values of each leaf, as they are.
+    None,
+    /// Only the values of active voxels.
+    ActiveMask,
+    /// Only the values of active voxels, in Blosc frames with LZ4: what OpenVDB does by default.
+    #[default]
+    Blosc,
+}

@@ -1,0 +1,291 @@
+//! Reads what grids an OpenVDB file holds, and finds the one to read.
+//!
+//! Grids of any type are listed, as long as their place in the file is known: a file with offsets
+//! tells where each ends; a stream without offsets does not, and only float grids can be read past.
+
+use super::FORMAT;
+use super::cursor::Cursor;
+use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, UUID_BYTES, VERSIONS_READ};
+use super::metadata::{MetaValue, read_metadata};
+use super::read_tree::{Budget, LevelSetData, Storage, read_tree};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+/// What a file says of one of its grids.
+#[derive(Clone, Debug)]
+pub struct GridInfo {
+    /// The name that users see.
+    pub name: String,
+    /// The type of the tree, such as `Tree_float_5_4_3`.
+    pub type_name: String,
+    /// Whether reals are stored in 16 bits.
+    pub half: bool,
+    /// `level set`, `fog volume`, `staggered`, or whatever the file says; empty if nothing.
+    pub class: String,
+    /// From voxels to the world; none if the map is of a kind that is not read.
+    pub transform: Option<Transform>,
+    /// The least and the greatest active voxel, if the file says and any is active.
+    pub active_bounds: Option<([i32; 3], [i32; 3])>,
+    /// How many voxels are active, if the file says.
+    pub active_voxel_count: Option<u64>,
+    /// Everything else that the file says of the grid, and what the above was taken from.
+    pub metadata: Vec<(String, MetaValue)>,
+}
+
+/// An affine map: voxel (i, j, k) is centred on `translation + i·axes[0] + j·axes[1] + k·axes[2]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Transform {
+    /// Steps from a voxel to the next one along each index, world units.
+    pub axes: [[f64; 3]; 3],
+    /// World position of voxel (0, 0, 0).
+    pub translation: [f64; 3],
+}
+
+impl Transform {
+    /// The lengths of the steps along each index, world units.
+    pub fn voxel_size(&self) -> [f64; 3] {
+        self.axes.map(|[x, y, z]| (x * x + y * y + z * z).sqrt())
+    }
+}
+
+/// The grids of a file, in its order.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if the file is none or is damaged; [`Error::Unsupported`] for file versions
+/// outside 222 ..= 225, and for streams with a grid that cannot be skipped.
+pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
+    Ok(entries(bytes, limits)?.into_iter().map(|entry| entry.info).collect())
+}
+
+/// Reads one float grid: the one called `name`, or else the first level set, or the first float grid.
+///
+/// # Errors
+///
+/// As [`grids`]; [`Error::Unsupported`] also if there is no such grid, or its type or codec is not
+/// read; [`Error::TooLarge`] if it takes more memory than `limits` allow.
+pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
+    let entries = entries(bytes, limits)?;
+    let found = match name {
+        Some(name) => entries.iter().find(|entry| entry.info.name == name),
+        None => {
+            let float = |entry: &&Entry| entry.info.type_name == TYPE_FLOAT;
+            let level_set = |entry: &&Entry| float(entry) && entry.info.class == "level set";
+            entries.iter().find(level_set).or_else(|| entries.iter().find(float))
+        }
+    };
+    let Some(entry) = found.filter(|entry| entry.info.type_name == TYPE_FLOAT) else {
+        let wanted = name.map_or("no float grid".into(), |name| format!("no float grid called \"{name}\""));
+        let names: Vec<String> =
+            entries.iter().map(|e| format!("\"{}\" of type {}", e.info.name, e.info.type_name)).collect();
+        return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
+    };
+    let (Some(tree), Some(transform)) = (entry.tree_of(&entries), entry.info.transform) else {
+        let what =
+            format!("grid \"{}\" has a map, or is an instance of a grid, that is not read", entry.info.name);
+        return Err(Error::unsupported(FORMAT, what));
+    };
+    let mut cursor = Cursor::new(bytes);
+    cursor.seek(tree.position as u64, "a grid")?;
+    let info = entry.info.clone();
+    let tree = read_tree(&mut cursor, tree.storage, &mut Budget::new(bytes.len(), limits))?;
+    Ok(LevelSetData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
+}
+
+/// The metadata of the file's first grid, from the first bytes of the file.
+pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)>> {
+    let mut cursor = Cursor::new(head);
+    let header = read_header(&mut cursor)?;
+    if header.grid_count == 0 {
+        return Ok(Vec::new());
+    }
+    let descriptor = read_descriptor(&mut cursor)?;
+    if header.has_offsets {
+        cursor.seek(descriptor.grid_start, "a grid")?;
+    }
+    cursor.u32("the compression of a grid")?;
+    read_metadata(&mut cursor)
+}
+
+/// Where a tree begins and how its values are stored.
+#[derive(Clone, Copy)]
+struct TreePlace {
+    position: usize,
+    storage: Storage,
+}
+
+struct Entry {
+    info: GridInfo,
+    unique_name: String,
+    /// The unique name of the grid whose tree this one shares, or empty.
+    instance_parent: String,
+    tree: Option<TreePlace>,
+}
+
+impl Entry {
+    fn tree_of(&self, entries: &[Entry]) -> Option<TreePlace> {
+        if self.instance_parent.is_empty() {
+            return self.tree;
+        }
+        let parent = entries.iter().find(|entry| entry.unique_name == self.instance_parent)?;
+        parent.tree.filter(|_| parent.info.type_name == TYPE_FLOAT)
+    }
+}
+
+fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<Entry>> {
+    let mut cursor = Cursor::new(bytes);
+    let header = read_header(&mut cursor)?;
+    let mut entries = Vec::new();
+    for index in 0..header.grid_count {
+        let descriptor = read_descriptor(&mut cursor)?;
+        if header.has_offsets {
+            let after = cursor.position() as u64;
+            let Descriptor { grid_start, end, .. } = descriptor;
+            if grid_start < after || end < grid_start {
+                return Err(cursor.error(format!("a grid from byte {grid_start} to byte {end}")));
+            }
+            cursor.seek(grid_start, "a grid")?;
+        }
+        let (end, is_last) = (descriptor.end, index + 1 == header.grid_count);
+        let entry = read_entry(&mut cursor, descriptor)?;
+        if header.has_offsets {
+            cursor.seek(end, "the end of a grid")?;
+        } else if !is_last && entry.instance_parent.is_empty() {
+            skip_tree(&mut cursor, &entry, limits)?;
+        }
+        entries.push(entry);
+    }
+    Ok(entries)
+}
+
+struct Header {
+    has_offsets: bool,
+    grid_count: usize,
+}
+
+fn read_header(cursor: &mut Cursor) -> Result<Header> {
+    const DESCRIPTOR_BYTES_MIN: usize = 36;
+    if cursor.array::<8>("the magic number")? != MAGIC {
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "no OpenVDB magic number"));
+    }
+    let version = cursor.u32("the file version")?;
+    if !VERSIONS_READ.contains(&version) {
+        let (from, to) = (VERSIONS_READ.start(), VERSIONS_READ.end());
+        let what = format!("file version {version}; {from} to {to} are read");
+        return Err(Error::unsupported(FORMAT, what));
+    }
+    cursor.take(8, "the library version")?;
+    let has_offsets = cursor.u8("the flag for offsets")? != 0;
+    cursor.take(UUID_BYTES, "the UUID")?;
+    read_metadata(cursor)?;
+    let grid_count = cursor.u32("the number of grids")? as usize;
+    if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
+        return Err(cursor.error(format!("{grid_count} grids, more than the file has bytes for")));
+    }
+    Ok(Header { has_offsets, grid_count })
+}
+
+struct Descriptor {
+    unique_name: String,
+    type_name: String,
+    instance_parent: String,
+    grid_start: u64,
+    end: u64,
+}
+
+fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
+    let unique_name = cursor.string("the name of a grid")?;
+    let type_name = cursor.string("the type of a grid")?;
+    let instance_parent = cursor.string("the instance parent of a grid")?;
+    let mut position = || cursor.array("an offset of a grid").map(u64::from_le_bytes);
+    let (grid_start, _buffers_start, end) = (position()?, position()?, position()?);
+    Ok(Descriptor { unique_name, type_name, instance_parent, grid_start, end })
+}
+
+fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
+    let Descriptor { unique_name, type_name, instance_parent, .. } = descriptor;
+    let compression = cursor.u32("the compression of a grid")?;
+    let metadata = read_metadata(cursor)?;
+    let string = |name: &str| match find(&metadata, name) {
+        Some(MetaValue::String(text)) => Some(text.clone()),
+        _ => None,
+    };
+    let coord = |name: &str| match find(&metadata, name) {
+        Some(&MetaValue::Vec3i(coord)) => Some(coord),
+        _ => None,
+    };
+    let half = find(&metadata, META_HALF) == Some(&MetaValue::Bool(true));
+    let (type_name, has_suffix) = match type_name.strip_suffix(HALF_SUFFIX) {
+        Some(name) => (name.to_string(), true),
+        None => (type_name, false),
+    };
+    if half != has_suffix && type_name == TYPE_FLOAT {
+        return Err(cursor.error("a grid whose type and metadata disagree on half floats"));
+    }
+    // Programs add a separator and a number to names that occur twice.
+    let visible_name = unique_name.split('\x1e').next().unwrap_or_default().to_string();
+    let bounds = coord("file_bbox_min").zip(coord("file_bbox_max"));
+    let active_voxel_count = match find(&metadata, "file_voxel_count") {
+        Some(&MetaValue::Integer(count)) => u64::try_from(count).ok(),
+        _ => None,
+    };
+    let transform = read_transform(cursor)?;
+    let info = GridInfo {
+        name: string("name").filter(|name| !name.is_empty()).unwrap_or(visible_name),
+        type_name,
+        half,
+        class: string("class").unwrap_or_default(),
+        transform,
+        active_bounds: bounds.filter(|(min, max)| (0..3).all(|axis| min[axis] <= max[axis])),
+        active_voxel_count,
+        metadata,
+    };
+    let storage = Storage { compression, half };
+    let tree = transform.map(|_| TreePlace { position: cursor.position(), storage });
+    Ok(Entry { info, unique_name, instance_parent, tree })
+}
+
+fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaValue> {
+    metadata.iter().find(|(key, _)| key == name).map(|(_, value)| value)
+}
+
+/// None if the kind of map is unknown; then its size is, too.
+fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
+    let kind = cursor.string("the map of a grid")?;
+    let mut numbers =
+        |count: usize| -> Result<Vec<f64>> { (0..count).map(|_| cursor.f64("the map of a grid")).collect() };
+    let scaled = |scale: &[f64], translation: [f64; 3]| Transform {
+        axes: [[scale[0], 0.0, 0.0], [0.0, scale[1], 0.0], [0.0, 0.0, scale[2]]],
+        translation,
+    };
+    Ok(match kind.as_str() {
+        "UniformScaleMap" | "ScaleMap" => Some(scaled(&numbers(15)?, [0.0; 3])),
+        "UniformScaleTranslateMap" | "ScaleTranslateMap" => {
+            let n = numbers(18)?;
+            Some(scaled(&n[3..], [n[0], n[1], n[2]]))
+        }
+        "TranslationMap" => {
+            let n = numbers(3)?;
+            Some(scaled(&[1.0; 3], [n[0], n[1], n[2]]))
+        }
+        "AffineMap" | "UnitaryMap" => {
+            let n = numbers(16)?;
+            let row = |r: usize| [n[4 * r], n[4 * r + 1], n[4 * r + 2]];
+            Some(Transform { axes: [row(0), row(1), row(2)], translation: row(3) })
+        }
+        _ => None,
+    })
+}
+
+/// Reads past the tree of a grid in a stream, where nothing says where it ends.
+fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> {
+    let Some(tree) = entry.tree.filter(|_| entry.info.type_name == TYPE_FLOAT) else {
+        let (name, type_name) = (&entry.info.name, &entry.info.type_name);
+        let what =
+            format!("a stream without offsets, in which grid \"{name}\" of type {type_name} hides the next");
+        return Err(Error::unsupported(FORMAT, what));
+    };
+    let mut budget = Budget::new(cursor.position() + cursor.remaining(), limits);
+    read_tree(cursor, tree.storage, &mut budget)?;
+    Ok(())
+}

@@ -1,0 +1,297 @@
+//! Reads the tree of a float grid.
+//!
+//! Topology first: the root's background, tiles and children, depth first down to the masks of the
+//! leaves. Then the values of the leaves in the same order. What a value block leaves out is put
+//! back: inactive voxels are + or − background, or one or two other values.
+
+use half::f16;
+
+use super::FORMAT;
+use super::blosc::{FrameError, decode_frame, inflate_into};
+use super::cursor::Cursor;
+use super::layout::{
+    COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, LEAF_LOG2, NODE4_LOG2, NODE4_VOXELS_LOG2, NODE5_LOG2,
+    NODE5_VOXELS_LOG2, count_ones, inactive, is_on, ones, slot_coord,
+};
+use super::metadata::MetaValue;
+use super::read::Transform;
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+/// A float grid read from a file; a level set if its class says so.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LevelSetData {
+    /// The name that users see.
+    pub name: String,
+    /// `level set`, `fog volume`, …; empty if the file does not say.
+    pub class: String,
+    /// From voxels to the world.
+    pub transform: Transform,
+    /// The value where nothing is stored; in a level set, half the thickness of the band.
+    pub background: f32,
+    /// Origins of the leaves, in voxels.
+    pub origins: Vec<[i32; 3]>,
+    /// Values of each leaf, z fastest: in a level set signed distances in world units.
+    pub leaves: Vec<[f32; 512]>,
+    /// Active voxels of each leaf: bit `y·8 + z` of word x.
+    pub masks: Vec<[u64; 8]>,
+    /// Cubes of one value, except for inactive ones with the background.
+    pub tiles: Vec<Tile>,
+    /// What the file says of the grid.
+    pub metadata: Vec<(String, MetaValue)>,
+}
+
+/// A cube of voxels with one value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tile {
+    /// Its least voxel.
+    pub origin: [i32; 3],
+    /// Voxels along an edge: 8, 128 or 4096.
+    pub size: i32,
+    /// The value of all its voxels.
+    pub value: f32,
+    /// Whether they are active.
+    pub active: bool,
+}
+
+/// How the values of a grid are stored.
+#[derive(Clone, Copy)]
+pub(super) struct Storage {
+    pub(super) compression: u32,
+    pub(super) half: bool,
+}
+
+/// How much more memory a file may ask for.
+pub(super) struct Budget {
+    bytes: u64,
+}
+
+impl Budget {
+    pub(super) fn new(file_bytes: usize, limits: &Limits) -> Budget {
+        const FREE_BYTES: u64 = 1 << 20; // the ratio is counted after the first mebibyte
+        let by_ratio =
+            (file_bytes as u64).saturating_mul(limits.decompression_ratio).saturating_add(FREE_BYTES);
+        Budget { bytes: limits.decompressed_bytes.min(by_ratio) }
+    }
+
+    fn spend(&mut self, bytes: usize) -> Result<()> {
+        let too_large =
+            || Error::too_large(FORMAT, "the grid takes more memory than the limit for decompressed data");
+        self.bytes = self.bytes.checked_sub(bytes as u64).ok_or_else(too_large)?;
+        Ok(())
+    }
+}
+
+/// Reads a tree; name, class, transform and metadata are left to the caller.
+pub(super) fn read_tree(cursor: &mut Cursor, storage: Storage, budget: &mut Budget) -> Result<LevelSetData> {
+    const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
+    const TILE_BYTES: usize = 12 + 4 + 1;
+    let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
+    if buffers_per_leaf != 1 {
+        return Err(Error::unsupported(FORMAT, format!("{buffers_per_leaf} buffers per leaf; one is read")));
+    }
+    let background = cursor.f32("the background")?;
+    let mut reader = TreeReader { background, storage, budget, data: empty(background), scratch: Vec::new() };
+    let tile_count = cursor.u32("the number of root tiles")? as usize;
+    let child_count = cursor.u32("the number of root children")? as usize;
+    let fits = tile_count.checked_mul(TILE_BYTES).zip(child_count.checked_mul(CHILD_BYTES_MIN));
+    if fits.and_then(|(tiles, children)| tiles.checked_add(children)).is_none_or(|n| n > cursor.remaining()) {
+        let what =
+            format!("{tile_count} root tiles and {child_count} children, more than the file has bytes for");
+        return Err(cursor.error(what));
+    }
+    for _ in 0..tile_count {
+        let origin = cursor.coord("a root tile")?;
+        let value = cursor.f32("a root tile")?;
+        let active = cursor.u8("a root tile")? != 0;
+        reader.push_tile(Tile { origin, size: 1 << NODE5_VOXELS_LOG2, value, active })?;
+    }
+    let mut last = None;
+    for _ in 0..child_count {
+        let origin = cursor.coord("a root child")?;
+        if origin.iter().any(|c| c & 4095 != 0) || last.is_some_and(|last| origin <= last) {
+            return Err(
+                cursor.error(format!("root child {origin:?} after {last:?}; multiples of 4096 must ascend"))
+            );
+        }
+        last = Some(origin);
+        reader.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
+    }
+    for index in 0..reader.data.origins.len() {
+        reader.read_leaf(cursor, index)?;
+    }
+    Ok(reader.data)
+}
+
+fn empty(background: f32) -> LevelSetData {
+    LevelSetData {
+        name: String::new(),
+        class: String::new(),
+        transform: Transform { axes: [[0.0; 3]; 3], translation: [0.0; 3] },
+        background,
+        origins: Vec::new(),
+        leaves: Vec::new(),
+        masks: Vec::new(),
+        tiles: Vec::new(),
+        metadata: Vec::new(),
+    }
+}
+
+struct TreeReader<'a> {
+    background: f32,
+    storage: Storage,
+    budget: &'a mut Budget,
+    data: LevelSetData,
+    scratch: Vec<u8>,
+}
+
+impl TreeReader<'_> {
+    /// Reads an internal node and what is under it, down to the leaves' masks.
+    fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
+        let slot_count = 1 << (3 * log2);
+        let children = cursor.mask(slot_count / 64, "the children of a node")?;
+        let active = cursor.mask(slot_count / 64, "the active tiles of a node")?;
+        let mut values = vec![0.0; slot_count];
+        self.read_values(cursor, &active, &mut values)?;
+        for (slot, &value) in values.iter().enumerate() {
+            if !is_on(&children, slot) {
+                let origin = child_origin(origin, slot, log2, child_log2);
+                self.push_tile(Tile { origin, size: 1 << child_log2, value, active: is_on(&active, slot) })?;
+            }
+        }
+        drop(values);
+        for slot in ones(&children) {
+            let origin = child_origin(origin, slot, log2, child_log2);
+            if child_log2 == LEAF_LOG2 {
+                cursor.take(64, "the mask of a leaf")?; // comes again with the leaf's values
+                self.budget.spend(12 + 2048 + 64)?;
+                self.data.origins.push(origin);
+            } else {
+                self.read_node(cursor, origin, NODE4_LOG2, LEAF_LOG2)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn read_leaf(&mut self, cursor: &mut Cursor, index: usize) -> Result<()> {
+        debug_assert_eq!(index, self.data.leaves.len());
+        let words = cursor.mask(8, "the mask of a leaf")?;
+        let mut leaf = [0.0; 512];
+        self.read_values(cursor, &words, &mut leaf)?;
+        self.data.masks.push(std::array::from_fn(|word| words[word]));
+        self.data.leaves.push(leaf);
+        Ok(())
+    }
+
+    fn push_tile(&mut self, tile: Tile) -> Result<()> {
+        if tile.active || tile.value != self.background {
+            self.budget.spend(size_of::<Tile>())?;
+            self.data.tiles.push(tile);
+        }
+        Ok(())
+    }
+
+    /// Reads a block of values and puts back the inactive ones that it leaves out.
+    fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [f32]) -> Result<()> {
+        let case = cursor.u8("the kind of a block of values")?;
+        let (mut off, mut on) = (self.background, self.background);
+        match case {
+            inactive::PLUS_BACKGROUND | inactive::ALL_VALUES => {}
+            inactive::MINUS_BACKGROUND | inactive::MASK_OF_BACKGROUNDS => off = -self.background,
+            inactive::ONE_VALUE | inactive::MASK_AND_ONE_VALUE => off = cursor.f32("an inactive value")?,
+            inactive::MASK_AND_TWO_VALUES => {
+                off = cursor.f32("an inactive value")?;
+                on = cursor.f32("an inactive value")?;
+            }
+            _ => return Err(cursor.error(format!("a block of values of kind {case}; 0 to 6 are known"))),
+        }
+        let has_mask = matches!(
+            case,
+            inactive::MASK_OF_BACKGROUNDS | inactive::MASK_AND_ONE_VALUE | inactive::MASK_AND_TWO_VALUES
+        );
+        let selection = if has_mask { cursor.mask(out.len() / 64, "a selection mask")? } else { Vec::new() };
+        if case == inactive::ALL_VALUES || self.storage.compression & COMPRESS_ACTIVE_MASK == 0 {
+            return self.read_chunk(cursor, out);
+        }
+        let count = count_ones(active);
+        let mut packed = [0.0; 512];
+        let mut larger = Vec::new(); // for internal nodes with many active tiles
+        let packed = if count <= packed.len() {
+            &mut packed[..count]
+        } else {
+            larger.resize(count, 0.0);
+            &mut larger[..]
+        };
+        self.read_chunk(cursor, packed)?;
+        let mut next = packed.iter();
+        for (slot, value) in out.iter_mut().enumerate() {
+            *value = match next.as_slice().first() {
+                Some(&first) if is_on(active, slot) => {
+                    next.next();
+                    first
+                }
+                _ if has_mask && is_on(&selection, slot) => on,
+                _ => off,
+            };
+        }
+        Ok(())
+    }
+
+    /// Reads as many values as there is room for.
+    fn read_chunk(&mut self, cursor: &mut Cursor, out: &mut [f32]) -> Result<()> {
+        let Storage { compression, half } = self.storage;
+        if half && out.is_empty() {
+            return Ok(()); // the one chunk without a size
+        }
+        let byte_count = out.len() * if half { 2 } else { 4 };
+        self.scratch.resize(byte_count, 0);
+        if compression & (COMPRESS_ZIP | COMPRESS_BLOSC) == 0 {
+            self.scratch.copy_from_slice(cursor.take(byte_count, "values")?);
+        } else {
+            self.unpack(cursor)?;
+        }
+        if half {
+            for (value, &bytes) in out.iter_mut().zip(self.scratch.as_chunks::<2>().0) {
+                *value = f16::from_le_bytes(bytes).to_f32();
+            }
+        } else {
+            for (value, &bytes) in out.iter_mut().zip(self.scratch.as_chunks::<4>().0) {
+                *value = f32::from_le_bytes(bytes);
+            }
+        }
+        Ok(())
+    }
+
+    /// Fills the scratch bytes from a chunk with a size: positive if packed, negative if raw.
+    fn unpack(&mut self, cursor: &mut Cursor) -> Result<()> {
+        let out = &mut self.scratch[..];
+        let size = cursor.i64("the size of packed values")?;
+        let start = cursor.position() as u64;
+        let invalid = |what: String| Error::invalid(FORMAT, Place::Offset(start), what);
+        let length = usize::try_from(size.unsigned_abs()).unwrap_or(usize::MAX);
+        let bytes = cursor.take(length, "packed values")?;
+        if out.is_empty() {
+            return Ok(()); // some writers put an empty frame here
+        }
+        if size <= 0 {
+            if bytes.len() != out.len() {
+                return Err(invalid(format!("{} bytes of raw values, expected {}", bytes.len(), out.len())));
+            }
+            out.copy_from_slice(bytes);
+        } else if self.storage.compression & COMPRESS_BLOSC != 0 {
+            decode_frame(bytes, out).map_err(|error| match error {
+                FrameError::Invalid(what) => invalid(what),
+                FrameError::Unsupported(what) => Error::unsupported(FORMAT, what),
+            })?;
+        } else if inflate_into(bytes, out) != Some(out.len()) {
+            return Err(invalid(format!("zlib data that does not decompress to {} bytes", out.len())));
+        }
+        Ok(())
+    }
+}
+
+/// The least voxel of the child in a slot. Wraps only for origins beyond the range of coordinates.
+fn child_origin(origin: [i32; 3], slot: usize, log2: u32, child_log2: u32) -> [i32; 3] {
+    let local = slot_coord(slot, log2);
+    std::array::from_fn(|axis| origin[axis].wrapping_add(local[axis] << child_log2))
+}

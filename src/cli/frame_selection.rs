@@ -1,0 +1,111 @@
+//! Which frames of a sequence: `1-240x2`, `1-10,20,30-40x5`.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A set of frame numbers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct FrameSelection {
+    ranges: Vec<StepRange>,
+}
+
+/// `first`, and every `step`-th number from there up to `last`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct StepRange {
+    first: u64,
+    last: u64,
+    step: u64,
+}
+
+/// Why text is no selection of frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct SelectionError {
+    what: String,
+}
+
+impl fmt::Display for SelectionError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)
+    }
+}
+
+impl std::error::Error for SelectionError {}
+
+impl FrameSelection {
+    pub(super) fn contains(&self, number: u64) -> bool {
+        self.ranges.iter().any(|range| {
+            (range.first..=range.last).contains(&number) && (number - range.first).is_multiple_of(range.step)
+        })
+    }
+}
+
+impl FromStr for FrameSelection {
+    type Err = SelectionError;
+
+    fn from_str(text: &str) -> Result<FrameSelection, SelectionError> {
+        let ranges = text.split(',').map(|part| parse_range(part.trim())).collect::<Result<_, _>>()?;
+        Ok(FrameSelection { ranges })
+    }
+}
+
+fn parse_range(text: &str) -> Result<StepRange, SelectionError> {
+    let (range, step) = match text.split_once(['x', 'X']) {
+        Some((range, step)) => (range, parse_number(step, text)?),
+        None => (text, 1),
+    };
+    let (first, last) = match range.split_once('-') {
+        Some((first, last)) => (parse_number(first, text)?, parse_number(last, text)?),
+        None => {
+            let number = parse_number(range, text)?;
+            (number, number)
+        }
+    };
+    if last < first {
+        return Err(SelectionError { what: format!("`{text}` runs backwards") });
+    }
+    if step == 0 {
+        return Err(SelectionError { what: format!("`{text}` has a step of 0; at least 1 is needed") });
+    }
+    Ok(StepRange { first, last, step })
+}
+
+fn parse_number(digits: &str, within: &str) -> Result<u64, SelectionError> {
+    let digits = digits.trim();
+    let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    digits.parse().ok().filter(|_| plain).ok_or_else(|| SelectionError {
+        what: format!(
+            "`{within}` is neither a frame number nor a range such as 1-240 or 1-240x2: \
+             `{digits}` is not a number"
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn selected(text: &str) -> Vec<u64> {
+        let selection: FrameSelection = text.parse().expect(text);
+        (0..50).filter(|&number| selection.contains(number)).collect()
+    }
+
+    #[test]
+    fn ranges_with_steps_and_lists() {
+        assert_eq!(selected("7"), [7]);
+        assert_eq!(selected("3-5"), [3, 4, 5]);
+        assert_eq!(selected("1-9x4"), [1, 5, 9]);
+        assert_eq!(selected("0-10x3"), [0, 3, 6, 9]);
+        assert_eq!(selected("1-3, 20 ,30-40x5"), [1, 2, 3, 20, 30, 35, 40]);
+        assert_eq!(selected("0003"), [3]);
+        assert_eq!(selected("49-18446744073709551615x18446744073709551615"), [49]);
+    }
+
+    #[test]
+    fn anything_else_is_refused() {
+        for text in
+            ["", "a", "1-", "-3", "1-3x", "1-3x0", "5-3", "1,,2", "1-2-3", "+4", "99999999999999999999"]
+        {
+            assert!(text.parse::<FrameSelection>().is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! What a mesh is like.
+
+use std::collections::HashMap;
+use std::fmt;
+
+use glam::DVec3;
+use meniscus_formats::MeshData;
+use serde::Serialize;
+
+use super::{Bounds, row};
+
+/// A triangle mesh; larger polygons count as the triangles they are cut into.
+#[derive(Debug, Serialize)]
+pub(super) struct MeshInfo {
+    vertices: usize,
+    triangles: usize,
+    has_normals: bool,
+    bounds: Option<Bounds>,
+    area: f64,
+    /// Signed: negative where triangles are clockwise seen from outside. Means nothing for a mesh
+    /// with boundary edges.
+    volume: f64,
+    /// Vertices at one position count as one here: many formats repeat them for their normals.
+    boundary_edges: usize,
+    non_manifold_edges: usize,
+}
+
+impl MeshInfo {
+    pub(super) fn of(mesh: &MeshData) -> MeshInfo {
+        let bounds = Bounds::of(mesh.positions.iter().copied());
+        // Seen from amid the mesh, volumes far from the origin do not cancel.
+        let center = bounds.map_or(DVec3::ZERO, |b| 0.5 * (DVec3::from(b.min) + DVec3::from(b.max)));
+        let corner = |index: u32| {
+            let position = mesh.positions.get(index as usize);
+            position.map_or(DVec3::NAN, |&position| DVec3::from(position) - center)
+        };
+        let (mut area, mut volume) = (0.0, 0.0);
+        for triangle in &mesh.triangles {
+            let [a, b, c] = triangle.map(corner);
+            area += 0.5 * (b - a).cross(c - a).length();
+            volume += a.dot(b.cross(c)) / 6.0;
+        }
+        let (boundary_edges, non_manifold_edges) = odd_edges(&welded(mesh));
+        MeshInfo {
+            vertices: mesh.positions.len(),
+            triangles: mesh.triangles.len(),
+            has_normals: !mesh.normals.is_empty(),
+            bounds,
+            area,
+            volume,
+            boundary_edges,
+            non_manifold_edges,
+        }
+    }
+}
+
+/// The triangles with, for each vertex, the first one at the same position.
+fn welded(mesh: &MeshData) -> Vec<[u32; 3]> {
+    let mut first_at = HashMap::new();
+    let first: Vec<u32> = (0u32..)
+        .zip(&mesh.positions)
+        // Adding zero makes −0 and 0 one position bit for bit.
+        .map(|(index, position)| *first_at.entry(position.map(|x| (x + 0.0).to_bits())).or_insert(index))
+        .collect();
+    let first_of = |index: u32| first.get(index as usize).copied().unwrap_or(index);
+    mesh.triangles.iter().map(|triangle| triangle.map(first_of)).collect()
+}
+
+/// How many edges have one triangle, and how many more than two.
+fn odd_edges(triangles: &[[u32; 3]]) -> (usize, usize) {
+    let mut edges: Vec<[u32; 2]> = triangles
+        .iter()
+        .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+        .map(|[a, b]| [a.min(b), a.max(b)])
+        .collect();
+    edges.sort_unstable();
+    let counts = || edges.chunk_by(|a, b| a == b).map(<[_]>::len);
+    (counts().filter(|&count| count == 1).count(), counts().filter(|&count| count > 2).count())
+}
+
+impl fmt::Display for MeshInfo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let normals = if self.has_normals { ", with normals" } else { "" };
+        row(f, "vertices", format_args!("{}{normals}", self.vertices))?;
+        row(f, "triangles", self.triangles)?;
+        if let Some(bounds) = self.bounds {
+            row(f, "bounds", bounds)?;
+        }
+        row(f, "area", self.area)?;
+        row(f, "volume", self.volume)?;
+        row(f, "boundary edges", self.boundary_edges)?;
+        row(f, "non-manifold edges", self.non_manifold_edges)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tetrahedron_is_measured_wherever_it_is() {
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let triangles = vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+        for shift in [0.0, 1e6] {
+            let positions = positions.iter().map(|p| p.map(|x| x + shift)).collect();
+            let mesh = MeshData { positions, normals: Vec::new(), triangles: triangles.clone() };
+            let info = MeshInfo::of(&mesh);
+            assert!((info.volume - 1.0 / 6.0).abs() < 1e-9);
+            assert!((info.area - (1.5 + 0.75f64.sqrt())).abs() < 1e-9);
+            assert_eq!((info.boundary_edges, info.non_manifold_edges), (0, 0));
+        }
+        let open = MeshData {
+            positions: positions.to_vec(),
+            triangles: triangles[..3].to_vec(),
+            ..MeshData::default()
+        };
+        assert_eq!(MeshInfo::of(&open).boundary_edges, 3);
+        let doubled = MeshData {
+            positions: positions.to_vec(),
+            triangles: [triangles.clone(), triangles].concat(),
+            ..MeshData::default()
+        };
+        assert_eq!(MeshInfo::of(&doubled).non_manifold_edges, 6);
+    }
+}

@@ -1,0 +1,191 @@
+//! What a frame of particles holds.
+
+use std::fmt;
+
+use meniscus_formats::{Attribute, ParticleFrame, Role, Values};
+use serde::Serialize;
+
+use crate::particles::Particles;
+use crate::pipeline::{VOXELS_PER_SPACING, particles};
+use crate::spacing::estimate_spacing;
+
+use super::{Bounds, row, short};
+
+/// A frame of particles.
+#[derive(Debug, Serialize)]
+pub(super) struct ParticlesInfo {
+    count: usize,
+    /// `f32` or `f64`.
+    position_type: &'static str,
+    not_finite: usize,
+    bounds: Option<Bounds>,
+    attributes: Vec<AttributeInfo>,
+    /// Null where there are too few particles to measure it.
+    spacing: Option<f64>,
+    suggested_voxel_size: Option<f64>,
+}
+
+/// An attribute of the particles.
+#[derive(Debug, Serialize)]
+struct AttributeInfo {
+    name: String,
+    #[serde(rename = "type")]
+    value_type: &'static str,
+    arity: usize,
+    role: Option<&'static str>,
+    /// Of each component; null where no value is finite. Empty for strings.
+    min: Vec<Option<Number>>,
+    max: Vec<Option<Number>>,
+    /// The distinct strings.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    strings: Option<Vec<String>>,
+}
+
+/// A value, whole where it is one: 64-bit integers do not fit into reals.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[serde(untagged)]
+enum Number {
+    Integer(i64),
+    Real(f64),
+}
+
+impl ParticlesInfo {
+    pub(super) fn of(frame: ParticleFrame) -> ParticlesInfo {
+        let attributes = frame.attributes.iter().map(attribute_info).collect();
+        let particles = particles(frame.positions);
+        let positions = || (0..particles.len()).map(|index| particles.position(index));
+        let spacing = estimate_spacing(&particles);
+        let bounds = Bounds::of(positions().map(|position| position.to_array()));
+        ParticlesInfo {
+            count: particles.len(),
+            position_type: match particles {
+                Particles::Single(_) => "f32",
+                Particles::Double(_) => "f64",
+            },
+            not_finite: positions().filter(|position| !position.is_finite()).count(),
+            bounds: match particles {
+                Particles::Single(_) => bounds.map(Bounds::short),
+                Particles::Double(_) => bounds,
+            },
+            attributes,
+            spacing,
+            suggested_voxel_size: spacing.map(|spacing| spacing / VOXELS_PER_SPACING),
+        }
+    }
+}
+
+fn attribute_info(attribute: &Attribute) -> AttributeInfo {
+    let arity = attribute.arity;
+    let real = |min_max: Option<(f64, f64)>| min_max.map(|(min, max)| (Number::Real(min), Number::Real(max)));
+    let whole = |min_max: Option<(i64, i64)>| min_max.map(|(a, b)| (Number::Integer(a), Number::Integer(b)));
+    let f32_range = |&x: &f32| real_range(f64::from(x));
+    let short = |min_max: Option<(f64, f64)>| real(min_max.map(|(min, max)| (short(min), short(max))));
+    let (value_type, ranges): (_, Vec<Option<(Number, Number)>>) = match &attribute.values {
+        Values::F32(values) => ("f32", ranges(values, arity, f32_range, short)),
+        Values::F64(values) => ("f64", ranges(values, arity, |&x| real_range(x), real)),
+        Values::U8(values) => ("u8", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
+        Values::I32(values) => ("i32", ranges(values, arity, |&x| Some(i64::from(x)), whole)),
+        Values::I64(values) => ("i64", ranges(values, arity, |&x| Some(x), whole)),
+        Values::Strings { .. } => ("string", Vec::new()),
+    };
+    AttributeInfo {
+        name: attribute.name.clone(),
+        value_type,
+        arity,
+        role: attribute.role.map(role_name),
+        min: ranges.iter().map(|range| range.map(|(min, _)| min)).collect(),
+        max: ranges.iter().map(|range| range.map(|(_, max)| max)).collect(),
+        strings: match &attribute.values {
+            Values::Strings { table, .. } => Some(table.clone()),
+            _ => None,
+        },
+    }
+}
+
+/// What takes part in a range of reals.
+fn real_range(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
+}
+
+/// Least and greatest value of each component.
+fn ranges<T, N: Copy + PartialOrd>(
+    values: &[T],
+    arity: usize,
+    counts: impl Fn(&T) -> Option<N>,
+    number: impl Fn(Option<(N, N)>) -> Option<(Number, Number)>,
+) -> Vec<Option<(Number, Number)>> {
+    let mut ranges: Vec<Option<(N, N)>> = vec![None; arity];
+    for value_of_particle in values.chunks_exact(arity.max(1)) {
+        for (range, value) in ranges.iter_mut().zip(value_of_particle.iter().map(&counts)) {
+            if let Some(value) = value {
+                let (min, max) = range.unwrap_or((value, value));
+                *range = Some((if value < min { value } else { min }, if value > max { value } else { max }));
+            }
+        }
+    }
+    ranges.into_iter().map(number).collect()
+}
+
+fn role_name(role: Role) -> &'static str {
+    match role {
+        Role::Velocity => "velocity",
+        Role::Normal => "normal",
+        Role::Color => "color",
+        Role::Radius => "radius",
+        Role::Density => "density",
+        Role::Mass => "mass",
+        Role::Id => "id",
+        Role::Kind => "kind",
+    }
+}
+
+impl fmt::Display for ParticlesInfo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        row(f, "particles", format_args!("{}, positions {}", self.count, self.position_type))?;
+        if self.not_finite > 0 {
+            row(f, "not finite", self.not_finite)?;
+        }
+        if let Some(bounds) = self.bounds {
+            row(f, "bounds", bounds)?;
+        }
+        for attribute in &self.attributes {
+            row(f, "attribute", attribute)?;
+        }
+        match (self.spacing, self.suggested_voxel_size) {
+            (Some(spacing), Some(voxel_size)) => {
+                row(f, "spacing", spacing)?;
+                row(f, "suggested voxel size", voxel_size)
+            }
+            _ => row(f, "spacing", "too few distinct particles to measure it"),
+        }
+    }
+}
+
+impl fmt::Display for AttributeInfo {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} × {}", self.name, self.value_type, self.arity)?;
+        if let Some(role) = self.role {
+            write!(f, ", {role}")?;
+        }
+        if let Some(strings) = &self.strings {
+            write!(f, ", {} distinct", strings.len())?;
+        }
+        for (component, (min, max)) in self.min.iter().zip(&self.max).enumerate() {
+            let lead = if component == 0 { ", " } else { "; " };
+            match (min, max) {
+                (Some(min), Some(max)) => write!(f, "{lead}{min} … {max}")?,
+                _ => write!(f, "{lead}none")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Number {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Number::Integer(value) => write!(f, "{value}"),
+            Number::Real(value) => write!(f, "{value}"),
+        }
+    }
+}

@@ -1,0 +1,292 @@
+//! From what was typed as INPUT to files.
+//!
+//! ```text
+//!   dam.0012.bgeo      there is such a file        that file
+//!   frames             there is such a folder      the frames in it
+//!   dam.####.bgeo      a number in the name        dam.0012.bgeo, dam.10000.bgeo
+//!   dam.%04d.bgeo      the same
+//!   dam.{}.bgeo        a number of any width       dam.7.bgeo
+//!   shots/*/dam*.ply   anything else with * ? []   what matches
+//! ```
+//!
+//! What exists is taken by its name, so that odd characters in names never get in the way.
+
+use std::collections::HashSet;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail};
+use glob::MatchOptions;
+use meniscus_formats::{Kind, probe};
+
+use crate::pipeline::{FrameFile, has_particle_extension};
+
+/// The files that were meant.
+#[derive(Debug, Default)]
+pub(super) struct Found {
+    /// Each once.
+    pub(super) files: Vec<FrameFile>,
+    /// Files in folders that are no frames.
+    pub(super) passed_over_count: usize,
+}
+
+/// As much as tells what a file is.
+const HEAD_BYTES: u64 = 64 << 10;
+
+/// Finds the files that the inputs stand for.
+///
+/// # Errors
+/// When an input stands for no file at all.
+pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
+    let mut found = Found::default();
+    for input in inputs {
+        if input.is_dir() {
+            found.add_folder(input)?;
+        } else if input.symlink_metadata().is_ok() {
+            found.files.push(FrameFile::new(input.clone()));
+        } else {
+            found.add_pattern(input)?;
+        }
+    }
+    let mut seen = HashSet::new();
+    found.files.retain(|file| seen.insert(entry(&file.path)));
+    Ok(found)
+}
+
+impl Found {
+    fn add_folder(&mut self, folder: &Path) -> Result<()> {
+        let files = files_in(folder).with_context(|| folder.display().to_string())?;
+        let count_before = self.files.len();
+        let file_count = files.len();
+        for path in files {
+            if is_frame(&path) {
+                self.files.push(FrameFile::new(path));
+            } else {
+                self.passed_over_count += 1;
+            }
+        }
+        if self.files.len() == count_before {
+            bail!("{}: no frames of particles among the {file_count} files of this folder", folder.display());
+        }
+        Ok(())
+    }
+
+    fn add_pattern(&mut self, input: &Path) -> Result<()> {
+        let pattern = input
+            .to_str()
+            .ok_or_else(|| anyhow!("{}: no such file, and no pattern in UTF-8", input.display()))?;
+        let count_before = self.files.len();
+        let name = input.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if let Some(number) = NumberPattern::find(name) {
+            self.add_numbered(input, &number)?;
+            if self.files.len() == count_before && number.width_min > 1 {
+                bail!(
+                    "{pattern}: no file matches; for numbers of any width, write {}{{}}{}",
+                    number.before,
+                    number.after
+                );
+            }
+        } else if pattern.contains(['*', '?', '[']) {
+            let paths = glob::glob_with(pattern, GLOB_OPTIONS).with_context(|| pattern.to_owned())?;
+            self.files.extend(paths.flatten().filter(|path| path.is_file()).map(FrameFile::new));
+        } else {
+            bail!("{pattern}: no such file or folder");
+        }
+        if self.files.len() == count_before {
+            bail!("{pattern}: no file matches");
+        }
+        Ok(())
+    }
+
+    fn add_numbered(&mut self, input: &Path, number: &NumberPattern<'_>) -> Result<()> {
+        for folder in folders(input.parent().unwrap_or(Path::new("")))? {
+            for path in files_in(&folder).with_context(|| input.display().to_string())? {
+                let span =
+                    path.file_name().and_then(|name| name.to_str()).and_then(|name| number.span_in(name));
+                if let Some(span) = span {
+                    self.files.push(FrameFile::with_number_at(path, span));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A file name with a frame number somewhere in it.
+#[derive(Debug, PartialEq, Eq)]
+struct NumberPattern<'a> {
+    before: &'a str,
+    after: &'a str,
+    /// Shorter numbers have zeros in front.
+    width_min: usize,
+}
+
+impl<'a> NumberPattern<'a> {
+    /// The last `####`, `%04d`, `%d` or `{}` of a name; everything else in it is literal.
+    fn find(name: &'a str) -> Option<NumberPattern<'a>> {
+        (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
+            let (length, width_min) = placeholder_at(&name[start..])?;
+            let before = name[..start].trim_end_matches('#');
+            // The search met the last # of a run first: the run began earlier.
+            let run = start - before.len();
+            let is_hashes = name[start..].starts_with('#');
+            let (before, width_min) =
+                if is_hashes { (before, width_min + run) } else { (&name[..start], width_min) };
+            Some(NumberPattern { before, after: &name[start + length..], width_min })
+        })
+    }
+
+    /// Where the number stands in a name that matches.
+    fn span_in(&self, name: &str) -> Option<Range<usize>> {
+        let digits = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
+        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        // As printf does: padded to the width, and wider only as far as the number needs it.
+        let padded = digits.len() == self.width_min || !digits.starts_with('0');
+        let any_width = self.width_min <= 1;
+        (plain && digits.len() >= self.width_min && (padded || any_width))
+            .then(|| self.before.len()..self.before.len() + digits.len())
+    }
+}
+
+/// The length of the placeholder that text begins with, and the least width of its number.
+fn placeholder_at(text: &str) -> Option<(usize, usize)> {
+    if text.starts_with("{}") {
+        return Some((2, 1));
+    }
+    if text.starts_with('#') {
+        return Some((1, 1));
+    }
+    let format = text.strip_prefix('%')?;
+    let digit_count = format.bytes().take_while(u8::is_ascii_digit).count();
+    let width = match &format[..digit_count] {
+        "" => 1,
+        digits => digits.strip_prefix('0')?.parse().ok()?,
+    };
+    format[digit_count..].starts_with('d').then_some((digit_count + 2, width))
+}
+
+/// Whether a file of a folder is a frame: by its content, or by a name that promises one, so that
+/// a broken frame is an error and not passed over.
+fn is_frame(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let promises = has_particle_extension(&name) && !has_plain_text_extension(&name);
+    promises || head_is_of_particles(path, &name).unwrap_or(false)
+}
+
+fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
+    let mut head = Vec::new();
+    File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
+    Ok(is_of_particles(probe(&head, name).kind))
+}
+
+fn is_of_particles(kind: Kind) -> bool {
+    match kind {
+        Kind::Ply
+        | Kind::ClassicBgeo
+        | Kind::ClassicGeo
+        | Kind::HoudiniJsonBinary
+        | Kind::HoudiniJsonText
+        | Kind::HoudiniSc
+        | Kind::VtkLegacy
+        | Kind::VtkXml
+        | Kind::Delimited
+        | Kind::Npy => true,
+        Kind::OpenVdb
+        | Kind::Glb
+        | Kind::GltfJson
+        | Kind::Obj
+        | Kind::Foreign(_)
+        | Kind::Empty
+        | Kind::UnknownText
+        | Kind::Unknown => false,
+    }
+}
+
+/// Names that readme files and logs have, too.
+fn has_plain_text_extension(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let name = name.strip_suffix(".gz").unwrap_or(&name);
+    [".txt", ".dat", ".asc"].iter().any(|extension| name.ends_with(extension))
+}
+
+/// The folders that the folder part of a pattern stands for.
+fn folders(pattern: &Path) -> Result<Vec<PathBuf>> {
+    if pattern.as_os_str().is_empty() || pattern.is_dir() {
+        return Ok(vec![pattern.to_owned()]);
+    }
+    let text = pattern.to_string_lossy();
+    let paths = glob::glob_with(&text, GLOB_OPTIONS).with_context(|| text.clone().into_owned())?;
+    Ok(paths.flatten().filter(|path| path.is_dir()).collect())
+}
+
+/// The files in a folder that are not hidden.
+fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let listed = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let mut files = Vec::new();
+    for entry in fs::read_dir(listed)? {
+        let name = entry?.file_name();
+        let path = folder.join(&name);
+        if !name.as_encoded_bytes().starts_with(b".") && path.is_file() {
+            files.push(path);
+        }
+    }
+    Ok(files)
+}
+
+/// What two ways of writing the same name have in common.
+fn entry(path: &Path) -> PathBuf {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    folder.join(path.file_name().unwrap_or_default())
+}
+
+const GLOB_OPTIONS: MatchOptions =
+    MatchOptions { case_sensitive: true, require_literal_separator: true, require_literal_leading_dot: true };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_placeholder_is_the_frame() {
+        for (name, before, after, width_min) in [
+            ("dam.####.bgeo", "dam.", ".bgeo", 4),
+            ("dam.#.bgeo", "dam.", ".bgeo", 1),
+            ("dam.%04d.bgeo", "dam.", ".bgeo", 4),
+            ("dam.%d.bgeo", "dam.", ".bgeo", 1),
+            ("dam.{}.bgeo", "dam.", ".bgeo", 1),
+            ("take#2.{}.ply", "take#2.", ".ply", 1),
+            ("{}####", "{}", "", 4),
+            ("##_%03d_ü.ply", "##_", "_ü.ply", 3),
+        ] {
+            assert_eq!(NumberPattern::find(name), Some(NumberPattern { before, after, width_min }), "{name}");
+        }
+        for name in ["dam.ply", "100%.ply", "%4d.ply", "%x.ply", "{.ply", ""] {
+            assert_eq!(NumberPattern::find(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn numbers_match_as_printf_writes_them() {
+        let matches = |pattern, name| NumberPattern::find(pattern).and_then(|p| p.span_in(name)).is_some();
+        for (pattern, name, expected) in [
+            ("a.####.ply", "a.0012.ply", true),
+            ("a.####.ply", "a.10012.ply", true),
+            ("a.####.ply", "a.00012.ply", false),
+            ("a.####.ply", "a.012.ply", false),
+            ("a.%02d.ply", "a.7.ply", false),
+            ("a.{}.ply", "a.7.ply", true),
+            ("a.{}.ply", "a.0007.ply", true),
+            ("a.{}.ply", "a..ply", false),
+            ("a.{}.ply", "a.-7.ply", false),
+            ("a.{}.ply", "b.7.ply", false),
+            ("1{}1", "11", false),
+            ("1{}1", "1", false),
+            ("1{}1", "131", true),
+        ] {
+            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! The command line: what was typed becomes settings and a list of frames, and what came of them
+//! becomes lines and an exit status.
+//!
+//! Flags end here: the layers below see [`crate::settings::Settings`] and frames only.
+
+mod args;
+mod console;
+mod convert;
+mod frame_selection;
+mod info;
+mod inputs;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use args::{Command, Typed};
+use console::Console;
+
+/// What came of a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Verdict {
+    /// All that was asked for is there.
+    Done,
+    /// Some of it is.
+    SomeFailed,
+    /// None of it is.
+    NothingDone,
+}
+
+/// Runs the command in `arguments`, the program's name first. The exit status is 0 when all was
+/// done, 1 when some of it failed, 2 when nothing was done or the command makes no sense.
+pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ExitCode {
+    let typed = match Typed::try_parse_from(arguments) {
+        Ok(typed) => typed,
+        Err(help_or_error) => {
+            // A closed output is no error, and there is nobody to tell of any other.
+            let _ = help_or_error.print();
+            return ExitCode::from(u8::try_from(help_or_error.exit_code()).unwrap_or(2));
+        }
+    };
+    let mut console = Console::new();
+    let verdict = match typed.command {
+        Command::Convert(args) => convert::convert(&args, &mut console),
+        Command::Info(args) => info::info(&args, &mut console),
+    };
+    let verdict = verdict.unwrap_or_else(|error| {
+        console.hide_bar();
+        console.warn(format_args!("error: {error:#}"));
+        Verdict::NothingDone
+    });
+    if let Err(error) = console.finish() {
+        Console::new().warn(format_args!("error: cannot write to the standard output: {error}"));
+        return ExitCode::from(2);
+    }
+    match verdict {
+        Verdict::Done => ExitCode::SUCCESS,
+        Verdict::SomeFailed => ExitCode::from(1),
+        Verdict::NothingDone => ExitCode::from(2),
+    }
+}

@@ -1,0 +1,136 @@
+//! What is to be done with a frame, and what came of it.
+
+use std::any::Any;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use crate::report::SkinReport;
+use crate::settings::Settings;
+
+/// One frame to convert.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The file of particles.
+    pub input: PathBuf,
+    /// What the outputs are called, without folder and extension.
+    pub stem: String,
+    /// The settings of its sequence.
+    pub settings: Arc<Settings>,
+}
+
+/// What came of a frame.
+#[derive(Debug)]
+pub enum Outcome {
+    /// All outputs were written.
+    Converted(Box<FrameReport>),
+    /// All outputs were there already, made from the same input by the same settings.
+    AlreadyDone,
+    /// Outputs are missing.
+    Failed(FrameError),
+    /// Not attempted: an earlier frame failed, and that was to be the end.
+    NotStarted,
+}
+
+/// What was measured on a frame that was converted.
+#[derive(Clone, Debug, Default)]
+pub struct FrameReport {
+    /// What the method measured.
+    pub skin: SkinReport,
+    /// Seconds of reading and parsing.
+    pub read_seconds: f64,
+    /// Seconds of encoding and writing.
+    pub write_seconds: f64,
+    /// The most memory that this process has held at any time until the frame was written;
+    /// `None` where the system does not tell.
+    pub peak_memory_bytes: Option<u64>,
+    /// The files that were written.
+    pub outputs: Vec<PathBuf>,
+    /// What a user should know though the frame was converted.
+    pub notes: Vec<String>,
+}
+
+/// The stages of a frame, as users know them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// File to particles.
+    Read,
+    /// Particles to level sets.
+    Rasterize,
+    /// Smoothing.
+    Smooth,
+    /// Level set to mesh.
+    Contour,
+    /// Mesh and level set to files.
+    Write,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Stage::Read => "read",
+            Stage::Rasterize => "rasterize",
+            Stage::Smooth => "smooth",
+            Stage::Contour => "contour",
+            Stage::Write => "write",
+        })
+    }
+}
+
+/// Why a frame was not converted.
+#[derive(Debug)]
+pub struct FrameError {
+    /// The file at fault: the input, or the output that could not be written.
+    pub path: PathBuf,
+    /// The stage that failed.
+    pub during: Stage,
+    /// Why.
+    pub cause: Cause,
+}
+
+/// What went wrong.
+#[derive(Debug)]
+pub enum Cause {
+    /// The file: its content, or the system's refusal.
+    File(meniscus_formats::Error),
+    /// This program: a broken invariant, told by the panic's message.
+    Panic(String),
+}
+
+impl FrameError {
+    /// A failure on account of a file.
+    pub fn file(path: &Path, during: Stage, source: impl Into<meniscus_formats::Error>) -> FrameError {
+        FrameError { path: path.to_owned(), during, cause: Cause::File(source.into()) }
+    }
+
+    /// Does `work` on the frame at `path`; a panic becomes an error of this frame.
+    pub(super) fn catch<T>(path: &Path, during: Stage, work: impl FnOnce() -> T) -> Result<T, FrameError> {
+        // What was under way when the panic came is dropped with the frame: nobody sees it broken.
+        catch_unwind(AssertUnwindSafe(work)).map_err(|payload| FrameError {
+            path: path.to_owned(),
+            during,
+            cause: Cause::Panic(panic_message(&*payload)),
+        })
+    }
+}
+
+fn panic_message(payload: &(dyn Any + Send)) -> String {
+    let text = payload.downcast_ref::<&str>().copied();
+    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message").to_owned()
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let FrameError { path, during, cause } = self;
+        match cause {
+            Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path.display()),
+            Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path.display()),
+            Cause::Panic(what) => {
+                write!(f, "{}: a fault in this program, in the {during} stage: {what}", path.display())
+            }
+        }
+    }
+}
+
+impl std::error::Error for FrameError {}

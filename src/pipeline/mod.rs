@@ -1,0 +1,35 @@
+//! Frames through the stages: from files to files, several at once.
+//!
+//! ```text
+//!   source      which files are frames, in which order, of which sequence
+//!   voxel_size  the voxel size of a sequence, where nobody gave one
+//!   outputs     which files will be written, and that none of them is an input
+//!   stages      read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, a thread each
+//!   reading     bytes to particles           writing     surfaces to bytes
+//!   sink        whole files or none          provenance  what made them
+//!   record      what was measured, as JSON
+//! ```
+//!
+//! One command for one file, a sequence and a daemon run this same pipeline; they differ only in
+//! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
+
+mod frame;
+mod memory;
+mod outputs;
+mod provenance;
+mod reading;
+mod record;
+mod sink;
+mod source;
+mod stages;
+mod voxel_size;
+mod writing;
+
+pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, Stage};
+pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
+pub use reading::{ReadFrame, parse_particles, particles, read_file};
+pub use record::{RunRecord, SequenceRecord};
+pub use sink::write_whole;
+pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
+pub use stages::{Conduct, LevelSetSkinning, Method, OnError, run};
+pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};

@@ -1,0 +1,165 @@
+//! Which files a run will write, and that none of them replaces an input.
+//!
+//! Names are compared after links are followed, in two ways: the entry in its folder that a rename
+//! would replace, and the file that the name leads to. On Unix the file's own identity is compared
+//! too, which also sees through hard links, bind mounts and file systems that ignore case.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use meniscus_formats::{gltf, vdb};
+
+/// A format to write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputFormat {
+    /// Binary glTF.
+    Glb,
+    /// Text glTF.
+    Gltf,
+    /// The level set, for OpenVDB.
+    Vdb,
+    /// Wavefront OBJ.
+    Obj,
+    /// Binary PLY.
+    Ply,
+}
+
+impl OutputFormat {
+    /// The extension of its files, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            OutputFormat::Glb => "glb",
+            OutputFormat::Gltf => "gltf",
+            OutputFormat::Vdb => "vdb",
+            OutputFormat::Obj => "obj",
+            OutputFormat::Ply => "ply",
+        }
+    }
+}
+
+/// What is written of each frame, and where.
+#[derive(Clone, Debug)]
+pub struct OutputOptions {
+    /// The folder of all outputs. It must exist.
+    pub folder: PathBuf,
+    /// One file for each.
+    pub formats: Vec<OutputFormat>,
+    /// Which axis of the particles points up, for glTF, where it must be y.
+    pub up: gltf::UpAxis,
+    /// 16-bit values in .vdb.
+    pub vdb_half: bool,
+    /// How values are packed in .vdb.
+    pub vdb_compression: vdb::Compression,
+}
+
+/// Where the output in `format` of the frame called `stem` goes.
+pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
+    folder.join(format!("{stem}.{}", format.extension()))
+}
+
+/// Why a run must not begin.
+#[derive(Debug)]
+pub enum Conflict {
+    /// An output would replace an input.
+    ReplacesInput {
+        /// The output.
+        output: PathBuf,
+        /// The input.
+        input: PathBuf,
+    },
+    /// Two inputs, or an input and the report, have outputs of one name.
+    SameOutput {
+        /// The output.
+        output: PathBuf,
+        /// What it would be made from, twice.
+        makers: [PathBuf; 2],
+    },
+}
+
+impl fmt::Display for Conflict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Conflict::ReplacesInput { output, input } => write!(
+                f,
+                "the output {} would replace the input {}: choose another folder",
+                output.display(),
+                input.display()
+            ),
+            Conflict::SameOutput { output, makers: [first, second] } => write!(
+                f,
+                "{} and {} would both become {}: convert them one by one, into different folders",
+                first.display(),
+                second.display(),
+                output.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Conflict {}
+
+/// Checks that the outputs of all planned frames (input and stem), and `report` where there is one,
+/// replace neither one of `inputs` nor each other. The folder must exist: only then is it known
+/// where its path leads.
+///
+/// # Errors
+/// The first conflict found.
+pub fn check_outputs(
+    planned: &[(PathBuf, String)],
+    inputs: &[PathBuf],
+    options: &OutputOptions,
+    report: Option<&Path>,
+) -> Result<(), Conflict> {
+    let mut input_of: HashMap<Identity, &Path> = HashMap::new();
+    for input in inputs {
+        input_of.extend(identities(input).into_iter().map(|identity| (identity, &**input)));
+    }
+    let outputs = planned.iter().flat_map(|(input, stem)| {
+        options.formats.iter().map(move |&format| (output_path(&options.folder, stem, format), &**input))
+    });
+    let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
+    for (output, maker) in outputs.chain(report.map(|path| (path.to_owned(), Path::new("the report")))) {
+        if let Some(input) = identities(&output).iter().find_map(|identity| input_of.get(identity)) {
+            return Err(Conflict::ReplacesInput { output, input: (*input).to_owned() });
+        }
+        if let Some(other) = maker_of.insert(entry(&output), maker) {
+            return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
+        }
+    }
+    Ok(())
+}
+
+/// Something that two names of one file have in common.
+#[derive(PartialEq, Eq, Hash)]
+enum Identity {
+    Path(PathBuf),
+    #[cfg(unix)]
+    Inode(u64, u64),
+}
+
+fn identities(path: &Path) -> Vec<Identity> {
+    let mut identities = vec![Identity::Path(entry(path))];
+    if let Ok(canonical) = path.canonicalize() {
+        identities.push(Identity::Path(canonical));
+    }
+    #[cfg(unix)]
+    if let Ok(metadata) = fs::metadata(path) {
+        use std::os::unix::fs::MetadataExt;
+        identities.push(Identity::Inode(metadata.dev(), metadata.ino()));
+    }
+    identities
+}
+
+/// The entry in its folder that a path names: links in the folder's path are followed, the entry
+/// itself is not.
+fn entry(path: &Path) -> PathBuf {
+    let folder = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    // What cannot be resolved does not exist: nothing in it is replaced.
+    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+    folder.join(path.file_name().unwrap_or_default())
+}

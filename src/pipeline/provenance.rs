@@ -1,0 +1,145 @@
+//! What made an output, recorded in it: the version of this program, the settings, the input.
+//!
+//! Nothing here depends on when, where or on which machine it was made: the same input and settings
+//! give the same bytes. And an output that records what this run would record need not be made
+//! again; whatever else it records, or nothing at all, means that it must.
+
+use std::fs::File;
+use std::path::Path;
+
+use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::{gltf, vdb};
+use twox_hash::XxHash3_128;
+
+use crate::settings::{Contouring, Integrator, Settings};
+
+use super::frame::{Frame, FrameError};
+use super::outputs::{OutputFormat, OutputOptions, output_path};
+use super::reading::read_file;
+
+/// Which input an output was made from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct InputIdentity {
+    /// The file's name, without its folder.
+    name: String,
+    /// A hash of the file as it is on the disk. It tells files apart that are not made to be
+    /// confused; it is not a seal.
+    hash: u128,
+}
+
+impl InputIdentity {
+    /// Reads a file whole: its bytes, and what tells it from others.
+    pub(super) fn of_file(path: &Path) -> Result<(Vec<u8>, InputIdentity), FrameError> {
+        let bytes = read_file(path)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let hash = XxHash3_128::oneshot(&bytes);
+        Ok((bytes, InputIdentity { name, hash }))
+    }
+}
+
+/// Names and values for an output in `format`.
+pub(super) fn provenance(
+    settings: &Settings,
+    input: &InputIdentity,
+    format: OutputFormat,
+    options: &OutputOptions,
+) -> Vec<(String, String)> {
+    let mut pairs = vec![
+        ("generator", format!("meniscus {}", env!("CARGO_PKG_VERSION"))),
+        ("input", input.name.clone()),
+        ("input_hash", format!("xxh3-128:{:032x}", input.hash)),
+    ];
+    pairs.extend(settings_pairs(settings));
+    match format {
+        OutputFormat::Vdb => {
+            pairs.push(("half", options.vdb_half.to_string()));
+            pairs.push(("compression", compression_name(options.vdb_compression).to_owned()));
+        }
+        OutputFormat::Glb | OutputFormat::Gltf => pairs.push(("up", up_name(options.up).to_owned())),
+        OutputFormat::Obj | OutputFormat::Ply => {}
+    }
+    pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
+}
+
+/// Whether every output of a frame is there and records what this run would record.
+pub(super) fn is_done(frame: &Frame, input: &InputIdentity, options: &OutputOptions) -> bool {
+    options.formats.iter().all(|&format| {
+        let wanted = provenance(&frame.settings, input, format, options);
+        let recorded = File::open(output_path(&options.folder, &frame.stem, format))
+            .map_err(meniscus_formats::Error::from)
+            .and_then(|file| read_provenance(provenance_kind(format), file));
+        recorded.is_ok_and(|recorded| wanted.iter().all(|pair| recorded.contains(pair)))
+    })
+}
+
+/// Every number of the settings, in the shortest form that reads back as the same number.
+pub(super) fn settings_pairs(settings: &Settings) -> Vec<(&'static str, String)> {
+    let Settings {
+        voxel_size,
+        radius_min,
+        radius_init,
+        radius_max,
+        integrator,
+        laplacian_steps,
+        steps,
+        step_size,
+        redistance_every,
+        cg_tolerance,
+        contouring,
+    } = settings;
+    vec![
+        ("voxel_size", voxel_size.to_string()),
+        ("radius_min", radius_min.to_string()),
+        ("radius_init", radius_init.to_string()),
+        ("radius_max", radius_max.to_string()),
+        ("integrator", integrator_name(*integrator).to_owned()),
+        ("laplacian_steps", laplacian_steps.to_string()),
+        ("steps", steps.to_string()),
+        ("step_size", step_size.to_string()),
+        ("redistance_every", redistance_every.to_string()),
+        ("cg_tolerance", cg_tolerance.to_string()),
+        ("contour", contouring_name(*contouring).to_owned()),
+    ]
+}
+
+/// As it is typed.
+pub(super) fn integrator_name(integrator: Integrator) -> &'static str {
+    match integrator {
+        Integrator::Fast => "fast",
+        Integrator::Implicit => "implicit",
+        Integrator::Explicit => "explicit",
+    }
+}
+
+/// As it is typed.
+pub(super) fn contouring_name(contouring: Contouring) -> &'static str {
+    match contouring {
+        Contouring::Dual => "dual",
+        Contouring::Tetrahedra => "tetrahedra",
+    }
+}
+
+fn compression_name(compression: vdb::Compression) -> &'static str {
+    match compression {
+        vdb::Compression::None => "none",
+        vdb::Compression::ActiveMask => "active",
+        vdb::Compression::Blosc => "blosc",
+    }
+}
+
+fn up_name(up: gltf::UpAxis) -> &'static str {
+    match up {
+        gltf::UpAxis::Y => "y",
+        gltf::UpAxis::Z => "z",
+    }
+}
+
+fn provenance_kind(format: OutputFormat) -> Kind {
+    match format {
+        OutputFormat::Glb => Kind::Glb,
+        OutputFormat::Gltf => Kind::Gltf,
+        OutputFormat::Vdb => Kind::Vdb,
+        OutputFormat::Obj => Kind::Obj,
+        OutputFormat::Ply => Kind::Ply,
+    }
+}

@@ -1,0 +1,313 @@
+//! The report of a run, as JSON.
+//!
+//! The structs here are the file's own: what the stages measure can change its shape without
+//! changing the file, and the other way round. Lengths are in world units unless the name says
+//! otherwise; what is infinite or unknown is null.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::report::SkinReport;
+use crate::settings::Settings;
+
+use super::frame::{Frame, FrameReport, Outcome};
+use super::provenance::{contouring_name, integrator_name};
+use super::sink::write_whole;
+use super::voxel_size::AutomaticVoxelSize;
+
+/// Everything that is reported of a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunRecord {
+    version: &'static str,
+    settings: Vec<SequenceRecord>,
+    frames: Vec<FrameRecord>,
+    summary: Summary,
+}
+
+/// The settings of a sequence.
+#[derive(Clone, Debug, Serialize)]
+pub struct SequenceRecord {
+    sequence: String,
+    /// Null where the voxel size was given, or where there is none.
+    spacing: Option<f64>,
+    spacing_measured_on: Option<String>,
+    #[serde(flatten)]
+    settings: Option<SettingsRecord>,
+    error: Option<String>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct SettingsRecord {
+    voxel_size: f64,
+    radius_min: f64,
+    radius_init: f64,
+    radius_max: f64,
+    integrator: &'static str,
+    laplacian_steps: u32,
+    steps: u32,
+    step_size: f64,
+    redistance_every: u32,
+    cg_tolerance: f64,
+    contour: &'static str,
+    warnings: Vec<String>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct FrameRecord {
+    input: String,
+    /// Index into the settings of this report.
+    settings: usize,
+    status: Status,
+    #[serde(flatten)]
+    measured: Option<MeasuredRecord>,
+    error: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Status {
+    Converted,
+    AlreadyDone,
+    Failed,
+    NotStarted,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct MeasuredRecord {
+    outputs: Vec<String>,
+    notes: Vec<String>,
+    particles: usize,
+    dropped: usize,
+    leaves: usize,
+    voxels: usize,
+    free_voxels: usize,
+    passes: usize,
+    reach_voxels: Option<u32>,
+    convergence: Option<ConvergenceRecord>,
+    cfl_exceeded: usize,
+    seconds: SecondsRecord,
+    peak_memory_bytes: Option<u64>,
+    certificate: CertificateRecord,
+    bending_energy: f64,
+    mesh_bending_energy: f64,
+    area: f64,
+    volume: f64,
+    vertices: usize,
+    triangles: usize,
+    boundary_edges: usize,
+    non_manifold_edges: usize,
+    degenerate_triangles: usize,
+    components: usize,
+    euler_characteristic: i64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct ConvergenceRecord {
+    iterations: usize,
+    restarts: usize,
+    residual: f64,
+    reached: bool,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct SecondsRecord {
+    read: f64,
+    rasterize: f64,
+    smooth: f64,
+    contour: f64,
+    write: f64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct CertificateRecord {
+    holds: bool,
+    bound_violations: usize,
+    vertex_distance_min_voxels: f64,
+    vertex_distance_max_voxels: f64,
+    vertices_inside_min: usize,
+    vertices_outside_max: usize,
+    particles_outside: usize,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+struct Summary {
+    frames: usize,
+    converted: usize,
+    already_done: usize,
+    failed: usize,
+    not_started: usize,
+    threads: usize,
+    seconds: f64,
+}
+
+impl RunRecord {
+    /// The record of a run that has not begun.
+    pub fn new(thread_count: usize) -> RunRecord {
+        RunRecord {
+            version: env!("CARGO_PKG_VERSION"),
+            settings: Vec::new(),
+            frames: Vec::new(),
+            summary: Summary { threads: thread_count, ..Summary::default() },
+        }
+    }
+
+    /// Adds a sequence; its index is what frames refer to.
+    pub fn add_sequence(&mut self, sequence: SequenceRecord) -> usize {
+        self.settings.push(sequence);
+        self.settings.len() - 1
+    }
+
+    /// Adds a frame that went through the pipeline.
+    pub fn add_frame(&mut self, frame: &Frame, sequence_index: usize, outcome: &Outcome) {
+        let (status, measured, error) = match outcome {
+            Outcome::Converted(report) => (Status::Converted, Some(measured(report)), None),
+            Outcome::AlreadyDone => (Status::AlreadyDone, None, None),
+            Outcome::Failed(error) => (Status::Failed, None, Some(error.to_string())),
+            Outcome::NotStarted => (Status::NotStarted, None, None),
+        };
+        self.add(FrameRecord {
+            input: text(&frame.input),
+            settings: sequence_index,
+            status,
+            measured,
+            error,
+        });
+    }
+
+    /// Adds a frame that had no settings to be converted with.
+    pub fn add_failed(&mut self, input: &Path, sequence_index: usize, why: &str) {
+        self.add(FrameRecord {
+            input: text(input),
+            settings: sequence_index,
+            status: Status::Failed,
+            measured: None,
+            error: Some(why.to_owned()),
+        });
+    }
+
+    fn add(&mut self, frame: FrameRecord) {
+        let summary = &mut self.summary;
+        summary.frames += 1;
+        *match frame.status {
+            Status::Converted => &mut summary.converted,
+            Status::AlreadyDone => &mut summary.already_done,
+            Status::Failed => &mut summary.failed,
+            Status::NotStarted => &mut summary.not_started,
+        } += 1;
+        self.frames.push(frame);
+    }
+
+    /// Writes the record, whole or not at all.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn write(mut self, path: &Path, seconds: f64) -> meniscus_formats::Result<()> {
+        self.summary.seconds = seconds;
+        write_whole(path, |out| {
+            serde_json::to_writer_pretty(&mut *out, &self).map_err(std::io::Error::from)?;
+            Ok(out.write_all(b"\n")?)
+        })
+    }
+}
+
+impl SequenceRecord {
+    /// A sequence with settings, and where its voxel size is from unless it was given.
+    pub fn new(name: &str, settings: &Settings, automatic: Option<&AutomaticVoxelSize>) -> SequenceRecord {
+        SequenceRecord {
+            sequence: name.to_owned(),
+            spacing: automatic.map(|automatic| automatic.spacing),
+            spacing_measured_on: automatic.map(|automatic| text(&automatic.measured_on)),
+            settings: Some(settings_record(settings)),
+            error: None,
+        }
+    }
+
+    /// A sequence for which there are no settings.
+    pub fn without_settings(name: &str, why: &str) -> SequenceRecord {
+        SequenceRecord {
+            sequence: name.to_owned(),
+            spacing: None,
+            spacing_measured_on: None,
+            settings: None,
+            error: Some(why.to_owned()),
+        }
+    }
+}
+
+fn settings_record(settings: &Settings) -> SettingsRecord {
+    SettingsRecord {
+        voxel_size: settings.voxel_size,
+        radius_min: settings.radius_min,
+        radius_init: settings.radius_init,
+        radius_max: settings.radius_max,
+        integrator: integrator_name(settings.integrator),
+        laplacian_steps: settings.laplacian_steps,
+        steps: settings.steps,
+        step_size: settings.step_size,
+        redistance_every: settings.redistance_every,
+        cg_tolerance: settings.cg_tolerance,
+        contour: contouring_name(settings.contouring),
+        warnings: settings.warnings(),
+    }
+}
+
+fn measured(report: &FrameReport) -> MeasuredRecord {
+    let SkinReport { seconds, mesh, convergence, .. } = &report.skin;
+    MeasuredRecord {
+        outputs: report.outputs.iter().map(|path| text(path)).collect(),
+        notes: report.notes.clone(),
+        particles: report.skin.particle_count,
+        dropped: report.skin.dropped_count,
+        leaves: report.skin.leaf_count,
+        voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
+        free_voxels: report.skin.free_voxel_count,
+        passes: report.skin.pass_count,
+        reach_voxels: report.skin.reach_voxels,
+        convergence: convergence.map(|convergence| ConvergenceRecord {
+            iterations: convergence.iterations,
+            restarts: convergence.restarts,
+            residual: convergence.residual,
+            reached: convergence.reached,
+        }),
+        cfl_exceeded: report.skin.cfl_exceeded_count,
+        seconds: SecondsRecord {
+            read: report.read_seconds,
+            rasterize: seconds.rasterize,
+            smooth: seconds.smooth,
+            contour: seconds.contour,
+            write: report.write_seconds,
+        },
+        peak_memory_bytes: report.peak_memory_bytes,
+        certificate: certificate_record(&report.skin),
+        bending_energy: report.skin.bending_energy,
+        mesh_bending_energy: mesh.bending_energy,
+        area: mesh.area,
+        volume: mesh.volume,
+        vertices: mesh.vertex_count,
+        triangles: mesh.triangle_count,
+        boundary_edges: mesh.boundary_edge_count,
+        non_manifold_edges: mesh.non_manifold_edge_count,
+        degenerate_triangles: mesh.degenerate_triangle_count,
+        components: mesh.component_count,
+        euler_characteristic: mesh.euler_characteristic,
+    }
+}
+
+fn certificate_record(report: &SkinReport) -> CertificateRecord {
+    let certificate = &report.certificate;
+    CertificateRecord {
+        holds: certificate.holds(),
+        bound_violations: certificate.bound_violation_count,
+        vertex_distance_min_voxels: certificate.vertex_distance_min,
+        vertex_distance_max_voxels: certificate.vertex_distance_max,
+        vertices_inside_min: certificate.vertices_inside_min,
+        vertices_outside_max: certificate.vertices_outside_max,
+        particles_outside: certificate.particles_outside,
+    }
+}
+
+fn text(path: &Path) -> String {
+    path.to_string_lossy().into_owned()
+}

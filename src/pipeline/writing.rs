@@ -1,0 +1,93 @@
+//! From a surface to files, one for each format.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use meniscus_formats::{LevelSetView, MeshView, gltf, obj, ply, vdb};
+use rayon::ThreadPool;
+
+use crate::level_set::NarrowBand;
+use crate::mesh::Mesh;
+use crate::settings::Settings;
+use crate::skin::Surface;
+
+use super::frame::{Frame, FrameError, Stage};
+use super::outputs::{OutputFormat, OutputOptions, output_path};
+use super::provenance::{InputIdentity, provenance};
+use super::sink::write_whole;
+
+/// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
+const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
+
+/// Writes a frame's surface in every format: each file whole or not at all. Returns their paths.
+///
+/// # Errors
+/// The first file that cannot be written; those before it are there.
+pub(super) fn write_surface(
+    surface: &Surface,
+    frame: &Frame,
+    input: &InputIdentity,
+    options: &OutputOptions,
+    pool: &ThreadPool,
+) -> Result<Vec<PathBuf>, FrameError> {
+    let write_one = |&format: &OutputFormat| {
+        let path = output_path(&options.folder, &frame.stem, format);
+        let provenance = provenance(&frame.settings, input, format, options);
+        write_whole(&path, |out| {
+            // Encoding is work for the pool; waiting for the disk afterwards is not.
+            pool.install(|| encode(surface, &frame.settings, format, options, &provenance, out))
+        })
+        .map_err(|error| FrameError::file(&path, Stage::Write, error))?;
+        Ok(path)
+    };
+    options.formats.iter().map(write_one).collect()
+}
+
+fn encode(
+    surface: &Surface,
+    settings: &Settings,
+    format: OutputFormat,
+    options: &OutputOptions,
+    provenance: &[(String, String)],
+    out: &mut impl Write,
+) -> meniscus_formats::Result<()> {
+    let mesh = mesh_view(&surface.mesh);
+    match format {
+        OutputFormat::Vdb => {
+            let origins = leaf_origins(&surface.band);
+            let levels = LevelSetView {
+                origins: &origins,
+                leaves: surface.band.phi.as_arrays(),
+                half_width_voxels: VDB_HALF_WIDTH_VOXELS,
+                voxel_size: settings.voxel_size,
+            };
+            let write_options = vdb::WriteOptions {
+                half: options.vdb_half,
+                compression: options.vdb_compression,
+                ..vdb::WriteOptions::default()
+            };
+            vdb::write(&levels, &write_options, provenance, out)
+        }
+        OutputFormat::Glb => gltf::write_glb(&mesh, &gltf_options(options), provenance, out),
+        OutputFormat::Gltf => gltf::write_gltf(&mesh, &gltf_options(options), provenance, out),
+        OutputFormat::Obj => obj::write(&mesh, &obj::WriteOptions::default(), provenance, out),
+        OutputFormat::Ply => ply::write::write_mesh(&mesh, provenance, out),
+    }
+}
+
+fn gltf_options(options: &OutputOptions) -> gltf::WriteOptions {
+    gltf::WriteOptions { up: options.up, ..gltf::WriteOptions::default() }
+}
+
+fn mesh_view(mesh: &Mesh) -> MeshView<'_> {
+    MeshView {
+        positions: bytemuck::cast_slice(&mesh.positions),
+        normals: bytemuck::cast_slice(&mesh.normals),
+        triangles: &mesh.triangles,
+        origin: mesh.origin.to_array(),
+    }
+}
+
+fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
+    band.topology.origins().iter().map(|origin| origin.to_array()).collect()
+}

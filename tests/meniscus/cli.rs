@@ -1,0 +1,196 @@
+//! The command: exit codes, messages, names, what is refused. Nothing here needs the method.
+
+use std::fs;
+use std::path::Path;
+
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{block, meniscus, names_in, write_ply, write_sequence};
+
+fn folder() -> TempDir {
+    tempdir().expect("a folder")
+}
+
+/// Asserts that a command does nothing, with exit status 2, and says why.
+fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let ran = meniscus(folder, arguments);
+    assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+    for word in words {
+        assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+    }
+}
+
+#[test]
+fn what_makes_no_sense_is_refused() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    fs::create_dir(path.join("empty")).expect("made");
+    fs::write(path.join("empty/README.txt"), "Nothing to see here.\n").expect("written");
+    assert_refused(path, &[], &["Usage"]);
+    assert_refused(path, &["convert", "dam.1.ply"], &["--out"]);
+    assert_refused(path, &["convert", "--out", "o"], &["INPUT"]);
+    for (arguments, words) in [
+        (&["missing.ply"][..], &["missing.ply", "no such file"][..]),
+        (&["a*.ply"], &["a*.ply", "no file matches"]),
+        (&["a.####.ply"], &["a.####.ply", "no file matches"]),
+        (&["empty"], &["empty", "no frames"]),
+        (&["dam.1.ply", "--frames", "5-1"], &["backwards"]),
+        (&["dam.1.ply", "--frames", "7"], &["--frames selects none of the 1"]),
+        (&["dam.1.ply", "--threads", "0"], &["--threads"]),
+        (&["dam.1.ply", "--format", "stl"], &["stl"]),
+        (&["dam.1.ply", "--voxel-size", "-1"], &["-1"]),
+        (&["dam.1.ply", "--voxel-size=-1"], &["voxel size", "positive"]),
+        (&["dam.1.ply", "--voxel-size", "nan"], &["voxel size"]),
+        (&["dam.1.ply", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),
+        (&["dam.1.ply", "--report", "missing/report.json"], &["missing"]),
+    ] {
+        assert_refused(path, &[&["convert", "--out", "o"], arguments].concat(), words);
+    }
+}
+
+#[test]
+fn help_and_version_are_no_errors() {
+    let folder = folder();
+    for arguments in [&["--help"][..], &["--version"], &["convert", "--help"], &["info", "-h"]] {
+        assert_eq!(meniscus(folder.path(), arguments).status, 0);
+    }
+    let help = meniscus(folder.path(), &["convert", "--help"]).out;
+    for word in ["half the particle spacing", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
+        assert!(help.contains(word), "the help does not say {word}");
+    }
+}
+
+#[test]
+fn inputs_are_never_replaced() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 3);
+    let before = fs::read(path.join("dam.1.ply")).expect("readable");
+    fs::create_dir(path.join("out")).expect("made");
+    let refused = |arguments: &[&str]| {
+        let words = ["would replace the input", "dam."];
+        assert_refused(path, &[&["convert", "--format", "ply"], arguments].concat(), &words);
+    };
+    refused(&["dam.1.ply", "--out", "."]);
+    refused(&["dam.#.ply", "--out", "out/.."]);
+    refused(&["dam.#.ply", "--out", "new/.."]);
+    refused(&["dam.2.ply", "--report", "dam.2.ply", "--out", "out"]);
+    // A frame of the sequence that is not converted stays, too.
+    refused(&["dam.#.ply", "--frames", "1", "--report", "dam.3.ply", "--out", "out"]);
+    assert_eq!(fs::read(path.join("dam.1.ply")).expect("readable"), before);
+    assert_eq!(names_in(&path.join("out")), [""; 0]);
+}
+
+#[test]
+#[cfg(unix)]
+fn links_do_not_hide_an_input() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 1);
+    let link =
+        |target: &Path, name: &str| std::os::unix::fs::symlink(target, path.join(name)).expect("linked");
+    link(path, "same_folder");
+    for out in ["linked_file", "linked_hard"] {
+        fs::create_dir(path.join(out)).expect("made");
+    }
+    link(&path.join("dam.1.ply"), "linked_file/dam.1.ply");
+    fs::hard_link(path.join("dam.1.ply"), path.join("linked_hard/dam.1.ply")).expect("linked");
+    for out in ["same_folder", "linked_file", "linked_hard"] {
+        let arguments = ["convert", "dam.1.ply", "--format", "ply", "--out", out];
+        assert_refused(path, &arguments, &["would replace the input"]);
+    }
+    // The other way round: the input is a link into the output folder.
+    fs::create_dir(path.join("out")).expect("made");
+    fs::rename(path.join("dam.1.ply"), path.join("out/dam.1.ply")).expect("moved");
+    link(&path.join("out/dam.1.ply"), "in.1.ply");
+    link(&path.join("out/dam.1.ply"), "dam.1.ply");
+    assert_refused(path, &["convert", "dam.1.ply", "--format", "ply", "--out", "out"], &["would replace"]);
+}
+
+#[test]
+fn two_inputs_never_become_one_output() {
+    let folder = folder();
+    let path = folder.path();
+    for name in ["a", "b"] {
+        fs::create_dir(path.join(name)).expect("made");
+        write_sequence(&path.join(name), 1, 1);
+    }
+    let (first, second) = (Path::new("a").join("dam.1.ply"), Path::new("b").join("dam.1.ply"));
+    let words = [first.to_str().expect("text"), second.to_str().expect("text"), "would both become"];
+    assert_refused(path, &["convert", "a", "b", "--out", "o"], &words);
+    let arguments = ["convert", "a", "--out", "o", "--report", "o/dam.1.glb"];
+    assert_refused(path, &arguments, &["the report", "would both become"]);
+    assert_eq!(names_in(&path.join("o")), [""; 0]);
+}
+
+#[test]
+fn without_a_spacing_the_voxel_size_is_asked_for() {
+    let folder = folder();
+    write_ply(&folder.path().join("few.ply"), &block(3, 0.0));
+    write_ply(&folder.path().join("none.ply"), &[]);
+    for name in ["few.ply", "none.ply"] {
+        assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--voxel-size"]);
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_read_is_named_with_the_reason() {
+    let folder = folder();
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\n";
+    fs::write(folder.path().join("short.ply"), format!("{header}end_header\n0 0 0\n")).expect("written");
+    fs::write(folder.path().join("noise.ply"), [1, 2, 3, 200, 255]).expect("written");
+    for name in ["short.ply", "noise.ply"] {
+        assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name]);
+        let sized = ["convert", name, "--out", "o", "--voxel-size", "0.1"];
+        assert_refused(folder.path(), &sized, &[name, "error"]);
+    }
+    let arguments = ["convert", "short.ply", "--out", "o", "--voxel-size", "0.1"];
+    assert_refused(folder.path(), &arguments, &["PLY, at"]);
+    assert_eq!(names_in(&folder.path().join("o")), [""; 0]);
+}
+
+#[test]
+fn settings_are_told_for_each_sequence() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 9, 11);
+    write_ply(&path.join("coarse.ply"), &block(6, 0.0).map_spacing(2.0));
+    let out = meniscus(path, &["convert", ".", "--out", "o"]).out;
+    let line = |start: &str| {
+        out.lines()
+            .find(|line| line.starts_with(start))
+            .unwrap_or_else(|| panic!("{start} not in {out}"))
+            .to_owned()
+    };
+    assert!(line("dam.{}.ply: 3 frames, voxel size 0.0").contains("measured on dam.9.ply"));
+    let spacing = |line: String| -> f64 {
+        let after = line.split("spacing ").nth(1).expect("a spacing").to_owned();
+        after.split(',').next().expect("a number").parse().expect("a number")
+    };
+    let ratio = spacing(line("coarse.ply: 1 frame,")) / spacing(line("dam.{}.ply"));
+    assert!((ratio - 2.0).abs() < 1e-3, "{ratio}");
+    let selected = meniscus(path, &["convert", "dam.%d.ply", "--frames", "10-11", "--out", "o"]).out;
+    assert!(selected.contains("2 frames") && selected.contains("measured on dam.9.ply"), "{selected}");
+}
+
+#[test]
+fn warnings_name_the_sequence() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    let arguments = ["convert", "dam.1.ply", "--out", "o", "--radius-min", "0.05"];
+    let ran = meniscus(folder.path(), &arguments);
+    assert_eq!(ran.err.matches("warning: dam.1.ply: r_min is").count(), 1, "{}", ran.err);
+}
+
+/// Blocks at another scale.
+trait MapSpacing {
+    fn map_spacing(self, factor: f64) -> Self;
+}
+
+impl MapSpacing for Vec<[f64; 3]> {
+    fn map_spacing(self, factor: f64) -> Self {
+        self.into_iter().map(|position| position.map(|x| x * factor)).collect()
+    }
+}

@@ -1,0 +1,173 @@
+//! The command on real frames: names, the same bytes, reports, what is done already.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
+
+fn convert(folder: &Path, arguments: &[&str]) -> Ran {
+    meniscus(folder, &[&["convert"], arguments].concat())
+}
+
+/// Converts, and asserts that all went well and nobody was warned.
+fn converted(folder: &Path, arguments: &[&str]) -> String {
+    let ran = convert(folder, arguments);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?}: {}", ran.out);
+    ran.out
+}
+
+fn report(path: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(path).expect("readable")).expect("the report is JSON")
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn frames_become_files_of_their_names() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 9, 11);
+    let out = converted(path, &["dam.%d.ply", "dam.{}.ply", "--out", "o"]);
+    let expected: Vec<String> =
+        ["10", "11", "9"].iter().flat_map(|n| [format!("dam.{n}.glb"), format!("dam.{n}.vdb")]).collect();
+    assert_eq!(names_in(&path.join("o")), expected);
+    let frames: Vec<&str> = out.lines().filter(|line| line.contains("particles, ")).collect();
+    assert_eq!(frames.len(), 3);
+    assert!(frames[0].starts_with("dam.9.ply") && frames[2].starts_with("dam.11.ply"), "{out}");
+    assert!(out.lines().last().expect("a summary").starts_with("3 frames: 3 done, in "), "{out}");
+    let arguments = ["dam.9.ply", "--out", "all", "--format", "glb,gltf,vdb,obj,ply,obj"];
+    converted(path, &arguments);
+    let expected = ["glb", "gltf", "obj", "ply", "vdb"].map(|extension| format!("dam.9.{extension}"));
+    assert_eq!(names_in(&path.join("all")), expected);
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn a_range_gives_the_same_as_the_whole() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 6);
+    // The first frame is another: the voxel size is its, whichever frames are converted.
+    write_ply(&path.join("dam.1.ply"), &block(7, 0.0));
+    converted(path, &["dam.#.ply", "--out", "whole", "--threads", "1"]);
+    converted(path, &["dam.#.ply", "--out", "part", "--frames", "2-6x2", "--threads", "2"]);
+    let names = ["dam.2.glb", "dam.2.vdb", "dam.4.glb", "dam.4.vdb", "dam.6.glb", "dam.6.vdb"];
+    assert_eq!(names_in(&path.join("part")), names);
+    for name in names {
+        let [whole, part] =
+            ["whole", "part"].map(|out| fs::read(path.join(out).join(name)).expect("readable"));
+        assert!(whole == part, "{name}");
+    }
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn the_bytes_do_not_depend_on_threads() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 4);
+    for integrator in ["fast", "implicit"] {
+        for threads in ["1", "2", "4"] {
+            let out = format!("{integrator}{threads}");
+            let arguments = ["--format", "glb,vdb,obj,ply", "--threads", threads, "--integrator", integrator];
+            converted(path, &[&["dam.#.ply", "--out", &out], &arguments[..]].concat());
+            for name in names_in(&path.join(&out)) {
+                let of_one = fs::read(path.join(format!("{integrator}1")).join(&name)).expect("readable");
+                let of_many = fs::read(path.join(&out).join(&name)).expect("readable");
+                assert!(of_one == of_many, "{integrator}, {threads} threads: {name}");
+            }
+        }
+    }
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn an_empty_frame_is_a_frame() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &[]);
+    write_ply(&path.join("dam.2.ply"), &block(6, 0.0));
+    let out = converted(path, &["dam.#.ply", "--out", "o", "--format", "glb,gltf,vdb,obj,ply"]);
+    assert!(out.contains("measured on dam.2.ply"), "{out}");
+    assert_eq!(names_in(&path.join("o")).len(), 10);
+    converted(path, &["dam.1.ply", "--out", "p", "--voxel-size", "0.1"]);
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn a_frame_that_fails_is_named_and_the_others_are_there() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 4);
+    fs::write(path.join("dam.2.ply"), "ply\nformat nonsense 1.0\n").expect("written");
+    let ran = convert(path, &[".", "--out", "o", "--report", "o/report.json"]);
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains("dam.2.ply: PLY, at"), "{}", ran.err);
+    assert!(ran.out.contains("4 frames: 3 done, 1 failed, in "), "{}", ran.out);
+    assert_eq!(names_in(&path.join("o")).len(), 7);
+    let report = report(&path.join("o/report.json"));
+    let statuses: Vec<&Value> =
+        report["frames"].as_array().expect("frames").iter().map(|f| &f["status"]).collect();
+    assert_eq!(statuses, ["converted", "failed", "converted", "converted"]);
+    assert!(report["frames"][1]["error"].as_str().expect("why").contains("dam.2.ply"));
+
+    let ran = convert(path, &["dam.#.ply", "--out", "p", "--on-error", "stop"]);
+    assert_eq!(ran.status, 1);
+    assert_eq!(names_in(&path.join("p")), ["dam.1.glb", "dam.1.vdb"]);
+    assert!(ran.out.contains("1 done, 1 failed, 2 not started"), "{}", ran.out);
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn what_is_done_is_not_done_again() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    let arguments = ["dam.#.ply", "--out", "o", "--skip-done"];
+    assert!(!converted(path, &arguments).contains("done already"));
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 2);
+    write_ply(&path.join("dam.2.ply"), &block(6, 0.5));
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 1);
+    let changed = [&arguments[..], &["--laplacian-steps", "3"]].concat();
+    assert_eq!(converted(path, &changed).matches("done already").count(), 0);
+}
+
+#[test]
+#[ignore = "waits for the method"]
+fn the_report_says_what_was_measured() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    converted(path, &["dam.#.ply", "--out", "o", "--report", "report.json"]);
+    let report = report(&path.join("report.json"));
+    assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
+    let settings = &report["settings"][0];
+    assert_eq!((&settings["sequence"], &settings["integrator"]), (&"dam.{}.ply".into(), &"fast".into()));
+    let [h, spacing] = ["voxel_size", "spacing"].map(|key| settings[key].as_f64().expect("a number"));
+    assert!((2.0 * h / spacing - 1.0).abs() < 1e-12, "{h} {spacing}");
+    let frame = &report["frames"][1];
+    assert_eq!((&frame["input"], &frame["settings"]), (&"dam.2.ply".into(), &0.into()));
+    assert_eq!((&frame["particles"], &frame["dropped"]), (&216.into(), &0.into()));
+    for key in [
+        "leaves",
+        "voxels",
+        "free_voxels",
+        "passes",
+        "bending_energy",
+        "area",
+        "volume",
+        "vertices",
+        "triangles",
+        "components",
+    ] {
+        assert!(frame[key].as_f64().is_some_and(|value| value > 0.0), "{key}: {}", frame[key]);
+    }
+    for stage in ["read", "rasterize", "smooth", "contour", "write"] {
+        assert!(frame["seconds"][stage].as_f64().is_some_and(|seconds| seconds > 0.0), "{stage}");
+    }
+    assert_eq!((&frame["boundary_edges"], &frame["non_manifold_edges"]), (&0.into(), &0.into()));
+    assert_eq!(frame["certificate"]["holds"], true, "{frame}");
+    assert_eq!((&report["summary"]["converted"], &report["summary"]["failed"]), (&2.into(), &0.into()));
+}

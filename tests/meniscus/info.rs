@@ -1,0 +1,87 @@
+//! The command that tells what files hold.
+
+use std::fs;
+use std::process::Stdio;
+
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::scene::{block, command, meniscus, write_ply};
+
+#[test]
+fn particles_are_described() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("block.ply"), &block(10, 0.5));
+    let ran = meniscus(folder.path(), &["info", "block.ply"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    for word in
+        ["block.ply: PLY", "particles", "1000", "(0.5, 0, 0) to (1.4, 0.9, 0.9)", "suggested voxel size"]
+    {
+        assert!(ran.out.contains(word), "{word} not in {}", ran.out);
+    }
+    let json: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "block.ply"]).out)
+        .expect("the output is JSON");
+    let particles = &json[0]["particles"];
+    assert_eq!(particles["count"], 1000);
+    let spacing = particles["spacing"].as_f64().expect("a number");
+    // The surface of so small a block has its part in the median.
+    assert!((spacing / 0.1 - 1.0).abs() < 0.15, "{spacing}");
+    let suggested = particles["suggested_voxel_size"].as_f64().expect("a number");
+    assert!((2.0 * suggested / spacing - 1.0).abs() < 1e-12, "{suggested}");
+}
+
+#[test]
+fn attributes_are_described() {
+    let folder = tempdir().expect("a folder");
+    fs::write(folder.path().join("t.csv"), "x,y,z,density,id\n0,0,0,1.5,7\n1,0,0,-2.5,9007199254740993\n")
+        .expect("written");
+    let json: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "t.csv"]).out)
+        .expect("the output is JSON");
+    let attributes = json[0]["particles"]["attributes"].as_array().expect("a list");
+    let find = |name: &str| attributes.iter().find(|a| a["name"] == name).unwrap_or_else(|| panic!("{json}"));
+    assert_eq!(find("density")["role"], "density");
+    assert_eq!(find("density")["min"][0], -2.5);
+    assert_eq!(find("id")["max"][0], 9_007_199_254_740_993_i64);
+    assert_eq!(json[0]["particles"]["spacing"], Value::Null);
+}
+
+#[test]
+fn meshes_are_described() {
+    let folder = tempdir().expect("a folder");
+    let tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+    fs::write(folder.path().join("t.obj"), tetrahedron).expect("written");
+    let json: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "t.obj"]).out)
+        .expect("the output is JSON");
+    let mesh = &json[0]["mesh"];
+    assert_eq!((&mesh["vertices"], &mesh["triangles"]), (&4.into(), &4.into()), "{json}");
+    assert_eq!((&mesh["boundary_edges"], &mesh["non_manifold_edges"]), (&0.into(), &0.into()));
+    let volume = mesh["volume"].as_f64().expect("a number");
+    assert!((volume - 1.0 / 6.0).abs() < 1e-12, "{volume}");
+}
+
+#[test]
+fn a_file_that_cannot_be_read_costs_itself_only() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("block.ply"), &block(4, 0.0));
+    fs::write(folder.path().join("noise"), [1, 2, 3, 200, 255]).expect("written");
+    let both = meniscus(folder.path(), &["info", "noise", "block.ply", "missing.ply"]);
+    assert_eq!(both.status, 1);
+    assert!(both.err.contains("noise: ") && both.err.contains("missing.ply: "), "{}", both.err);
+    assert!(both.out.contains("block.ply: PLY"));
+    assert_eq!(meniscus(folder.path(), &["info", "noise"]).status, 2);
+}
+
+#[test]
+fn a_closed_output_is_no_error() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("block.ply"), &block(4, 0.0));
+    let mut child = command(folder.path(), &["info", "block.ply"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the command starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("the command ends");
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+}

@@ -1,0 +1,291 @@
+//! Frames through the stages, with a quick method in place of the real one.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use glam::{DVec3, IVec3, Vec3};
+use meniscus::grid::{Field, Topology};
+use meniscus::level_set::NarrowBand;
+use meniscus::mesh::Mesh;
+use meniscus::particles::Particles;
+use meniscus::pipeline::{
+    Cause, Conduct, Frame, LevelSetSkinning, Method, OnError, Outcome, OutputFormat, OutputOptions, Stage,
+    run,
+};
+use meniscus::report::SkinReport;
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::Surface;
+use meniscus_formats::{gltf, vdb};
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{block, names_in, write_ply};
+
+/// A tetrahedron as large as the frame has particles. Panics in `broken_stage` at frames of
+/// [`BROKEN_COUNT`] particles, and counts the frames that are under way.
+struct Quick {
+    broken_stage: Option<Stage>,
+    under_way: AtomicUsize,
+    under_way_max: AtomicUsize,
+}
+
+/// How many particles the frame has that the method cannot bear.
+const BROKEN_COUNT: usize = 27;
+
+impl Quick {
+    fn new(broken_stage: Option<Stage>) -> Quick {
+        Quick { broken_stage, under_way: AtomicUsize::new(0), under_way_max: AtomicUsize::new(0) }
+    }
+
+    fn pass(&self, stage: Stage, count: usize) -> usize {
+        assert!(self.broken_stage != Some(stage) || count != BROKEN_COUNT, "cannot bear {count} particles");
+        count
+    }
+}
+
+impl Method for Quick {
+    type Rasterized = usize;
+    type Smoothed = usize;
+
+    fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
+        let under_way = self.under_way.fetch_add(1, Ordering::Relaxed) + 1;
+        self.under_way_max.fetch_max(under_way, Ordering::Relaxed);
+        self.pass(Stage::Rasterize, particles.len())
+    }
+
+    fn smooth(&self, count: usize, _settings: &Settings) -> usize {
+        self.pass(Stage::Smooth, count)
+    }
+
+    fn contour(&self, count: usize, settings: &Settings) -> Surface {
+        let size = self.pass(Stage::Contour, count) as f32 * settings.voxel_size as f32;
+        let mesh = Mesh {
+            positions: [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z].map(|corner| corner * size).to_vec(),
+            normals: vec![-Vec3::ONE.normalize(), Vec3::X, Vec3::Y, Vec3::Z],
+            triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+            origin: DVec3::ZERO,
+        };
+        let topology = Arc::new(Topology::new(vec![IVec3::ZERO]));
+        let mut phi = Field::splat(1, 6.0);
+        phi.leaves[0].values[0] = -1.0;
+        let band = NarrowBand { topology, phi, half_width: 6.0 };
+        Surface { band, mesh, report: SkinReport { particle_count: count, ..SkinReport::default() } }
+    }
+}
+
+/// A folder with frames, and what it takes to run them.
+struct Bench {
+    folder: TempDir,
+    frames: Vec<Frame>,
+    outputs: OutputOptions,
+}
+
+impl Bench {
+    /// A frame of `edge_count`³ particles for each; 0 is a frame that is no frame at all.
+    fn new(edge_counts: &[usize]) -> Bench {
+        let folder = tempdir().expect("a folder");
+        let settings = Arc::new(Settings::resolve(0.05, &Choices::default()).expect("valid"));
+        let mut frames = Vec::new();
+        for (number, &edge_count) in edge_counts.iter().enumerate() {
+            let input = folder.path().join(format!("f.{number}.ply"));
+            match edge_count {
+                0 => fs::write(&input, "ply\nformat nonsense 1.0\n").expect("written"),
+                _ => write_ply(&input, &block(edge_count, 0.0)),
+            }
+            frames.push(Frame { input, stem: format!("f.{number}"), settings: Arc::clone(&settings) });
+        }
+        let out = folder.path().join("out");
+        fs::create_dir(&out).expect("made");
+        let outputs = OutputOptions {
+            folder: out,
+            formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
+            up: gltf::UpAxis::Y,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::Blosc,
+        };
+        Bench { folder, frames, outputs }
+    }
+
+    fn out(&self) -> &Path {
+        &self.outputs.folder
+    }
+
+    fn run_with<M: Method>(
+        &self,
+        method: &M,
+        on_error: OnError,
+        skip_done: bool,
+        threads: usize,
+    ) -> Vec<Outcome> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let conduct = Conduct { pool: &pool, outputs: &self.outputs, on_error, skip_done };
+        let mut outcomes = Vec::new();
+        run(method, &self.frames, &conduct, |index, outcome| {
+            assert_eq!(index, outcomes.len(), "outcomes come in order");
+            outcomes.push(outcome);
+        });
+        assert_eq!(outcomes.len(), self.frames.len());
+        assert!(names_in(self.out()).iter().all(|name| !name.contains("tmp")), "a temporary file is left");
+        outcomes
+    }
+
+    fn run(&self, method: &Quick, on_error: OnError) -> String {
+        letters(&self.run_with(method, on_error, false, 2))
+    }
+
+    /// The numbers of the frames that have all outputs, none of the others having any.
+    fn written(&self) -> Vec<usize> {
+        let names = names_in(self.out());
+        let count = |number: usize| names.iter().filter(|n| n.starts_with(&format!("f.{number}."))).count();
+        let written: Vec<usize> = (0..self.frames.len()).filter(|&number| count(number) == 4).collect();
+        assert_eq!(names.len(), 4 * written.len(), "{names:?}");
+        written
+    }
+}
+
+/// One letter for each outcome.
+fn letters(outcomes: &[Outcome]) -> String {
+    let letter = |outcome: &Outcome| match outcome {
+        Outcome::Converted(_) => 'c',
+        Outcome::AlreadyDone => 'd',
+        Outcome::Failed(_) => 'f',
+        Outcome::NotStarted => 'n',
+    };
+    outcomes.iter().map(letter).collect()
+}
+
+#[test]
+fn frames_are_converted_in_order() {
+    let bench = Bench::new(&[2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 2, 3, 4, 5, 6, 2]);
+    let quick = Quick::new(None);
+    let outcomes = bench.run_with(&quick, OnError::Continue, false, 2);
+    assert_eq!(letters(&outcomes), "cccccccccccccccc");
+    assert_eq!(bench.written().len(), 16);
+    let Outcome::Converted(report) = &outcomes[1] else { panic!("not converted") };
+    assert_eq!(report.skin.particle_count, 27);
+    assert_eq!(report.outputs[0], bench.out().join("f.1.glb"));
+    assert!(!cfg!(target_os = "linux") || report.peak_memory_bytes.is_some_and(|bytes| bytes > 1 << 20));
+}
+
+#[test]
+fn a_frame_that_fails_costs_itself_only() {
+    for broken_stage in [Stage::Rasterize, Stage::Smooth, Stage::Contour] {
+        let bench = Bench::new(&[2, 3, 0, 4]);
+        let quick = Quick::new(Some(broken_stage));
+        let outcomes = bench.run_with(&quick, OnError::Continue, false, 2);
+        assert_eq!(letters(&outcomes), "cffc");
+        assert_eq!(bench.written(), [0, 3]);
+        let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
+        assert_eq!(error.during, broken_stage);
+        assert!(matches!(&error.cause, Cause::Panic(what) if what == "cannot bear 27 particles"), "{error}");
+        assert!(error.to_string().contains("f.1.ply"), "{error}");
+        let Outcome::Failed(error) = &outcomes[2] else { panic!("not failed") };
+        assert!(error.to_string().contains("f.2.ply: PLY, at"), "{error}");
+    }
+}
+
+#[test]
+fn stop_writes_exactly_the_frames_before() {
+    for broken_stage in [None, Some(Stage::Rasterize), Some(Stage::Contour)] {
+        let broken_edge = if broken_stage.is_none() { 0 } else { 3 };
+        let bench = Bench::new(&[2, 2, broken_edge, 4, 4, 4, 4, 4, 4, 4, 4, 4]);
+        assert_eq!(bench.run(&Quick::new(broken_stage), OnError::Stop), "ccfnnnnnnnnn");
+        assert_eq!(bench.written(), [0, 1]);
+    }
+}
+
+#[test]
+fn an_output_that_cannot_be_written_fails_its_frame() {
+    let bench = Bench::new(&[2, 2, 2]);
+    fs::create_dir(bench.out().join("f.1.vdb")).expect("made");
+    let outcomes = bench.run_with(&Quick::new(None), OnError::Continue, false, 2);
+    assert_eq!(letters(&outcomes), "cfc");
+    let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
+    assert_eq!((error.during, error.path.clone()), (Stage::Write, bench.out().join("f.1.vdb")));
+    // What came before it is whole; it is made again, and so is the rest, once the way is free.
+    assert!(bench.out().join("f.1.glb").exists());
+    fs::remove_dir(bench.out().join("f.1.vdb")).expect("removed");
+    assert_eq!(letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2)), "dcd");
+}
+
+#[test]
+fn a_folder_that_is_gone_fails_every_frame() {
+    let bench = Bench::new(&[2, 2]);
+    fs::remove_dir(bench.out()).expect("removed");
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("threads");
+    let conduct =
+        Conduct { pool: &pool, outputs: &bench.outputs, on_error: OnError::Continue, skip_done: false };
+    let mut outcomes = Vec::new();
+    run(&Quick::new(None), &bench.frames, &conduct, |_, outcome| outcomes.push(outcome));
+    assert_eq!(letters(&outcomes), "ff");
+}
+
+#[test]
+fn what_is_done_is_left_alone_and_anything_else_made_again() {
+    let mut bench = Bench::new(&[2, 2, 2, 2]);
+    bench.outputs.formats.push(OutputFormat::Gltf);
+    let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
+    assert_eq!(run(&bench), "cccc");
+    assert_eq!(run(&bench), "dddd");
+    // An input that changed, an output that is gone, one that is damaged.
+    write_ply(&bench.folder.path().join("f.0.ply"), &block(3, 0.0));
+    fs::remove_file(bench.out().join("f.2.obj")).expect("removed");
+    fs::write(bench.out().join("f.3.glb"), "glTF").expect("written");
+    assert_eq!(run(&bench), "cdcc");
+    assert_eq!(run(&bench), "dddd");
+    // Options of one format.
+    bench.outputs.vdb_half = true;
+    assert_eq!(run(&bench), "cccc");
+    bench.outputs.up = gltf::UpAxis::Z;
+    assert_eq!(run(&bench), "cccc");
+    // Settings.
+    let choices = Choices { laplacian_steps: Some(14), ..Choices::default() };
+    bench.frames[2].settings = Arc::new(Settings::resolve(0.05, &choices).expect("valid"));
+    assert_eq!(run(&bench), "ddcd");
+}
+
+#[test]
+fn the_bytes_do_not_depend_on_threads_or_neighbours() {
+    let contents = |bench: &Bench| -> Vec<(String, Vec<u8>)> {
+        let read = |name: String| (name.clone(), fs::read(bench.out().join(name)).expect("readable"));
+        names_in(bench.out()).into_iter().map(read).collect()
+    };
+    let mut expected = None;
+    for threads in [1, 2, 4] {
+        let mut bench = Bench::new(&[2, 3, 4, 5]);
+        if threads == 4 {
+            bench.frames.reverse();
+        }
+        bench.run_with(&Quick::new(None), OnError::Continue, false, threads);
+        let found = contents(&bench);
+        assert_eq!(found.len(), 16);
+        assert!(*expected.get_or_insert_with(|| found.clone()) == found, "{threads} threads");
+    }
+    // Neither a host's paths nor a clock: the folders above had different names.
+}
+
+#[test]
+fn a_slow_reader_of_outcomes_holds_frames_back() {
+    let bench = Bench::new(&[2; 40]);
+    let quick = Quick::new(None);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+    let conduct =
+        Conduct { pool: &pool, outputs: &bench.outputs, on_error: OnError::Continue, skip_done: false };
+    let mut is_first = true;
+    run(&quick, &bench.frames, &conduct, |_, _| {
+        if std::mem::take(&mut is_first) {
+            // Long enough for all 40 frames to run by, were they not held back.
+            std::thread::sleep(std::time::Duration::from_millis(300));
+        }
+        quick.under_way.fetch_sub(1, Ordering::Relaxed);
+    });
+    let under_way_max = quick.under_way_max.load(Ordering::Relaxed);
+    assert!(under_way_max <= 8, "{under_way_max} frames were under way at once");
+}
+
+#[test]
+fn the_method_itself_fits_the_pipeline() {
+    fn is_method(_: &impl Method) {}
+    is_method(&LevelSetSkinning);
+}

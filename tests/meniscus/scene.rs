@@ -1,0 +1,73 @@
+//! Small frames of particles, and a way to run the command.
+
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+/// A block of `edge_count`³ particles, 0.1 apart, moved along x.
+pub(crate) fn block(edge_count: usize, shift: f64) -> Vec<[f64; 3]> {
+    let along = |index: usize| index as f64 * 0.1;
+    (0..edge_count.pow(3))
+        .map(|i| {
+            let [x, y, z] = [i % edge_count, i / edge_count % edge_count, i / edge_count.pow(2)].map(along);
+            [x + shift, y, z]
+        })
+        .collect()
+}
+
+/// Writes particles as ascii PLY.
+pub(crate) fn write_ply(path: &Path, particles: &[[f64; 3]]) {
+    let mut text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n",
+        particles.len()
+    );
+    for [x, y, z] in particles {
+        writeln!(text, "{} {} {}", *x as f32, *y as f32, *z as f32).expect("strings take everything");
+    }
+    fs::write(path, text).expect("the frame is written");
+}
+
+/// Writes frames `first..=last` of a moving block as `dam.N.ply`.
+pub(crate) fn write_sequence(folder: &Path, first: usize, last: usize) {
+    for number in first..=last {
+        write_ply(&folder.join(format!("dam.{number}.ply")), &block(6, 0.025 * number as f64));
+    }
+}
+
+/// What a run of the command left.
+pub(crate) struct Ran {
+    /// The exit status.
+    pub(crate) status: i32,
+    /// The standard output.
+    pub(crate) out: String,
+    /// The standard error.
+    pub(crate) err: String,
+}
+
+/// Runs the command in `folder`.
+pub(crate) fn meniscus(folder: &Path, arguments: &[&str]) -> Ran {
+    let output: Output =
+        command(folder, arguments).stdin(Stdio::null()).output().expect("the command starts");
+    Ran {
+        status: output.status.code().expect("the command ends by itself"),
+        out: String::from_utf8(output.stdout).expect("text"),
+        err: String::from_utf8(output.stderr).expect("text"),
+    }
+}
+
+/// The command, not yet started.
+pub(crate) fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    command.args(arguments).current_dir(folder);
+    command
+}
+
+/// The names in a folder, sorted.
+pub(crate) fn names_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("the folder is there");
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
