@@ -166,6 +166,7 @@ pub struct LevelSetView<'a> {
     pub leaves: &'a [[f32; 512]],
     /// Half the thickness of the band, positive; times `voxel_size` it is the background value.
     pub half_width_voxels: f32,
-    /// Edge length of a voxel, world units. Voxel (0, 0, 0) is centred on the world's origin.
+    /// Edge length of a voxel, world units. Voxel (0, 0, 0) is centred on the world's origin,
+    /// unless the writer is told otherwise.
     pub voxel_size: f64,
 }

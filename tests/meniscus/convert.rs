@@ -24,7 +24,6 @@ fn report(path: &Path) -> Value {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn frames_become_files_of_their_names() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
@@ -44,7 +43,6 @@ fn frames_become_files_of_their_names() {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn a_range_gives_the_same_as_the_whole() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
@@ -63,7 +61,6 @@ fn a_range_gives_the_same_as_the_whole() {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn the_bytes_do_not_depend_on_threads() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
@@ -83,7 +80,6 @@ fn the_bytes_do_not_depend_on_threads() {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn an_empty_frame_is_a_frame() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
@@ -96,7 +92,6 @@ fn an_empty_frame_is_a_frame() {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn a_frame_that_fails_is_named_and_the_others_are_there() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
@@ -120,7 +115,6 @@ fn a_frame_that_fails_is_named_and_the_others_are_there() {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn what_is_done_is_not_done_again() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
@@ -135,7 +129,6 @@ fn what_is_done_is_not_done_again() {
 }
 
 #[test]
-#[ignore = "waits for the method"]
 fn the_report_says_what_was_measured() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();

@@ -58,8 +58,7 @@ pub fn write_glb(
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let bin_bytes = layout.byte_count().next_multiple_of(4);
-    let chunks_bytes = 8 + json.len() as u64 + if bin_bytes == 0 { 0 } else { 8 + bin_bytes };
-    let Ok(total) = u32::try_from(12 + chunks_bytes) else { return Err(too_large(mesh)) };
+    let Some(total) = glb_bytes(json.len() as u64, bin_bytes) else { return Err(too_large(mesh)) };
 
     out.write_all(&GLB_MAGIC)?;
     for number in [GLB_VERSION, total] {
@@ -112,6 +111,14 @@ pub fn write_gltf(
     out.write_all(&json[end..])?;
     out.write_all(b"\n")?;
     Ok(())
+}
+
+/// The size of a `.glb` with chunks of these sizes, if 32 bits hold it.
+fn glb_bytes(json_bytes: u64, bin_bytes: u64) -> Option<u32> {
+    const HEADER_BYTES: u64 = 12;
+    const CHUNK_HEAD_BYTES: u64 = 8;
+    let bin = if bin_bytes == 0 { 0 } else { CHUNK_HEAD_BYTES + bin_bytes };
+    u32::try_from(HEADER_BYTES + CHUNK_HEAD_BYTES + json_bytes + bin).ok()
 }
 
 fn too_large(mesh: &MeshView) -> Error {
@@ -379,3 +386,15 @@ impl Layout {
 const MODE_TRIANGLES: u32 = 4;
 const TARGET_VERTICES: u32 = 34962;
 const TARGET_INDICES: u32 = 34963;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn four_gibibytes_are_too_large() {
+        assert_eq!(glb_bytes(1000, 0), Some(1020));
+        assert_eq!(glb_bytes(1000, u64::from(u32::MAX) - 1031), Some(u32::MAX - 3));
+        assert_eq!(glb_bytes(1000, u64::from(u32::MAX) - 1027), None);
+    }
+}

@@ -5,6 +5,7 @@
 //! bytes do not depend on how many threads there are.
 
 use half::f16;
+use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use super::Compression;
@@ -110,25 +111,19 @@ impl LeafEncoder {
             *world = to_world(value, self.encoding.scale);
         }
         if self.encoding.half {
-            for world in &mut self.world {
-                *world = f16::from_f32(*world).to_f32();
-            }
+            let mut halves = [f16::ZERO; 512];
+            halves.convert_from_f32_slice(&self.world);
+            halves.convert_to_f32_slice(&mut self.world);
         }
     }
 
     /// The masks of the voxels with |φ| < background, and of those with φ < 0.
     fn classify(&self) -> ([u64; 8], [u64; 8]) {
         let background = self.encoding.background;
-        let (mut active, mut negative) = ([0u64; 8], [0u64; 8]);
-        let (bytes, _) = self.world.as_chunks::<8>();
-        for (row, values) in bytes.iter().enumerate() {
-            let (mut active_row, mut negative_row) = (0u8, 0u8);
-            for (z, value) in values.iter().enumerate() {
-                active_row |= u8::from(value.abs() < background) << z;
-                negative_row |= u8::from(*value < 0.0) << z;
-            }
-            active[row >> 3] |= u64::from(active_row) << ((row & 7) * 8);
-            negative[row >> 3] |= u64::from(negative_row) << ((row & 7) * 8);
+        let (mut active, mut negative) = ([0; 8], [0; 8]);
+        for (x, plane) in self.world.as_chunks::<64>().0.iter().enumerate() {
+            active[x] = mask_of(plane, |value| value.abs() < background);
+            negative[x] = mask_of(plane, |value| value < 0.0);
         }
         (active, negative)
     }
@@ -176,6 +171,15 @@ impl LeafEncoder {
     }
 }
 
+/// The bits of the values that satisfy `test`. The tests run side by side in vector registers; then
+/// eight bytes of 0 or 1 become eight bits by one multiplication, which moves byte i to bit 56 + i.
+fn mask_of(values: &[f32; 64], test: impl Fn(f32) -> bool) -> u64 {
+    const GATHER: u64 = 0x0102_0408_1020_4080;
+    let bytes = values.map(|value| u8::from(test(value)));
+    let bits = |row: &[u8; 8]| u64::from_le_bytes(*row).wrapping_mul(GATHER) >> 56;
+    bytes.as_chunks::<8>().0.iter().rev().fold(0, |mask, row| mask << 8 | bits(row))
+}
+
 /// The stored distance of a value in voxels. The background is computed so too: rounding is
 /// monotonic, hence what is beyond the half width cannot come out below the background.
 pub(super) fn to_world(value: f32, scale: f64) -> f32 {
@@ -202,7 +206,11 @@ pub(super) fn append_inactive(occupied: &[u64], negative: &[u64], out: &mut Vec<
 /// Values as the file stores them.
 pub(super) fn push_values(values: &[f32], half: bool, out: &mut Vec<u8>) {
     if half {
-        out.extend(values.iter().flat_map(|&value| f16::from_f32(value).to_le_bytes()));
+        let mut halves = [f16::ZERO; 512];
+        for values in values.chunks(halves.len()) {
+            halves[..values.len()].convert_from_f32_slice(values);
+            out.extend(halves[..values.len()].iter().flat_map(|half| half.to_le_bytes()));
+        }
     } else {
         let start = out.len();
         out.resize(start + 4 * values.len(), 0);

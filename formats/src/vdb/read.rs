@@ -16,6 +16,8 @@ use crate::limits::Limits;
 pub struct GridInfo {
     /// The name that users see.
     pub name: String,
+    /// The name with `[n]` after it where several grids have the same: it finds this one alone.
+    pub unique_name: String,
     /// The type of the tree, such as `Tree_float_5_4_3`.
     pub type_name: String,
     /// Whether reals are stored in 16 bits.
@@ -58,7 +60,7 @@ pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
     Ok(entries(bytes, limits)?.into_iter().map(|entry| entry.info).collect())
 }
 
-/// Reads one float grid: the one called `name`, or else the first level set, or the first float grid.
+/// Reads one float grid: the one called `name` (or so by its unique name), or else the first level set, or the first float grid.
 ///
 /// # Errors
 ///
@@ -67,7 +69,10 @@ pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
     let entries = entries(bytes, limits)?;
     let found = match name {
-        Some(name) => entries.iter().find(|entry| entry.info.name == name),
+        Some(name) => {
+            let unique = entries.iter().find(|entry| entry.info.unique_name == name);
+            unique.or_else(|| entries.iter().find(|entry| entry.info.name == name))
+        }
         None => {
             let float = |entry: &&Entry| entry.info.type_name == TYPE_FLOAT;
             let level_set = |entry: &&Entry| float(entry) && entry.info.class == "level set";
@@ -76,8 +81,10 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
     };
     let Some(entry) = found.filter(|entry| entry.info.type_name == TYPE_FLOAT) else {
         let wanted = name.map_or("no float grid".into(), |name| format!("no float grid called \"{name}\""));
-        let names: Vec<String> =
-            entries.iter().map(|e| format!("\"{}\" of type {}", e.info.name, e.info.type_name)).collect();
+        let names: Vec<String> = entries
+            .iter()
+            .map(|e| format!("\"{}\" of type {}", e.info.unique_name, e.info.type_name))
+            .collect();
         return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
     };
     let (Some(tree), Some(transform)) = (entry.tree_of(&entries), entry.info.transform) else {
@@ -116,7 +123,8 @@ struct TreePlace {
 
 struct Entry {
     info: GridInfo,
-    unique_name: String,
+    /// The name in the descriptor, which instances refer to.
+    descriptor_name: String,
     /// The unique name of the grid whose tree this one shares, or empty.
     instance_parent: String,
     tree: Option<TreePlace>,
@@ -127,7 +135,7 @@ impl Entry {
         if self.instance_parent.is_empty() {
             return self.tree;
         }
-        let parent = entries.iter().find(|entry| entry.unique_name == self.instance_parent)?;
+        let parent = entries.iter().find(|entry| entry.descriptor_name == self.instance_parent)?;
         parent.tree.filter(|_| parent.info.type_name == TYPE_FLOAT)
     }
 }
@@ -186,7 +194,7 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
 }
 
 struct Descriptor {
-    unique_name: String,
+    name: String,
     type_name: String,
     instance_parent: String,
     grid_start: u64,
@@ -194,16 +202,16 @@ struct Descriptor {
 }
 
 fn read_descriptor(cursor: &mut Cursor) -> Result<Descriptor> {
-    let unique_name = cursor.string("the name of a grid")?;
+    let name = cursor.string("the name of a grid")?;
     let type_name = cursor.string("the type of a grid")?;
     let instance_parent = cursor.string("the instance parent of a grid")?;
     let mut position = || cursor.array("an offset of a grid").map(u64::from_le_bytes);
     let (grid_start, _buffers_start, end) = (position()?, position()?, position()?);
-    Ok(Descriptor { unique_name, type_name, instance_parent, grid_start, end })
+    Ok(Descriptor { name, type_name, instance_parent, grid_start, end })
 }
 
 fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
-    let Descriptor { unique_name, type_name, instance_parent, .. } = descriptor;
+    let Descriptor { name: descriptor_name, type_name, instance_parent, .. } = descriptor;
     let compression = cursor.u32("the compression of a grid")?;
     let metadata = read_metadata(cursor)?;
     let string = |name: &str| match find(&metadata, name) {
@@ -223,7 +231,12 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         return Err(cursor.error("a grid whose type and metadata disagree on half floats"));
     }
     // Programs add a separator and a number to names that occur twice.
-    let visible_name = unique_name.split('\x1e').next().unwrap_or_default().to_string();
+    let (stem, number) = match descriptor_name.split_once('\x1e') {
+        Some((stem, number)) => (stem, Some(number)),
+        None => (descriptor_name.as_str(), None),
+    };
+    let name = string("name").filter(|name| !name.is_empty()).unwrap_or_else(|| stem.to_string());
+    let unique_name = number.map_or(name.clone(), |number| format!("{name}[{number}]"));
     let bounds = coord("file_bbox_min").zip(coord("file_bbox_max"));
     let active_voxel_count = match find(&metadata, "file_voxel_count") {
         Some(&MetaValue::Integer(count)) => u64::try_from(count).ok(),
@@ -231,7 +244,8 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
     };
     let transform = read_transform(cursor)?;
     let info = GridInfo {
-        name: string("name").filter(|name| !name.is_empty()).unwrap_or(visible_name),
+        name,
+        unique_name,
         type_name,
         half,
         class: string("class").unwrap_or_default(),
@@ -242,7 +256,7 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
     };
     let storage = Storage { compression, half };
     let tree = transform.map(|_| TreePlace { position: cursor.position(), storage });
-    Ok(Entry { info, unique_name, instance_parent, tree })
+    Ok(Entry { info, descriptor_name, instance_parent, tree })
 }
 
 fn find<'a>(metadata: &'a [(String, MetaValue)], name: &str) -> Option<&'a MetaValue> {

@@ -417,3 +417,72 @@ fn push_coord(coord: [i32; 3], out: &mut Vec<u8>) {
 fn count_u32(count: usize) -> u32 {
     u32::try_from(count).unwrap_or(u32::MAX)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn leaf(origin: [i32; 3], low_inside: bool, high_inside: bool) -> Leaf {
+        let summary = LeafSummary { active: [1; 8], inside: false, low_inside, high_inside, has_nan: false };
+        Leaf { origin, summary }
+    }
+
+    /// The bottom and the top of a block, 4096 × 4096 voxels wide and `top − bottom` high: leaves
+    /// without values, for with them this would take a gigabyte.
+    fn block(bottom: i32, top: i32) -> Vec<Leaf> {
+        let columns = (0..512).flat_map(|x| (0..512).map(move |y| [8 * x - 4096, 8 * y]));
+        let pair = |[x, y]: [i32; 2]| [leaf([x, y, bottom], false, true), leaf([x, y, top], true, false)];
+        let mut leaves: Vec<Leaf> = columns.flat_map(pair).collect();
+        leaves.sort_by_key(|leaf| [12, 7, 3].map(|log2| leaf.origin.map(|c| c >> log2)));
+        leaves
+    }
+
+    #[test]
+    fn solids_larger_than_a_root_child_are_flooded() {
+        let leaves = block(-800, 8192 + 1600);
+        let tree = Tree::new(&leaves);
+        assert_eq!(tree.tiles, [[-4096, 0, 0], [-4096, 0, 4096]]);
+        let coords: Vec<[i32; 3]> = tree.nodes5.iter().map(|node| node.parent.coord).collect();
+        assert_eq!(coords, [[-1, 0, -1], [-1, 0, 2]]);
+        // 800 voxels below the boundary: six whole nodes of 128, and 32 voxels in the seventh.
+        let below = &tree.nodes5[0];
+        assert_eq!(count_ones(&below.children), 32 * 32);
+        assert_eq!(count_ones(&below.parent.inside), 32 * 32 * 6);
+        let node = tree.nodes4.iter().find(|node| node.parent.coord[2] == -7).expect("the seventh node");
+        assert_eq!(count_ones(&node.children), 256);
+        assert_eq!(count_ones(&node.parent.inside), 256 * 3);
+        assert!(
+            is_on(&node.parent.inside, slot_of([0, 0, 15], 4))
+                && !is_on(&node.parent.inside, slot_of([0, 0, 11], 4))
+        );
+    }
+
+    #[test]
+    fn a_torn_surface_floods_its_rows_only() {
+        // One pair of leaves that look at each other over a great distance: no closed surface.
+        let leaves = [leaf([0, 0, -1 << 20], false, true), leaf([0, 0, 1 << 20], true, false)];
+        let tree = Tree::new(&leaves);
+        assert!(tree.tiles.is_empty());
+        let inside: usize = tree.nodes4.iter().map(|node| count_ones(&node.parent.inside)).sum();
+        assert_eq!(inside, 15);
+        // And leaves that look at each other from outside leave the gap outside.
+        let leaves = [leaf([0, 0, 0], true, false), leaf([0, 0, 64], false, true)];
+        assert_eq!(count_ones(&Tree::new(&leaves).nodes4[0].parent.inside), 0);
+    }
+
+    #[test]
+    fn the_ends_of_the_index_range_are_written() {
+        let (least, most) = (i32::MIN, i32::MAX - 7);
+        let leaves = [[0.0; 512]; 2];
+        let view = LevelSetView {
+            origins: &[[most; 3], [least; 3]],
+            leaves: &leaves,
+            half_width_voxels: 3.0,
+            voxel_size: 1.0,
+        };
+        let mut bytes = Vec::new();
+        write(&view, &WriteOptions::default(), &[], &mut bytes).expect("writing to memory");
+        let data = crate::vdb::read_level_set(&bytes, None, &crate::Limits::default()).expect("reading");
+        assert_eq!(data.origins, [[least; 3], [most; 3]]);
+    }
+}
