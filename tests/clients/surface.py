@@ -1,4 +1,4 @@
-"""Triangle meshes as two arrays, positions and corners: measured and compared.
+"""Triangle meshes, as positions and corners of triangles: measured and compared.
 
 Distances are exact: from points spread over one surface to the nearest triangle of the other. The
 curvature is the cotangent one with barycentric areas; its square depends on the mesh as much as on
@@ -6,6 +6,8 @@ the surface, so compare it only between meshes of one mesher.
 """
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 
@@ -28,6 +30,21 @@ def volume(positions, triangles):
     return np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
 
 
+def without_slivers(positions, triangles, distance):
+    """The mesh with vertices nearer than this made one, and without the triangles that vanish.
+
+    Where φ is all but 0 at a voxel, a mesher puts several vertices all but there. They change no
+    surface, but such a vertex has no area, and its curvature can be anything.
+    """
+    pairs = cKDTree(positions).query_pairs(distance, output_type="ndarray")
+    links = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), (len(positions), len(positions)))
+    count, group_of = connected_components(links, directed=False)
+    sizes = np.bincount(group_of, minlength=count)
+    merged = np.stack([np.bincount(group_of, positions[:, axis], count) / sizes for axis in range(3)], axis=1)
+    a, b, c = corners = group_of[triangles].T
+    return merged, corners.T[(a != b) & (b != c) & (c != a)]
+
+
 def bending_energy(positions, triangles):
     """∫H², from cotangent mean curvature normals over barycentric areas."""
     corners = positions[triangles]
@@ -44,6 +61,20 @@ def bending_energy(positions, triangles):
             normals[:, axis] -= np.bincount(a, pull[:, axis], len(positions))
     areas = sum(np.bincount(triangles[:, k], double_areas / 6, len(positions)) for k in range(3))
     return (np.einsum("ij,ij->i", normals, normals) / np.maximum(areas, 1e-20)).sum() / 4
+
+
+def piece_sizes(positions, triangles):
+    """For each vertex, the largest extent of the connected piece that it belongs to."""
+    ends = triangles[:, [0, 1, 2]].ravel(), triangles[:, [1, 2, 0]].ravel()
+    links = coo_matrix((np.ones(len(ends[0]), np.int8), ends), (len(positions), len(positions)))
+    count, piece_of = connected_components(links, directed=False)
+    sizes = np.zeros(count)
+    for axis in range(3):
+        low, high = np.full(count, np.inf), np.full(count, -np.inf)
+        np.minimum.at(low, piece_of, positions[:, axis])
+        np.maximum.at(high, piece_of, positions[:, axis])
+        sizes = np.maximum(sizes, high - low)
+    return sizes[piece_of]
 
 
 def distances(from_surface, to_surface):
