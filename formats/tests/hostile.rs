@@ -6,12 +6,17 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "sizes and small random numbers")]
 
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use meniscus_formats::{Attribute, Limits, Result, Values, bgeo, csv, ply, read_particles};
+use meniscus_formats::{
+    Attribute, LevelSetView, Limits, MeshView, Result, Values, bgeo, csv, gltf, obj, ply, read_particles, vdb,
+};
+use peak_alloc::PeakAlloc;
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
 
 /// Bytes that a reader may hold besides as many as its input has.
 const ALLOWED_BYTES: usize = 64 << 20;
@@ -22,6 +27,7 @@ const FLIP_COUNT: u64 = 2000;
 
 #[test]
 fn damaged_ply_files_are_survived() {
+    let _alone = alone();
     for (name, bytes) in corpus(&[".ply"]) {
         sweep(&name, &bytes, |bytes| ply::read(bytes, &Limits::default()));
         sweep(&name, &bytes, |bytes| ply::read_mesh(bytes, &Limits::default()));
@@ -30,6 +36,7 @@ fn damaged_ply_files_are_survived() {
 
 #[test]
 fn damaged_bgeo_files_are_survived() {
+    let _alone = alone();
     let source = corpus(&["taichi_000007.ply"]).remove(0).1;
     let mut frame = ply::read(&source, &Limits::default()).unwrap();
     frame.attributes.push(Attribute {
@@ -48,6 +55,7 @@ fn damaged_bgeo_files_are_survived() {
 
 #[test]
 fn damaged_delimited_text_is_survived() {
+    let _alone = alone();
     for (name, bytes) in corpus(&[".csv", ".txt", ".dat", ".xyz", ".pts", ".tsv", ".dump"]) {
         sweep(&name, &bytes, |bytes| csv::read(bytes, &Limits::default()));
     }
@@ -55,6 +63,7 @@ fn damaged_delimited_text_is_survived() {
 
 #[test]
 fn damaged_files_of_any_kind_are_survived() {
+    let _alone = alone();
     for (name, bytes) in corpus(&[""]) {
         sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
     }
@@ -66,6 +75,7 @@ fn damaged_files_of_any_kind_are_survived() {
 /// A bomb is refused while it is small: with a limit, little more than the limit is ever held.
 #[test]
 fn gzip_bombs_are_refused() {
+    let _alone = alone();
     let bomb = gzipped(&[b"x,y,z\n".as_slice(), &[b'1'; 200 << 20]].concat());
     for limits in [
         Limits { decompressed_bytes: 8 << 20, ..Limits::default() },
@@ -73,6 +83,55 @@ fn gzip_bombs_are_refused() {
     ] {
         check("bomb", &bomb, &|bytes| read_particles(bytes, "bomb.csv.gz", &limits));
     }
+}
+
+#[test]
+fn damaged_level_sets_are_survived() {
+    let _alone = alone();
+    let origins: Vec<[i32; 3]> =
+        (0..8).map(|n| [n >> 2, n >> 1 & 1, n & 1].map(|side| (side - 1) * 8)).collect();
+    let phi = |origin: [i32; 3], offset: usize| {
+        let voxel = [offset >> 6, offset >> 3 & 7, offset & 7];
+        let squares = (0..3).map(|axis| (origin[axis] + voxel[axis] as i32).pow(2));
+        (squares.sum::<i32>() as f32).sqrt() - 4.5
+    };
+    let leaves: Vec<[f32; 512]> =
+        origins.iter().map(|&origin| std::array::from_fn(|offset| phi(origin, offset))).collect();
+    let levels = LevelSetView { origins: &origins, leaves: &leaves, half_width_voxels: 3.0, voxel_size: 0.1 };
+    for compression in [vdb::Compression::None, vdb::Compression::ActiveMask, vdb::Compression::Blosc] {
+        let mut bytes = Vec::new();
+        let options = vdb::WriteOptions { compression, half: true, ..vdb::WriteOptions::default() };
+        vdb::write(&levels, &options, &[], &mut bytes).unwrap();
+        sweep("written.vdb", &bytes, |bytes| vdb::read_level_set(bytes, None, &Limits::default()));
+        sweep("written.vdb", &bytes, |bytes| vdb::grids(bytes, &Limits::default()));
+    }
+}
+
+#[test]
+fn damaged_meshes_are_survived() {
+    let _alone = alone();
+    let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let normals = [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
+    let mesh = MeshView { positions: &positions, normals: &normals, triangles: &triangles, origin: [0.0; 3] };
+    let mut bytes = Vec::new();
+    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).unwrap();
+    sweep("written.glb", &bytes, |bytes| gltf::read_mesh(bytes, &Limits::default()));
+    bytes.clear();
+    gltf::write_gltf(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).unwrap();
+    sweep("written.gltf", &bytes, |bytes| gltf::read_mesh(bytes, &Limits::default()));
+    bytes.clear();
+    obj::write(&mesh, &obj::WriteOptions::default(), &[], &mut bytes).unwrap();
+    sweep("written.obj", &bytes, obj::read_mesh);
+    bytes.clear();
+    ply::write::write_mesh(&mesh, &[], &mut bytes).unwrap();
+    sweep("written.ply", &bytes, |bytes| ply::read_mesh(bytes, &Limits::default()));
+}
+
+/// Memory is counted for the whole program: one test at a time.
+fn alone() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// The files of the corpus, valid and invalid, whose name ends in or contains one of the parts.
@@ -118,10 +177,10 @@ fn sweep<T>(name: &str, bytes: &[u8], read: impl Fn(&[u8]) -> Result<T>) {
 
 /// Reads once, and fails on a panic or on too much memory.
 fn check<T>(name: &str, bytes: &[u8], read: &impl Fn(&[u8]) -> Result<T>) {
-    let before = HELD.get();
-    PEAK.set(before);
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
     let outcome = catch_unwind(AssertUnwindSafe(|| read(bytes)));
-    let held = (PEAK.get() - before) as usize;
+    let held = MEMORY.peak_usage().saturating_sub(before);
     let length = bytes.len();
     assert!(outcome.is_ok(), "{name}: panicked on {length} bytes: {:?}", shown(bytes));
     assert!(held <= length + ALLOWED_BYTES, "{name}: held {held} for {length} bytes: {:?}", shown(bytes));
@@ -151,54 +210,5 @@ impl Random {
         mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         mixed ^= mixed >> 31;
         (mixed % bound as u64) as usize
-    }
-}
-
-thread_local! {
-    /// Bytes that this thread holds, and the most that it held.
-    static HELD: Cell<isize> = const { Cell::new(0) };
-    static PEAK: Cell<isize> = const { Cell::new(0) };
-}
-
-/// The system's allocator, keeping count for each thread.
-struct Counting;
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// No object is larger than `isize::MAX`, so the casts are exact.
-fn count(taken: usize, given_back: usize) {
-    // Threads allocate before and after their counters exist.
-    let _ = HELD.try_with(|held| {
-        held.set(held.get() + taken as isize - given_back as isize);
-        let _ = PEAK.try_with(|peak| peak.set(peak.get().max(held.get())));
-    });
-}
-
-#[allow(unsafe_code, reason = "an allocator cannot be written without; it only counts and passes on")]
-// SAFETY: every call is passed on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count(layout.size(), 0);
-        // SAFETY: the caller keeps the contract, which is the same.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        count(layout.size(), 0);
-        // SAFETY: as above.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        count(0, layout.size());
-        // SAFETY: as above.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count(size, layout.size());
-        // SAFETY: as above.
-        unsafe { System.realloc(pointer, layout, size) }
     }
 }
