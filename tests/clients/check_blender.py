@@ -158,7 +158,7 @@ def rendered(surfaces, h, low, high):
     # Blender turned the mesh, not the grid: turn the grid the same way. Half a voxel takes back that
     # Volume to Mesh moves every surface to meet Blender's fog volumes, whose values it takes to be in
     # the middle of cells.
-    volume.matrix_world = TO_Y_UP.inverted() @ Matrix.Translation((-h / 2,) * 3) @ volume.matrix_world
+    volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ TO_Y_UP.inverted() @ volume.matrix_world
     volume.hide_render = True
     through = as_mesh(volume)
     away = bounds_away(through, low, high) / h
