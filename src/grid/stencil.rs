@@ -67,6 +67,40 @@ impl<'a> Neighborhood<'a> {
         ]
     }
 
+    /// The rows at x − 2, x + 2, y − 2 and y + 2.
+    #[inline]
+    pub fn second_side_rows(&self, row: usize) -> [&'a Row; 4] {
+        let (x, y) = (row >> 3, row & 7);
+        let beyond = |direction: Direction, wrapped: usize| match self.faces[direction as usize] {
+            Some(leaf) => row_of(leaf, wrapped),
+            None => row_of(self.center, row),
+        };
+        [
+            if x > 1 { self.row(row - 16) } else { beyond(Direction::XMinus, row + 48) },
+            if x < 6 { self.row(row + 16) } else { beyond(Direction::XPlus, row - 48) },
+            if y > 1 { self.row(row - 2) } else { beyond(Direction::YMinus, row + 6) },
+            if y < 6 { self.row(row + 2) } else { beyond(Direction::YPlus, row - 6) },
+        ]
+    }
+
+    /// The row shifted so that each place holds its neighbour at z − 2, and the same for z + 2.
+    #[inline]
+    pub fn twice_shifted_rows(&self, row: usize) -> [Row; 2] {
+        let c = self.row(row);
+        let before = self.faces[Direction::ZMinus as usize].map_or([c[0], c[1]], |leaf| {
+            let row = row_of(leaf, row);
+            [row[6], row[7]]
+        });
+        let after = self.faces[Direction::ZPlus as usize].map_or([c[6], c[7]], |leaf| {
+            let row = row_of(leaf, row);
+            [row[0], row[1]]
+        });
+        [
+            [before[0], before[1], c[0], c[1], c[2], c[3], c[4], c[5]],
+            [c[2], c[3], c[4], c[5], c[6], c[7], after[0], after[1]],
+        ]
+    }
+
     /// The 7-point Laplacian of a row, voxel units.
     #[inline]
     pub fn laplacian(&self, row: usize) -> Row {
@@ -117,6 +151,15 @@ mod tests {
         let around = Neighborhood::new(&field.leaves, topology.neighbors(), center);
         for row in 0..ROW_COUNT {
             assert_eq!(around.laplacian(row), [4.0; 8]);
+            let quadratic = |p: glam::Vec3| p.x * p.x + 2.0 * p.y * p.y - p.z * p.z + 3.0 * p.x + p.y * p.z;
+            let [xm, xp, ym, yp] = around.second_side_rows(row);
+            let [zm, zp] = around.twice_shifted_rows(row);
+            for z in 0..8 {
+                let p = voxel_in_leaf(row * 8 + z).as_vec3();
+                let steps = [glam::Vec3::X, glam::Vec3::Y, glam::Vec3::Z].map(|axis| axis * 2.0);
+                assert_eq!([xm[z], ym[z], zm[z]], steps.map(|step| quadratic(p - step)));
+                assert_eq!([xp[z], yp[z], zp[z]], steps.map(|step| quadratic(p + step)));
+            }
             for (z, norm) in around.gradient_norm(row).into_iter().enumerate() {
                 let p = voxel_in_leaf(row * 8 + z).as_vec3();
                 let exact = glam::vec3(2.0 * p.x + 3.0, 4.0 * p.y + p.z, p.y - 2.0 * p.z).length();

@@ -15,8 +15,9 @@
 //! that the result depends on nothing but the values. A sweep carries distances one voxel farther.
 //!
 //! Pinning decides how far the surface moves and how smooth it stays. Taking the nearest crossing on
-//! an axis, as is common, leaves noise at the scale of the grid, which the first-order sweeps carry outward.
-//! Measured on a dam break of 6 859 particles, ∫H² of the result through OpenVDB's mesher:
+//! an axis, as is common, leaves noise at the scale of the grid, which the sweeps carry outward.
+//! Measured on a dam break of 6 859 particles, ∫H² of the result through OpenVDB's mesher (with sweeps
+//! of first order):
 //!
 //! ```text
 //!   the nearest crossing on one axis                                283
@@ -28,13 +29,26 @@
 //! The last is done here; a redistancing then moves the zero set by 0.005 voxels in the mean.
 //! Pinning farther out smooths more still, but |φ| / |∇φ| is then no longer the distance.
 //!
+//! The sweeps decide what the smoother sees of the curvature. It differentiates four times, and takes an
+//! error in a distance for a bend to be straightened. So their differences are of second order:
+//!
+//! ```text
+//!                                                            first order   second order
+//!   farthest from the distance to a sphere of radius 10, |φ| < 5.5    0.36           0.06
+//!   what a sphere of radius 20 grows by in 10 000 explicit steps      0.85           0.005
+//!   ∫H² of that sphere in the smoothed field, 4π = 1                  0.96           0.999
+//!   time of a redistancing                                            1              1.5
+//! ```
+//!
 //! This work is based on:
 //! Hongkai Zhao. A fast sweeping method for Eikonal equations. 2005
+//! Yong-Tao Zhang, Hongkai Zhao, Jianliang Qian. High order fast sweeping methods for static
+//! Hamilton-Jacobi equations. 2006
 
 use rayon::prelude::*;
 
 use super::NarrowBand;
-use crate::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Row, Topology};
+use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, Neighborhood, ROW_COUNT, Row, Topology};
 
 /// In place of a distance: nothing has reached this voxel yet.
 pub const UNREACHED: f32 = f32::INFINITY;
@@ -47,22 +61,30 @@ pub fn redistance(band: &mut NarrowBand, sweep_count: u32) {
     let half_width = band.half_width;
     band.phi.leaves.par_iter_mut().zip(&distance.leaves).for_each(|(phi, distance)| {
         for (phi, &distance) in phi.values.iter_mut().zip(&distance.values) {
-            let distance = distance.min(half_width);
-            *phi = if *phi < 0.0 { -distance } else { distance };
+            *phi = distance.clamp(-half_width, half_width);
         }
     });
 }
 
-/// Sweeps unsigned distances outward from the voxels in `fixed` (Zhao 2005, Eq. 2.3), each sweep
-/// one voxel farther. Voxels that are not fixed may start at any value from above, or [`UNREACHED`].
+/// Sweeps signed distances outward from the voxels in `fixed`, each sweep one voxel farther. Voxels that
+/// are not fixed start at plus or minus [`UNREACHED`], by their side of the surface. A sweep reads values
+/// up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweep_count: u32) {
+    let neighbors = topology.neighbors();
     let mut next = distance.clone();
+    // Rows that the last sweep changed; for the first sweep, those where something is known. Where
+    // nothing changed that a row depends on, another sweep would give the same values again.
+    let mut changed: Vec<u64> = fixed.par_iter().map(occupied_rows).collect();
+    let mut changed_next = changed.clone();
     for _ in 0..sweep_count {
-        let neighbors = topology.neighbors();
-        next.leaves.par_iter_mut().zip(fixed).enumerate().for_each(|(leaf, (next, fixed))| {
-            sweep_leaf(&Neighborhood::new(&distance.leaves, neighbors, leaf), fixed, next);
+        let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
+        leaves.for_each(|(leaf, ((next, changed_next), fixed))| {
+            let rows = dependent_rows(&changed, &neighbors[leaf], leaf);
+            let around = Neighborhood::new(&distance.leaves, neighbors, leaf);
+            *changed_next = sweep_rows(&around, fixed, rows, next);
         });
         std::mem::swap(distance, &mut next);
+        std::mem::swap(&mut changed, &mut changed_next);
     }
 }
 
@@ -75,7 +97,7 @@ const PINNED_MAX: f32 = 1.5;
 /// Slopes that count as smooth: near one, as they are wherever φ was a distance before.
 const SMOOTH_SLOPES: std::ops::Range<f32> = 0.8..1.25;
 
-/// Unsigned distances of the voxels near the zero set, and which these are.
+/// Signed distances of the voxels near the zero set, and which these are; the others have the sign only.
 fn pin(band: &NarrowBand) -> (Field, Vec<LeafMask>) {
     let neighbors = band.topology.neighbors();
     let leaf_count = band.topology.len();
@@ -85,8 +107,9 @@ fn pin(band: &NarrowBand) -> (Field, Vec<LeafMask>) {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
         for row in 0..ROW_COUNT {
             for (z, known) in pin_row(&around, row).into_iter().enumerate() {
-                if let Some(known) = known {
-                    distance.values[row * 8 + z] = known;
+                let sign = if around.row(row)[z] < 0.0 { -1.0 } else { 1.0 };
+                distance.values[row * 8 + z] = sign * known.unwrap_or(UNREACHED);
+                if known.is_some() {
                     pinned.insert(row * 8 + z);
                 }
             }
@@ -95,7 +118,7 @@ fn pin(band: &NarrowBand) -> (Field, Vec<LeafMask>) {
     (distance, pinned)
 }
 
-/// The distances of a row's voxels that can be told from φ around them.
+/// The unsigned distances of a row's voxels that can be told from φ around them.
 fn pin_row(around: &Neighborhood, row: usize) -> [Option<f32>; 8] {
     let c = around.row(row);
     let [xm, xp, ym, yp] = around.side_rows(row);
@@ -115,43 +138,154 @@ fn pin_row(around: &Neighborhood, row: usize) -> [Option<f32>; 8] {
     })
 }
 
-fn sweep_leaf(around: &Neighborhood, fixed: &LeafMask, next: &mut Leaf) {
-    for row in 0..ROW_COUNT {
-        let old = around.row(row);
-        let fixed = fixed.row(row);
-        let updated = if fixed == u8::MAX { *old } else { upwind_row(around, row) };
-        let next = &mut next.values[row * 8..row * 8 + 8];
-        for z in 0..8 {
-            next[z] = if fixed >> z & 1 == 1 { old[z] } else { old[z].min(updated[z]) };
+/// The rows of a leaf, bit `x·8 + y`, with a voxel in the mask.
+fn occupied_rows(mask: &LeafMask) -> u64 {
+    (0..ROW_COUNT).fold(0, |rows, row| rows | u64::from(mask.row(row) != 0) << row)
+}
+
+/// The rows of a leaf that changed, or have a changed row within two voxels along an axis.
+fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
+    const Y_LOW: u64 = 0x0101_0101_0101_0101;
+    const Y_HIGH: u64 = Y_LOW << 7;
+    let own = changed[leaf];
+    let [xm, xp, ym, yp, zm, zp] =
+        neighbors.map(|neighbor| if neighbor == NO_LEAF { 0 } else { changed[neighbor as usize] });
+    // Steps of one and of two rows: in x they shift by 8 and 16, in y by 1 and 2 within each byte.
+    let along_x = own << 8 | own >> 8 | own << 16 | own >> 16;
+    let along_y = own << 1 & !Y_LOW
+        | own >> 1 & !Y_HIGH
+        | own << 2 & !(Y_LOW | Y_LOW << 1)
+        | own >> 2 & !(Y_HIGH | Y_HIGH >> 1);
+    let from_x = xm >> 56 | xm >> 48 | xp << 56 | xp << 48;
+    let from_y = ym >> 7 & Y_LOW
+        | ym >> 6 & (Y_LOW | Y_LOW << 1)
+        | yp << 7 & Y_HIGH
+        | yp << 6 & (Y_HIGH | Y_HIGH >> 1);
+    own | along_x | along_y | from_x | from_y | zm | zp
+}
+
+/// Updates the voxels of these rows that are not fixed. Returns the rows that changed.
+fn sweep_rows(around: &Neighborhood, fixed: &LeafMask, rows: u64, next: &mut Leaf) -> u64 {
+    let mut changed = 0;
+    let mut batch = Batch::default();
+    let mut rows = (0..ROW_COUNT).filter(|&row| rows >> row & 1 == 1 && fixed.row(row) != u8::MAX);
+    loop {
+        batch.row_count = 0;
+        rows.by_ref().take(BATCH_ROWS).for_each(|row| batch.gather(around, row));
+        if batch.row_count == 0 {
+            return changed;
+        }
+        let solved = batch.solve();
+        for (&row, upwind) in batch.rows[..batch.row_count].iter().zip(solved.as_chunks::<8>().0) {
+            let (old, fixed) = (around.row(row), fixed.row(row));
+            let updated: Row = std::array::from_fn(|z| if fixed >> z & 1 == 1 { old[z] } else { upwind[z] });
+            changed |= u64::from(updated != *old) << row;
+            next.values[row * 8..row * 8 + 8].copy_from_slice(&updated);
         }
     }
 }
 
-/// The upwind solution of |∇d| = 1 at each voxel of a row from its six neighbours.
-fn upwind_row(around: &Neighborhood, row: usize) -> Row {
-    let [xm, xp, ym, yp] = around.side_rows(row);
-    let [zm, zp] = around.shifted_rows(row);
-    std::array::from_fn(|z| {
-        let (a, b, c) = sorted(xm[z].min(xp[z]), ym[z].min(yp[z]), zm[z].min(zp[z]));
-        // Relative to the nearest neighbour, so that nothing large is squared.
-        let (b_rel, c_rel) = (b - a, c - a);
-        let one = a + 1.0;
-        let two = a + 0.5 * (b_rel + (2.0 - b_rel * b_rel).max(0.0).sqrt());
-        let sum = b_rel + c_rel;
-        let three =
-            a + (sum + (sum * sum - 3.0 * (b_rel * b_rel + c_rel * c_rel - 1.0)).max(0.0).sqrt()) / 3.0;
-        if one <= b {
-            one
-        } else if two <= c {
-            two
-        } else {
-            three
-        }
-    })
+/// Rows that are solved together: loops this long are what compilers turn into vector code.
+const BATCH_ROWS: usize = 8;
+
+/// The values of some rows.
+type Lanes = [f32; BATCH_ROWS * 8];
+
+/// Some rows and their surroundings.
+struct Batch {
+    rows: [usize; BATCH_ROWS],
+    row_count: usize,
+    center: Lanes,
+    /// On each axis the voxels at −2, −1, +1 and +2.
+    around: [[Lanes; 4]; 3],
 }
 
-fn sorted(x: f32, y: f32, z: f32) -> (f32, f32, f32) {
-    let (low, high) = (x.min(y), x.max(y));
-    let middle = low.max(z);
-    (low.min(z), middle.min(high), middle.max(high))
+impl Default for Batch {
+    fn default() -> Batch {
+        let zero = [0.0; BATCH_ROWS * 8];
+        Batch { rows: [0; BATCH_ROWS], row_count: 0, center: zero, around: [[zero; 4]; 3] }
+    }
+}
+
+impl Batch {
+    /// Adds a row.
+    fn gather(&mut self, around: &Neighborhood, row: usize) {
+        let [xm, xp, ym, yp] = around.side_rows(row);
+        let [xm2, xp2, ym2, yp2] = around.second_side_rows(row);
+        let [zm, zp] = around.shifted_rows(row);
+        let [zm2, zp2] = around.twice_shifted_rows(row);
+        let axes = [[xm2, xm, xp, xp2], [ym2, ym, yp, yp2], [&zm2, &zm, &zp, &zp2]];
+        let lanes = self.row_count * 8..self.row_count * 8 + 8;
+        self.center[lanes.clone()].copy_from_slice(around.row(row));
+        for (to, from) in self.around.as_flattened_mut().iter_mut().zip(axes.as_flattened()) {
+            to[lanes.clone()].copy_from_slice(*from);
+        }
+        self.rows[self.row_count] = row;
+        self.row_count += 1;
+    }
+
+    /// The upwind solution of |∇d| = 1 at each voxel.
+    fn solve(&self) -> Lanes {
+        let mut solved = self.center;
+        for (i, solved) in solved.iter_mut().enumerate() {
+            // On the side of the surface that the voxel is on, distances are positive.
+            let side = 1f32.copysign(*solved);
+            let slope = |[low2, low, high, high2]: &[Lanes; 4]| {
+                OneSided::new(side * low2[i], side * low[i], side * high[i], side * high2[i])
+            };
+            let (x, y, z) = (slope(&self.around[0]), slope(&self.around[1]), slope(&self.around[2]));
+            let (x, y) = ordered(x, y);
+            let (y, z) = ordered(y, z);
+            let (x, y) = ordered(x, y);
+            *solved = side * solve_upwind([x, y, z]);
+        }
+        solved
+    }
+}
+
+/// Along one axis the square of the slope at d is `weight` · (d − `from`)².
+#[derive(Clone, Copy)]
+struct OneSided {
+    from: f32,
+    weight: f32,
+}
+
+impl OneSided {
+    /// The difference towards the nearer neighbour: of second order where the values fall on beyond it.
+    #[inline]
+    fn new(low2: f32, low: f32, high: f32, high2: f32) -> OneSided {
+        let near = low.min(high);
+        let far = if high < low { high2 } else { low2 };
+        let is_second = far <= near && near < UNREACHED;
+        OneSided {
+            from: if is_second { (4.0 * near - far) * (1.0 / 3.0) } else { near },
+            weight: if is_second { 2.25 } else { 1.0 },
+        }
+    }
+}
+
+/// The two in the order of `from`.
+#[inline]
+fn ordered(a: OneSided, b: OneSided) -> (OneSided, OneSided) {
+    let swap = b.from < a.from;
+    let (from_low, from_high) = (a.from.min(b.from), a.from.max(b.from));
+    let (weight_low, weight_high) = if swap { (b.weight, a.weight) } else { (a.weight, b.weight) };
+    (OneSided { from: from_low, weight: weight_low }, OneSided { from: from_high, weight: weight_high })
+}
+
+/// The d at which the squares of the slopes add to one, with as many axes as lie upwind of it; they
+/// come in the order of `from`.
+#[inline]
+fn solve_upwind([a, b, c]: [OneSided; 3]) -> f32 {
+    // Relative to the nearest, so that nothing large is squared.
+    let (b_rel, c_rel) = (b.from - a.from, c.from - a.from);
+    let one = a.from + 1.0 / a.weight.sqrt();
+    let (weight, sum) = (a.weight + b.weight, b.weight * b_rel);
+    let squares = sum * b_rel - 1.0;
+    let two = a.from + (sum + (sum * sum - weight * squares).max(0.0).sqrt()) / weight;
+    let (weight, sum, squares) =
+        (weight + c.weight, sum + c.weight * c_rel, squares + c.weight * c_rel * c_rel);
+    let three = a.from + (sum + (sum * sum - weight * squares).max(0.0).sqrt()) / weight;
+    let more = if two <= c.from { two } else { three };
+    if one <= b.from { one } else { more }
 }

@@ -146,10 +146,9 @@ fn restrict(from: &Topology, field: &Field, to: &Topology) -> Field {
 fn signed_distance(topology: &Topology, nearest: &Field, radius: f32, half_width: f32) -> Field {
     let (mut distance, fixed) = known_distances(topology, nearest, radius);
     extend(topology, &mut distance, &fixed, sweep_count(half_width));
-    distance.leaves.par_iter_mut().zip(&nearest.leaves).for_each(|(distance, nearest)| {
-        for (distance, &nearest) in distance.values.iter_mut().zip(&nearest.values) {
-            let within = distance.min(half_width);
-            *distance = if nearest < radius { -within } else { within };
+    distance.leaves.par_iter_mut().for_each(|distance| {
+        for distance in &mut distance.values {
+            *distance = distance.clamp(-half_width, half_width);
         }
     });
     distance
@@ -161,20 +160,22 @@ fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }
 
-/// Unsigned distances where the nearest centre tells them (outside, and beside the surface), and
-/// which voxels these are.
+/// Signed distances where the nearest centre tells them (outside, and beside the surface), and which
+/// voxels these are; elsewhere the sign only.
 fn known_distances(topology: &Topology, nearest: &Field, radius: f32) -> (Field, Vec<LeafMask>) {
     let known = |leaf: usize| {
         let around = Neighborhood::new(&nearest.leaves, topology.neighbors(), leaf);
-        let mut distance = Leaf::splat(UNREACHED);
+        let mut distance = Leaf::splat(0.0);
         let mut fixed = LeafMask::EMPTY;
         for row in 0..ROW_COUNT {
             let beside = crossings(&around, row, radius);
             for (z, &nearest) in around.row(row).iter().enumerate() {
                 let outside = nearest >= radius && nearest != OUT_OF_REACH;
                 if outside || beside >> z & 1 == 1 {
-                    distance.values[row * 8 + z] = (nearest - radius).abs();
+                    distance.values[row * 8 + z] = nearest - radius;
                     fixed.insert(row * 8 + z);
+                } else {
+                    distance.values[row * 8 + z] = if nearest < radius { -UNREACHED } else { UNREACHED };
                 }
             }
         }

@@ -77,8 +77,8 @@ const FREE_WIDTH: f32 = 3.0;
 /// Jacobi sweeps of a redistancing (paper, §3.4).
 const REDISTANCE_SWEEPS: u32 = 8;
 
-/// A redistancing reads the neighbours of what it pins, and then sweeps.
-const REDISTANCE_REACH: u32 = REDISTANCE_SWEEPS + 1;
+/// A redistancing reads the neighbours of what it pins, and in a sweep the second neighbours too.
+const REDISTANCE_REACH: u32 = 2 * REDISTANCE_SWEEPS + 1;
 
 /// Fields that every step needs and none keeps.
 struct Scratch {

@@ -3,6 +3,12 @@
 mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
 mod info; // the command that tells what files hold
+mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
 mod layers; // the house: no module imports its own row or a higher one
+mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
 mod pipeline; // frames through the stages, with a quick method in place of the real one
+mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
 mod scene; // small frames of particles, and a way to run the command
+mod shapes; // particles to skin, the method with its defaults, and level sets read at a place
+mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
+mod union_of_spheres; // rasterization against what is known of spheres

@@ -1,0 +1,167 @@
+//! What must not change the surface, to the last bit, and what no surface may do.
+
+#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+
+use glam::{DVec3, IVec3};
+use meniscus::level_set::NarrowBand;
+use meniscus::particles::Particles;
+use meniscus::rasterize::{ParticleBins, rasterize};
+use meniscus::smooth::{Integrator, smooth};
+use meniscus::space::Lattice;
+
+use crate::shapes::{
+    Random, ball_with_finger, default_config, default_radii, interpolated, jittered_lattice, same_bits,
+    sheet_and_drops, skinned, two_balls, value_at, voxels,
+};
+
+const INTEGRATORS: [Integrator; 3] = [Integrator::Fast, Integrator::Implicit, Integrator::Explicit];
+
+/// The surface of particles in world units.
+fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -> NarrowBand {
+    let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
+    let bins = ParticleBins::new(&particles, &Lattice { voxel_size });
+    let (mut band, bounds) = rasterize(&bins, default_radii());
+    smooth(&mut band, &bounds, &default_config(integrator));
+    band
+}
+
+#[test]
+fn the_order_of_particles_does_not_matter() {
+    let positions = two_balls();
+    let mut shuffled = positions.clone();
+    Random::new(70).shuffle(&mut shuffled);
+    assert_ne!(positions, shuffled);
+    for integrator in INTEGRATORS {
+        let (one, other) = (skinned(&positions, integrator).0, skinned(&shuffled, integrator).0);
+        assert!(same_bits(&one, &other), "{integrator:?}");
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let positions = sheet_and_drops();
+    for integrator in INTEGRATORS {
+        let on_threads = |count| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().unwrap();
+            pool.install(|| skinned(&positions, integrator))
+        };
+        let (one, _, report) = on_threads(1);
+        for count in [2, 4] {
+            let (other, _, other_report) = on_threads(count);
+            assert!(same_bits(&one, &other), "{integrator:?} on {count} threads");
+            assert_eq!(report, other_report, "{integrator:?} on {count} threads");
+        }
+    }
+}
+
+/// Powers of two, so that the division by the voxel size rounds nothing.
+#[test]
+fn the_unit_of_length_does_not_matter() {
+    let positions = two_balls();
+    for integrator in INTEGRATORS {
+        let one = skinned_world(&positions, 1.0, integrator);
+        for scale in [4.0, 0.125] {
+            let scaled: Vec<DVec3> = positions.iter().map(|position| position * scale).collect();
+            let other = skinned_world(&scaled, scale, integrator);
+            assert!(same_bits(&one, &other), "{integrator:?} at scale {scale}");
+        }
+    }
+}
+
+/// Moved by whole voxels, the surface moves with the particles, whatever leaves it comes to lie in.
+///
+/// Leaves are stored around the band, and differ: what must be equal is every value that a step may
+/// change. Where one grid stores a voxel and the other does not, the voxel must be beyond the band.
+/// (The dot products of the implicit integrator are summed leaf by leaf: it may differ in last bits.)
+#[test]
+fn moving_all_particles_by_whole_voxels_moves_the_surface() {
+    const VOXEL_SIZE: f64 = 1.0 / 32.0;
+    let grain = f64::from(1 << 20);
+    let positions: Vec<DVec3> =
+        ball_with_finger().iter().map(|p| (p * VOXEL_SIZE * grain).round() / grain).collect();
+    for integrator in [Integrator::Fast, Integrator::Explicit] {
+        let here = skinned_world(&positions, VOXEL_SIZE, integrator);
+        for shift in [IVec3::new(8, -16, 1024), IVec3::new(1, 0, 0), IVec3::new(-3, 100_005, 12)] {
+            let moved: Vec<DVec3> = positions.iter().map(|p| p + shift.as_dvec3() * VOXEL_SIZE).collect();
+            let there = skinned_world(&moved, VOXEL_SIZE, integrator);
+            let compared = assert_same_band(&here, &there, shift) + assert_same_band(&there, &here, -shift);
+            println!("{integrator:?}, moved by {shift}: {compared} values are the same");
+        }
+    }
+}
+
+/// Checks that `there` has, `shift` away, the bits of every value of `here` that is free. Returns how
+/// many these are.
+fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usize {
+    let free = || voxels(here).filter(|(_, phi)| phi.abs() <= 3.0);
+    for (voxel, phi) in free() {
+        assert_eq!(
+            value_at(there, voxel + shift).map(f32::to_bits),
+            Some(phi.to_bits()),
+            "{voxel} + {shift}"
+        );
+    }
+    free().count()
+}
+
+/// A change of one particle changes nothing farther than the report says.
+#[test]
+fn far_changes_change_nothing() {
+    let reach = {
+        let (_, _, report) = skinned(&[DVec3::ZERO], Integrator::Fast);
+        i32::try_from(report.reach_voxels.unwrap()).unwrap()
+    };
+    // From the particle to the voxels that rasterizing it may change: the spheres, and the sweeps.
+    const RASTERIZE_REACH: i32 = 32;
+    let (length, near) = (reach + 52, 16);
+    let mut random = Random::new(71);
+    let bar = jittered_lattice(&mut random, length, |p| p.x >= 0.0 && p.y.abs() < 3.0 && p.z.abs() < 3.0);
+    let end = f64::from(length);
+    let mut with_tip = bar.clone();
+    with_tip.push(DVec3::new(end + 2.0, 4.0, 1.0));
+    let (one, ..) = skinned(&bar, Integrator::Fast);
+    let (other, ..) = skinned(&with_tip, Integrator::Fast);
+    let last = length + 2 - reach - RASTERIZE_REACH;
+    assert!(last >= near);
+    let (mut compared, mut changed) = (0, 0);
+    for (voxel, phi) in voxels(&one) {
+        let same = value_at(&other, voxel).map(f32::to_bits) == Some(phi.to_bits());
+        if voxel.x <= last {
+            assert!(same, "{voxel} is {} voxels away", length + 2 - voxel.x);
+            compared += 1;
+        } else {
+            changed = changed.max(if same { 0 } else { length + 2 - voxel.x });
+        }
+    }
+    println!("reach {reach}: {compared} values the same; the farthest change is {changed} voxels away");
+    assert!(changed > 0);
+}
+
+/// A particle too far away to touch adds its own drop and changes no bit of the rest.
+#[test]
+fn an_isolated_particle_changes_nothing_else() {
+    let positions = ball_with_finger();
+    let mut with_drop = positions.clone();
+    with_drop.push(DVec3::new(3.0, 45.0, -2.0));
+    let (one, ..) = skinned(&positions, Integrator::Fast);
+    let (other, ..) = skinned(&with_drop, Integrator::Fast);
+    assert!(one.topology.len() < other.topology.len());
+    for (voxel, phi) in voxels(&one) {
+        assert_eq!(value_at(&other, voxel).map(f32::to_bits), Some(phi.to_bits()), "{voxel}");
+    }
+}
+
+#[test]
+fn bounds_hold_and_no_particle_is_outside() {
+    for positions in [ball_with_finger(), two_balls(), sheet_and_drops()] {
+        for integrator in INTEGRATORS {
+            let (band, bounds, _) = skinned(&positions, integrator);
+            assert_eq!(bounds.violation_count(&band.phi), 0, "{integrator:?}");
+            // A particle without stored values around it is deep inside.
+            let depths = positions.iter().filter_map(|&position| interpolated(&band, position));
+            let shallowest = depths.fold(f64::NEG_INFINITY, f64::max);
+            println!("{integrator:?}: the shallowest particle is at {shallowest:.3} voxels");
+            assert!(shallowest < 0.0, "{integrator:?}: a particle is outside, {shallowest}");
+        }
+    }
+}

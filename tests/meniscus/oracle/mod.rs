@@ -1,0 +1,130 @@
+//! The method against the paper's algorithms on a plain dense grid, in double precision: small,
+//! obviously right, and written without a look at the sparse grid's loops.
+
+#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+
+mod dense;
+mod distance;
+mod flow;
+
+use std::path::PathBuf;
+
+use glam::{DVec3, Vec3};
+use meniscus::level_set::NarrowBand;
+use meniscus::smooth::Integrator;
+use meniscus_formats::{Limits, Positions};
+
+use crate::shapes::{
+    ball_with_finger, default_radii, rasterized, sheet_and_drops, skinned, two_balls, value_at,
+};
+use distance::LevelSet;
+
+/// The name of a shape, and how to make its particles.
+type Shape = (&'static str, fn() -> Vec<DVec3>);
+
+/// The shapes that everything here is tested on.
+const SHAPES: [Shape; 3] =
+    [("ball with finger", ball_with_finger), ("two balls", two_balls), ("sheet and drops", sheet_and_drops)];
+
+/// How far two results are apart where the dense one has |φ| ≤ 1, in voxels.
+struct Difference {
+    mean: f64,
+    max: f64,
+}
+
+impl std::fmt::Display for Difference {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        write!(f, "{:.1e} voxels apart in the mean, {:.1e} at most", self.mean, self.max)
+    }
+}
+
+fn difference(band: &NarrowBand, dense: &LevelSet) -> Difference {
+    let (mut sum, mut max, mut voxel_count) = (0.0, 0.0f64, 0);
+    for (voxel, index) in dense.grid.voxels().filter(|&(_, index)| dense.phi[index].abs() <= 1.0) {
+        let sparse = value_at(band, voxel).expect("the band holds every voxel beside the surface");
+        let apart = (f64::from(sparse) - dense.phi[index]).abs();
+        (sum, max, voxel_count) = (sum + apart, max.max(apart), voxel_count + 1);
+    }
+    Difference { mean: sum / f64::from(voxel_count), max }
+}
+
+#[test]
+fn rasterizing_agrees_with_the_dense_grid() {
+    for (name, shape) in SHAPES {
+        let positions = shape();
+        let (band, _) = rasterized(&positions);
+        let apart = difference(&band, &distance::rasterized(&positions, default_radii()));
+        println!("{name}, {} particles: rasterized {apart}", positions.len());
+        assert!(apart.max < 1e-5, "{name}: {apart}");
+    }
+}
+
+#[test]
+fn explicit_steps_agree_with_the_dense_grid() {
+    for (name, shape) in SHAPES {
+        let positions = shape();
+        let (band, ..) = skinned(&positions, Integrator::Explicit);
+        let mut dense = distance::rasterized(&positions, default_radii());
+        dense.smooth_laplacian(15);
+        dense.smooth_explicit(500, 0.01, 50);
+        let apart = difference(&band, &dense);
+        println!("{name}: explicit {apart}");
+        assert!(apart.max < 1e-3, "{name}: {apart}");
+    }
+}
+
+#[test]
+fn implicit_steps_agree_with_the_dense_grid() {
+    for (name, shape) in SHAPES {
+        let positions = shape();
+        let (band, _, report) = skinned(&positions, Integrator::Implicit);
+        let mut dense = distance::rasterized(&positions, default_radii());
+        dense.smooth_laplacian(15);
+        dense.smooth_implicit(5, 20.0);
+        let apart = difference(&band, &dense);
+        println!("{name}: implicit {apart}; {:?}", report.convergence.unwrap());
+        assert!(apart.mean < 1e-3 && apart.max < 0.05, "{name}: {apart}");
+    }
+}
+
+/// The fast integrator stops early: what it leaves is far below what can be seen.
+#[test]
+fn fast_steps_come_near_the_converged_solution() {
+    for (name, shape) in SHAPES {
+        assert_fast_is_near_converged(name, &shape());
+    }
+}
+
+/// The same on a frame of a fluid simulation, which is not part of this repository.
+#[test]
+#[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
+fn fast_steps_come_near_the_converged_solution_on_a_dam_break() {
+    const VOXEL_SIZE: f64 = 0.025;
+    let Some(path) = shared("third-party/splashsurf/dam_break_frame_9_6859_particles.bgeo") else {
+        eprintln!("not run: the shared data is absent");
+        return;
+    };
+    let bytes = std::fs::read(path).unwrap();
+    let frame = meniscus_formats::read_particles(&bytes, "dam_break.bgeo", &Limits::default()).unwrap();
+    let Positions::F32(positions) = frame.positions else { panic!("positions in single precision") };
+    let positions: Vec<DVec3> =
+        positions.into_iter().map(|position| Vec3::from(position).as_dvec3() / VOXEL_SIZE).collect();
+    assert_fast_is_near_converged("dam break", &positions);
+}
+
+fn assert_fast_is_near_converged(name: &str, positions: &[DVec3]) {
+    let (band, ..) = skinned(positions, Integrator::Fast);
+    let mut dense = distance::rasterized(positions, default_radii());
+    dense.smooth_laplacian(15);
+    dense.smooth_converged(5, 20.0, 600);
+    let apart = difference(&band, &dense);
+    println!("{name}: fast {apart}");
+    assert!(apart.mean < 0.03, "{name}: {apart}");
+}
+
+/// Files of real producers, which are not part of this repository.
+fn shared(path: &str) -> Option<PathBuf> {
+    let beside = || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../shared"));
+    let path = std::env::var_os("MENISCUS_SHARED").map_or_else(beside, PathBuf::from).join("data").join(path);
+    path.exists().then_some(path)
+}

@@ -1,0 +1,229 @@
+//! Particles to skin, the method with its defaults, and level sets read at a place.
+//!
+//! Shapes are made in units of voxels: particles about two voxels apart, as the method wants them.
+
+use glam::{DMat3, DVec3, IVec3, Vec3};
+use meniscus::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
+use meniscus::level_set::{Bounds, NarrowBand};
+use meniscus::particles::Particles;
+use meniscus::rasterize::{ParticleBins, Radii, rasterize};
+use meniscus::smooth::{Config, Integrator, SmoothReport, smooth};
+use meniscus::space::Lattice;
+
+/// Distance between neighbouring particles, in voxels.
+pub(crate) const SPACING: f64 = 2.0;
+
+/// The radii that follow from the voxel size alone (paper, §3.7).
+pub(crate) fn default_radii() -> Radii {
+    let min = 3f32.sqrt();
+    Radii { min, init: 1.5 * min, max: 2.0 * min }
+}
+
+/// The defaults of each integrator.
+pub(crate) fn default_config(integrator: Integrator) -> Config {
+    let (steps, step_size, redistance_every) = match integrator {
+        Integrator::Explicit => (500, 0.01, 50),
+        Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
+    };
+    Config { laplacian_steps: 15, integrator, steps, step_size, redistance_every, cg_tolerance: 1e-4 }
+}
+
+/// The three unions of spheres of particles given in voxels.
+pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
+    let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
+    rasterize(&ParticleBins::new(&particles, &Lattice { voxel_size: 1.0 }), default_radii())
+}
+
+/// The surface of particles given in voxels, and the bounds it was kept in.
+pub(crate) fn skinned(positions: &[DVec3], integrator: Integrator) -> (NarrowBand, Bounds, SmoothReport) {
+    let (mut band, bounds) = rasterized(positions);
+    let report = smooth(&mut band, &bounds, &default_config(integrator));
+    (band, bounds, report)
+}
+
+/// φ at a voxel, where it is stored.
+pub(crate) fn value_at(band: &NarrowBand, voxel: IVec3) -> Option<f32> {
+    let (leaf, local) = band.topology.find_voxel(voxel)?;
+    Some(band.phi.leaves[leaf].values[offset_in_leaf(local)])
+}
+
+/// All stored voxels with their φ.
+pub(crate) fn voxels(band: &NarrowBand) -> impl Iterator<Item = (IVec3, f32)> + '_ {
+    band.topology.origins().iter().zip(&band.phi.leaves).flat_map(|(&origin, leaf)| {
+        (0..LEAF_VOXELS).map(move |offset| (origin + voxel_in_leaf(offset), leaf.values[offset]))
+    })
+}
+
+/// φ at a position in voxels by trilinear interpolation, where all eight voxels are stored.
+pub(crate) fn interpolated(band: &NarrowBand, position: DVec3) -> Option<f64> {
+    let base = position.floor();
+    let t = position - base;
+    let mut sum = 0.0;
+    for corner in 0..8 {
+        let step = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2);
+        let weight = (step.as_dvec3() * t + (IVec3::ONE - step).as_dvec3() * (1.0 - t)).element_product();
+        sum += weight * f64::from(value_at(band, base.as_ivec3() + step)?);
+    }
+    Some(sum)
+}
+
+/// Where φ changes sign on the edges between neighbouring voxels, by linear interpolation.
+pub(crate) fn crossings(band: &NarrowBand) -> Vec<Vec3> {
+    let mut found = Vec::new();
+    for (voxel, here) in voxels(band) {
+        for axis in [IVec3::X, IVec3::Y, IVec3::Z] {
+            let Some(there) = value_at(band, voxel + axis) else { continue };
+            if (here < 0.0) != (there < 0.0) {
+                found.push(voxel.as_vec3() + axis.as_vec3() * (here / (here - there)));
+            }
+        }
+    }
+    found
+}
+
+/// Whether two level sets are the same to the last bit.
+pub(crate) fn same_bits(one: &NarrowBand, other: &NarrowBand) -> bool {
+    let bits = |band: &NarrowBand| -> Vec<u32> {
+        band.phi.as_arrays().as_flattened().iter().map(|value| value.to_bits()).collect()
+    };
+    one.topology.origins() == other.topology.origins() && bits(one) == bits(other)
+}
+
+/// The volume that the zero set encloses, in voxels: along z, surfaces that are left less those that
+/// are entered.
+pub(crate) fn volume(band: &NarrowBand) -> f64 {
+    let crossing = |(voxel, here): (IVec3, f32)| {
+        let there = value_at(band, voxel + IVec3::Z)?;
+        let height = f64::from(voxel.z) + f64::from(here / (here - there));
+        ((here < 0.0) != (there < 0.0)).then_some(if here < 0.0 { height } else { -height })
+    };
+    voxels(band).filter_map(crossing).sum()
+}
+
+/// ∫ H² over the zero set, H half the divergence of the normal: ∫ H² δ(φ) |∇φ| over the voxels.
+pub(crate) fn bending_energy(band: &NarrowBand) -> f64 {
+    const WIDTH: f64 = 1.5;
+    let share = |(voxel, phi): (IVec3, f32)| {
+        let delta = (1.0 + (std::f64::consts::PI * f64::from(phi) / WIDTH).cos()) / (2.0 * WIDTH);
+        let (gradient, hessian) = derivatives(band, voxel)?;
+        let slope = gradient.length();
+        // The divergence of ∇φ/|∇φ|, written out.
+        let divergence = (hessian.x_axis.x + hessian.y_axis.y + hessian.z_axis.z
+            - gradient.dot(hessian * gradient) / (slope * slope))
+            / slope;
+        Some(0.25 * divergence * divergence * delta * slope)
+    };
+    voxels(band).filter(|(_, phi)| f64::from(phi.abs()) < WIDTH).filter_map(share).sum()
+}
+
+/// Gradient and second derivatives of φ by central differences, where all neighbours are stored.
+fn derivatives(band: &NarrowBand, voxel: IVec3) -> Option<(DVec3, DMat3)> {
+    let at = |step: IVec3| value_at(band, voxel + step).map(f64::from);
+    let here = at(IVec3::ZERO)?;
+    let (mut gradient, mut hessian) = (DVec3::ZERO, DMat3::ZERO);
+    for (i, &a) in IVec3::AXES.iter().enumerate() {
+        gradient[i] = (at(a)? - at(-a)?) / 2.0;
+        hessian.col_mut(i)[i] = at(a)? + at(-a)? - 2.0 * here;
+        for (j, &b) in IVec3::AXES.iter().enumerate().filter(|&(j, _)| j != i) {
+            hessian.col_mut(i)[j] = (at(a + b)? + at(-a - b)? - at(a - b)? - at(b - a)?) / 4.0;
+        }
+    }
+    Some((gradient, hessian))
+}
+
+/// A ball of particles off a jittered lattice, with a finger one or two particles thick.
+pub(crate) fn ball_with_finger() -> Vec<DVec3> {
+    let mut random = Random::new(1);
+    jittered_lattice(&mut random, 36, |p| {
+        let across = (p.y * p.y + p.z * p.z).sqrt();
+        p.length() < 14.0 || (0.0 < p.x && p.x < 34.0 && across < 2.2)
+    })
+}
+
+/// Two balls with a gap that the outer bound closes and the inner one does not.
+pub(crate) fn two_balls() -> Vec<DVec3> {
+    let mut random = Random::new(2);
+    let centers = [DVec3::new(-11.0, 0.3, 0.0), DVec3::new(11.7, 0.0, 0.8)];
+    jittered_lattice(&mut random, 24, |p| centers.iter().any(|center| (p - center).length() < 9.0))
+}
+
+/// A sheet one particle thick, drops above it, and single particles.
+pub(crate) fn sheet_and_drops() -> Vec<DVec3> {
+    let mut random = Random::new(3);
+    let mut positions = jittered_lattice(&mut random, 24, |p| p.z.abs() < 0.1 && p.x.hypot(p.y) < 24.0);
+    for _ in 0..12 {
+        let center = random.in_box(DVec3::new(-20.0, -20.0, 8.0), DVec3::new(20.0, 20.0, 24.0));
+        for _ in 0..8 {
+            positions.push(center + random.in_ball(3.0));
+        }
+    }
+    positions
+}
+
+/// Every lattice point in a box of so many voxels about the origin that `holds`, then moved a little.
+pub(crate) fn jittered_lattice(
+    random: &mut Random,
+    half_edge: i32,
+    holds: impl Fn(DVec3) -> bool,
+) -> Vec<DVec3> {
+    let count = (f64::from(half_edge) / SPACING) as i32;
+    let mut positions = Vec::new();
+    for x in -count..=count {
+        for y in -count..=count {
+            for z in -count..=count {
+                let place = IVec3::new(x, y, z).as_dvec3() * SPACING;
+                let jitter = random.in_box(DVec3::splat(-0.3), DVec3::splat(0.3)) * SPACING;
+                if holds(place) {
+                    positions.push(place + jitter);
+                }
+            }
+        }
+    }
+    positions
+}
+
+/// Numbers that look random and are the same in every run (splitmix64).
+pub(crate) struct Random {
+    state: u64,
+}
+
+impl Random {
+    pub(crate) fn new(seed: u64) -> Random {
+        Random { state: seed }
+    }
+
+    pub(crate) fn bits(&mut self) -> u64 {
+        self.state = self.state.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut mixed = self.state;
+        mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+        mixed ^ mixed >> 31
+    }
+
+    /// Uniform in 0 .. 1.
+    pub(crate) fn unit(&mut self) -> f64 {
+        (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Uniform in a box.
+    pub(crate) fn in_box(&mut self, min: DVec3, max: DVec3) -> DVec3 {
+        min + DVec3::new(self.unit(), self.unit(), self.unit()) * (max - min)
+    }
+
+    /// Uniform in a ball about the origin.
+    pub(crate) fn in_ball(&mut self, radius: f64) -> DVec3 {
+        loop {
+            let position = self.in_box(DVec3::splat(-radius), DVec3::splat(radius));
+            if position.length() < radius {
+                return position;
+            }
+        }
+    }
+
+    /// Puts a list in another order.
+    pub(crate) fn shuffle<T>(&mut self, list: &mut [T]) {
+        for last in (1..list.len()).rev() {
+            list.swap(last, (self.bits() % (last as u64 + 1)) as usize);
+        }
+    }
+}
