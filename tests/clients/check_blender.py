@@ -1,0 +1,293 @@
+"""Blender imports the .glb, .obj, .ply and .vdb of one frame, and renders two pictures of it.
+
+    imported      as many vertices, the same bounds in Blender's axes, outward, normals that agree
+    rendered      blender_glb.png     the mesh, with the normals that we wrote
+                  blender_vdb.png     the grid, through Blender's Volume to Mesh modifier
+                  both show something, and the same
+
+Blender has Z up. Its importers turn .glb and .obj, which have Y up, and leave .ply and .vdb alone:
+so all are brought to the axes of the particles before they are compared.
+
+Runs in a Python of its own, with Blender as a module.
+"""
+
+import itertools
+import math
+import os
+import sys
+
+import bpy
+import numpy as np
+from mathutils import Matrix, Vector
+
+from mesh_files import read_ply
+from project import DAM_BREAK, DATA, OUT, OWN, WORK, Check, frame_of
+
+SIZE = (640, 480)
+SAMPLES = 32
+# What a different mesher may change in a picture: means over all pixels, colours from 0 to 1.
+PICTURE_DIFFERENCE_MAX = 0.01
+# Turns Z-up coordinates back to those of a file with Y up.
+TO_Y_UP = Matrix.Rotation(math.radians(-90), 4, "X")
+
+
+def main():
+    check = Check(f"blender: Blender {bpy.app.version_string} imports and renders")
+    to_log(WORK / "blender.log")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    files = frame_files()
+    frame = frame_of(files["vdb"])
+    points, _ = read_ply(files["ply"])
+    low, high = points.min(axis=0), points.max(axis=0)
+    surfaces = {}
+    for kind in ("glb", "obj", "ply", "vdb"):
+        try:
+            surfaces[kind] = imported(kind, files[kind])
+            examine = examined_volume if kind == "vdb" else examined_mesh
+            check.line(files[kind].name, *examine(surfaces[kind], kind, frame, low, high))
+        except Exception as error:
+            check.line(files[kind].name, "could not be imported", [f"{type(error).__name__}: {error}"])
+    if not check.failed:
+        check.line("pictures", *rendered(surfaces, frame["settings"]["voxel_size"], low, high))
+    check.end()
+
+
+def to_log(path):
+    """What Blender says of its work goes to a file; what this check prints does not."""
+    sys.stdout.flush()
+    sys.stdout = os.fdopen(os.dup(1), "w")
+    os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), 1)
+
+
+def frame_files():
+    """The files of the dam break, or of the project's own frame where there is none."""
+    folder = OUT / "third-party" / "splashsurf" / f"{DAM_BREAK}.bgeo"
+    if not (DATA.is_dir() and folder.is_dir()):
+        folder = OUT / "own"
+    vdb = sorted(folder.glob("*.vdb"))[-1]
+    return {kind: vdb.with_suffix(f".{kind}") for kind in ("glb", "obj", "ply", "vdb")}
+
+
+def imported(kind, path):
+    """Imports a file into an otherwise empty scene, and returns its object."""
+    before = set(bpy.data.objects)
+    importers = {
+        "glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
+        "obj": lambda: bpy.ops.wm.obj_import(filepath=str(path)),
+        "ply": lambda: bpy.ops.wm.ply_import(filepath=str(path)),
+        "vdb": lambda: bpy.ops.object.volume_import(filepath=str(path)),
+    }
+    importers[kind]()
+    bpy.context.view_layer.update()
+    found = [obj for obj in set(bpy.data.objects) - before if obj.type in ("MESH", "VOLUME")]
+    if len(found) != 1:
+        raise RuntimeError(f"{len(found)} objects instead of one")
+    return found[0]
+
+
+def examined_mesh(obj, kind, frame, low, high):
+    mesh = obj.data
+    faults = []
+    to_particles = (TO_Y_UP if kind in ("glb", "obj") else Matrix()) @ obj.matrix_world
+    points = transformed(positions_of(mesh), to_particles)
+    triangles = np.empty(3 * len(mesh.polygons), np.int64)
+    if len(mesh.loops) != 3 * len(mesh.polygons):
+        faults.append("not all faces are triangles")
+        return "", faults
+    mesh.loops.foreach_get("vertex_index", triangles)
+    corners = points[triangles.reshape(-1, 3)]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inside = np.einsum("ij,ij->i", corners[:, 0], face_normals).sum() / 6
+    if (len(points), len(corners)) != (frame["vertices"], frame["triangles"]):
+        faults.append(f"{frame['vertices']} vertices and {frame['triangles']} triangles were reported")
+    size = (high - low).max()
+    off = max(abs(points.min(axis=0) - low).max(), abs(points.max(axis=0) - high).max())
+    if off > 1e-5 * size:
+        faults.append(f"its bounds are off by {off / size:.2g} of its size")
+    if abs(inside / frame["volume"] - 1) > 1e-3:
+        faults.append(f"its volume is {inside}, {frame['volume']} was reported")
+    agree = normals_agree(mesh)
+    if agree < 0.99:
+        faults.append(f"only {agree:.2%} of the normals point to the outside of their triangles")
+    if mesh.validate():
+        faults.append("Blender had to repair it")
+    figures = f"{len(points)} vertices, {len(corners)} triangles, volume {inside:.4f}, {agree:.2%} of normals outward"
+    return figures, faults
+
+
+def normals_agree(mesh):
+    """The part of the corners whose normal is on the side of its triangle's."""
+    corner_normals = np.empty(3 * len(mesh.loops), np.float32)
+    mesh.corner_normals.foreach_get("vector", corner_normals)
+    face_normals = np.empty(3 * len(mesh.polygons), np.float32)
+    mesh.polygon_normals.foreach_get("vector", face_normals)
+    sides = np.einsum("ijk,ik->ij", corner_normals.reshape(-1, 3, 3), face_normals.reshape(-1, 3))
+    return (sides > 0).mean()
+
+
+def examined_volume(obj, _kind, frame, low, high):
+    faults = []
+    grids = obj.data.grids
+    if not grids.load():
+        return "", [f"Blender could not load it: {grids.error_message}"]
+    names = [(grid.name, grid.data_type, grid.channels) for grid in grids]
+    if names != [("surface", "FLOAT", 1)]:
+        faults.append(f"its grids are {names}")
+    h = frame["settings"]["voxel_size"]
+    to_world = obj.matrix_world @ Matrix(grids[0].matrix_object)
+    edges = [to_world.to_3x3() @ Vector(axis) for axis in np.eye(3)]
+    if max(abs(edge.length - h) for edge in edges) > 1e-6 * h:
+        faults.append(f"its voxels are {[edge.length for edge in edges]}, not {h}")
+    bounds = np.array([obj.matrix_world @ Vector(corner) for corner in obj.bound_box])
+    # Blender shows the bounds of the leaves, from first to last voxel; the band goes three voxels
+    # beyond the surface, and a leaf up to seven beyond the band.
+    margins = np.concatenate([low - bounds.min(axis=0), bounds.max(axis=0) - high]) / h
+    if margins.min() < 2 or margins.max() > 11:
+        faults.append(f"its bounds are {margins.round(2)} voxels outside the mesh's")
+    leaves = np.array([bounds.min(axis=0) / h, bounds.max(axis=0) / h + 1]) / 8
+    if abs(leaves - leaves.round()).max() > 1e-3:
+        faults.append(f"its bounds are {leaves} leaves of voxels")
+    return f"grid {names[0][0]}, {margins.min():.2f} to {margins.max():.2f} voxels around the mesh", faults
+
+
+def rendered(surfaces, h, low, high):
+    """Renders the mesh and the volume from one place; their figures, and how the pictures differ."""
+    for name in ("obj", "ply"):
+        bpy.data.objects.remove(surfaces[name])
+    mesh, volume = surfaces["glb"], surfaces["vdb"]
+    # Blender turned the mesh, not the grid: turn the grid the same way. Half a voxel takes back that
+    # Volume to Mesh moves every surface to meet Blender's fog volumes, whose values it takes to be in
+    # the middle of cells.
+    volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ TO_Y_UP.inverted() @ volume.matrix_world
+    volume.hide_render = True
+    through = as_mesh(volume)
+    away = bounds_away(through, low, high) / h
+    faults = [f"through Volume to Mesh, the bounds are off by {away:.2f} voxels"] if away > 0.3 else []
+    material = clay()
+    for obj in (mesh, through):
+        obj.data.materials.clear()
+        obj.data.materials.append(material)
+    stage(TO_Y_UP.inverted(), low, high)
+    pictures = {}
+    for name, shown, hidden in (("glb", mesh, through), ("vdb", through, mesh)):
+        shown.hide_render, hidden.hide_render = False, True
+        pictures[name] = render(WORK / f"blender_{name}.png")
+    faults += [f"blender_{name}.png shows nothing" for name, picture in pictures.items() if picture.std() < 0.05]
+    difference = abs(pictures["glb"] - pictures["vdb"]).mean()
+    if difference > PICTURE_DIFFERENCE_MAX:
+        faults.append(f"the pictures differ by {difference:.4f} in the mean")
+    figures = f"contrast {pictures['glb'].std():.3f}, mean difference {difference:.4f}, bounds {away:.2f} h apart"
+    return f"{figures}: {WORK.name}/blender_glb.png, {WORK.name}/blender_vdb.png", faults
+
+
+def as_mesh(volume):
+    """An object that shows a volume, where it is, through Blender's own mesher."""
+    obj = bpy.data.objects.new("through_volume", bpy.data.meshes.new("through_volume"))
+    bpy.context.scene.collection.objects.link(obj)
+    modifier = obj.modifiers.new("mesh", "VOLUME_TO_MESH")
+    modifier.object = volume
+    modifier.grid_name = "surface"
+    modifier.resolution_mode = "GRID"
+    modifier.threshold = 0.0
+    modifier.use_smooth_shade = True
+    return obj
+
+
+def bounds_away(obj, low, high):
+    """The largest distance between the bounds of what an object shows and those of the particles' mesh."""
+    bpy.context.view_layer.update()
+    shown = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    points = transformed(positions_of(shown.to_mesh()), TO_Y_UP @ obj.matrix_world)
+    shown.to_mesh_clear()
+    return max(abs(points.min(axis=0) - low).max(), abs(points.max(axis=0) - high).max())
+
+
+def clay():
+    """A smooth coloured material, with enough gloss to show every fold and step."""
+    material, shader = new_material("clay")
+    shader.inputs["Base Color"].default_value = (0.10, 0.35, 0.60, 1)
+    shader.inputs["Roughness"].default_value = 0.3
+    return material
+
+
+def new_material(name):
+    """A material with one shader, and that shader."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes = material.node_tree.nodes
+    nodes.clear()
+    shader, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    material.node_tree.links.new(shader.outputs["BSDF"], output.inputs["Surface"])
+    return material, shader
+
+
+def stage(turn, low, high):
+    """Camera, sun, sky and ground around a box in the particles' axes; `turn` takes it to Blender's."""
+    scene = bpy.context.scene
+    corners = np.array([turn @ Vector(corner) for corner in itertools.product(*zip(low, high))])
+    bottom, top = corners.min(axis=0), corners.max(axis=0)
+    center, radius = 0.5 * (bottom + top), 0.5 * np.linalg.norm(top - bottom)
+
+    bpy.ops.mesh.primitive_plane_add(size=40 * radius, location=(center[0], center[1], bottom[2]))
+    ground, shader = new_material("ground")
+    shader.inputs["Base Color"].default_value = (0.6, 0.57, 0.52, 1)
+    bpy.context.object.data.materials.append(ground)
+
+    sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+    sun.data.energy, sun.data.angle = 3.0, math.radians(2)
+    sun.rotation_euler = (math.radians(50), 0, math.radians(40))
+    world = bpy.data.worlds.new("sky")
+    world.use_nodes = True
+    nodes = world.node_tree.nodes
+    nodes.clear()
+    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
+    background.inputs["Color"].default_value = (0.6, 0.75, 1, 1)
+    background.inputs["Strength"].default_value = 0.5
+    world.node_tree.links.new(background.outputs["Background"], output.inputs["Surface"])
+    scene.world = world
+
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    view = Vector((0.8, -1.6, 1.0)).normalized()
+    distance = 0.8 * radius / math.sin(camera.data.angle_y / 2)
+    camera.location = Vector(center) + view * distance
+    camera.rotation_euler = (-view).to_track_quat("-Z", "Y").to_euler()
+    camera.data.clip_start, camera.data.clip_end = distance / 1000, distance * 100
+    for obj in (sun, camera):
+        scene.collection.objects.link(obj)
+    scene.camera = camera
+
+
+def render(path):
+    """Renders to a file, and returns the picture that it holds."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = SAMPLES
+    scene.cycles.use_denoising = False
+    scene.cycles.seed = 0
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    scene.render.image_settings.file_format = "PNG"
+    scene.view_settings.view_transform = "Standard"
+    path.unlink(missing_ok=True)
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    pixels = np.empty(4 * SIZE[0] * SIZE[1], np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    return pixels.reshape(-1, 4)[:, :3]
+
+
+def positions_of(mesh):
+    points = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", points)
+    return points.reshape(-1, 3).astype(float)
+
+
+def transformed(points, matrix):
+    matrix = np.array(matrix)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+if __name__ == "__main__":
+    main()

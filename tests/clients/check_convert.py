@@ -1,0 +1,121 @@
+"""Every frame listed in convert.txt becomes .glb, .obj, .ply and .vdb, closed and certified; what
+cannot be read is named for what it is.
+
+A few frames that are awkward on purpose are made here: none at all, one particle, far from the
+origin, up along z. Everything stays in target/clients/out for the other checks.
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+from project import DATA, OUT, OWN, WORK, Check, convert, data_is_there
+
+FORMATS = ["glb", "obj", "ply", "vdb"]
+CASES = Path(__file__).with_name("convert.txt")
+
+
+def main():
+    check = Check("convert: frames become .glb, .obj, .ply and .vdb")
+    shutil.rmtree(OUT, ignore_errors=True)
+    there = data_is_there()
+    for line in CASES.read_text().splitlines():
+        verb, *rest = line.split("#")[0].split() or ["nothing"]
+        if verb == "nothing":
+            continue
+        if verb == "reads" and there:
+            reads(check, rest[0], DATA / rest[0], rest[1:])
+        elif verb == "refuses" and there:
+            refuses(check, rest[0], " ".join(rest[1:]))
+        elif verb not in ("reads", "refuses"):
+            sys.exit(f"{CASES}: what is “{line}”?")
+    reads(check, "own", OWN, [])
+    awkward(check)
+    check.end()
+
+
+def reads(check, label, inputs, options, formats=FORMATS):
+    """Converts all frames of a file or folder, and looks at what was reported of each."""
+    out = OUT / label.replace("*", "all")
+    paths = sorted(inputs.parent.glob(inputs.name))
+    if not paths:
+        check.line(label, "no such file", [f"{inputs}: no file"])
+        return
+    wanted = set()
+    for path in paths:
+        wanted |= {entry.name for entry in path.iterdir() if entry.suffix in FRAMES} if path.is_dir() else {path.name}
+    status, said, frames = convert(paths, out, "--format", ",".join(formats), *options)
+    if status:
+        check.line(label, f"exit status {status}", [said.strip()])
+    for name in sorted(wanted - frames.keys()):
+        check.line(f"{label} {name}", "not in the report", [said.strip() if not status else "see above"])
+    for name, frame in sorted(frames.items()):
+        check.line(f"{label} {name}" if len(frames) > 1 else label, *outcome(frame, out, formats))
+
+
+FRAMES = {".ply", ".bgeo", ".csv"}
+
+
+def outcome(frame, out, formats):
+    """The figures of a frame, and what is wrong with it."""
+    if frame["status"] != "converted":
+        return frame["status"], [frame.get("error") or "no error told"]
+    certificate = frame["certificate"]
+    figures = (
+        f"{frame['particles']} particles, h = {frame['settings']['voxel_size']:.6g}, "
+        f"{frame['triangles']} triangles in {frame['components']} pieces, {sum(frame['seconds'].values()):.2f} s"
+    )
+    stem = Path(frame["input"]).stem
+    missing = [f for f in formats if not (out / f"{stem}.{f}").is_file() or not (out / f"{stem}.{f}").stat().st_size]
+    faults = [f"no {stem}.{f}" for f in missing]
+    if not certificate["holds"]:
+        faults.append(f"not certified: {certificate}")
+    for count in ("boundary_edges", "non_manifold_edges", "degenerate_triangles"):
+        if frame[count]:
+            faults.append(f"{frame[count]} {count.replace('_', ' ')}")
+    if frame["triangles"] and not frame["volume"] > 0:
+        faults.append(f"its volume is {frame['volume']}")
+    return figures, faults
+
+
+def refuses(check, label, words):
+    """Files that are not read: the error names file and kind, and nothing is written."""
+    paths = sorted(DATA.glob(label))
+    if not paths:
+        check.line(label, "no such file", [f"{DATA / label}: no file"])
+    for path in paths:
+        out = WORK / "refused"
+        shutil.rmtree(out, ignore_errors=True)
+        status, said, _ = convert([path], out, "--voxel-size", "0.1")
+        error = next((line for line in said.splitlines() if line.startswith("error: ")), said.strip())
+        faults = []
+        if status == 0:
+            faults.append("exit status 0")
+        if words.lower() not in error.lower() or path.name not in error:
+            faults.append(f"the error does not name {path.name} as “{words}”: {error}")
+        if "panicked" in said:
+            faults.append(said)
+        if any(entry.suffix[1:] in FORMATS for entry in out.iterdir()):
+            faults.append("something was written")
+        check.line(path.relative_to(DATA), error.replace(f"{path}: ", ""), faults)
+
+
+def awkward(check):
+    """Frames that no simulator writes on a good day."""
+    folder = WORK / "awkward"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    block = [(0.1 * x, 0.1 * y, 0.1 * z) for x in range(6) for y in range(5) for z in range(4)]
+    far = [(x + 4.0e6, y - 3.0e6, z + 1.0e6) for x, y, z in block]
+    for name, points in {"empty": [], "single": [(1.0, 2.0, 3.0)], "block": block, "far": far}.items():
+        rows = [f"{x!r},{y!r},{z!r}" for x, y, z in points]
+        (folder / f"{name}.csv").write_text("\n".join(["x,y,z", *rows]) + "\n")
+        for up in ("y", "z"):
+            options = ["--voxel-size", "0.05", "--up", up]
+            reads(check, f"awkward/{name}-up-{up}", folder / f"{name}.csv", options, [*FORMATS, "gltf"])
+    options = ["--voxel-size", "0.05", "--contour", "tetrahedra", "--vdb-half"]
+    reads(check, "awkward/block-tetrahedra-half", folder / "block.csv", options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,88 @@
+"""Where things are, how meniscus is run, and how a check tells what it found.
+
+A check prints one line for each file, with figures; it goes on after a failure, says what failed
+again at its end, and then its exit status is 1.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
+PROGRAM = TARGET / "release" / "meniscus"
+WORK = TARGET / "clients"
+# What check_convert.py and check_reference.py wrote; the other checks read it.
+OUT = WORK / "out"
+# Frames of other programs. They are not part of the project: where they are absent, so are their checks.
+DATA = Path(os.environ.get("MENISCUS_SHARED", ROOT.parent / "shared")) / "data"
+# The project's own frames.
+OWN = ROOT / "examples" / "frames"
+
+DAM_BREAK = "dam_break_frame_23_24389_particles"
+
+
+def data_is_there():
+    """Whether there are frames of other programs; says so where not."""
+    if DATA.is_dir():
+        return True
+    print(f"  skipped: no frames of other programs, for there is no folder {DATA}")
+    return False
+
+
+def convert(inputs, out, *options):
+    """Runs `meniscus convert` and returns its exit status, what it said, and its report by stem."""
+    out.mkdir(parents=True, exist_ok=True)
+    report = out / "report.json"
+    report.unlink(missing_ok=True)
+    command = [PROGRAM, "convert", *inputs, "--out", out, "--report", report, *options]
+    ran = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=1800)
+    frames = {}
+    if report.exists():
+        written = json.loads(report.read_text())
+        for frame in written["frames"]:
+            frame["settings"] = written["settings"][frame["settings"]]
+            frames[Path(frame["input"]).name] = frame
+    return ran.returncode, ran.stdout + ran.stderr, frames
+
+
+def frame_of(output):
+    """What was reported of the frame that an output was made from."""
+    written = json.loads((output.parent / "report.json").read_text())
+    for frame in written["frames"]:
+        if output.name in [Path(path).name for path in frame.get("outputs", [])]:
+            frame["settings"] = written["settings"][frame["settings"]]
+            return frame
+    raise LookupError(f"{output.parent / 'report.json'} says nothing of {output.name}")
+
+
+class Check:
+    """The lines of one check."""
+
+    def __init__(self, title):
+        self.failed = []
+        self.passed = 0
+        print(title, flush=True)
+
+    def line(self, label, figures, faults=()):
+        """One file: what was measured of it, and what is wrong with it."""
+        faults = list(faults)
+        print(f"  {'FAILED' if faults else 'ok    '} {label}: {figures}", flush=True)
+        for fault in faults:
+            print(f"         {fault}", flush=True)
+        if faults:
+            self.failed.append(f"{label}: {'; '.join(faults)}")
+        else:
+            self.passed += 1
+
+    def end(self):
+        """Says the sum, and ends the process."""
+        print(f"  {self.passed} passed, {len(self.failed)} failed", flush=True)
+        for failed in self.failed:
+            print(f"  failed: {failed}", file=sys.stderr)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        # Not sys.exit: modules of large programs crash now and then while they are torn down.
+        os._exit(1 if self.failed or not self.passed else 0)
