@@ -83,7 +83,7 @@ const REDISTANCE_SWEEPS: u32 = 8;
 /// swept by first order, as the paper does. A few steps with exact ones thicken tubes and sheets
 /// (under this flow a cylinder of radius R grows by 1/R³) until they meet the bumps of their bound. Explicit
 /// steps are redistanced so often that errors of first order would add up. `redistance` has the figures.
-const IMPLICIT_SECOND_ORDER_WITHIN: f32 = 1.0;
+const IMPLICIT_SECOND_ORDER_WITHIN: f32 = 1.2;
 
 /// A redistancing reads the neighbours of what it pins, and in a sweep the second neighbours too.
 const REDISTANCE_REACH: u32 = 2 * REDISTANCE_SWEEPS + 1;

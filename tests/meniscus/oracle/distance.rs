@@ -42,6 +42,15 @@ impl LevelSet {
         }
     }
 
+    /// Moves values nearer to zero than 1/128 voxel off it, as far as their bounds allow: what is done to
+    /// a result last.
+    pub(super) fn keep_off_zero(&mut self) {
+        for phi in self.phi.iter_mut().filter(|phi| phi.abs() < 1.0 / 128.0) {
+            *phi = (1.0f64 / 128.0).copysign(*phi);
+        }
+        self.clamp();
+    }
+
     /// Replaces φ by the distance to its zero set, keeping the sign; then the bounds hold again.
     /// Differences to neighbours nearer to the surface than so many voxels are of second order.
     pub(super) fn redistance(&mut self, second_order_within: f64) {
