@@ -88,9 +88,6 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
     }
 }
 
-/// Beside a sign change no voxel is farther than this from the zero set.
-const BESIDE_MAX: f32 = 1.0;
-
 /// Voxels not beside a sign change are pinned up to this distance, if φ is smooth there.
 const PINNED_MAX: f32 = 1.5;
 
@@ -126,15 +123,16 @@ fn pin_row(around: &Neighborhood, row: usize) -> [Option<f32>; 8] {
     let slopes = around.gradient_norm(row);
     std::array::from_fn(|z| {
         let inside = c[z] < 0.0;
-        let beside = [xm[z], xp[z], ym[z], yp[z], zm[z], zp[z]].iter().any(|&n| (n < 0.0) != inside);
-        let distance = c[z].abs() / slopes[z];
-        if beside {
-            // Not 0 / 0: a zero in a flat place is the zero set.
-            Some(if c[z] == 0.0 { 0.0 } else { distance.min(BESIDE_MAX) })
-        } else {
-            (SMOOTH_SLOPES.contains(&slopes[z]) && c[z].abs() < PINNED_MAX && distance < PINNED_MAX)
-                .then_some(distance)
-        }
+        let around = [xm[z], xp[z], ym[z], yp[z], zm[z], zp[z]];
+        let beside = around.iter().any(|&n| (n < 0.0) != inside);
+        // No voxel is farther from the zero set than a neighbour and one; a neighbour across it counts as
+        // on it. So nothing jumps where a neighbour's value passes through zero.
+        let side = if inside { -1.0 } else { 1.0 };
+        let nearest = around.iter().fold(PINNED_MAX, |nearest, &n| nearest.min((side * n).max(0.0)));
+        // Not 0 / 0: a zero in a flat place is the zero set.
+        let distance = if c[z] == 0.0 { 0.0 } else { (c[z].abs() / slopes[z]).min(1.0 + nearest) };
+        let smooth = SMOOTH_SLOPES.contains(&slopes[z]) && c[z].abs() < PINNED_MAX && distance < PINNED_MAX;
+        (beside || smooth).then_some(distance)
     })
 }
 
@@ -288,4 +286,36 @@ fn solve_upwind([a, b, c]: [OneSided; 3]) -> f32 {
     let three = a.from + (sum + (sum * sum - weight * squares).max(0.0).sqrt()) / weight;
     let more = if two <= c.from { two } else { three };
     if one <= b.from { one } else { more }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the definition, for every row of a leaf and of the leaves beyond its faces.
+    #[test]
+    fn rows_depend_on_rows_within_two_voxels_along_an_axis() {
+        // The leaf itself is 0; the others as its neighbours are listed, by steps of a leaf in x and y.
+        let steps = [(0, 0), (-8, 0), (8, 0), (0, -8), (0, 8), (0, 0), (0, 0)];
+        for (source, (x_step, y_step)) in steps.into_iter().enumerate() {
+            for row in 0..64 {
+                let mut changed = [0; 7];
+                changed[source] = 1 << row;
+                let (x, y) = (x_step + (row >> 3), y_step + (row & 7));
+                let along_axis = |x: i32, y: i32| (x == 0 && y.abs() <= 2) || (y == 0 && x.abs() <= 2);
+                let expected = (0..64)
+                    .filter(|to: &i32| {
+                        let (dx, dy) = (x - (to >> 3), y - (to & 7));
+                        // A row beyond ±z meets only the row that it continues.
+                        if source < 5 { along_axis(dx, dy) } else { dx == 0 && dy == 0 }
+                    })
+                    .fold(0, |rows, to| rows | 1u64 << to);
+                assert_eq!(
+                    dependent_rows(&changed, &[1, 2, 3, 4, 5, 6], 0),
+                    expected,
+                    "leaf {source}, row {row}"
+                );
+            }
+        }
+    }
 }

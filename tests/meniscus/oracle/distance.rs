@@ -64,12 +64,13 @@ impl LevelSet {
         let slope = self.grid.slope(&self.phi, index);
         let faces = self.grid.faces(index);
         let beside = faces.as_flattened().iter().any(|&face| (self.phi[face] < 0.0) != (here < 0.0));
-        let distance = if here == 0.0 { 0.0 } else { here.abs() / slope };
-        if beside {
-            return Some(distance.min(1.0));
-        }
-        let smooth = (0.8..1.25).contains(&slope);
-        (smooth && here.abs() < 1.5 && distance < 1.5).then_some(distance)
+        // A neighbour is one voxel away, and on the surface if it is across it.
+        let side = if here < 0.0 { -1.0 } else { 1.0 };
+        let nearest = faces.as_flattened().iter().map(|&face| (side * self.phi[face]).max(0.0));
+        let farthest = 1.0 + nearest.fold(f64::INFINITY, f64::min);
+        let distance = if here == 0.0 { 0.0 } else { (here.abs() / slope).min(farthest) };
+        let smooth = (0.8..1.25).contains(&slope) && here.abs() < 1.5 && distance < 1.5;
+        (beside || smooth).then_some(distance)
     }
 }
 

