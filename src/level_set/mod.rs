@@ -15,7 +15,7 @@ mod redistance;
 use std::sync::Arc;
 
 pub use bounds::Bounds;
-pub use redistance::{UNREACHED, extend, redistance};
+pub use redistance::{Sweeps, UNREACHED, extend, redistance};
 
 use crate::grid::{Field, Topology};
 

@@ -23,7 +23,7 @@ use rayon::prelude::*;
 pub use bin::ParticleBins;
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, voxel_in_leaf};
-use crate::level_set::{Bounds, NarrowBand, UNREACHED, extend};
+use crate::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
 use crate::space::CoordBox;
 use sphere::{OUT_OF_REACH, nearest_distances};
 
@@ -145,7 +145,7 @@ fn restrict(from: &Topology, field: &Field, to: &Topology) -> Field {
 /// The signed distance to the union of spheres of this radius, within ± half width.
 fn signed_distance(topology: &Topology, nearest: &Field, radius: f32, half_width: f32) -> Field {
     let (mut distance, fixed) = known_distances(topology, nearest, radius);
-    extend(topology, &mut distance, &fixed, sweep_count(half_width));
+    extend(topology, &mut distance, &fixed, Sweeps::accurate(sweep_count(half_width)));
     distance.leaves.par_iter_mut().for_each(|distance| {
         for distance in &mut distance.values {
             *distance = distance.clamp(-half_width, half_width);

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use glam::IVec3;
 use meniscus::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand, redistance};
+use meniscus::level_set::{Bounds, NarrowBand, Sweeps, redistance};
 use meniscus::smooth::{Config, Integrator, smooth, smooth_laplacian_only};
 
 use crate::shapes::{Random, bending_energy, volume};
@@ -44,7 +44,7 @@ fn noisy_sphere() -> (NarrowBand, Bounds) {
     let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH };
     // The method starts from distances. Without this the noise in the values that a step holds fixed
     // takes 0.1 voxels off the radius.
-    redistance(&mut band, 8);
+    redistance(&mut band, Sweeps::accurate(8));
     bounds.clamp(&mut band.phi);
     (band, bounds)
 }

@@ -42,8 +42,18 @@ impl LevelSet {
         }
     }
 
+    /// Moves values nearer to zero than 1/128 voxel off it, as far as their bounds allow: what is done to
+    /// a result last.
+    pub(super) fn keep_off_zero(&mut self) {
+        for phi in self.phi.iter_mut().filter(|phi| phi.abs() < 1.0 / 128.0) {
+            *phi = (1.0f64 / 128.0).copysign(*phi);
+        }
+        self.clamp();
+    }
+
     /// Replaces φ by the distance to its zero set, keeping the sign; then the bounds hold again.
-    pub(super) fn redistance(&mut self) {
+    /// Differences to neighbours nearer to the surface than so many voxels are of second order.
+    pub(super) fn redistance(&mut self, second_order_within: f64) {
         let sign = |phi: f64| if phi < 0.0 { -1.0 } else { 1.0 };
         let mut distance: Vec<f64> = self.phi.iter().map(|&phi| sign(phi) * f64::INFINITY).collect();
         let mut pinned = vec![false; self.grid.len()];
@@ -52,7 +62,7 @@ impl LevelSet {
                 (distance[index], pinned[index]) = (sign(self.phi[index]) * known, true);
             }
         }
-        sweep(&self.grid, &mut distance, &pinned, REDISTANCE_SWEEPS);
+        sweep(&self.grid, &mut distance, &pinned, REDISTANCE_SWEEPS, second_order_within);
         self.phi =
             distance.iter().map(|distance| distance.clamp(-self.half_width, self.half_width)).collect();
         self.clamp();
@@ -69,8 +79,7 @@ impl LevelSet {
         let nearest = faces.as_flattened().iter().map(|&face| (side * self.phi[face]).max(0.0));
         let farthest = 1.0 + nearest.fold(f64::INFINITY, f64::min);
         let distance = if here == 0.0 { 0.0 } else { (here.abs() / slope).min(farthest) };
-        let smooth = (0.8..1.25).contains(&slope) && here.abs() < 1.5 && distance < 1.5;
-        (beside || smooth).then_some(distance)
+        beside.then_some(distance)
     }
 }
 
@@ -103,12 +112,12 @@ fn signed_distance(grid: &Grid, nearest: &[f64], radius: f64, half_width: f64) -
         }
     }
     let sweeps = (3f64.sqrt() * half_width).ceil() as usize;
-    sweep(grid, &mut distance, &known, sweeps);
+    sweep(grid, &mut distance, &known, sweeps, f64::INFINITY);
     distance.into_iter().map(|distance| distance.clamp(-half_width, half_width)).collect()
 }
 
 /// Sweeps signed distances outward from the voxels where they are known, in Jacobi order.
-fn sweep(grid: &Grid, distance: &mut Vec<f64>, known: &[bool], sweep_count: usize) {
+fn sweep(grid: &Grid, distance: &mut Vec<f64>, known: &[bool], sweep_count: usize, second_order_within: f64) {
     let unknown: Vec<usize> = grid.interior.iter().copied().filter(|&index| !known[index]).collect();
     for _ in 0..sweep_count {
         let mut next = distance.clone();
@@ -117,7 +126,7 @@ fn sweep(grid: &Grid, distance: &mut Vec<f64>, known: &[bool], sweep_count: usiz
             let slopes = grid.faces(index).map(|faces| {
                 let [low, high] = faces.map(|face| side * distance[face]);
                 let nearer = if high < low { faces[1] } else { faces[0] };
-                one_sided(low.min(high), side * distance[2 * nearer - index])
+                one_sided(low.min(high), side * distance[2 * nearer - index], second_order_within)
             });
             next[index] = side * eikonal(slopes);
         }
@@ -126,9 +135,14 @@ fn sweep(grid: &Grid, distance: &mut Vec<f64>, known: &[bool], sweep_count: usiz
 }
 
 /// The slope from the nearer neighbour on an axis, as (d − from) / step. Of second order,
-/// (3 d − 4 near + far) / 2, where the neighbour's neighbour is nearer still.
-fn one_sided(near: f64, far: f64) -> [f64; 2] {
-    if far <= near && near < f64::INFINITY { [(4.0 * near - far) / 3.0, 2.0 / 3.0] } else { [near, 1.0] }
+/// (3 d − 4 near + far) / 2, where the neighbour's neighbour is nearer still
+/// and the neighbour is near enough.
+fn one_sided(near: f64, far: f64, second_order_within: f64) -> [f64; 2] {
+    if far <= near && near < second_order_within {
+        [(4.0 * near - far) / 3.0, 2.0 / 3.0]
+    } else {
+        [near, 1.0]
+    }
 }
 
 /// The d at which the squares of the slopes add to one, of as many axes as lie below it.

@@ -27,7 +27,7 @@ impl LevelSet {
             }
             self.clamp();
             if step % redistance_every == 0 || step == step_count {
-                self.redistance();
+                self.redistance(f64::INFINITY);
             }
         }
     }
@@ -36,7 +36,7 @@ impl LevelSet {
     pub(super) fn smooth_implicit(&mut self, step_count: usize, step_size: f64) {
         for _ in 0..step_count {
             self.conjugate_gradients(step_size, 1e-4);
-            self.redistance();
+            self.redistance(1.2);
         }
     }
 
@@ -59,7 +59,7 @@ impl LevelSet {
                     ahead[index] = moved + momentum * (moved - before);
                 }
             }
-            self.redistance();
+            self.redistance(1.2);
         }
     }
 
