@@ -12,6 +12,7 @@ Runs in a Python of its own, with Blender as a module.
 """
 
 import itertools
+import logging
 import math
 import os
 import sys
@@ -57,6 +58,7 @@ def to_log(path):
     sys.stdout.flush()
     sys.stdout = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), 1)
+    logging.disable(logging.INFO)
 
 
 def frame_files():
