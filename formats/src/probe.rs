@@ -123,13 +123,16 @@ fn kind_of(head: &[u8], name: &str) -> Kind {
     if head.starts_with(b"ply") && head.get(3).is_some_and(u8::is_ascii_whitespace) {
         return Kind::Ply;
     }
+    let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
+    // Before the question whether this is text: VTK appends raw bytes to its XML.
+    if text.starts_with(b"<") && contains(text, b"<VTKFile") {
+        return Kind::VtkXml;
+    }
     if !is_text(head) {
         return Kind::Unknown;
     }
-    let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     match text.first() {
         Some(b'{' | b'[') => json_kind(text, name),
-        Some(b'<') if contains(text, b"<VTKFile") => Kind::VtkXml,
         Some(b'<') => Kind::Foreign("XML"),
         _ if looks_like_obj(text, name) => Kind::Obj,
         _ if looks_like_table(text) => Kind::Delimited,
