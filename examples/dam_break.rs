@@ -1,7 +1,7 @@
 //! A dam break of 3 072 particles, by position-based fluids: the small sequence in `examples/frames`.
 //!
 //! ```text
-//! cargo run --release --example dam_break -- examples/frames 6
+//! cargo run --release --example dam_break -- examples/frames 8
 //! ```
 //!
 //! Each frame is a classic BGEO with velocity, as SPlisHSPlasH and partio write them. The simulation

@@ -5,6 +5,7 @@
 //!   no vertex nearer to a particle than r_min − h/2       the surface stays outside S_min
 //!   none farther from all of them than r_max + h/2        and inside S_max, but for what a cell hides
 //!   every particle inside
+//!   the mesh closed and 2-manifold
 //! ```
 //!
 //! The half voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and a sphere bends between
@@ -15,7 +16,7 @@ use rayon::prelude::*;
 
 use crate::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
-use crate::mesh::Mesh;
+use crate::mesh::{Mesh, MeshMeasures};
 use crate::rasterize::{ParticleBins, Radii};
 use crate::space::Lattice;
 
@@ -34,6 +35,11 @@ pub struct Certificate {
     pub vertices_outside_max: usize,
     /// Particles outside the surface.
     pub particles_outside: usize,
+    /// Whether every edge is in two triangles, every vertex in one ring of them, and none degenerate.
+    pub mesh_is_closed_manifold: bool,
+    /// How far 32-bit positions may be off, in voxels: much only where part of a frame is tens of
+    /// thousands of voxels from the rest.
+    pub position_rounding: f64,
 }
 
 impl Certificate {
@@ -43,6 +49,7 @@ impl Certificate {
             && self.vertices_inside_min == 0
             && self.vertices_outside_max == 0
             && self.particles_outside == 0
+            && self.mesh_is_closed_manifold
     }
 }
 
@@ -56,6 +63,7 @@ pub fn certify(
     band: &NarrowBand,
     bounds: &Bounds,
     mesh: &Mesh,
+    measures: &MeshMeasures,
     lattice: &Lattice,
 ) -> Certificate {
     let distances = vertex_distances(bins, radii.max + CELL_MARGIN, mesh, lattice);
@@ -71,7 +79,9 @@ pub fn certify(
             .par_iter()
             .filter(|&&distance| distance > radii.max + CELL_MARGIN)
             .count(),
-        particles_outside: particles_outside(bins, band),
+        particles_outside: particles_outside(bins, radii, band),
+        mesh_is_closed_manifold: measures.is_closed_manifold(),
+        position_rounding: position_rounding(mesh, lattice),
     }
 }
 
@@ -115,36 +125,55 @@ fn nearest_first(rings: i32) -> Vec<IVec3> {
     steps.into_iter().map(|step| step * LEAF_EDGE).collect()
 }
 
+/// Half the distance between the 32-bit numbers at the farthest position, in voxels.
+fn position_rounding(mesh: &Mesh, lattice: &Lattice) -> f64 {
+    let farthest =
+        mesh.positions.par_iter().map(|position| position.abs().max_element()).reduce(|| 0.0, f32::max);
+    f64::from(farthest.next_up() - farthest) / 2.0 / lattice.voxel_size
+}
+
 /// How many particles have φ ≥ 0, interpolated trilinearly.
-fn particles_outside(bins: &ParticleBins, band: &NarrowBand) -> usize {
+fn particles_outside(bins: &ParticleBins, radii: Radii, band: &NarrowBand) -> usize {
     let origins = bins.topology.origins().par_iter().enumerate();
-    origins
-        .map(|(leaf, &origin)| {
-            bins.in_leaf(leaf).iter().filter(|position| phi_at(band, origin, **position) >= 0.0).count()
-        })
-        .sum()
+    let outside = |(leaf, &origin): (usize, &IVec3)| {
+        let surroundings = Surroundings { bins, radii, band };
+        bins.in_leaf(leaf).iter().filter(|position| surroundings.phi_at(origin, **position) >= 0.0).count()
+    };
+    origins.map(outside).sum()
 }
 
-/// φ at a particle, given relative to a leaf's origin, in voxels.
-fn phi_at(band: &NarrowBand, origin: IVec3, position: Vec3) -> f64 {
-    let cell = position.floor();
-    let fraction = (position - cell).as_dvec3();
-    let mut phi = 0.0;
-    for corner in 0..8 {
-        let step = IVec3::new(corner >> 2 & 1, corner >> 1 & 1, corner & 1);
-        let weight = DVec3::select(step.cmpeq(IVec3::ONE), fraction, 1.0 - fraction).element_product();
-        if weight > 0.0 {
-            phi += weight * voxel_beside_particle(band, origin + cell.as_ivec3() + step);
+/// Where φ is looked up beside particles.
+struct Surroundings<'a> {
+    bins: &'a ParticleBins,
+    radii: Radii,
+    band: &'a NarrowBand,
+}
+
+impl Surroundings<'_> {
+    /// φ at a particle, given relative to a leaf's origin, in voxels.
+    fn phi_at(&self, origin: IVec3, position: Vec3) -> f64 {
+        let cell = position.floor();
+        let fraction = (position - cell).as_dvec3();
+        let mut phi = 0.0;
+        for corner in 0..8 {
+            let step = IVec3::new(corner >> 2 & 1, corner >> 1 & 1, corner & 1);
+            let weight = DVec3::select(step.cmpeq(IVec3::ONE), fraction, 1.0 - fraction).element_product();
+            if weight > 0.0 {
+                phi += weight * f64::from(self.phi_at_voxel(origin + cell.as_ivec3() + step));
+            }
         }
+        phi
     }
-    phi
-}
 
-/// φ at a voxel of the cell that a particle lies in. Where it is not stored it is deep inside: φ_0 is
-/// below √3 − r_init beside a particle, too low to be beyond the band on the outside.
-fn voxel_beside_particle(band: &NarrowBand, voxel: IVec3) -> f64 {
-    f64::from(match band.topology.find_voxel(voxel) {
-        Some((leaf, local)) => band.phi.leaves[leaf].values[offset_in_leaf(local)],
-        None => -band.half_width,
-    })
+    /// φ at a voxel. Where it is not stored there is no surface near: deep inside if φ_0 is negative,
+    /// and outside otherwise, as around spheres so small that they fall between the voxels.
+    fn phi_at_voxel(&self, voxel: IVec3) -> f32 {
+        if let Some((leaf, local)) = self.band.topology.find_voxel(voxel) {
+            return self.band.phi.leaves[leaf].values[offset_in_leaf(local)];
+        }
+        let local = voxel & IVec3::splat(LEAF_EDGE - 1);
+        let steps = nearest_first((self.radii.init / LEAF_EDGE as f32).ceil() as i32);
+        let nearest = nearest_particle(self.bins, voxel - local, local.as_vec3(), &steps);
+        if nearest < self.radii.init { -self.band.half_width } else { self.band.half_width }
+    }
 }

@@ -11,7 +11,8 @@
 //! ```
 //!
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
-//! by the voxel size h makes every stage free of units. World units appear at both ends only.
+//! by the voxel size h makes every stage free of units. World units appear where particles come in and
+//! where vertices go out.
 
 pub mod cli;
 

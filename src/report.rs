@@ -13,7 +13,7 @@ pub struct SkinReport {
     pub dropped_count: usize,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
-    /// Voxels with |φ| at most 3 voxels at the start of smoothing: the solver's unknowns.
+    /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
     pub free_voxel_count: usize,
     /// Passes of the biharmonic operator over the band.
     pub pass_count: usize,

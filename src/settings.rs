@@ -6,9 +6,10 @@
 use std::fmt;
 
 pub use crate::contour::Contouring;
+use crate::smooth::EIGENVALUE_MAX;
 pub use crate::smooth::Integrator;
 
-/// What a user may choose. `None` means the default of the paper.
+/// What a user may choose. `None` means the default: the paper's, but for the integrator.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choices {
     /// Radius of the inner spheres r_min, world units; √3·h by default (Eq. 13).
@@ -60,12 +61,14 @@ pub struct Settings {
     pub contouring: Contouring,
 }
 
-/// Explicit steps of more than this, in units of h⁴, are unstable: 2 / λ_max, and the largest
-/// eigenvalue of the discrete biharmonic is 144 / h⁴.
-pub const EXPLICIT_STEP_MAX: f64 = 2.0 / 144.0;
+/// Explicit steps of this much and more, in units of h⁴, are unstable.
+pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
 /// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
 const RADIUS_MAX_VOXELS: f64 = 64.0;
+
+/// Steps of either kind: a hundred times what the paper takes.
+const STEPS_MAX: f64 = 1e6;
 
 /// Why choices make no settings.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,7 +100,9 @@ impl Settings {
         require(ratio >= 1.0, || {
             format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
         })?;
-        require((radius_min..=radius_max).contains(&radius_init), || {
+        // A product of two numbers as typed may miss a third as typed by a rounding.
+        let slack = 1e-9 * radius_max;
+        require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
             format!(
                 "r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}"
             )
@@ -113,7 +118,7 @@ impl Settings {
         let settings = Settings {
             voxel_size: h,
             radius_min,
-            radius_init,
+            radius_init: radius_init.clamp(radius_min, radius_max),
             radius_max,
             integrator,
             laplacian_steps: choices.laplacian_steps.unwrap_or(15),
@@ -129,9 +134,10 @@ impl Settings {
         require(settings.redistance_every > 0, || {
             "redistance at least every so many steps: 1 or more".into()
         })?;
-        require(settings.step_size <= 1e4, || {
-            format!("a step of {} h⁴ is not supported: at most 10000", settings.step_size)
-        })?;
+        within("number of steps", f64::from(settings.steps), 0.0, STEPS_MAX)?;
+        within("number of Laplacian steps", f64::from(settings.laplacian_steps), 0.0, STEPS_MAX)?;
+        within("step size in h⁴", settings.step_size, 1e-6, 1e4)?;
+        within("conjugate gradient tolerance", settings.cg_tolerance, 1e-12, 0.5)?;
         Ok(settings)
     }
 
@@ -152,6 +158,12 @@ impl Settings {
         }
         warnings
     }
+}
+
+fn within(name: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
+    require((least..=most).contains(&value), || {
+        format!("the {name} is {value}; it must be from {least} to {most}")
+    })
 }
 
 fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {

@@ -73,7 +73,8 @@ pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
-    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach + radii(settings).reach_voxels());
+    report.reach_voxels =
+        smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
     report.seconds.smooth = started.elapsed().as_secs_f64();
@@ -86,9 +87,9 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let Smoothed { bins, band, bounds, mut report } = smoothed;
     let lattice = lattice(settings);
     let mesh = contour::contour(&band, &lattice, settings.contouring);
-    report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &lattice);
-    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.mesh = mesh.measure();
+    report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &report.mesh, &lattice);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, report }
 }

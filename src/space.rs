@@ -27,11 +27,6 @@ impl Lattice {
         // A comparison with NaN is false: what is not a number is not inside.
         (index.x.abs() < limit && index.y.abs() < limit && index.z.abs() < limit).then_some(index)
     }
-
-    /// The world position of an index-space position.
-    pub fn world_from_index(&self, index: DVec3) -> DVec3 {
-        index * self.voxel_size
-    }
 }
 
 /// A box of voxels, both corners included. Empty when `max < min` on an axis.

@@ -62,8 +62,7 @@ struct Placement {
     voxel_size: f64,
 }
 
-/// Up to this index 32-bit positions resolve a 1024th of a voxel, and the mesh keeps the world's
-/// origin.
+/// Up to this index 32-bit positions resolve a 1024th of a voxel.
 const NEAR_ORIGIN: i32 = 16384;
 
 /// Mesh origins away from the world's are multiples of this many voxels, so that frames of a
@@ -71,22 +70,19 @@ const NEAR_ORIGIN: i32 = 16384;
 const ORIGIN_STEP: i32 = 1024;
 
 impl Placement {
+    /// The world's origin if all is near it, and otherwise the middle leaf's place: the median, because
+    /// one particle gone astray may not cost all others their precision.
     fn new(topology: &Topology, lattice: &Lattice) -> Placement {
-        let mut bounds = CoordBox::EMPTY;
+        let mut extent = CoordBox::EMPTY;
         for &origin in topology.origins() {
-            bounds.include(origin);
-            bounds.include(origin + IVec3::splat(LEAF_EDGE - 1));
+            extent.include(origin);
+            extent.include(origin + IVec3::splat(LEAF_EDGE - 1));
         }
-        let is_near = bounds.is_empty()
-            || bounds.min.cmpge(IVec3::splat(-NEAR_ORIGIN)).all()
-                && bounds.max.cmple(IVec3::splat(NEAR_ORIGIN)).all();
-        let origin_index = if is_near {
-            IVec3::ZERO
-        } else {
-            // Halved first: the sum of two indices may not fit.
-            let center = (bounds.min >> 1) + (bounds.max >> 1);
-            (center + ORIGIN_STEP / 2) & !(ORIGIN_STEP - 1)
-        };
+        let is_near = extent.is_empty()
+            || extent.min.cmpge(IVec3::splat(-NEAR_ORIGIN)).all()
+                && extent.max.cmple(IVec3::splat(NEAR_ORIGIN)).all();
+        let origin_index =
+            if is_near { IVec3::ZERO } else { (median(topology) + ORIGIN_STEP / 2) & !(ORIGIN_STEP - 1) };
         Placement { origin_index, voxel_size: lattice.voxel_size }
     }
 
@@ -99,6 +95,16 @@ impl Placement {
     fn position(&self, cell: IVec3, local: Vec3) -> Vec3 {
         (((cell - self.origin_index).as_dvec3() + local.as_dvec3()) * self.voxel_size).as_vec3()
     }
+}
+
+/// The median of the leaves' origins, axis by axis. There is at least one leaf.
+fn median(topology: &Topology) -> IVec3 {
+    let axis = |axis: usize| {
+        let mut values: Vec<i32> = topology.origins().iter().map(|origin| origin[axis]).collect();
+        let middle = values.len() / 2;
+        *values.select_nth_unstable(middle).1
+    };
+    IVec3::new(axis(0), axis(1), axis(2))
 }
 
 /// The sum of the counts before each one.

@@ -9,6 +9,9 @@ pub const LEAF_EDGE: i32 = 8;
 /// Voxels in a leaf.
 pub const LEAF_VOXELS: usize = 512;
 
+/// The 8 values of a row.
+pub type Row = [f32; 8];
+
 /// The values of one leaf, z fastest, on a cache line of their own.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
@@ -21,6 +24,18 @@ impl Leaf {
     /// A leaf with one value everywhere.
     pub const fn splat(value: f32) -> Leaf {
         Leaf { values: [value; LEAF_VOXELS] }
+    }
+
+    /// Row `x·8 + y`: the 8 values along z.
+    #[inline]
+    pub fn row(&self, row: usize) -> &Row {
+        &self.values.as_chunks::<8>().0[row]
+    }
+
+    /// Row `x·8 + y`, to change.
+    #[inline]
+    pub fn row_mut(&mut self, row: usize) -> &mut Row {
+        &mut self.values.as_chunks_mut::<8>().0[row]
     }
 }
 

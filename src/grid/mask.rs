@@ -42,6 +42,16 @@ impl LeafMask {
         (self.words[row >> 3] >> ((row & 7) * 8)) as u8
     }
 
+    /// The rows that hold a voxel: bit `x·8 + y`.
+    pub fn occupied_rows(&self) -> u64 {
+        self.rows_with(0xff)
+    }
+
+    /// The rows that hold a voxel whose bit along z is in `along_z`: bit `x·8 + y`.
+    pub fn rows_with(&self, along_z: u8) -> u64 {
+        (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
+    }
+
     /// Whether no voxel is in.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]

@@ -22,7 +22,7 @@ mod mask;
 mod stencil;
 mod topology;
 
-pub use leaf::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
+pub use leaf::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Row, offset_in_leaf, voxel_in_leaf};
 pub use mask::LeafMask;
-pub use stencil::{Neighborhood, ROW_COUNT, Row};
+pub use stencil::{Neighborhood, ROW_COUNT};
 pub use topology::{Direction, NO_LEAF, Topology};

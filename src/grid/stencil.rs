@@ -9,11 +9,8 @@
 //! Where the neighbouring leaf is not stored, the leaf's own last row stands in for it: a slope of
 //! zero. The narrow band is wide enough that no result depends on it.
 
-use super::leaf::Leaf;
+use super::leaf::{Leaf, Row};
 use super::topology::{Direction, NO_LEAF};
-
-/// The 8 values of a row.
-pub type Row = [f32; 8];
 
 /// Rows in a leaf; row `x·8 + y` starts at value `row·8`.
 pub const ROW_COUNT: usize = 64;
@@ -36,7 +33,7 @@ impl<'a> Neighborhood<'a> {
     /// The row itself.
     #[inline]
     pub fn row(&self, row: usize) -> &'a Row {
-        row_of(self.center, row)
+        self.center.row(row)
     }
 
     /// The rows at x − 1, x + 1, y − 1 and y + 1.
@@ -44,8 +41,8 @@ impl<'a> Neighborhood<'a> {
     pub fn side_rows(&self, row: usize) -> [&'a Row; 4] {
         let (x, y) = (row >> 3, row & 7);
         let beyond = |direction: Direction, wrapped: usize| match self.faces[direction as usize] {
-            Some(leaf) => row_of(leaf, wrapped),
-            None => row_of(self.center, row),
+            Some(leaf) => leaf.row(wrapped),
+            None => self.center.row(row),
         };
         [
             if x > 0 { self.row(row - 8) } else { beyond(Direction::XMinus, row + 56) },
@@ -59,8 +56,8 @@ impl<'a> Neighborhood<'a> {
     #[inline]
     pub fn shifted_rows(&self, row: usize) -> [Row; 2] {
         let c = self.row(row);
-        let before = self.faces[Direction::ZMinus as usize].map_or(c[0], |leaf| row_of(leaf, row)[7]);
-        let after = self.faces[Direction::ZPlus as usize].map_or(c[7], |leaf| row_of(leaf, row)[0]);
+        let before = self.faces[Direction::ZMinus as usize].map_or(c[0], |leaf| leaf.row(row)[7]);
+        let after = self.faces[Direction::ZPlus as usize].map_or(c[7], |leaf| leaf.row(row)[0]);
         [
             [before, c[0], c[1], c[2], c[3], c[4], c[5], c[6]],
             [c[1], c[2], c[3], c[4], c[5], c[6], c[7], after],
@@ -72,8 +69,8 @@ impl<'a> Neighborhood<'a> {
     pub fn second_side_rows(&self, row: usize) -> [&'a Row; 4] {
         let (x, y) = (row >> 3, row & 7);
         let beyond = |direction: Direction, wrapped: usize| match self.faces[direction as usize] {
-            Some(leaf) => row_of(leaf, wrapped),
-            None => row_of(self.center, row),
+            Some(leaf) => leaf.row(wrapped),
+            None => self.center.row(row),
         };
         [
             if x > 1 { self.row(row - 16) } else { beyond(Direction::XMinus, row + 48) },
@@ -88,11 +85,11 @@ impl<'a> Neighborhood<'a> {
     pub fn twice_shifted_rows(&self, row: usize) -> [Row; 2] {
         let c = self.row(row);
         let before = self.faces[Direction::ZMinus as usize].map_or([c[0], c[1]], |leaf| {
-            let row = row_of(leaf, row);
+            let row = leaf.row(row);
             [row[6], row[7]]
         });
         let after = self.faces[Direction::ZPlus as usize].map_or([c[6], c[7]], |leaf| {
-            let row = row_of(leaf, row);
+            let row = leaf.row(row);
             [row[0], row[1]]
         });
         [
@@ -120,12 +117,6 @@ impl<'a> Neighborhood<'a> {
             0.5 * (x * x + y * y + z * z).sqrt()
         })
     }
-}
-
-#[inline]
-fn row_of(leaf: &Leaf, row: usize) -> &Row {
-    // The compiler knows the length of the array, so the slice always converts.
-    leaf.values[row * 8..row * 8 + 8].try_into().expect("a row has 8 values")
 }
 
 #[cfg(test)]

@@ -91,7 +91,7 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
     let mut next = distance.clone();
     // Rows that the last sweep changed; for the first sweep, those where something is known. Where
     // nothing changed that a row depends on, another sweep would give the same values again.
-    let mut changed: Vec<u64> = fixed.par_iter().map(occupied_rows).collect();
+    let mut changed: Vec<u64> = fixed.par_iter().map(LeafMask::occupied_rows).collect();
     let mut changed_next = changed.clone();
     for _ in 0..sweeps.count {
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
@@ -144,11 +144,6 @@ fn pin_row(around: &Neighborhood, row: usize) -> [Option<f32>; 8] {
         let distance = if c[z] == 0.0 { 0.0 } else { (c[z].abs() / slopes[z]).min(1.0 + nearest) };
         beside.then_some(distance)
     })
-}
-
-/// The rows of a leaf, bit `x·8 + y`, with a voxel in the mask.
-fn occupied_rows(mask: &LeafMask) -> u64 {
-    (0..ROW_COUNT).fold(0, |rows, row| rows | u64::from(mask.row(row) != 0) << row)
 }
 
 /// The rows of a leaf that changed, or have a changed row within two voxels along an axis.

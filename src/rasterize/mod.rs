@@ -49,10 +49,11 @@ impl Radii {
         5.0 + ((self.max - self.init).max(self.init - self.min) - 1e-4).max(0.0).ceil()
     }
 
-    /// How far a particle can change φ_0 and the bounds, in voxels: its exact distances, what is swept
-    /// from them for three fields at once, and the leaves that come and go with them.
+    /// How far a particle can change φ_0 and the bounds, in voxels: its exact distances; φ_0 swept from
+    /// them, two voxels a sweep; the leaves that come and go with φ_0; and the bounds swept on those.
     pub fn reach_voxels(&self) -> u32 {
-        (self.max + EXACT_MARGIN).ceil() as u32 + sweep_count(self.half_width()) + 2 * LEAF_EDGE as u32
+        let swept = 2 * sweep_count(self.half_width());
+        (self.max + EXACT_MARGIN).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
     }
 }
 

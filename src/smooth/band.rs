@@ -35,14 +35,14 @@ impl Band {
         let neighbors = band.topology.neighbors();
         let laplacian_rows =
             (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
-        let free_rows = free.par_iter().map(occupied_rows).collect();
+        let free_rows = free.par_iter().map(LeafMask::occupied_rows).collect();
         Band { free, free_rows, laplacian_rows }
     }
 
     /// Makes `free_rows` follow `free` after voxels were taken out. `laplacian_rows` may stay: rows too
     /// many cost time only.
     pub(super) fn recount_free_rows(&mut self) {
-        self.free_rows = self.free.par_iter().map(occupied_rows).collect();
+        self.free_rows = self.free.par_iter().map(LeafMask::occupied_rows).collect();
     }
 
     /// The number of free voxels.
@@ -57,24 +57,15 @@ fn dilated_rows(free: &[LeafMask], neighbors: &[u32; 6], leaf: usize) -> u64 {
         let neighbor = neighbors[direction as usize];
         if neighbor == NO_LEAF { LeafMask::EMPTY } else { free[neighbor as usize] }
     };
-    let own = occupied_rows(&free[leaf]);
+    let own = free[leaf].occupied_rows();
     // Rows are bits x·8 + y: a step in x shifts by 8, a step in y by 1 within each byte.
     let along_x = own << 8 | own >> 8;
     let along_y = (own << 1 & !0x0101_0101_0101_0101) | (own >> 1 & !0x8080_8080_8080_8080);
-    let from_x = occupied_rows(&face(Direction::XMinus)) >> 56 | occupied_rows(&face(Direction::XPlus)) << 56;
-    let from_y = (occupied_rows(&face(Direction::YMinus)) >> 7 & 0x0101_0101_0101_0101)
-        | (occupied_rows(&face(Direction::YPlus)) << 7 & 0x8080_8080_8080_8080);
-    let from_z = rows_with(&face(Direction::ZMinus), 0x80) | rows_with(&face(Direction::ZPlus), 0x01);
+    let from_x = face(Direction::XMinus).occupied_rows() >> 56 | face(Direction::XPlus).occupied_rows() << 56;
+    let from_y = (face(Direction::YMinus).occupied_rows() >> 7 & 0x0101_0101_0101_0101)
+        | (face(Direction::YPlus).occupied_rows() << 7 & 0x8080_8080_8080_8080);
+    let from_z = face(Direction::ZMinus).rows_with(0x80) | face(Direction::ZPlus).rows_with(0x01);
     own | along_x | along_y | from_x | from_y | from_z
-}
-
-fn occupied_rows(mask: &LeafMask) -> u64 {
-    rows_with(mask, 0xff)
-}
-
-/// The rows that hold a voxel whose bit along z is in `along_z`.
-fn rows_with(mask: &LeafMask, along_z: u8) -> u64 {
-    (0..64).fold(0, |rows, row| rows | u64::from(mask.row(row) & along_z != 0) << row)
 }
 
 #[cfg(test)]

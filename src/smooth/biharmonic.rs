@@ -6,10 +6,10 @@
 use rayon::prelude::*;
 
 use super::band::Band;
-use crate::grid::{Field, Leaf, Neighborhood, Row, Topology};
+use crate::grid::{Field, Neighborhood, Topology};
 
 /// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.
-pub(super) const EIGENVALUE_MAX: f32 = 144.0;
+pub const EIGENVALUE_MAX: f32 = 144.0;
 
 /// The first round: the Laplacian of `values` in the rows where the band needs it, voxel units.
 pub(super) fn inner_laplacian(topology: &Topology, band: &Band, values: &Field, laplacian: &mut Field) {
@@ -21,7 +21,7 @@ pub(super) fn inner_laplacian(topology: &Topology, band: &Band, values: &Field, 
             }
             let around = Neighborhood::new(&values.leaves, neighbors, leaf);
             for row in rows_in(rows) {
-                *row_mut(laplacian, row) = around.laplacian(row);
+                *laplacian.row_mut(row) = around.laplacian(row);
             }
         },
     );
@@ -37,14 +37,4 @@ pub(super) fn rows_in(rows: u64) -> impl Iterator<Item = usize> {
             row
         })
     })
-}
-
-/// A row of a leaf.
-pub(super) fn row_of(leaf: &Leaf, row: usize) -> &Row {
-    &leaf.values.as_chunks::<8>().0[row]
-}
-
-/// A row of a leaf, to change.
-pub(super) fn row_mut(leaf: &mut Leaf, row: usize) -> &mut Row {
-    &mut leaf.values.as_chunks_mut::<8>().0[row]
 }

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::band::Band;
-use super::biharmonic::{inner_laplacian, row_mut, row_of, rows_in};
+use super::biharmonic::{inner_laplacian, rows_in};
 use crate::grid::{Field, Leaf, LeafMask, Neighborhood};
 use crate::level_set::{Bounds, NarrowBand};
 
@@ -116,7 +116,7 @@ impl Solver {
             for row in rows_in(region.free_rows[leaf]) {
                 let biharmonic = around.laplacian(row);
                 let free = region.free[leaf].row(row);
-                let q = row_mut(q, row);
+                let q = q.row_mut(row);
                 for z in (0..8).filter(|z| free >> z & 1 == 1) {
                     q[z] = step_size * biharmonic[z];
                 }
@@ -159,9 +159,7 @@ fn advance(
 /// The sum of two leaves' products, in double precision and in one order.
 fn dot(a: &Leaf, b: &Leaf) -> f64 {
     (0..64)
-        .map(|row| {
-            row_of(a, row).iter().zip(row_of(b, row)).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
-        })
+        .map(|row| a.row(row).iter().zip(b.row(row)).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>())
         .sum()
 }
 

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::Scratch;
 use super::band::Band;
-use super::biharmonic::{inner_laplacian, row_mut, row_of, rows_in};
+use super::biharmonic::{inner_laplacian, rows_in};
 use crate::grid::Neighborhood;
 use crate::level_set::{Bounds, NarrowBand};
 
@@ -30,9 +30,8 @@ pub(super) fn step(
         for row in rows_in(region.free_rows[leaf]) {
             let (biharmonic, slope) = (around.laplacian(row), around_phi.gradient_norm(row));
             let free = region.free[leaf].row(row);
-            let (lower, upper) =
-                (row_of(&bounds.lower.leaves[leaf], row), row_of(&bounds.upper.leaves[leaf], row));
-            let next = row_mut(next, row);
+            let (lower, upper) = (bounds.lower.leaves[leaf].row(row), bounds.upper.leaves[leaf].row(row));
+            let next = next.row_mut(row);
             for z in (0..8).filter(|z| free >> z & 1 == 1) {
                 let change = step_size * biharmonic[z] * slope[z];
                 moved_max = moved_max.max(change.abs());

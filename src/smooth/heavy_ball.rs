@@ -29,7 +29,7 @@ use rayon::prelude::*;
 
 use super::Scratch;
 use super::band::Band;
-use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian, row_mut, row_of, rows_in};
+use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian, rows_in};
 use crate::grid::{Field, Neighborhood};
 use crate::level_set::{Bounds, NarrowBand};
 
@@ -66,7 +66,7 @@ pub(super) fn step(
         previous.leaves.par_iter_mut().enumerate().for_each(|(leaf, previous)| {
             let around = Neighborhood::new(&fields.laplacian.leaves, topology.neighbors(), leaf);
             for row in rows_in(region.free_rows[leaf]) {
-                momentum.advance_row(&fields, &around, region, leaf, row, row_mut(previous, row));
+                momentum.advance_row(&fields, &around, region, leaf, row, previous.row_mut(row));
             }
         });
         std::mem::swap(&mut band.phi, previous);
@@ -105,10 +105,10 @@ impl Momentum {
     ) {
         let biharmonic = around.laplacian(row);
         let free = region.free[leaf].row(row);
-        let start = row_of(&fields.start.leaves[leaf], row);
-        let current = row_of(&fields.current.leaves[leaf], row);
-        let lower = row_of(&fields.bounds.lower.leaves[leaf], row);
-        let upper = row_of(&fields.bounds.upper.leaves[leaf], row);
+        let start = fields.start.leaves[leaf].row(row);
+        let current = fields.current.leaves[leaf].row(row);
+        let lower = fields.bounds.lower.leaves[leaf].row(row);
+        let upper = fields.bounds.upper.leaves[leaf].row(row);
         for z in 0..8 {
             let gradient = (current[z] - start[z]) + self.step_size * biharmonic[z];
             let moved = current[z] - self.alpha * gradient + self.beta * (current[z] - previous[z]);

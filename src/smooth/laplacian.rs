@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use super::band::Band;
-use super::biharmonic::{row_mut, row_of, rows_in};
+use super::biharmonic::rows_in;
 use crate::grid::Neighborhood;
 use crate::level_set::{Bounds, NarrowBand};
 
@@ -24,10 +24,9 @@ pub(super) fn smooth_laplacian(band: &mut NarrowBand, bounds: &Bounds, step_coun
             *next = band.phi.leaves[leaf];
             for row in rows_in(region.free_rows[leaf]) {
                 let (laplacian, slope) = (around.laplacian(row), around.gradient_norm(row));
-                let (lower, upper) =
-                    (row_of(&bounds.lower.leaves[leaf], row), row_of(&bounds.upper.leaves[leaf], row));
+                let (lower, upper) = (bounds.lower.leaves[leaf].row(row), bounds.upper.leaves[leaf].row(row));
                 let free = region.free[leaf].row(row);
-                let next = row_mut(next, row);
+                let next = next.row_mut(row);
                 for z in 0..8 {
                     let moved = (next[z] + step_size * laplacian[z] * slope[z]).max(lower[z]).min(upper[z]);
                     next[z] = if free >> z & 1 == 1 { moved } else { next[z] };

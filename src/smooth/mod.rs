@@ -18,6 +18,7 @@ mod heavy_ball;
 mod implicit;
 mod laplacian;
 
+pub use biharmonic::EIGENVALUE_MAX;
 pub use implicit::Convergence;
 
 use rayon::prelude::*;
@@ -111,13 +112,13 @@ pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> Smooth
                 let iterations = heavy_ball::iteration_count(config.step_size);
                 heavy_ball::step(band, bounds, &region, config.step_size, iterations, &mut scratch);
                 report.pass_count += iterations as usize;
-                reach += 2 * iterations;
+                reach = reach.saturating_add(2 * iterations);
             }
             Integrator::Explicit => {
                 let moved = explicit::step(band, bounds, &region, config.step_size, &mut scratch);
                 report.cfl_exceeded_count += usize::from(moved > 1.0);
                 report.pass_count += 1;
-                reach += 2;
+                reach = reach.saturating_add(2);
             }
             Integrator::Implicit => {
                 let solved =
@@ -129,7 +130,7 @@ pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> Smooth
         if step % config.redistance_every == 0 || step == config.steps {
             redistance(band, sweeps_after(config.integrator));
             bounds.clamp(&mut band.phi);
-            reach += REDISTANCE_REACH;
+            reach = reach.saturating_add(REDISTANCE_REACH);
         }
     }
     keep_off_zero(&mut band.phi, bounds);

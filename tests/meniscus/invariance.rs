@@ -6,6 +6,8 @@ use glam::{DVec3, IVec3};
 use meniscus::level_set::NarrowBand;
 use meniscus::particles::Particles;
 use meniscus::rasterize::{ParticleBins, rasterize};
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::skin;
 use meniscus::smooth::{Integrator, smooth};
 use meniscus::space::Lattice;
 
@@ -108,11 +110,10 @@ fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usiz
 #[test]
 fn far_changes_change_nothing() {
     let reach = {
-        let (_, _, report) = skinned(&[DVec3::ZERO], Integrator::Fast);
-        i32::try_from(report.reach_voxels.unwrap()).unwrap()
+        let one =
+            skin(&Particles::Double(vec![[0.0; 3]]), &Settings::resolve(1.0, &Choices::default()).unwrap());
+        i32::try_from(one.report.reach_voxels.unwrap()).unwrap()
     };
-    // From the particle to the voxels that rasterizing it may change: the spheres, and the sweeps.
-    const RASTERIZE_REACH: i32 = 32;
     let (length, near) = (reach + 52, 16);
     let mut random = Random::new(71);
     let bar = jittered_lattice(&mut random, length, |p| p.x >= 0.0 && p.y.abs() < 3.0 && p.z.abs() < 3.0);
@@ -121,7 +122,7 @@ fn far_changes_change_nothing() {
     with_tip.push(DVec3::new(end + 2.0, 4.0, 1.0));
     let (one, ..) = skinned(&bar, Integrator::Fast);
     let (other, ..) = skinned(&with_tip, Integrator::Fast);
-    let last = length + 2 - reach - RASTERIZE_REACH;
+    let last = length + 2 - reach;
     assert!(last >= near);
     let (mut compared, mut changed) = (0, 0);
     for (voxel, phi) in voxels(&one) {
@@ -164,4 +165,37 @@ fn bounds_hold_and_no_particle_is_outside() {
             assert!(shallowest < 0.0, "{integrator:?}: a particle is outside, {shallowest}");
         }
     }
+}
+
+/// Spheres so small that they fall between the voxels leave no surface, and the certificate says so.
+#[test]
+fn lost_particles_are_certified_as_lost() {
+    let tiny = Choices { radius_min: Some(0.3), ..Choices::default() };
+    let settings = Settings::resolve(1.0, &tiny).unwrap();
+    let lost = skin(&Particles::Double(vec![[0.5; 3]]), &settings).report;
+    assert_eq!((lost.mesh.triangle_count, lost.certificate.particles_outside), (0, 1));
+    assert!(!lost.certificate.holds());
+    let caught = skin(&Particles::Double(vec![[0.1, 0.0, 0.0]]), &settings).report.certificate;
+    assert_eq!(caught.particles_outside, 0, "{caught:?}");
+    // Deep inside nothing is stored either.
+    let block = (0..18 * 18 * 18).map(|i| [i / 324, i / 18 % 18, i % 18].map(|side| f64::from(side) * 2.0));
+    let settings = Settings::resolve(1.0, &Choices::default()).unwrap();
+    let inside = skin(&Particles::Double(block.collect()), &settings).report.certificate;
+    assert!(inside.holds(), "{inside:?}");
+}
+
+/// One particle gone astray costs the others nothing: their mesh has the positions that it had.
+#[test]
+fn a_stray_particle_costs_the_others_no_precision() {
+    let settings = Settings::resolve(0.025, &Choices::default()).unwrap();
+    let mut positions: Vec<[f64; 3]> =
+        (0..512).map(|i| [i / 64, i / 8 % 8, i % 8].map(|side| f64::from(side) * 0.05)).collect();
+    let alone = skin(&Particles::Double(positions.clone()), &settings);
+    positions.push([1e4, 0.0, 0.0]);
+    let with_stray = skin(&Particles::Double(positions), &settings);
+    assert_eq!(with_stray.mesh.origin, alone.mesh.origin);
+    let count = alone.mesh.positions.len();
+    assert_eq!(with_stray.mesh.positions[..count], alone.mesh.positions);
+    assert!(alone.report.certificate.position_rounding < 1e-4);
+    assert!(with_stray.report.certificate.position_rounding > 1e-3, "{:?}", with_stray.report.certificate);
 }
