@@ -59,8 +59,9 @@ def compared(path, seconds):
     faults = []
     if max(way.mean() for way in ways) > DISTANCE_MAX_VOXELS:
         faults.append(f"the mean distance is over {DISTANCE_MAX_VOXELS} h")
-    if energies[0] > energies[1]:
-        faults.append(f"∫H² is {energies[0] / energies[1]:.3f} times theirs")
+    for what, (our_energy, their_energy) in (("∫H²", energies), ("raw ∫H²", raw)):
+        if our_energy > their_energy:
+            faults.append(f"{what} is {our_energy / their_energy:.3f} times theirs")
     figures = (
         f"{ways[0].mean():.4f} h / {ways[1].mean():.4f} h, {max(way.max() for way in ways):.2f} h; "
         f"∫H² {energies[0]:.1f} / {energies[1]:.1f} ({raw[0]:.1f} / {raw[1]:.1f}); volume {volumes[0]:.4f} / {volumes[1]:.4f}; {seconds:.1f} s"
