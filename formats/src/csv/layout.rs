@@ -33,7 +33,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {
-            head.take_comment(comment, limits)?;
+            head.take_comment(comment, limits);
             continue;
         }
         if let Some((delimiter, count)) = row_shape(line.text) {
@@ -50,7 +50,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
         }
         head.take_text(line)?;
     }
-    head.above_nothing(bytes, lines.number)
+    head.above_nothing(bytes, lines.number, limits)
 }
 
 /// Whether the first lines of a text are those of a table: a header that fits what is below it, or a row.
@@ -104,13 +104,11 @@ struct Head<'a> {
 }
 
 impl<'a> Head<'a> {
-    fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) -> Result<()> {
-        for delimiter in DELIMITERS {
-            if header(comment, delimiter, limits)?.is_some() {
-                self.comment = Some(comment);
-            }
+    fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) {
+        // One of too many words is prose, or numbers: no error, but no header either.
+        if headers(comment, limits).next().is_some() {
+            self.comment = Some(comment);
         }
-        Ok(())
     }
 
     fn take_text(&mut self, line: Line<'a>) -> Result<()> {
@@ -131,14 +129,9 @@ impl<'a> Head<'a> {
             let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
-        for header_delimiter in DELIMITERS {
-            let Some(comment) = self.comment else { break };
-            match header(comment, header_delimiter, limits)? {
-                Some(header) if header.names.len() == count => {
-                    return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
-                }
-                _ => {}
-            }
+        let mut above = self.comment.into_iter().flat_map(|comment| headers(comment, limits));
+        if let Some((_, header)) = above.find(|(_, header)| header.names.len() == count) {
+            return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
         }
         if let Some(text) = self.text_last.filter(|text| is_header_like(text.text, delimiter, count)) {
             return Err(no_position(text, delimiter));
@@ -158,16 +151,13 @@ impl<'a> Head<'a> {
     }
 
     /// The file has ended before any row.
-    fn above_nothing(self, bytes: &[u8], line: u64) -> Result<Layout> {
+    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<Layout> {
         if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
-        if let Some(comment) = self.comment {
-            for delimiter in DELIMITERS {
-                if let Some(header) = header(comment, delimiter, &Limits::default())? {
-                    return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
-                }
-            }
+        let mut above = self.comment.into_iter().flat_map(|comment| headers(comment, limits));
+        if let Some((delimiter, header)) = above.next() {
+            return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
         }
         let expected =
             "expected a header that names a position, such as x,y,z, or rows of three numbers or more";
