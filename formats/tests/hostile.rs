@@ -113,6 +113,45 @@ fn damaged_level_sets_are_survived() {
     }
 }
 
+/// Thousands of grids of a few bytes, each of which claims the rest of the file as its metadata.
+#[test]
+fn grids_of_a_volume_do_not_overlap() {
+    let _alone = alone();
+    let bytes = overlapping_grids(3000);
+    assert!(bytes.len() < 400 << 10, "{}", bytes.len());
+    check("overlapping.vdb", &bytes, &|bytes| vdb::grids(bytes, &Limits::default()));
+    let error = vdb::grids(&bytes, &Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("the value of a metadata entry"), "{error}");
+    let mut stream = bytes;
+    stream[20] = 0; // no offsets: one grid directly after the other
+    check("stream.vdb", &stream, &|bytes| vdb::grids(bytes, &Limits::default()));
+}
+
+fn overlapping_grids(count: usize) -> Vec<u8> {
+    const ENTRY_BYTES: usize = 4 + 4 + (4 + 1) + (4 + 6) + 4; // compression, entries, name, type, size
+    const DESCRIPTOR_BYTES: usize = 3 * 4 + 3 * 8;
+    let mut bytes = b" BDV\0\0\0\0".to_vec();
+    bytes.extend([224_u32, 10, 0].iter().flat_map(|number| number.to_le_bytes()));
+    bytes.push(1); // has offsets
+    bytes.extend([b'0'; 36]);
+    bytes.extend(0_u32.to_le_bytes()); // no metadata
+    bytes.extend((count as u32).to_le_bytes());
+    let total = bytes.len() + count * (DESCRIPTOR_BYTES + ENTRY_BYTES);
+    for _ in 0..count {
+        bytes.extend([0; 12]); // no name, no type, no parent
+        let start = (bytes.len() + 24) as u64;
+        let end = start + ENTRY_BYTES as u64;
+        bytes.extend([start, start, end].iter().flat_map(|offset| offset.to_le_bytes()));
+        bytes.extend([0, 1, 1].iter().flat_map(|number: &u32| number.to_le_bytes()));
+        bytes.extend(b"a");
+        bytes.extend(6_u32.to_le_bytes());
+        bytes.extend(b"string");
+        let rest = total - bytes.len() - 4;
+        bytes.extend((rest as u32).to_le_bytes());
+    }
+    bytes
+}
+
 #[test]
 fn damaged_meshes_are_survived() {
     let _alone = alone();
