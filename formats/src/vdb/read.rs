@@ -187,6 +187,7 @@ struct Header {
 
 fn read_header(cursor: &mut Cursor) -> Result<Header> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
+    const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "no OpenVDB magic number"));
     }
@@ -203,6 +204,9 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
         return Err(cursor.error(format!("{grid_count} grids, more than the file has bytes for")));
+    }
+    if grid_count > GRID_COUNT_MAX {
+        return Err(Error::too_large(FORMAT, format!("{grid_count} grids, more than {GRID_COUNT_MAX}")));
     }
     Ok(Header { has_offsets, grid_count })
 }
