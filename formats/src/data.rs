@@ -90,6 +90,33 @@ pub struct Attribute {
     pub values: Values,
 }
 
+impl Attribute {
+    /// Multiplies an attribute; integers become reals.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        if factor == 1.0 {
+            return;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "the factor is a half, exact in both")]
+        let factor_f32 = factor as f32;
+        match &mut self.values {
+            Values::F32(values) => values.iter_mut().for_each(|value| *value *= factor_f32),
+            Values::F64(values) => values.iter_mut().for_each(|value| *value *= factor),
+            Values::U8(values) => {
+                self.values =
+                    Values::F32(values.iter().map(|&value| f32::from(value) * factor_f32).collect());
+            }
+            Values::I32(values) => {
+                self.values = Values::F64(values.iter().map(|&value| f64::from(value) * factor).collect());
+            }
+            // At most 32 bits of a 64-bit integer are in use here: the conversion is exact.
+            Values::I64(values) => {
+                self.values = Values::F64(values.iter().map(|&value| value as f64 * factor).collect());
+            }
+            Values::Strings { .. } => {}
+        }
+    }
+}
+
 /// One frame of particles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ParticleFrame {

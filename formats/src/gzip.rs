@@ -8,7 +8,7 @@ use std::io::Read;
 use flate2::bufread::GzDecoder;
 
 use crate::error::{Error, Place, Result};
-use crate::limits::Limits;
+use crate::limits::{Limits, RATIO_FREE_BYTES};
 
 const FORMAT: &str = "gzip";
 
@@ -17,9 +17,6 @@ const MAGIC: [u8; 2] = [0x1f, 0x8b];
 
 /// Bytes inflated between two looks at the limits.
 const PIECE_BYTES: usize = 256 << 10;
-
-/// Bytes that may come out before their ratio to what went in counts.
-const RATIO_FREE_BYTES: u64 = 1 << 20;
 
 /// Whether the file is gzipped.
 pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
@@ -59,11 +56,7 @@ fn inflate_member<'a>(
         let consumed = total - decoder.get_ref().len();
         check_limits(inflated.len() as u64, consumed as u64, limits)?;
         if let Err(source) = outcome {
-            let what = match source.kind() {
-                std::io::ErrorKind::UnexpectedEof => "the compressed data ends too soon".into(),
-                _ => format!("the compressed data is damaged: {source}"),
-            };
-            return Err(Error::invalid(FORMAT, Place::Offset(consumed as u64), what));
+            return Err(damage(&source, consumed));
         }
         if inflated.len() == before {
             return Ok(decoder.into_inner());
@@ -76,12 +69,30 @@ fn check_limits(inflated: u64, consumed: u64, limits: &Limits) -> Result<()> {
         let most = limits.decompressed_bytes;
         return Err(Error::too_large(FORMAT, format!("more than {most} bytes after decompression")));
     }
-    let allowed = consumed.saturating_mul(limits.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
-    if inflated > allowed {
+    if inflated > limits.decompressed_bytes_of(consumed) {
         let most = limits.decompression_ratio;
         return Err(Error::too_large(FORMAT, format!("more than {most} bytes out of each compressed byte")));
     }
     Ok(())
+}
+
+fn damage(source: &std::io::Error, consumed: usize) -> Error {
+    let what = match source.kind() {
+        std::io::ErrorKind::UnexpectedEof => "the compressed data ends too soon".into(),
+        _ => format!("the compressed data is damaged: {source}"),
+    };
+    Error::invalid(FORMAT, Place::Offset(consumed as u64), what)
+}
+
+/// Looks for damage in the first bytes without keeping what comes out of them: what little could be
+/// inflated of a damaged file may look like anything.
+///
+/// # Errors
+/// `Invalid`, as from [`inflate`].
+pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
+    let mut start = GzDecoder::new(bytes).take(RATIO_FREE_BYTES);
+    let outcome = std::io::copy(&mut start, &mut std::io::sink());
+    outcome.map(drop).map_err(|source| damage(&source, bytes.len() - start.get_ref().get_ref().len()))
 }
 
 /// The first bytes of the content, as many as can be had, at most `length`.
@@ -128,10 +139,12 @@ mod tests {
     #[test]
     fn a_bomb_is_abandoned_early() {
         let bomb = gzipped(&vec![0; 64 << 20]);
-        let limits = Limits { decompression_ratio: 100, ..Limits::default() };
-        assert!(matches!(inflate(&bomb, &limits), Err(Error::TooLarge { .. })));
+        assert!(matches!(inflate(&bomb, &Limits::default()), Err(Error::TooLarge { .. })));
         let limits = Limits { decompressed_bytes: 5 << 20, ..Limits::default() };
         assert!(matches!(inflate(&bomb, &limits), Err(Error::TooLarge { .. })));
-        assert_eq!(inflate(&bomb, &Limits::default()).unwrap().len(), 64 << 20);
+        let limits = Limits { decompression_ratio: 1032, ..Limits::default() };
+        assert_eq!(inflate(&bomb, &limits).unwrap().len(), 64 << 20);
+        let small = gzipped(&vec![0; 16 << 20]);
+        assert_eq!(inflate(&small, &Limits::default()).unwrap().len(), 16 << 20);
     }
 }

@@ -30,7 +30,7 @@ pub use data::{
 };
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
-pub use probe::{Kind, Probe, probe};
+pub use probe::{Kind, Probe, looks_like_particles, probe};
 
 /// Reads a frame of particles from a file of any format that can be read, packed with gzip or not.
 ///
@@ -42,11 +42,11 @@ pub use probe::{Kind, Probe, probe};
 /// to do instead, for a file that is something else.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
     let Probe { kind, gzipped } = probe(bytes, file_name);
-    // What little could be inflated of a damaged file may look like anything: damage is told first.
     let is_vague = matches!(kind, Kind::Empty | Kind::Unknown | Kind::UnknownText);
-    if !(gzipped && is_vague) {
-        check_readable(kind)?;
+    if gzipped && is_vague {
+        gzip::check_start(bytes)?;
     }
+    check_readable(kind)?;
     let inflated;
     let bytes = if gzipped {
         inflated = gzip::inflate(bytes, limits)?;

@@ -14,7 +14,7 @@ pub struct Limits {
     pub attribute_count: usize,
     /// Bytes after decompression.
     pub decompressed_bytes: u64,
-    /// Decompressed bytes per compressed byte, counted after the first mebibyte.
+    /// Decompressed bytes per compressed byte, counted after the first 16 MiB.
     pub decompression_ratio: u64,
 }
 
@@ -24,8 +24,20 @@ impl Default for Limits {
             particle_count: u32::MAX as u64,
             header_bytes: 1 << 20,
             attribute_count: 4096,
-            decompressed_bytes: 1 << 40,
-            decompression_ratio: 1100, // deflate itself cannot exceed 1032
+            decompressed_bytes: 1 << 36, // the positions of as many particles as are allowed take 48 GiB
+            decompression_ratio: 200, // particles shrink 2 to 10 times, lattices 50 times, a bomb 1030 times
         }
+    }
+}
+
+/// Decompressed bytes before their ratio counts. A vector that grows to so many never holds more than
+/// 64 MiB, not even while it is moved.
+pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
+
+impl Limits {
+    /// How many bytes may come out of `compressed` bytes.
+    pub(crate) fn decompressed_bytes_of(&self, compressed: u64) -> u64 {
+        let by_ratio = compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
+        by_ratio.min(self.decompressed_bytes)
     }
 }

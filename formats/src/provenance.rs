@@ -43,20 +43,6 @@ pub enum Kind {
     Vdb,
 }
 
-impl Kind {
-    /// The kind of file that a file name's extension, without its dot, stands for.
-    pub fn from_extension(extension: &str) -> Option<Kind> {
-        match extension.to_ascii_lowercase().as_str() {
-            "glb" => Some(Kind::Glb),
-            "gltf" => Some(Kind::Gltf),
-            "obj" => Some(Kind::Obj),
-            "ply" => Some(Kind::Ply),
-            "vdb" => Some(Kind::Vdb),
-            _ => None,
-        }
-    }
-}
-
 /// Reads back the provenance that a writer of this crate put into a file, from its first mebibyte.
 /// A file that another program made has none: the result is empty.
 ///

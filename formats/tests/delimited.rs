@@ -77,6 +77,17 @@ fn describe_values(values: &Values) -> String {
 }
 
 #[test]
+fn a_comment_of_many_words_is_no_header() {
+    for words in ["word ", "word,", "x y z "] {
+        let text = format!("# {}\n# x y z mass\n1 2 3 4\n", words.repeat(5000));
+        let frame = csv::read(text.as_bytes(), &Limits::default()).unwrap();
+        assert_eq!((frame.positions.len(), frame.attributes[0].name.as_str()), (1, "mass"));
+        let text = format!("x,y,z\n# {}\n1,2,3\n#{}", words.repeat(5000), words.repeat(5000));
+        assert_eq!(csv::read(text.as_bytes(), &Limits::default()).unwrap().positions.len(), 1);
+    }
+}
+
+#[test]
 fn limits_bound_rows_columns_and_head() {
     let mut wide = String::from("x,y,z");
     wide += &",a".repeat(5000);

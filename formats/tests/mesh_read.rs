@@ -68,6 +68,22 @@ fn obj_and_glb_of_one_scene_agree() {
 }
 
 #[test]
+fn reals_are_not_clamped_by_the_flag_for_integers() {
+    use base64::Engine;
+    let corners: [f32; 9] = [-7.0, -2.0, 0.5, 3.0, 0.0, 0.0, 0.0, 3.0, 0.0];
+    let packed = base64::engine::general_purpose::STANDARD.encode(corners.map(f32::to_le_bytes).concat());
+    let text = format!(
+        r#"{{"asset":{{"version":"2.0"}},"scenes":[{{"nodes":[0]}}],"nodes":[{{"mesh":0}}],
+        "meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}}]}}],
+        "accessors":[{{"bufferView":0,"componentType":5126,"normalized":true,"count":3,"type":"VEC3"}}],
+        "bufferViews":[{{"buffer":0,"byteLength":36}}],
+        "buffers":[{{"byteLength":36,"uri":"data:application/octet-stream;base64,{packed}"}}]}}"#
+    );
+    let mesh = gltf::read_mesh(text.as_bytes(), &Limits::default()).expect("a triangle");
+    assert_eq!(mesh.positions[0], [-7.0, -2.0, 0.5]);
+}
+
+#[test]
 fn what_is_not_read_has_a_name() {
     let limits = Limits::default();
     let external = br#"{"asset":{"version":"2.0"},"buffers":[{"uri":"a.bin","byteLength":4}]}"#;

@@ -4,7 +4,7 @@
 //! for a block of records at a time, while the block is in the nearest cache.
 
 use super::header::{AttributeHeader, AttributeKind, Header, header_within};
-use super::{FORMAT, POSITION_WORDS, TRAILER, narrow};
+use super::{FORMAT, POSITION_WORDS, TRAILER};
 use crate::names::{radius_scale, roles_of};
 use crate::{Attribute, Error, Limits, ParticleFrame, Place, Positions, Result, Role, Values};
 
@@ -175,26 +175,9 @@ fn attributes(headers: Vec<AttributeHeader>, columns: Vec<Column>) -> Vec<Attrib
         let (name, arity) = (header.name, header.arity);
         let mut attribute = Attribute { name, arity, role, values };
         if role == Some(Role::Radius) {
-            scale_radius(&mut attribute);
+            attribute.scale(radius_scale(&attribute.name));
         }
         attributes.push(attribute);
     }
     attributes
-}
-
-/// Turns a diameter into a radius.
-fn scale_radius(attribute: &mut Attribute) {
-    let scale = radius_scale(&attribute.name);
-    match &mut attribute.values {
-        Values::F32(values) if scale != 1.0 => {
-            for value in values {
-                *value = narrow(f64::from(*value) * scale);
-            }
-        }
-        Values::I32(values) => {
-            attribute.values =
-                Values::F32(values.iter().map(|&value| narrow(f64::from(value) * scale)).collect());
-        }
-        _ => {}
-    }
 }

@@ -33,7 +33,7 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
             return Err(Error::unsupported(FORMAT, what));
         }
         if let Some(comment) = comment(line.text) {
-            head.take_comment(comment, limits)?;
+            head.take_comment(comment, limits);
             continue;
         }
         if let Some((delimiter, count)) = row_shape(line.text) {
@@ -50,7 +50,43 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
         }
         head.take_text(line)?;
     }
-    head.above_nothing(bytes, lines.number)
+    head.above_nothing(bytes, lines.number, limits)
+}
+
+/// Whether the first lines of a text are those of a table: a header that fits what is below it, or a row.
+///
+/// This is stricter than [`layout()`], which is asked about files that must be tables: words in a row
+/// can happen to name a position.
+pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
+    let limits = Limits::default();
+    let mut lines = Lines::new(head, &limits);
+    let mut has_header = false;
+    let mut has_text = false;
+    while let Ok(Some(line)) = lines.next_line() {
+        if let Some(comment) = comment(line.text) {
+            has_header |= headers(comment, &limits).next().is_some();
+            continue;
+        }
+        if DELIMITERS.into_iter().any(|delimiter| begins_with_numbers(line.text, delimiter)) {
+            return true;
+        }
+        let Ok(next) = lines.peek_row() else { return false };
+        let is_above = |(delimiter, header): (Delimiter, Header)| {
+            next.is_none_or(|next| header.names_positions_of(next, delimiter))
+        };
+        if headers(line.text, &limits).any(is_above) {
+            return true;
+        }
+        has_text = true;
+    }
+    has_header && !has_text
+}
+
+/// The line as a header with each delimiter by which it names a position.
+fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Header)> {
+    DELIMITERS.into_iter().filter_map(move |delimiter| {
+        header(line, delimiter, limits).ok().flatten().map(|header| (delimiter, header))
+    })
 }
 
 /// What was seen so far above the rows.
@@ -68,21 +104,15 @@ struct Head<'a> {
 }
 
 impl<'a> Head<'a> {
-    fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) -> Result<()> {
-        for delimiter in DELIMITERS {
-            if header(comment, delimiter, limits)?.is_some() {
-                self.comment = Some(comment);
-            }
+    fn take_comment(&mut self, comment: &'a [u8], limits: &Limits) {
+        // One of too many words is prose, or numbers: no error, but no header either.
+        if headers(comment, limits).next().is_some() {
+            self.comment = Some(comment);
         }
-        Ok(())
     }
 
     fn take_text(&mut self, line: Line<'a>) -> Result<()> {
-        let is_row_with_commas = |delimiter: &Delimiter| {
-            let numbers = |cell| has_decimal_comma(cell) || matches!(meaning(cell), Meaning::Number(_));
-            has_enough_cells(line.text, *delimiter) && cells(line.text, *delimiter).take(3).all(numbers)
-        };
-        if DELIMITERS[1..].iter().any(is_row_with_commas) {
+        if DELIMITERS[1..].iter().any(|&delimiter| begins_with_numbers(line.text, delimiter)) {
             return Err(decimal_commas(line.number));
         }
         self.text_line_count += 1;
@@ -99,14 +129,9 @@ impl<'a> Head<'a> {
             let delimiter = if header.names.len() == count { delimiter } else { header_delimiter };
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
-        for header_delimiter in DELIMITERS {
-            let Some(comment) = self.comment else { break };
-            match header(comment, header_delimiter, limits)? {
-                Some(header) if header.names.len() == count => {
-                    return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
-                }
-                _ => {}
-            }
+        let mut above = self.comment.into_iter().flat_map(|comment| headers(comment, limits));
+        if let Some((_, header)) = above.find(|(_, header)| header.names.len() == count) {
+            return Ok(header.into_layout(delimiter, row.offset, row.number, self.notes()));
         }
         if let Some(text) = self.text_last.filter(|text| is_header_like(text.text, delimiter, count)) {
             return Err(no_position(text, delimiter));
@@ -126,16 +151,13 @@ impl<'a> Head<'a> {
     }
 
     /// The file has ended before any row.
-    fn above_nothing(self, bytes: &[u8], line: u64) -> Result<Layout> {
+    fn above_nothing(self, bytes: &[u8], line: u64, limits: &Limits) -> Result<Layout> {
         if let Some((header, delimiter, rows_offset, rows_line)) = self.doubtful {
             return Ok(header.into_layout(delimiter, rows_offset, rows_line, Vec::new()));
         }
-        if let Some(comment) = self.comment {
-            for delimiter in DELIMITERS {
-                if let Some(header) = header(comment, delimiter, &Limits::default())? {
-                    return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
-                }
-            }
+        let mut above = self.comment.into_iter().flat_map(|comment| headers(comment, limits));
+        if let Some((delimiter, header)) = above.next() {
+            return Ok(header.into_layout(delimiter, bytes.len(), line + 1, self.notes()));
         }
         let expected =
             "expected a header that names a position, such as x,y,z, or rows of three numbers or more";
@@ -166,6 +188,16 @@ struct Header {
 }
 
 impl Header {
+    /// Whether a row has as many cells, and a number or nothing in those of the position.
+    fn names_positions_of(&self, row: &[u8], delimiter: Delimiter) -> bool {
+        let is_coordinate = |&column: &usize| {
+            let cell = cells(row, delimiter).nth(column).unwrap_or_default();
+            let cell = unquoted(cell);
+            has_decimal_comma(&cell) || meaning(&cell) != Meaning::Text
+        };
+        has_cells(row, delimiter, self.names.len()) && self.position.iter().all(is_coordinate)
+    }
+
     fn into_layout(
         self,
         delimiter: Delimiter,
@@ -232,6 +264,15 @@ fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
         let ends_with_delimiter = cells(line, delimiter).last().is_some_and(<[u8]>::is_empty);
         Some((delimiter, count - usize::from(ends_with_delimiter)))
     })
+}
+
+/// Whether a line begins with three numbers, be it with decimal commas.
+fn begins_with_numbers(line: &[u8], delimiter: Delimiter) -> bool {
+    let is_number = |cell| {
+        let cell = unquoted(cell);
+        has_decimal_comma(&cell) || matches!(meaning(&cell), Meaning::Number(_))
+    };
+    has_enough_cells(line, delimiter) && cells(line, delimiter).take(3).all(is_number)
 }
 
 fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {

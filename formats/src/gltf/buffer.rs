@@ -122,7 +122,8 @@ impl Elements<'_> {
             component::I16 => (f64::from(i16::from_le_bytes(first(bytes))), f64::from(i16::MAX)),
             component::U16 => (f64::from(u16::from_le_bytes(first(bytes))), f64::from(u16::MAX)),
             component::U32 => (f64::from(u32::from_le_bytes(first(bytes))), f64::from(u32::MAX)),
-            _ => (f64::from(f32::from_le_bytes(first(bytes))), 1.0),
+            // The flag means nothing for reals; some exporters set it all the same.
+            _ => return f64::from(f32::from_le_bytes(first(bytes))),
         };
         if self.normalized { (value / greatest).max(-1.0) } else { value }
     }

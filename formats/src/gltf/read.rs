@@ -32,11 +32,10 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     let buffers = document.buffers.iter().enumerate();
     let buffers: Vec<Vec<u8>> =
         buffers.map(|(index, buffer)| buffer.load(bin.filter(|_| index == 0))).collect::<Result<_>>()?;
-    let by_ratio = (bytes.len() as u64).saturating_mul(limits.decompression_ratio).saturating_add(1 << 20);
     let mut collector = Collector {
         document: &document,
         buffers: &buffers,
-        budget: limits.decompressed_bytes.min(by_ratio),
+        budget: limits.decompressed_bytes_of(bytes.len() as u64),
         mesh: MeshData::default(),
         has_normals: true,
     };

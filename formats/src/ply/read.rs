@@ -42,7 +42,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         }
     }
     for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
-        scale(attribute, group.scale);
+        attribute.scale(group.scale);
     }
     frame.notes = notes(&header, element, &columns);
     Ok(frame)
@@ -143,31 +143,6 @@ fn targets<'a>(
         targets.push(Target { columns: typed(&group.columns), slots });
     }
     targets
-}
-
-/// Multiplies an attribute; integers become reals.
-fn scale(attribute: &mut Attribute, factor: f64) {
-    if factor == 1.0 {
-        return;
-    }
-    #[expect(clippy::cast_possible_truncation, reason = "the factor is a half, exact in both")]
-    let factor_f32 = factor as f32;
-    match &mut attribute.values {
-        Values::F32(values) => values.iter_mut().for_each(|value| *value *= factor_f32),
-        Values::F64(values) => values.iter_mut().for_each(|value| *value *= factor),
-        Values::U8(values) => {
-            attribute.values =
-                Values::F32(values.iter().map(|&value| f32::from(value) * factor_f32).collect());
-        }
-        Values::I32(values) => {
-            attribute.values = Values::F64(values.iter().map(|&value| f64::from(value) * factor).collect());
-        }
-        // At most 32 bits of a 64-bit integer are in use here: the conversion is exact.
-        Values::I64(values) => {
-            attribute.values = Values::F64(values.iter().map(|&value| value as f64 * factor).collect());
-        }
-        Values::Strings { .. } => {}
-    }
 }
 
 fn notes(header: &Header, element: &Element, columns: &Columns) -> Vec<String> {

@@ -1,7 +1,8 @@
 //! Named values with a type, of a file or of a grid.
 
+use super::FORMAT;
 use super::cursor::Cursor;
-use crate::error::Result;
+use crate::error::{Error, Result};
 
 /// A value of OpenVDB metadata.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,9 +67,16 @@ pub(super) fn push_string(out: &mut Vec<u8>, bytes: &[u8]) {
 /// Reads the entries of a file or a grid.
 pub(super) fn read_metadata(cursor: &mut Cursor) -> Result<Vec<(String, MetaValue)>> {
     const ENTRY_BYTES_MIN: usize = 12;
+    const ENTRY_COUNT_MAX: usize = 1 << 16; // real files have a few dozen
     let count = cursor.u32("the number of metadata entries")? as usize;
     if count > cursor.remaining() / ENTRY_BYTES_MIN {
         return Err(cursor.error(format!("{count} metadata entries, more than the file has bytes for")));
+    }
+    if count > ENTRY_COUNT_MAX {
+        return Err(Error::too_large(
+            FORMAT,
+            format!("{count} metadata entries, more than {ENTRY_COUNT_MAX}"),
+        ));
     }
     let mut entries = Vec::with_capacity(count);
     for _ in 0..count {

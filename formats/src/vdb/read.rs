@@ -92,7 +92,7 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
             format!("grid \"{}\" has a map, or is an instance of a grid, that is not read", entry.info.name);
         return Err(Error::unsupported(FORMAT, what));
     };
-    let mut cursor = Cursor::new(bytes);
+    let mut cursor = Cursor::new(&bytes[..tree.end]);
     cursor.seek(tree.position as u64, "a grid")?;
     let info = entry.info.clone();
     let tree = read_tree(&mut cursor, tree.storage, &mut Budget::new(bytes.len(), limits))?;
@@ -118,6 +118,8 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
 #[derive(Clone, Copy)]
 struct TreePlace {
     position: usize,
+    /// The end of the grid, or of the file if that is not known.
+    end: usize,
     storage: Storage,
 }
 
@@ -147,23 +149,35 @@ fn entries(bytes: &[u8], limits: &Limits) -> Result<Vec<Entry>> {
     for index in 0..header.grid_count {
         let descriptor = read_descriptor(&mut cursor)?;
         if header.has_offsets {
-            let after = cursor.position() as u64;
-            let Descriptor { grid_start, end, .. } = descriptor;
-            if grid_start < after || end < grid_start {
-                return Err(cursor.error(format!("a grid from byte {grid_start} to byte {end}")));
-            }
-            cursor.seek(grid_start, "a grid")?;
-        }
-        let (end, is_last) = (descriptor.end, index + 1 == header.grid_count);
-        let entry = read_entry(&mut cursor, descriptor)?;
-        if header.has_offsets {
+            let (mut grid, end) = grid_cursor(&cursor, &descriptor, bytes)?;
+            entries.push(read_entry(&mut grid, descriptor)?);
             cursor.seek(end, "the end of a grid")?;
-        } else if !is_last && entry.instance_parent.is_empty() {
+            continue;
+        }
+        let entry = read_entry(&mut cursor, descriptor)?;
+        let is_last = index + 1 == header.grid_count;
+        if !is_last && entry.instance_parent.is_empty() {
             skip_tree(&mut cursor, &entry, limits)?;
         }
         entries.push(entry);
     }
     Ok(entries)
+}
+
+/// A cursor at the start of a grid that cannot pass the end of it, which is returned, too.
+///
+/// Descriptors and grids alternate. Grids that overlapped could each claim the bytes of all others,
+/// and a small file would take the memory of a large one.
+fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> Result<(Cursor<'a>, u64)> {
+    let Descriptor { grid_start, end, .. } = *descriptor;
+    let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
+    let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
+        let what = format!("a grid from byte {grid_start} to byte {end} of {}", bytes.len());
+        return Err(after.error(what));
+    };
+    let mut grid = Cursor::new(within);
+    grid.seek(grid_start, "a grid")?;
+    Ok((grid, end))
 }
 
 struct Header {
@@ -173,6 +187,7 @@ struct Header {
 
 fn read_header(cursor: &mut Cursor) -> Result<Header> {
     const DESCRIPTOR_BYTES_MIN: usize = 36;
+    const GRID_COUNT_MAX: usize = 1 << 16; // real files have a dozen
     if cursor.array::<8>("the magic number")? != MAGIC {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "no OpenVDB magic number"));
     }
@@ -189,6 +204,9 @@ fn read_header(cursor: &mut Cursor) -> Result<Header> {
     let grid_count = cursor.u32("the number of grids")? as usize;
     if grid_count > cursor.remaining() / DESCRIPTOR_BYTES_MIN {
         return Err(cursor.error(format!("{grid_count} grids, more than the file has bytes for")));
+    }
+    if grid_count > GRID_COUNT_MAX {
+        return Err(Error::too_large(FORMAT, format!("{grid_count} grids, more than {GRID_COUNT_MAX}")));
     }
     Ok(Header { has_offsets, grid_count })
 }
@@ -255,7 +273,8 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         metadata,
     };
     let storage = Storage { compression, half };
-    let tree = transform.map(|_| TreePlace { position: cursor.position(), storage });
+    let (position, end) = (cursor.position(), cursor.position() + cursor.remaining());
+    let tree = transform.map(|_| TreePlace { position, end, storage });
     Ok(Entry { info, descriptor_name, instance_parent, tree })
 }
 

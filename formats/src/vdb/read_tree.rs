@@ -68,10 +68,7 @@ pub(super) struct Budget {
 
 impl Budget {
     pub(super) fn new(file_bytes: usize, limits: &Limits) -> Budget {
-        const FREE_BYTES: u64 = 1 << 20; // the ratio is counted after the first mebibyte
-        let by_ratio =
-            (file_bytes as u64).saturating_mul(limits.decompression_ratio).saturating_add(FREE_BYTES);
-        Budget { bytes: limits.decompressed_bytes.min(by_ratio) }
+        Budget { bytes: limits.decompressed_bytes_of(file_bytes as u64) }
     }
 
     fn spend(&mut self, bytes: usize) -> Result<()> {
