@@ -30,7 +30,7 @@ pub use data::{
 };
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
-pub use probe::{Kind, Probe, probe};
+pub use probe::{Kind, Probe, looks_like_particles, probe};
 
 /// Reads a frame of particles from a file of any format that can be read, packed with gzip or not.
 ///

@@ -7,6 +7,7 @@
 
 use std::fmt;
 
+use crate::csv;
 use crate::gzip::{inflate_head, is_gzip};
 use crate::text::{Lines, parse_number};
 
@@ -113,6 +114,36 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), gzipped: false }
 }
 
+/// Whether a file is worth reading for its particles, told from its first bytes: for the listing of
+/// a folder, in which notes, logs and scripts lie beside the frames.
+///
+/// Formats of particles are told by [`probe()`], be they read or not. A text must be a table: a
+/// header that names a position and fits the row below it, or a row of three numbers or more. `head`
+/// should have 8 KiB, unless the file is shorter; it may be packed with gzip.
+pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
+    match probe(head, file_name).kind {
+        Kind::Ply
+        | Kind::ClassicBgeo
+        | Kind::ClassicGeo
+        | Kind::HoudiniJsonBinary
+        | Kind::HoudiniJsonText
+        | Kind::HoudiniSc
+        | Kind::VtkLegacy
+        | Kind::VtkXml
+        | Kind::Npy => true,
+        Kind::Delimited if is_gzip(head) => csv::looks_like_particles(&inflate_head(head, HEAD_BYTES)),
+        Kind::Delimited => csv::looks_like_particles(head),
+        Kind::OpenVdb
+        | Kind::Glb
+        | Kind::GltfJson
+        | Kind::Obj
+        | Kind::Foreign(_)
+        | Kind::Empty
+        | Kind::UnknownText
+        | Kind::Unknown => false,
+    }
+}
+
 fn kind_of(head: &[u8], name: &str) -> Kind {
     if head.is_empty() {
         return Kind::Empty;
@@ -135,7 +166,7 @@ fn kind_of(head: &[u8], name: &str) -> Kind {
         Some(b'{' | b'[') => json_kind(text, name),
         Some(b'<') => Kind::Foreign("XML"),
         _ if looks_like_obj(text, name) => Kind::Obj,
-        _ if looks_like_table(text) => Kind::Delimited,
+        _ if looks_like_table(text) || csv::looks_like_particles(text) => Kind::Delimited,
         _ => Kind::UnknownText,
     }
 }
@@ -266,6 +297,8 @@ mod tests {
             (b"\xef\xbb\xbf\"x\";\"y\";\"z\"\n", "a", Kind::Delimited),
             (b"1 2 3\n4 5 6\n", "a.xyz", Kind::Delimited),
             (b"# x y z\n0.5 2 3", "a.xyz", Kind::Delimited),
+            (b"x y z radius\n", "a.txt", Kind::Delimited),
+            (b"# made by hand\n# x y z\n", "a.xyz", Kind::Delimited),
             (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::Delimited),
             (b"Dear reader,\nthere is nothing here\n", "a", Kind::Delimited), // has a comma: told by the reader
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", Kind::UnknownText),
@@ -279,6 +312,38 @@ mod tests {
         for (bytes, name, kind) in table {
             let found = probe(bytes, name);
             assert_eq!(found.kind, *kind, "of {:?} as {name}", String::from_utf8_lossy(bytes));
+        }
+    }
+
+    #[test]
+    fn only_tables_of_particles_are_listed() {
+        let table: &[(&[u8], &str, bool)] = &[
+            (b"Things to do, in this order:\n1. eat\n2. sleep, or x, y and z\n", "notes.txt", false),
+            (b"the x y z positions are wrong\nsee below\n", "notes.txt", false),
+            (b"step 10\nstep 20\n", "run.log", false),
+            (b"10\n20\n", "run.log", false),
+            (b"t, residual\n0.1, 2e-3\n", "run.csv", false),
+            (b"import os, sys\nx, y, z = 1, 2, 3\n", "sim.py", false),
+            (b"# x y z\nprint(1)\n", "sim.py", false),
+            (b"{\"x\": [1, 2, 3]}", "settings.json", false),
+            (b"v 1 2 3\nv 4 5 6\n", "mesh.obj", false),
+            (b"", "empty.csv", false),
+            (b"x,y,z\n", "a.csv", true),
+            (b"# x y z", "a.xyz", true),
+            (b"type;x;y;z\nwater;1,5;2,5;3,5\n", "a.csv", true), // told by the reader what is wrong
+            (b"made by hand\n\n\"x\",\"y\",\"z\",\r\n1,2,nan,\r\n", "a.txt", true),
+            (b"1 2 3\n", "a", true),
+            (b"1\t2\t3", "a.log", true),
+            (b"ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0.5 0.5 0.5\n", "a.dump", true),
+            (b"ply\nformat ascii 1.0\n", "a.ply", true),
+        ];
+        for (bytes, name, expected) in table {
+            let found = looks_like_particles(bytes, name);
+            assert_eq!(found, *expected, "of {:?} as {name}", String::from_utf8_lossy(bytes));
+        }
+        let long = [b"x,y,z\n".to_vec(), b"0.25,0.5,0.75\n".repeat(1000)].concat();
+        for length in [HEAD_BYTES - 3, HEAD_BYTES, long.len()] {
+            assert!(looks_like_particles(&long[..length], "a.csv"), "of {length} bytes");
         }
     }
 }

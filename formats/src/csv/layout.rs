@@ -53,6 +53,42 @@ pub(super) fn layout(bytes: &[u8], limits: &Limits) -> Result<Layout> {
     head.above_nothing(bytes, lines.number)
 }
 
+/// Whether the first lines of a text are those of a table: a header that fits what is below it, or a row.
+///
+/// This is stricter than [`layout()`], which is asked about files that must be tables: words in a row
+/// can happen to name a position.
+pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
+    let limits = Limits::default();
+    let mut lines = Lines::new(head, &limits);
+    let mut has_header = false;
+    let mut has_text = false;
+    while let Ok(Some(line)) = lines.next_line() {
+        if let Some(comment) = comment(line.text) {
+            has_header |= headers(comment, &limits).next().is_some();
+            continue;
+        }
+        if DELIMITERS.into_iter().any(|delimiter| begins_with_numbers(line.text, delimiter)) {
+            return true;
+        }
+        let Ok(next) = lines.peek_row() else { return false };
+        let is_above = |(delimiter, header): (Delimiter, Header)| {
+            next.is_none_or(|next| header.names_positions_of(next, delimiter))
+        };
+        if headers(line.text, &limits).any(is_above) {
+            return true;
+        }
+        has_text = true;
+    }
+    has_header && !has_text
+}
+
+/// The line as a header with each delimiter by which it names a position.
+fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Header)> {
+    DELIMITERS.into_iter().filter_map(move |delimiter| {
+        header(line, delimiter, limits).ok().flatten().map(|header| (delimiter, header))
+    })
+}
+
 /// What was seen so far above the rows.
 #[derive(Default)]
 struct Head<'a> {
@@ -78,11 +114,7 @@ impl<'a> Head<'a> {
     }
 
     fn take_text(&mut self, line: Line<'a>) -> Result<()> {
-        let is_row_with_commas = |delimiter: &Delimiter| {
-            let numbers = |cell| has_decimal_comma(cell) || matches!(meaning(cell), Meaning::Number(_));
-            has_enough_cells(line.text, *delimiter) && cells(line.text, *delimiter).take(3).all(numbers)
-        };
-        if DELIMITERS[1..].iter().any(is_row_with_commas) {
+        if DELIMITERS[1..].iter().any(|&delimiter| begins_with_numbers(line.text, delimiter)) {
             return Err(decimal_commas(line.number));
         }
         self.text_line_count += 1;
@@ -166,6 +198,16 @@ struct Header {
 }
 
 impl Header {
+    /// Whether a row has as many cells, and a number or nothing in those of the position.
+    fn names_positions_of(&self, row: &[u8], delimiter: Delimiter) -> bool {
+        let is_coordinate = |&column: &usize| {
+            let cell = cells(row, delimiter).nth(column).unwrap_or_default();
+            let cell = unquoted(cell);
+            has_decimal_comma(&cell) || meaning(&cell) != Meaning::Text
+        };
+        has_cells(row, delimiter, self.names.len()) && self.position.iter().all(is_coordinate)
+    }
+
     fn into_layout(
         self,
         delimiter: Delimiter,
@@ -232,6 +274,15 @@ fn row_shape(line: &[u8]) -> Option<(Delimiter, usize)> {
         let ends_with_delimiter = cells(line, delimiter).last().is_some_and(<[u8]>::is_empty);
         Some((delimiter, count - usize::from(ends_with_delimiter)))
     })
+}
+
+/// Whether a line begins with three numbers, be it with decimal commas.
+fn begins_with_numbers(line: &[u8], delimiter: Delimiter) -> bool {
+    let is_number = |cell| {
+        let cell = unquoted(cell);
+        has_decimal_comma(&cell) || matches!(meaning(&cell), Meaning::Number(_))
+    };
+    has_enough_cells(line, delimiter) && cells(line, delimiter).take(3).all(is_number)
 }
 
 fn has_enough_cells(line: &[u8], delimiter: Delimiter) -> bool {

@@ -27,6 +27,8 @@ mod frame;
 mod layout;
 mod rows;
 
+pub(crate) use layout::looks_like_particles;
+
 use crate::{Error, Limits, ParticleFrame, Place, Result};
 
 /// The format as users know it, for errors.
