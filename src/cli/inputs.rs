@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::MatchOptions;
-use meniscus_formats::{Kind, probe};
+use meniscus_formats::looks_like_particles;
 
 use crate::pipeline::{FrameFile, has_particle_extension};
 
@@ -207,30 +207,7 @@ fn is_frame(path: &Path) -> io::Result<bool> {
 fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
     let mut head = Vec::new();
     File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
-    Ok(is_of_particles(probe(&head, name).kind))
-}
-
-fn is_of_particles(kind: Kind) -> bool {
-    match kind {
-        Kind::Ply
-        | Kind::ClassicBgeo
-        | Kind::ClassicGeo
-        | Kind::HoudiniJsonBinary
-        | Kind::HoudiniJsonText
-        | Kind::HoudiniSc
-        | Kind::VtkLegacy
-        | Kind::VtkXml
-        | Kind::Delimited
-        | Kind::Npy => true,
-        Kind::OpenVdb
-        | Kind::Glb
-        | Kind::GltfJson
-        | Kind::Obj
-        | Kind::Foreign(_)
-        | Kind::Empty
-        | Kind::UnknownText
-        | Kind::Unknown => false,
-    }
+    Ok(looks_like_particles(&head, name))
 }
 
 /// Names that readme files and logs have, too.

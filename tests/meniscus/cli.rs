@@ -220,6 +220,31 @@ fn what_is_ignored_is_told() {
 }
 
 #[test]
+fn what_lies_beside_the_frames_is_passed_over() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    let others = [
+        ("notes.txt", "Hello, this is a simulation of a dam, broken at 10 s.\nIt took 3 days, 2 hours.\n"),
+        ("run.log", "step 10\nstep 11\nstep 12\n"),
+        ("sim.py", "import os, sys\n\nprint(1, 2, 3)\n"),
+        ("README.md", "# Frames\n\n1. one\n2. two\n"),
+        ("Makefile", "all: 1 2 3\n\techo 1, 2, 3\n"),
+        ("scene.json", "{\"gravity\": [0, -9.81, 0]}\n"),
+    ];
+    for (name, text) in others {
+        fs::write(path.join(name), text).expect("written");
+    }
+    // Tables whose names say nothing are frames, whatever they are called.
+    fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
+    fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
+    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    assert!(ran.out.contains("passed over 6 other files"), "{}", ran.out);
+    assert_eq!(names_in(&path.join("o")), ["bare.ply", "dam.1.ply", "dam.2.ply", "table.ply"]);
+}
+
+#[test]
 #[cfg(target_os = "linux")]
 fn a_file_that_cannot_be_looked_at_is_told() {
     let folder = folder();
