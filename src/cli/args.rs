@@ -230,6 +230,7 @@ Choosing the voxel size and the radii:
     --voxel-size 0.0125 --radius-min 0.0433 --radius-init 0.065
 
 Exit status:
-  0  every frame was converted, or was done already
-  1  some frames failed; each is named, with why, and the others are there
-  2  the command cannot be carried out, or no frame was converted";
+  0    every frame was converted, or was done already
+  1    some frames failed; each is named, with why, and the others are there
+  2    the command cannot be carried out, or no frame was converted
+  130  interrupted: what is there is whole, and --skip-done goes on from it";

@@ -1,6 +1,5 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -11,8 +10,8 @@ use meniscus_formats::{gltf, vdb};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::{
-    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, FrameReport, LevelSetSkinning, OnError, Outcome,
-    OutputFormat, OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
+    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputFormat,
+    OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
 };
 use crate::settings::{Choices, Contouring, Integrator, Settings};
 
@@ -23,6 +22,9 @@ use super::args::{
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
+use super::interrupt::clean_up_when_interrupted;
+use super::out_folder::OutFolder;
+use super::wording::{counted, described, notes, significant};
 
 /// Converts what the arguments ask for.
 ///
@@ -30,20 +32,35 @@ use super::inputs::find_inputs;
 /// When nothing can be done at all. A frame that fails is no error here: it is told, and counted.
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdict> {
     let start = Instant::now();
-    let sequences = find_sequences(args, console)?;
+    clean_up_when_interrupted();
+    let Selection { sequences, found } = select_frames(args, console)?;
+    warn_of_what_is_ignored(args, console);
     let outputs = output_options(args);
-    refuse_conflicts(&sequences, &outputs, args.report.as_deref())?;
+    let out_folder = OutFolder::make(&outputs.folder)
+        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    refuse_conflicts(&sequences, &found, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
 
-    let mut run = Run::new(pool.current_num_threads());
+    let on_error = match args.on_error {
+        OnErrorChoice::Stop => OnError::Stop,
+        OnErrorChoice::Continue => OnError::Continue,
+    };
+    let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
-        match resolve_settings(sequence, args, &pool, console)? {
-            Ok((settings, record)) => run.add_frames(sequence, &Arc::new(settings), record),
-            Err(why) => run.add_failures(sequence, &why, console),
-        }
+        let settings = resolve_settings(sequence, args, &pool, console)?;
+        run.add(sequence, settings);
     }
-    run.convert(args, &pool, &outputs, console);
+    out_folder.keep();
+    run.convert(args.skip_done, &pool, &outputs, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
+}
+
+/// What to convert.
+struct Selection {
+    /// At least one.
+    sequences: Vec<SelectedSequence>,
+    /// Every file that the inputs stand for, selected or not.
+    found: Vec<PathBuf>,
 }
 
 /// A sequence, and which of its frames to convert.
@@ -53,13 +70,16 @@ struct SelectedSequence {
     selected: Vec<FrameFile>,
 }
 
-fn find_sequences(args: &ConvertArgs, console: &mut Console) -> Result<Vec<SelectedSequence>> {
+fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection> {
     let found = find_inputs(&args.inputs)?;
+    for warning in &found.warnings {
+        console.warn(format_args!("warning: {warning}"));
+    }
     if found.passed_over_count > 0 {
         let passed_over = counted(found.passed_over_count, "other file");
         console.say(format_args!("passed over {passed_over}: no frames of particles"));
     }
-    let found_count = found.files.len();
+    let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences: Vec<SelectedSequence> = pipeline::sequences(found.files)
         .into_iter()
         .map(|sequence| {
@@ -70,13 +90,19 @@ fn find_sequences(args: &ConvertArgs, console: &mut Console) -> Result<Vec<Selec
         .filter(|sequence: &SelectedSequence| !sequence.selected.is_empty())
         .collect();
     if sequences.is_empty() {
-        bail!("--frames selects none of the {found_count} frames");
+        bail!("--frames selects none of the {} frames", paths.len());
     }
-    Ok(sequences)
+    Ok(Selection { sequences, found: paths })
 }
 
 fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
     selection.is_none_or(|selection| file.number().is_some_and(|number| selection.contains(number)))
+}
+
+fn warn_of_what_is_ignored(args: &ConvertArgs, console: &Console) {
+    if args.solver.cg_tolerance.is_some() && args.solver.integrator != IntegratorChoice::Implicit {
+        console.warn("warning: --cg-tolerance is ignored: it is for --integrator implicit only");
+    }
 }
 
 fn output_options(args: &ConvertArgs) -> OutputOptions {
@@ -109,28 +135,23 @@ fn output_options(args: &ConvertArgs) -> OutputOptions {
     }
 }
 
-/// Makes the folder, and makes sure that nothing written there or to the report is lost or loses
-/// something else.
+/// Makes sure that nothing written to the folder of the outputs, which exists, or to the report is
+/// lost or loses something else: also what was found but not selected must stay.
 fn refuse_conflicts(
     sequences: &[SelectedSequence],
+    found: &[PathBuf],
     outputs: &OutputOptions,
     report: Option<&Path>,
 ) -> Result<()> {
-    let folder = &outputs.folder;
-    // First, because only then is it known where the folder's path leads.
-    fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     if let Some(report_folder) = report.and_then(Path::parent)
         && !report_folder.as_os_str().is_empty()
         && !report_folder.is_dir()
     {
         bail!("{}: there is no such folder for the report", report_folder.display());
     }
-    // Also the frames that were not selected must stay.
-    let inputs: Vec<PathBuf> =
-        sequences.iter().flat_map(|s| &s.sequence.frames).map(|file| file.path.clone()).collect();
     let planned: Vec<(PathBuf, String)> =
         sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
-    Ok(check_outputs(&planned, &inputs, outputs, report)?)
+    Ok(check_outputs(&planned, found, outputs, report)?)
 }
 
 fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
@@ -200,90 +221,137 @@ fn say_settings(
     console: &mut Console,
 ) {
     let frames = counted(selected_count, "frame");
-    let origin = automatic.map_or(String::new(), |automatic| {
-        let measured_on = automatic.measured_on.file_name().unwrap_or_default().to_string_lossy();
-        format!(" (half the particle spacing {}, measured on {measured_on})", automatic.spacing)
-    });
+    let voxel_size = match automatic {
+        None => settings.voxel_size.to_string(),
+        Some(automatic) => format!(
+            "{} (half the particle spacing {}, measured on {})",
+            significant(automatic.voxel_size),
+            significant(automatic.spacing),
+            automatic.measured_on.file_name().unwrap_or_default().to_string_lossy()
+        ),
+    };
+    let [radius_min, radius_init, radius_max] =
+        [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
     console.say(format_args!(
-        "{}: {frames}, voxel size {}{origin}, radii {:.6} / {:.6} / {:.6}",
-        sequence.name, settings.voxel_size, settings.radius_min, settings.radius_init, settings.radius_max
+        "{}: {frames}, voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}",
+        sequence.name
     ));
+}
+
+/// A frame that was asked for.
+struct PlannedFrame {
+    input: PathBuf,
+    /// Its sequence's index in the record.
+    sequence_index: usize,
+    /// What to do with it, or why its sequence has no settings.
+    work: Result<Frame, String>,
 }
 
 /// The frames on their way, and what became of them.
 struct Run {
-    frames: Vec<Frame>,
-    /// For each frame its sequence's index in the record.
-    sequence_of: Vec<usize>,
+    /// In the order of the inputs.
+    planned: Vec<PlannedFrame>,
+    /// As many of them, from the first, have an outcome.
+    noted_count: usize,
+    sequence_names: Vec<String>,
+    on_error: OnError,
     record: RunRecord,
-    frame_count: usize,
     done_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
 }
 
 impl Run {
-    fn new(thread_count: usize) -> Run {
+    fn new(thread_count: usize, on_error: OnError) -> Run {
         Run {
-            frames: Vec::new(),
-            sequence_of: Vec::new(),
+            planned: Vec::new(),
+            noted_count: 0,
+            sequence_names: Vec::new(),
+            on_error,
             record: RunRecord::new(thread_count),
-            frame_count: 0,
             done_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
         }
     }
 
-    fn add_frames(&mut self, sequence: &SelectedSequence, settings: &Arc<Settings>, record: SequenceRecord) {
-        let sequence_index = self.record.add_sequence(record);
-        for file in &sequence.selected {
-            let settings = Arc::clone(settings);
-            self.frames.push(Frame { input: file.path.clone(), stem: file.stem(), settings });
-            self.sequence_of.push(sequence_index);
-        }
-        self.frame_count += sequence.selected.len();
-    }
-
-    fn add_failures(&mut self, sequence: &SelectedSequence, why: &str, console: &mut Console) {
+    fn add(&mut self, sequence: &SelectedSequence, settings: Result<(Settings, SequenceRecord), String>) {
         let name = &sequence.sequence.name;
-        let sequence_index = self.record.add_sequence(SequenceRecord::without_settings(name, why));
+        let (settings, record) = match settings {
+            Ok((settings, record)) => (Ok(Arc::new(settings)), record),
+            Err(why) => (Err(why.clone()), SequenceRecord::without_settings(name, &why)),
+        };
+        let sequence_index = self.record.add_sequence(record);
+        self.sequence_names.push(name.clone());
         for file in &sequence.selected {
-            self.record.add_failed(&file.path, sequence_index, why);
-            self.failures.push(format!("{}: {why}", file.path.display()));
+            let frame = |settings| Frame { input: file.path.clone(), stem: file.stem(), settings };
+            let work = settings.clone().map(frame);
+            self.planned.push(PlannedFrame { input: file.path.clone(), sequence_index, work });
         }
-        self.frame_count += sequence.selected.len();
-        console.warn(format_args!("error: {name}: {why}"));
     }
 
     fn convert(
         &mut self,
-        args: &ConvertArgs,
+        skip_done: bool,
         pool: &ThreadPool,
         outputs: &OutputOptions,
         console: &mut Console,
     ) {
-        let on_error = match args.on_error {
-            OnErrorChoice::Stop => OnError::Stop,
-            OnErrorChoice::Continue => OnError::Continue,
+        let planned = std::mem::take(&mut self.planned);
+        let begin_count = match self.on_error {
+            OnError::Continue => planned.len(),
+            // Nothing behind a frame that is known to fail is begun.
+            OnError::Stop => planned.iter().position(|p| p.work.is_err()).unwrap_or(planned.len()),
         };
-        let frames = std::mem::take(&mut self.frames);
-        if on_error == OnError::Stop && !self.failures.is_empty() {
-            for (index, frame) in frames.iter().enumerate() {
-                self.note(frame, index, &Outcome::NotStarted, false, console);
-            }
-            return;
-        }
-        let conduct = Conduct { pool, outputs, on_error, skip_done: args.skip_done };
+        let (places, frames): (Vec<usize>, Vec<Frame>) = planned[..begin_count]
+            .iter()
+            .enumerate()
+            .filter_map(|(place, planned)| Some((place, planned.work.as_ref().ok()?.clone())))
+            .unzip();
+        let conduct = Conduct { pool, outputs, on_error: self.on_error, skip_done };
         let has_bar = console.show_bar(frames.len());
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
-            self.note(&frames[index], index, &outcome, has_bar, console);
+            // The record and what is told have the order of the inputs.
+            self.note_without_outcome(&planned[self.noted_count..places[index]], console);
+            self.note(&frames[index], planned[places[index]].sequence_index, &outcome, has_bar, console);
         });
         console.hide_bar();
+        self.note_without_outcome(&planned[self.noted_count..], console);
     }
 
-    fn note(&mut self, frame: &Frame, index: usize, outcome: &Outcome, has_bar: bool, console: &mut Console) {
-        self.record.add_frame(frame, self.sequence_of[index], outcome);
+    /// Notes frames that never went into the pipeline.
+    fn note_without_outcome(&mut self, planned: &[PlannedFrame], console: &Console) {
+        let mut told = None;
+        for PlannedFrame { input, sequence_index, work } in planned {
+            let is_stopped = self.on_error == OnError::Stop && !self.failures.is_empty();
+            match work {
+                Err(why) if !is_stopped => {
+                    // It is the same for all frames of a sequence.
+                    if told.replace(*sequence_index) != Some(*sequence_index) {
+                        console.warn(format_args!("error: {}: {why}", self.sequence_names[*sequence_index]));
+                    }
+                    self.record.add_failed(input, *sequence_index, why);
+                    self.failures.push(format!("{}: {why}", input.display()));
+                }
+                _ => {
+                    self.record.add_not_started(input, *sequence_index);
+                    self.not_started_count += 1;
+                }
+            }
+        }
+        self.noted_count += planned.len();
+    }
+
+    fn note(
+        &mut self,
+        frame: &Frame,
+        sequence_index: usize,
+        outcome: &Outcome,
+        has_bar: bool,
+        console: &mut Console,
+    ) {
+        self.noted_count += 1;
+        self.record.add_frame(frame, sequence_index, outcome);
         let name = frame.input.display();
         match outcome {
             Outcome::Converted(report) => {
@@ -313,7 +381,7 @@ impl Run {
     /// The summary, the report and the verdict.
     fn finish(self, report: Option<&Path>, seconds: f64, console: &mut Console) -> Result<Verdict> {
         let failed_count = self.failures.len();
-        let mut summary = format!("{}: {} done", counted(self.frame_count, "frame"), self.done_count);
+        let mut summary = format!("{}: {} done", counted(self.noted_count, "frame"), self.done_count);
         if failed_count > 0 {
             summary += &format!(", {failed_count} failed");
         }
@@ -322,7 +390,7 @@ impl Run {
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
         // One frame's error has just been told; those of many have scrolled away.
-        if self.frame_count > 1 {
+        if self.noted_count > 1 {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }
@@ -338,54 +406,5 @@ impl Run {
             (_, 0) => Verdict::NothingDone,
             _ => Verdict::SomeFailed,
         })
-    }
-}
-
-/// One line about a frame that was converted.
-fn described(report: &FrameReport) -> String {
-    let skin = &report.skin;
-    let seconds = report.read_seconds
-        + skin.seconds.rasterize
-        + skin.seconds.smooth
-        + skin.seconds.contour
-        + report.write_seconds;
-    format!(
-        "{}, {}, {}, {seconds:.2} s",
-        counted(skin.particle_count, "particle"),
-        counted(skin.mesh.vertex_count, "vertex"),
-        counted(skin.mesh.triangle_count, "triangle"),
-    )
-}
-
-/// What a user should know of a frame though it was converted.
-fn notes(report: &FrameReport) -> Vec<String> {
-    let mut notes = report.notes.clone();
-    let skin = &report.skin;
-    if skin.dropped_count > 0 {
-        notes.push(format!(
-            "{} left out: not finite, or too far away for the grid",
-            counted(skin.dropped_count, "particle")
-        ));
-    }
-    if skin.convergence.is_some_and(|convergence| !convergence.reached) {
-        notes.push("the conjugate gradients did not reach their tolerance".to_owned());
-    }
-    if skin.cfl_exceeded_count > 0 {
-        notes.push(format!(
-            "{} went beyond the CFL bound (Eq. 8): choose a smaller --step-size",
-            counted(skin.cfl_exceeded_count, "explicit step")
-        ));
-    }
-    if !skin.certificate.holds() {
-        notes.push(format!("the result breaks its own guarantees: {:?}", skin.certificate));
-    }
-    notes
-}
-
-fn counted(count: usize, noun: &str) -> String {
-    match (count, noun) {
-        (1, _) => format!("1 {noun}"),
-        (_, "vertex") => format!("{count} vertices"),
-        _ => format!("{count} {noun}s"),
     }
 }

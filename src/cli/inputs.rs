@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::MatchOptions;
-use meniscus_formats::{Kind, probe};
+use meniscus_formats::looks_like_particles;
 
 use crate::pipeline::{FrameFile, has_particle_extension};
 
@@ -30,6 +30,8 @@ pub(super) struct Found {
     pub(super) files: Vec<FrameFile>,
     /// Files in folders that are no frames.
     pub(super) passed_over_count: usize,
+    /// What could not be looked at, a sentence each.
+    pub(super) warnings: Vec<String>,
 }
 
 /// As much as tells what a file is.
@@ -61,10 +63,10 @@ impl Found {
         let count_before = self.files.len();
         let file_count = files.len();
         for path in files {
-            if is_frame(&path) {
-                self.files.push(FrameFile::new(path));
-            } else {
-                self.passed_over_count += 1;
+            match is_frame(&path) {
+                Ok(true) => self.files.push(FrameFile::new(path)),
+                Ok(false) => self.passed_over_count += 1,
+                Err(error) => self.warnings.push(cannot_read(&path, &error)),
             }
         }
         if self.files.len() == count_before {
@@ -89,8 +91,8 @@ impl Found {
                 );
             }
         } else if pattern.contains(['*', '?', '[']) {
-            let paths = glob::glob_with(pattern, GLOB_OPTIONS).with_context(|| pattern.to_owned())?;
-            self.files.extend(paths.flatten().filter(|path| path.is_file()).map(FrameFile::new));
+            let paths = self.matching(pattern)?;
+            self.files.extend(paths.into_iter().filter(|path| path.is_file()).map(FrameFile::new));
         } else {
             bail!("{pattern}: no such file or folder");
         }
@@ -101,7 +103,7 @@ impl Found {
     }
 
     fn add_numbered(&mut self, input: &Path, number: &NumberPattern<'_>) -> Result<()> {
-        for folder in folders(input.parent().unwrap_or(Path::new("")))? {
+        for folder in self.folders(input.parent().unwrap_or(Path::new("")))? {
             for path in files_in(&folder).with_context(|| input.display().to_string())? {
                 let span =
                     path.file_name().and_then(|name| name.to_str()).and_then(|name| number.span_in(name));
@@ -112,6 +114,30 @@ impl Found {
         }
         Ok(())
     }
+
+    /// The folders that the folder part of a pattern stands for.
+    fn folders(&mut self, pattern: &Path) -> Result<Vec<PathBuf>> {
+        if pattern.as_os_str().is_empty() || pattern.is_dir() {
+            return Ok(vec![pattern.to_owned()]);
+        }
+        let mut paths = self.matching(&pattern.to_string_lossy())?;
+        paths.retain(|path| path.is_dir());
+        Ok(paths)
+    }
+
+    /// What matches a glob. A folder that cannot be looked into costs itself only.
+    fn matching(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
+        let paths = glob::glob_with(pattern, GLOB_OPTIONS).with_context(|| pattern.to_owned())?;
+        let warnings = &mut self.warnings;
+        let found = paths.filter_map(|path| {
+            path.map_err(|error| warnings.push(cannot_read(error.path(), error.error()))).ok()
+        });
+        Ok(found.collect())
+    }
+}
+
+fn cannot_read(path: &Path, error: &io::Error) -> String {
+    format!("{}: left out, because it cannot be read: {error}", path.display())
 }
 
 /// A file name with a frame number somewhere in it.
@@ -169,39 +195,19 @@ fn placeholder_at(text: &str) -> Option<(usize, usize)> {
 
 /// Whether a file of a folder is a frame: by its content, or by a name that promises one, so that
 /// a broken frame is an error and not passed over.
-fn is_frame(path: &Path) -> bool {
+///
+/// # Errors
+/// When only the content can tell, and it cannot be read.
+fn is_frame(path: &Path) -> io::Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let promises = has_particle_extension(&name) && !has_plain_text_extension(&name);
-    promises || head_is_of_particles(path, &name).unwrap_or(false)
+    Ok(promises || head_is_of_particles(path, &name)?)
 }
 
 fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
     let mut head = Vec::new();
     File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
-    Ok(is_of_particles(probe(&head, name).kind))
-}
-
-fn is_of_particles(kind: Kind) -> bool {
-    match kind {
-        Kind::Ply
-        | Kind::ClassicBgeo
-        | Kind::ClassicGeo
-        | Kind::HoudiniJsonBinary
-        | Kind::HoudiniJsonText
-        | Kind::HoudiniSc
-        | Kind::VtkLegacy
-        | Kind::VtkXml
-        | Kind::Delimited
-        | Kind::Npy => true,
-        Kind::OpenVdb
-        | Kind::Glb
-        | Kind::GltfJson
-        | Kind::Obj
-        | Kind::Foreign(_)
-        | Kind::Empty
-        | Kind::UnknownText
-        | Kind::Unknown => false,
-    }
+    Ok(looks_like_particles(&head, name))
 }
 
 /// Names that readme files and logs have, too.
@@ -209,16 +215,6 @@ fn has_plain_text_extension(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     let name = name.strip_suffix(".gz").unwrap_or(&name);
     [".txt", ".dat", ".asc"].iter().any(|extension| name.ends_with(extension))
-}
-
-/// The folders that the folder part of a pattern stands for.
-fn folders(pattern: &Path) -> Result<Vec<PathBuf>> {
-    if pattern.as_os_str().is_empty() || pattern.is_dir() {
-        return Ok(vec![pattern.to_owned()]);
-    }
-    let text = pattern.to_string_lossy();
-    let paths = glob::glob_with(&text, GLOB_OPTIONS).with_context(|| text.clone().into_owned())?;
-    Ok(paths.flatten().filter(|path| path.is_dir()).collect())
 }
 
 /// The files in a folder that are not hidden.

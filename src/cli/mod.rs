@@ -9,6 +9,9 @@ mod convert;
 mod frame_selection;
 mod info;
 mod inputs;
+mod interrupt;
+mod out_folder;
+mod wording;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

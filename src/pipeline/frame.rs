@@ -133,4 +133,11 @@ impl fmt::Display for FrameError {
     }
 }
 
-impl std::error::Error for FrameError {}
+impl std::error::Error for FrameError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match &self.cause {
+            Cause::File(source) => Some(source),
+            Cause::Panic(_) => None,
+        }
+    }
+}

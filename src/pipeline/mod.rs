@@ -29,7 +29,7 @@ pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, Stage};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
 pub use reading::{ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
-pub use sink::write_whole;
+pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
 pub use stages::{Conduct, LevelSetSkinning, Method, OnError, run};
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};

@@ -49,7 +49,7 @@ pub(super) fn provenance(
         ("input", input.name.clone()),
         ("input_hash", format!("xxh3-128:{:032x}", input.hash)),
     ];
-    pairs.extend(settings_pairs(settings));
+    pairs.extend(settings_pairs(settings, format));
     match format {
         OutputFormat::Vdb => {
             pairs.push(("half", options.vdb_half.to_string()));
@@ -72,8 +72,10 @@ pub(super) fn is_done(frame: &Frame, input: &InputIdentity, options: &OutputOpti
     })
 }
 
-/// Every number of the settings, in the shortest form that reads back as the same number.
-pub(super) fn settings_pairs(settings: &Settings) -> Vec<(&'static str, String)> {
+/// Every setting that matters to an output in `format`, numbers in the shortest form that reads
+/// back as the same number. What does not matter is left out: changing it would make the same bytes
+/// again.
+fn settings_pairs(settings: &Settings, format: OutputFormat) -> Vec<(&'static str, String)> {
     let Settings {
         voxel_size,
         radius_min,
@@ -87,7 +89,7 @@ pub(super) fn settings_pairs(settings: &Settings) -> Vec<(&'static str, String)>
         cg_tolerance,
         contouring,
     } = settings;
-    vec![
+    let mut pairs = vec![
         ("voxel_size", voxel_size.to_string()),
         ("radius_min", radius_min.to_string()),
         ("radius_init", radius_init.to_string()),
@@ -97,9 +99,15 @@ pub(super) fn settings_pairs(settings: &Settings) -> Vec<(&'static str, String)>
         ("steps", steps.to_string()),
         ("step_size", step_size.to_string()),
         ("redistance_every", redistance_every.to_string()),
-        ("cg_tolerance", cg_tolerance.to_string()),
-        ("contour", contouring_name(*contouring).to_owned()),
-    ]
+    ];
+    if *integrator == Integrator::Implicit {
+        pairs.push(("cg_tolerance", cg_tolerance.to_string()));
+    }
+    // A level set is written as it is, before it becomes a mesh.
+    if format != OutputFormat::Vdb {
+        pairs.push(("contour", contouring_name(*contouring).to_owned()));
+    }
+    pairs
 }
 
 /// As it is typed.

@@ -98,6 +98,7 @@ struct MeasuredRecord {
     triangles: usize,
     boundary_edges: usize,
     non_manifold_edges: usize,
+    non_manifold_vertices: usize,
     degenerate_triangles: usize,
     components: usize,
     euler_characteristic: i64,
@@ -111,6 +112,9 @@ struct ConvergenceRecord {
     reached: bool,
 }
 
+/// Wall-clock seconds. Frames overlap: a stage that waits for its threads may do other frames' work
+/// meanwhile, and what is here can add up to more than the run took. Time by itself is that of a run
+/// of one frame.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct SecondsRecord {
     read: f64,
@@ -129,6 +133,8 @@ struct CertificateRecord {
     vertices_inside_min: usize,
     vertices_outside_max: usize,
     particles_outside: usize,
+    /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
+    closed_manifold: bool,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -159,7 +165,7 @@ impl RunRecord {
         self.settings.len() - 1
     }
 
-    /// Adds a frame that went through the pipeline.
+    /// Adds a frame that went through the pipeline. Frames are reported in the order they are added.
     pub fn add_frame(&mut self, frame: &Frame, sequence_index: usize, outcome: &Outcome) {
         let (status, measured, error) = match outcome {
             Outcome::Converted(report) => (Status::Converted, Some(measured(report)), None),
@@ -184,6 +190,17 @@ impl RunRecord {
             status: Status::Failed,
             measured: None,
             error: Some(why.to_owned()),
+        });
+    }
+
+    /// Adds a frame that was not attempted.
+    pub fn add_not_started(&mut self, input: &Path, sequence_index: usize) {
+        self.add(FrameRecord {
+            input: text(input),
+            settings: sequence_index,
+            status: Status::NotStarted,
+            measured: None,
+            error: None,
         });
     }
 
@@ -289,6 +306,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         triangles: mesh.triangle_count,
         boundary_edges: mesh.boundary_edge_count,
         non_manifold_edges: mesh.non_manifold_edge_count,
+        non_manifold_vertices: mesh.non_manifold_vertex_count,
         degenerate_triangles: mesh.degenerate_triangle_count,
         components: mesh.component_count,
         euler_characteristic: mesh.euler_characteristic,
@@ -305,6 +323,7 @@ fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_outside: certificate.particles_outside,
+        closed_manifold: report.mesh.is_closed_manifold(),
     }
 }
 

@@ -1,18 +1,25 @@
 //! Files that appear whole or not at all.
 //!
 //! ```text
-//!   .dam.0012.glb.tmp-4711   written, flushed, on the disk
+//!   .dam.0012.glb.tmp-9f3c…  written, flushed, on the disk
 //!            │ rename
 //!            ▼
 //!   dam.0012.glb             never seen half written, whatever stops the program
 //! ```
 //!
 //! The temporary file lies in the same folder, so that the rename stays within one file system.
-//! Its name begins with a dot: programs that watch for frames do not take it for one.
+//! Its name begins with a dot: programs that watch for frames do not take it for one. It ends in a
+//! random number, because several machines may write into one shared folder, and what another one
+//! is writing must not be touched.
+//!
+//! A program that is about to be stopped takes its temporary files with it, by [`stop_writing`].
 
+use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
+use std::hash::{BuildHasher, RandomState};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::Result;
 
@@ -35,45 +42,90 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Resu
     temporary.rename_to(path)
 }
 
+/// Removes all files that are not yet whole, and lets no other begin: for a process that ends at
+/// once. Whoever is writing waits from now on.
+pub fn stop_writing() {
+    let under_way = under_way();
+    for path in under_way.iter() {
+        // There is nobody left to tell.
+        let _ = fs::remove_file(path);
+    }
+    std::mem::forget(under_way);
+}
+
 /// A file that is removed unless it is renamed: also when the writer panics.
 struct Temporary {
-    path: Option<PathBuf>,
+    path: PathBuf,
 }
 
 impl Temporary {
     fn create(path: &Path) -> io::Result<(Temporary, File)> {
-        let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?;
-        let name = format!(".{}.tmp-{}", name.to_string_lossy(), std::process::id());
-        let temporary = path.with_file_name(name);
-        // Never through a link that somebody else laid there: only ever a new file.
-        let create = || OpenOptions::new().write(true).create_new(true).open(&temporary);
-        let file = match create() {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                fs::remove_file(&temporary)?;
-                create()?
-            }
-            other => other?,
-        };
-        Ok((Temporary { path: Some(temporary) }, file))
+        let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
+        Temporary::create_named(path, || temporary_name(&name, random_number()))
     }
 
-    fn rename_to(mut self, path: &Path) -> Result<()> {
-        if let Some(temporary) = &self.path {
-            fs::rename(temporary, path)?;
-            self.path = None;
+    /// Creates a file beside `path`, under the first of these names that is not taken.
+    fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<(Temporary, File)> {
+        // Locked until the file is known: a stop misses none.
+        let mut under_way = under_way();
+        let mut attempt_count = 0;
+        loop {
+            let temporary = path.with_file_name(next_name());
+            attempt_count += 1;
+            // Only ever a new file: never one that somebody else is writing, and never through a
+            // link that somebody laid there.
+            match OpenOptions::new().write(true).create_new(true).open(&temporary) {
+                Ok(file) => {
+                    under_way.insert(temporary.clone());
+                    return Ok((Temporary { path: temporary }, file));
+                }
+                Err(error)
+                    if error.kind() == io::ErrorKind::AlreadyExists && attempt_count < ATTEMPTS_MAX => {}
+                Err(error) => return Err(error),
+            }
         }
-        Ok(())
+    }
+
+    fn rename_to(self, path: &Path) -> Result<()> {
+        Ok(fs::rename(&self.path, path)?)
     }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if let Some(path) = &self.path {
-            // The error that led here is the one worth telling.
-            let _ = fs::remove_file(path);
-        }
+        // Renamed, it is not there any more. And if it cannot be removed, the error that led here
+        // is the one worth telling.
+        let _ = fs::remove_file(&self.path);
+        under_way().remove(&self.path);
     }
 }
+
+/// The temporary files there are.
+fn under_way() -> MutexGuard<'static, HashSet<PathBuf>> {
+    static UNDER_WAY: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
+    // A set of names is in order whatever panicked beside it.
+    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A hidden name for what will be called `name`; as much of that as fits.
+fn temporary_name(name: &str, number: u64) -> String {
+    let suffix = format!(".tmp-{number:016x}");
+    let bytes_max = NAME_BYTES_MAX - 1 - suffix.len();
+    let kept_bytes = (0..=bytes_max.min(name.len())).rev().find(|&end| name.is_char_boundary(end));
+    format!(".{}{suffix}", &name[..kept_bytes.unwrap_or(0)])
+}
+
+/// Another number at each call, in each process and on each machine.
+fn random_number() -> u64 {
+    // The keys of hash maps come from the system's randomness.
+    RandomState::new().hash_one(std::process::id())
+}
+
+/// The longest file name on most file systems.
+const NAME_BYTES_MAX: usize = 255;
+
+/// Random names that are taken one after the other mean that something else is wrong.
+const ATTEMPTS_MAX: usize = 16;
 
 #[cfg(test)]
 mod tests {
@@ -133,13 +185,39 @@ mod tests {
         let precious = folder.path().join("precious");
         fs::write(&precious, "precious").expect("written");
         let path = folder.path().join("a.glb");
-        let temporary = folder.path().join(format!(".a.glb.tmp-{}", std::process::id()));
-        for link in [&path, &temporary] {
-            std::os::unix::fs::symlink(&precious, link).expect("linked");
-        }
+        std::os::unix::fs::symlink(&precious, &path).expect("linked");
         write(&path, "text").expect("written");
         assert_eq!(fs::read_to_string(&precious).expect("readable"), "precious");
         assert!(!path.is_symlink());
-        assert!(!temporary.is_symlink());
+    }
+
+    #[test]
+    fn what_somebody_else_is_writing_is_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        let taken = folder.path().join(temporary_name("a.glb", 0));
+        fs::write(&taken, "of somebody else").expect("written");
+        let mut number = 0;
+        let mut count_up = || {
+            number += 1;
+            temporary_name("a.glb", number - 1)
+        };
+        let (temporary, _file) = Temporary::create_named(&path, &mut count_up).expect("created");
+        assert_eq!(temporary.path, folder.path().join(temporary_name("a.glb", 1)));
+        drop(temporary);
+        assert_eq!(fs::read_to_string(&taken).expect("still there"), "of somebody else");
+        assert_eq!(names_in(folder.path()).len(), 1);
+        let always_taken = Temporary::create_named(&path, || temporary_name("a.glb", 0));
+        assert_eq!(always_taken.err().map(|error| error.kind()), Some(io::ErrorKind::AlreadyExists));
+    }
+
+    #[test]
+    fn long_names_are_no_hindrance() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["a".repeat(251) + ".glb", "ü".repeat(125) + ".glb"] {
+            write(&folder.path().join(&name), "text").expect("written");
+            assert!(temporary_name(&name, u64::MAX).len() <= NAME_BYTES_MAX);
+        }
+        assert_eq!(names_in(folder.path()).len(), 2);
     }
 }

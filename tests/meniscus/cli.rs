@@ -45,7 +45,8 @@ fn what_makes_no_sense_is_refused() {
         (&["dam.1.ply", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),
         (&["dam.1.ply", "--report", "missing/report.json"], &["missing"]),
     ] {
-        assert_refused(path, &[&["convert", "--out", "o"], arguments].concat(), words);
+        assert_refused(path, &[&["convert", "--out", "o/deep"], arguments].concat(), words);
+        assert!(!path.join("o").exists(), "{arguments:?} left the folder that it made");
     }
 }
 
@@ -78,7 +79,16 @@ fn inputs_are_never_replaced() {
     refused(&["dam.2.ply", "--report", "dam.2.ply", "--out", "out"]);
     // A frame of the sequence that is not converted stays, too.
     refused(&["dam.#.ply", "--frames", "1", "--report", "dam.3.ply", "--out", "out"]);
-    assert_eq!(fs::read(path.join("dam.1.ply")).expect("readable"), before);
+    // A named input whose number is not selected, and which is of another sequence.
+    for (from, to) in [("dam.1.ply", "a3_9.ply"), ("dam.2.ply", "a3_9.csv")] {
+        fs::copy(path.join(from), path.join(to)).expect("copied");
+    }
+    let words = ["would replace the input", "a3_9.ply"];
+    let arguments = ["convert", "a{}_9.csv", "a3_9.ply", "--frames", "3", "--out", ".", "--format", "ply"];
+    assert_refused(path, &arguments, &words);
+    for copy in ["dam.1.ply", "a3_9.ply"] {
+        assert_eq!(fs::read(path.join(copy)).expect("readable"), before);
+    }
     assert_eq!(names_in(&path.join("out")), [""; 0]);
 }
 
@@ -121,7 +131,7 @@ fn two_inputs_never_become_one_output() {
     assert_refused(path, &["convert", "a", "b", "--out", "o"], &words);
     let arguments = ["convert", "a", "--out", "o", "--report", "o/dam.1.glb"];
     assert_refused(path, &arguments, &["the report", "would both become"]);
-    assert_eq!(names_in(&path.join("o")), [""; 0]);
+    assert!(!path.join("o").exists());
 }
 
 #[test]
@@ -182,6 +192,94 @@ fn warnings_name_the_sequence() {
     let arguments = ["convert", "dam.1.ply", "--out", "o", "--radius-min", "0.05"];
     let ran = meniscus(folder.path(), &arguments);
     assert_eq!(ran.err.matches("warning: dam.1.ply: r_min is").count(), 1, "{}", ran.err);
+}
+
+#[test]
+fn numbers_are_short_at_any_scale() {
+    let folder = folder();
+    write_ply(&folder.path().join("small.ply"), &block(6, 0.0).map_spacing(1e-6));
+    let ran = meniscus(folder.path(), &["convert", "small.ply", "--out", "o"]);
+    let line = ran.out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned();
+    let numbers: Vec<&str> = line.split([' ', ',', '(', ')']).filter(|word| word.contains("e-")).collect();
+    // The voxel size, the spacing and three radii.
+    assert_eq!(numbers.len(), 5, "{line}");
+    assert!(numbers.iter().all(|n| n.len() <= 10 && n.parse().is_ok_and(|n: f64| n > 0.0)), "{line}");
+}
+
+#[test]
+fn what_is_ignored_is_told() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    for integrator in ["fast", "explicit", "implicit"] {
+        let arguments = ["convert", "dam.1.ply", "--integrator", integrator, "--steps", "1"];
+        let rest = ["--cg-tolerance", "0.1", "--out", "o"];
+        let ran = meniscus(folder.path(), &[&arguments[..], &rest].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.contains("--cg-tolerance is ignored"), integrator != "implicit", "{}", ran.err);
+    }
+}
+
+#[test]
+fn what_lies_beside_the_frames_is_passed_over() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    let others = [
+        ("notes.txt", "Hello, this is a simulation of a dam, broken at 10 s.\nIt took 3 days, 2 hours.\n"),
+        ("run.log", "step 10\nstep 11\nstep 12\n"),
+        ("sim.py", "import os, sys\n\nprint(1, 2, 3)\n"),
+        ("README.md", "# Frames\n\n1. one\n2. two\n"),
+        ("Makefile", "all: 1 2 3\n\techo 1, 2, 3\n"),
+        ("scene.json", "{\"gravity\": [0, -9.81, 0]}\n"),
+    ];
+    for (name, text) in others {
+        fs::write(path.join(name), text).expect("written");
+    }
+    // Tables whose names say nothing are frames, whatever they are called.
+    fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
+    fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
+    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    assert!(ran.out.contains("passed over 6 other files"), "{}", ran.out);
+    assert_eq!(names_in(&path.join("o")), ["bare.ply", "dam.1.ply", "dam.2.ply", "table.ply"]);
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_file_that_cannot_be_looked_at_is_told() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 1);
+    // A plain file that nobody can read from its start.
+    std::os::unix::fs::symlink("/proc/self/mem", path.join("odd")).expect("linked");
+    let ran = meniscus(path, &["convert", ".", "--out", "o"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.err.contains("odd: left out, because it cannot be read: "), "{}", ran.err);
+    assert!(!ran.out.contains("passed over"), "{}", ran.out);
+}
+
+#[test]
+#[cfg(unix)]
+fn an_interrupted_run_leaves_nothing_half_written() {
+    use std::process::{Command, Stdio};
+    let folder = folder();
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &block(20, 0.0));
+    for signal in ["INT", "TERM"] {
+        // So many voxels that it takes minutes.
+        let arguments =
+            ["convert", "dam.1.ply", "--out", "o", "--integrator", "explicit", "--steps", "100000"];
+        let mut command = crate::scene::command(path, &arguments);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+        // It has told its settings: it is under way.
+        let mut first = [0];
+        std::io::Read::read_exact(child.stdout.as_mut().expect("its output"), &mut first).expect("a line");
+        let sent = Command::new("kill").args(["-s", signal, &child.id().to_string()]).status();
+        assert!(sent.expect("the signal is sent").success());
+        let status = child.wait().expect("it ends");
+        assert_eq!(status.code(), Some(if signal == "INT" { 130 } else { 143 }));
+        assert_eq!(names_in(&path.join("o")), [""; 0]);
+    }
 }
 
 /// Blocks at another scale.

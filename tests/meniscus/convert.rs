@@ -114,6 +114,47 @@ fn a_frame_that_fails_is_named_and_the_others_are_there() {
     assert!(ran.out.contains("1 done, 1 failed, 2 not started"), "{}", ran.out);
 }
 
+/// The statuses of all frames of a report, in its order.
+fn statuses<'a>(report: &'a Value) -> Vec<(&'a str, &'a str)> {
+    let frames = report["frames"].as_array().expect("frames");
+    let text = |value: &'a Value| value.as_str().expect("text");
+    frames.iter().map(|frame| (text(&frame["input"]), text(&frame["status"]))).collect()
+}
+
+#[test]
+fn a_sequence_without_settings_costs_itself_only() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for name in ["a.ply", "c.ply"] {
+        write_ply(&path.join(name), &block(6, 0.0));
+    }
+    for name in ["b.1.ply", "b.2.ply"] {
+        write_ply(&path.join(name), &block(2, 0.0));
+    }
+    for (on_error, b, c) in
+        [("continue", ["failed", "failed"], "converted"), ("stop", ["failed", "not_started"], "not_started")]
+    {
+        let arguments = ["a.ply", "b.1.ply", "b.2.ply", "c.ply", "--out", on_error, "--on-error", on_error];
+        let ran = convert(path, &[&arguments[..], &["--report", "report.json", "--format", "ply"]].concat());
+        assert_eq!(ran.status, 1, "{}", ran.err);
+        assert_eq!(ran.err.matches("error: b.{}.ply: no frame has the 33").count(), 1, "{}", ran.err);
+        let report = report(&path.join("report.json"));
+        let expected = [("a.ply", "converted"), ("b.1.ply", b[0]), ("b.2.ply", b[1]), ("c.ply", c)];
+        assert_eq!(statuses(&report), expected);
+        let written: Vec<&str> =
+            expected.iter().filter(|(_, s)| *s == "converted").map(|(n, _)| *n).collect();
+        assert_eq!(names_in(&path.join(on_error)), written);
+    }
+    // An earlier frame that fails is the end before that.
+    fs::write(path.join("a.ply"), "ply\nformat nonsense 1.0\n").expect("written");
+    let arguments = ["a.ply", "b.1.ply", "c.ply", "--out", "o", "--on-error", "stop", "--voxel-size", "0.1"];
+    let ran = convert(path, &[&arguments[..], &["--report", "report.json"]].concat());
+    assert_eq!(ran.status, 2, "{}", ran.err);
+    let report = report(&path.join("report.json"));
+    let expected = [("a.ply", "failed"), ("b.1.ply", "not_started"), ("c.ply", "not_started")];
+    assert_eq!(statuses(&report), expected);
+}
+
 #[test]
 fn what_is_done_is_not_done_again() {
     let folder = tempdir().expect("a folder");
@@ -126,6 +167,13 @@ fn what_is_done_is_not_done_again() {
     assert_eq!(converted(path, &arguments).matches("done already").count(), 1);
     let changed = [&arguments[..], &["--laplacian-steps", "3"]].concat();
     assert_eq!(converted(path, &changed).matches("done already").count(), 0);
+    // What does not matter to an output does not make it again.
+    let arguments = ["dam.#.ply", "--out", "v", "--skip-done", "--format", "vdb"];
+    converted(path, &arguments);
+    let contoured = [&arguments[..], &["--contour", "tetrahedra"]].concat();
+    assert_eq!(converted(path, &contoured).matches("done already").count(), 2);
+    let tolerance = [&arguments[..], &["--cg-tolerance", "0.1"]].concat();
+    assert_eq!(convert(path, &tolerance).out.matches("done already").count(), 2);
 }
 
 #[test]
@@ -161,6 +209,8 @@ fn the_report_says_what_was_measured() {
         assert!(frame["seconds"][stage].as_f64().is_some_and(|seconds| seconds > 0.0), "{stage}");
     }
     assert_eq!((&frame["boundary_edges"], &frame["non_manifold_edges"]), (&0.into(), &0.into()));
+    assert_eq!(frame["non_manifold_vertices"], 0);
     assert_eq!(frame["certificate"]["holds"], true, "{frame}");
+    assert_eq!(frame["certificate"]["closed_manifold"], true, "{frame}");
     assert_eq!((&report["summary"]["converted"], &report["summary"]["failed"]), (&2.into(), &0.into()));
 }

@@ -203,6 +203,7 @@ fn an_output_that_cannot_be_written_fails_its_frame() {
     assert_eq!(letters(&outcomes), "cfc");
     let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
     assert_eq!((error.during, error.path.clone()), (Stage::Write, bench.out().join("f.1.vdb")));
+    assert!(std::error::Error::source(error).is_some_and(|cause| cause.is::<meniscus_formats::Error>()));
     // What came before it is whole; it is made again, and so is the rest, once the way is free.
     assert!(bench.out().join("f.1.glb").exists());
     fs::remove_dir(bench.out().join("f.1.vdb")).expect("removed");

@@ -1,0 +1,153 @@
+//! Numbers and measurements in words.
+
+use crate::pipeline::FrameReport;
+use crate::report::SkinReport;
+
+/// One line about a frame that was converted.
+pub(super) fn described(report: &FrameReport) -> String {
+    let skin = &report.skin;
+    let seconds = report.read_seconds
+        + skin.seconds.rasterize
+        + skin.seconds.smooth
+        + skin.seconds.contour
+        + report.write_seconds;
+    format!(
+        "{}, {}, {}, {seconds:.2} s",
+        counted(skin.particle_count, "particle"),
+        counted(skin.mesh.vertex_count, "vertex"),
+        counted(skin.mesh.triangle_count, "triangle"),
+    )
+}
+
+/// What a user should know of a frame though it was converted.
+pub(super) fn notes(report: &FrameReport) -> Vec<String> {
+    let mut notes = report.notes.clone();
+    let skin = &report.skin;
+    if skin.dropped_count > 0 {
+        notes.push(format!(
+            "{} left out: not finite, or too far away for the grid",
+            counted(skin.dropped_count, "particle")
+        ));
+    }
+    if skin.convergence.is_some_and(|convergence| !convergence.reached) {
+        notes.push("the conjugate gradients did not reach their tolerance".to_owned());
+    }
+    if skin.cfl_exceeded_count > 0 {
+        notes.push(format!(
+            "{} went beyond the CFL bound (Eq. 8): choose a smaller --step-size",
+            counted(skin.cfl_exceeded_count, "explicit step")
+        ));
+    }
+    let broken = broken_guarantees(skin).into_iter();
+    notes.extend(broken.map(|what| format!("the result breaks a guarantee: {what}")));
+    notes
+}
+
+/// A sentence for each guarantee that does not hold.
+fn broken_guarantees(report: &SkinReport) -> Vec<String> {
+    let certificate = &report.certificate;
+    let mut broken = Vec::new();
+    if certificate.bound_violation_count > 0 {
+        let voxels = counted(certificate.bound_violation_count, "voxel");
+        broken.push(format!("the level set leaves its bounds (Eq. 6) at {voxels}"));
+    }
+    if certificate.vertices_inside_min > 0 {
+        broken.push(format!(
+            "{} of the mesh nearer than r_min to a particle by more than half a voxel, the nearest at {} voxels",
+            counted(certificate.vertices_inside_min, "vertex"),
+            significant(certificate.vertex_distance_min)
+        ));
+    }
+    if certificate.vertices_outside_max > 0 {
+        broken.push(format!(
+            "{} of the mesh farther than r_max from all particles by more than half a voxel, the farthest at {} voxels",
+            counted(certificate.vertices_outside_max, "vertex"),
+            significant(certificate.vertex_distance_max)
+        ));
+    }
+    if certificate.particles_outside > 0 {
+        broken.push(format!("{} outside the surface", counted(certificate.particles_outside, "particle")));
+    }
+    let mesh = &report.mesh;
+    if !mesh.is_closed_manifold() {
+        broken.push(format!(
+            "the mesh is not closed and manifold: {}, {}, {}, {}",
+            counted(mesh.boundary_edge_count, "boundary edge"),
+            counted(mesh.non_manifold_edge_count, "non-manifold edge"),
+            counted(mesh.non_manifold_vertex_count, "non-manifold vertex"),
+            counted(mesh.degenerate_triangle_count, "triangle without area"),
+        ));
+    }
+    broken
+}
+
+/// So many of something.
+pub(super) fn counted(count: usize, noun: &str) -> String {
+    if count == 1 {
+        return format!("1 {noun}");
+    }
+    match (noun.strip_suffix("vertex"), noun.strip_suffix("triangle without area")) {
+        (Some(before), _) => format!("{count} {before}vertices"),
+        (_, Some(_)) => format!("{count} triangles without area"),
+        _ => format!("{count} {noun}s"),
+    }
+}
+
+/// A number to six significant digits, without zeros that say nothing.
+pub(super) fn significant(value: f64) -> String {
+    // Rounded in decimal digits, and read back: printed again it has no more digits than these.
+    let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
+    let is_plain = rounded == 0.0 || !rounded.is_finite() || (1e-4..1e9).contains(&rounded.abs());
+    if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn six_digits_say_enough_at_any_magnitude() {
+        for (value, expected) in [
+            (0.0, "0"),
+            (0.5, "0.5"),
+            (1.0 / 3.0, "0.333333"),
+            (0.1 + 0.2, "0.3"),
+            (3f64.sqrt() * 0.025, "0.0433013"),
+            (3f64.sqrt() * 1e-7, "1.73205e-7"),
+            (1e-7, "1e-7"),
+            (-1234.5678, "-1234.57"),
+            (12_345_678.0, "12345700"),
+            (2.5e30, "2.5e30"),
+            (5e-324, "5e-324"),
+            (f64::MAX, "1.79769e308"),
+            (f64::INFINITY, "inf"),
+        ] {
+            assert_eq!(significant(value), expected);
+        }
+    }
+
+    #[test]
+    fn counts_agree_with_their_nouns() {
+        assert_eq!(counted(1, "vertex"), "1 vertex");
+        assert_eq!(counted(0, "non-manifold vertex"), "0 non-manifold vertices");
+        assert_eq!(counted(2, "triangle without area"), "2 triangles without area");
+        assert_eq!(counted(3, "frame"), "3 frames");
+    }
+
+    #[test]
+    fn guarantees_that_broke_are_sentences() {
+        let mut report = FrameReport::default();
+        assert_eq!(notes(&report), [""; 0]);
+        report.skin.certificate.particles_outside = 2;
+        report.skin.certificate.vertices_outside_max = 1;
+        report.skin.certificate.vertex_distance_max = 7.25;
+        report.skin.mesh.boundary_edge_count = 3;
+        let notes = notes(&report);
+        assert_eq!(notes.len(), 3, "{notes:?}");
+        assert!(
+            notes[0].contains("1 vertex of the mesh farther than r_max") && notes[0].contains("7.25 voxels")
+        );
+        assert!(notes[1].ends_with("2 particles outside the surface"));
+        assert!(notes[2].contains("3 boundary edges"));
+    }
+}
