@@ -92,7 +92,17 @@ fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection>
     if sequences.is_empty() {
         bail!("--frames selects none of the {} frames", paths.len());
     }
+    if let Some(selection) = &args.frames {
+        let numbers = sequences.iter().flat_map(|s| &s.selected).filter_map(FrameFile::number).collect();
+        for (range, count) in selection.missing(&numbers) {
+            console.warn(format_args!("warning: --frames {range}: {} not there", counted_are(count)));
+        }
+    }
     Ok(Selection { sequences, found: paths })
+}
+
+fn counted_are(count: u64) -> String {
+    if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }
 }
 
 fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
@@ -149,6 +159,12 @@ fn refuse_conflicts(
     {
         bail!("{}: there is no such folder for the report", report_folder.display());
     }
+    if let Some(report) = report
+        && let Ok(there) = report.metadata()
+        && !there.is_file()
+    {
+        bail!("{}: the report would replace what is there, which is no ordinary file", report.display());
+    }
     let planned: Vec<(PathBuf, String)> =
         sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
     Ok(check_outputs(&planned, found, outputs, report)?)
@@ -184,11 +200,36 @@ fn resolve_settings(
     let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(args))
         .with_context(|| sequence.name.clone())?;
     say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
+    if automatic.is_some() {
+        warn_of_siblings(sequence, console);
+    }
     for warning in settings.warnings() {
         console.warn(format_args!("warning: {}: {warning}", sequence.name));
     }
     let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref());
     Ok(Ok((settings, record)))
+}
+
+/// A frame converted without the rest of its sequence is measured by itself: other frames converted
+/// so get other settings, and the sequence flickers.
+fn warn_of_siblings(sequence: &Sequence, console: &Console) {
+    let [frame] = &sequence.frames[..] else { return };
+    if frame.number().is_none() {
+        return;
+    }
+    let folder =
+        frame.path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let Ok(entries) = std::fs::read_dir(folder) else { return };
+    let files = entries.flatten().map(|entry| FrameFile::new(folder.join(entry.file_name()))).collect();
+    let is_ours = |s: &Sequence| s.frames.iter().any(|file| file.name() == frame.name());
+    let count = pipeline::sequences(files).into_iter().find(is_ours).map_or(1, |s| s.frames.len());
+    if count > 1 {
+        console.warn(format_args!(
+            "warning: {}: its sequence has {count} frames, and its voxel size was measured on this one alone; \
+             name the whole sequence and pick with --frames, or give --voxel-size",
+            frame.name()
+        ));
+    }
 }
 
 fn choices(args: &ConvertArgs) -> Choices {
@@ -396,7 +437,9 @@ impl Run {
             }
         }
         if let Some(path) = report
-            && let Err(error) = self.record.write(path, seconds)
+            // Through a link, what it names is replaced and not the link.
+            && let Err(error) =
+                self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
         {
             console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
             return Ok(if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone });

@@ -1,5 +1,6 @@
 //! Which frames of a sequence: `1-240x2`, `1-10,20,30-40x5`.
 
+use std::collections::HashSet;
 use std::fmt;
 use std::str::FromStr;
 
@@ -17,6 +18,22 @@ struct StepRange {
     step: u64,
 }
 
+impl StepRange {
+    fn contains(&self, number: u64) -> bool {
+        (self.first..=self.last).contains(&number) && (number - self.first).is_multiple_of(self.step)
+    }
+}
+
+impl fmt::Display for StepRange {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (self.first == self.last, self.step) {
+            (true, _) => write!(f, "{}", self.first),
+            (false, 1) => write!(f, "{}-{}", self.first, self.last),
+            (false, step) => write!(f, "{}-{}x{step}", self.first, self.last),
+        }
+    }
+}
+
 /// Why text is no selection of frames.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct SelectionError {
@@ -31,11 +48,22 @@ impl fmt::Display for SelectionError {
 
 impl std::error::Error for SelectionError {}
 
+/// Ranges of more numbers are not searched for missing ones: `0-999999999` means "all there are".
+const SEARCHED_MAX: u64 = 100_000;
+
 impl FrameSelection {
+    /// The ranges that name frames which are not among `numbers`, and how many of theirs are not.
+    pub(super) fn missing(&self, numbers: &HashSet<u64>) -> Vec<(String, u64)> {
+        let missing = |range: &StepRange| {
+            let named = (range.last - range.first) / range.step + 1;
+            let there = numbers.iter().filter(|&&number| range.contains(number)).count() as u64;
+            (range.to_string(), if named <= SEARCHED_MAX || there == 0 { named - there } else { 0 })
+        };
+        self.ranges.iter().map(missing).filter(|&(_, count)| count > 0).collect()
+    }
+
     pub(super) fn contains(&self, number: u64) -> bool {
-        self.ranges.iter().any(|range| {
-            (range.first..=range.last).contains(&number) && (number - range.first).is_multiple_of(range.step)
-        })
+        self.ranges.iter().any(|range| range.contains(number))
     }
 }
 

@@ -36,7 +36,7 @@ fn frames_become_files_of_their_names() {
     assert_eq!(frames.len(), 3);
     assert!(frames[0].starts_with("dam.9.ply") && frames[2].starts_with("dam.11.ply"), "{out}");
     assert!(out.lines().last().expect("a summary").starts_with("3 frames: 3 done, in "), "{out}");
-    let arguments = ["dam.9.ply", "--out", "all", "--format", "glb,gltf,vdb,obj,ply,obj"];
+    let arguments = ["dam.{}.ply", "--frames", "9", "--out", "all", "--format", "glb,gltf,vdb,obj,ply,obj"];
     converted(path, &arguments);
     let expected = ["glb", "gltf", "obj", "ply", "vdb"].map(|extension| format!("dam.9.{extension}"));
     assert_eq!(names_in(&path.join("all")), expected);
@@ -213,4 +213,38 @@ fn the_report_says_what_was_measured() {
     assert_eq!(frame["certificate"]["holds"], true, "{frame}");
     assert_eq!(frame["certificate"]["closed_manifold"], true, "{frame}");
     assert_eq!((&report["summary"]["converted"], &report["summary"]["failed"]), (&2.into(), &0.into()));
+}
+
+/// One frame of many, converted by itself, is measured by itself; and frames that are not there are named.
+#[test]
+fn parts_of_a_sequence_are_told_what_they_lack() {
+    let folder = tempfile::tempdir().unwrap();
+    write_sequence(folder.path(), 1, 3);
+    let alone = meniscus(folder.path(), &["convert", "dam.2.ply", "--out", "out"]);
+    assert_eq!(alone.status, 0, "{}", alone.err);
+    assert!(alone.err.contains("its sequence has 3 frames"), "{}", alone.err);
+    let picked = meniscus(folder.path(), &["convert", "dam.{}.ply", "--frames", "2,3-6,9", "--out", "out"]);
+    assert_eq!(picked.status, 0, "{}", picked.err);
+    assert!(!picked.err.contains("its sequence has"), "{}", picked.err);
+    assert!(picked.err.contains("--frames 3-6: 3 frames are not there"), "{}", picked.err);
+    assert!(picked.err.contains("--frames 9: 1 frame is not there"), "{}", picked.err);
+}
+
+/// A report replaces reports, and nothing that is no file.
+#[cfg(unix)]
+#[test]
+fn a_report_replaces_only_files() {
+    let folder = tempfile::tempdir().unwrap();
+    write_sequence(folder.path(), 1, 1);
+    std::fs::create_dir(folder.path().join("taken")).unwrap();
+    let refused = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "out", "--report", "taken"]);
+    assert_eq!(refused.status, 2, "{}", refused.err);
+    assert!(refused.err.contains("no ordinary file"), "{}", refused.err);
+    assert!(!folder.path().join("out").exists());
+    std::fs::write(folder.path().join("real.json"), "old").unwrap();
+    std::os::unix::fs::symlink("real.json", folder.path().join("link.json")).unwrap();
+    let linked = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "out", "--report", "link.json"]);
+    assert_eq!(linked.status, 0, "{}", linked.err);
+    assert!(folder.path().join("link.json").is_symlink());
+    assert_eq!(report(&folder.path().join("real.json"))["summary"]["converted"], 1);
 }
