@@ -41,7 +41,7 @@ fn what_makes_no_sense_is_refused() {
         (&["dam.1.ply", "--format", "stl"], &["stl"]),
         (&["dam.1.ply", "--voxel-size", "-1"], &["voxel size", "positive"]),
         (&["dam.1.ply", "--radius-min", "-0.1"], &["-0.1", "radius"]),
-        (&["dam.1.ply", "--radius-init", "-1e-3"], &["radius"]),
+        (&["dam.1.ply", "--radius-init", "-0.001"], &["radius"]),
         (&["dam.1.ply", "--radius-ratio", "-2"], &["ratio", "at least 1"]),
         (&["dam.1.ply", "--step-size", "-1"], &["step size"]),
         (&["dam.1.ply", "--integrator", "implicit", "--cg-tolerance", "-1"], &["tolerance"]),
