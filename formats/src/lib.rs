@@ -24,6 +24,7 @@ pub mod provenance;
 pub mod scalar;
 mod text;
 pub mod vdb;
+pub mod wholeness;
 
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,

@@ -26,7 +26,7 @@ pub(crate) const GENERATOR: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"
 const PREFIX: &str = "meniscus_";
 
 /// A head longer than this is not ours.
-const HEAD_BYTES_MAX: u64 = 1 << 20;
+pub(crate) const HEAD_BYTES_MAX: u64 = 1 << 20;
 
 /// The formats that carry provenance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

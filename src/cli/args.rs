@@ -1,4 +1,7 @@
 //! What was typed. Nothing below the command line sees these types.
+//!
+//! Options for numbers take negative ones too: what is wrong with those is told where numbers are
+//! checked, and not as an option called `-1`.
 
 use std::path::PathBuf;
 
@@ -77,19 +80,19 @@ pub(super) struct ConvertArgs {
 #[derive(Debug, Args)]
 pub(super) struct SurfaceArgs {
     /// Edge of a voxel h, in the particles' unit of length; half the particle spacing by default
-    #[arg(long, value_name = "H")]
+    #[arg(long, value_name = "H", allow_negative_numbers = true)]
     pub(super) voxel_size: Option<f64>,
 
     /// Radius r_min around each particle that is always inside; √3·h by default
-    #[arg(long, value_name = "R")]
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(super) radius_min: Option<f64>,
 
     /// r_max / r_min: nothing farther than r_max from all particles is inside [default: 2]
-    #[arg(long, value_name = "RATIO")]
+    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     pub(super) radius_ratio: Option<f64>,
 
     /// Radius of the spheres that smoothing starts from; (r_min + r_max) / 2 by default
-    #[arg(long, value_name = "R")]
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(super) radius_init: Option<f64>,
 
     /// How the level set becomes triangles
@@ -104,23 +107,23 @@ pub(super) struct SolverArgs {
     pub(super) integrator: IntegratorChoice,
 
     /// Laplacian steps before the biharmonic ones [default: 15]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(super) laplacian_steps: Option<u32>,
 
     /// Biharmonic steps [default: 5; explicit: 500]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(super) steps: Option<u32>,
 
     /// Size of a biharmonic step, in units of h⁴ [default: 20; explicit: 0.01]
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(super) step_size: Option<f64>,
 
     /// Restore distances after so many biharmonic steps [default: 1; explicit: 50]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(super) redistance_every: Option<u32>,
 
     /// Relative tolerance of the conjugate gradients, for implicit only [default: 0.0001]
-    #[arg(long, value_name = "E")]
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
     pub(super) cg_tolerance: Option<f64>,
 }
 

@@ -77,35 +77,37 @@ impl FromStr for FrameSelection {
 }
 
 fn parse_range(text: &str) -> Result<StepRange, SelectionError> {
-    let (range, step) = match text.split_once(['x', 'X']) {
-        Some((range, step)) => (range, parse_number(step, text)?),
-        None => (text, 1),
-    };
-    let (first, last) = match range.split_once('-') {
-        Some((first, last)) => (parse_number(first, text)?, parse_number(last, text)?),
-        None => {
-            let number = parse_number(range, text)?;
-            (number, number)
-        }
-    };
-    if last < first {
+    let range = StepRange::parse(text).ok_or_else(|| SelectionError {
+        what: format!(
+            "`{text}` is no selection of frames: give a number such as 12, a range such as 1-240, every \
+             second of a range as 1-240x2, or several of these with commas between"
+        ),
+    })?;
+    if range.last < range.first {
         return Err(SelectionError { what: format!("`{text}` runs backwards") });
     }
-    if step == 0 {
+    if range.step == 0 {
         return Err(SelectionError { what: format!("`{text}` has a step of 0; at least 1 is needed") });
     }
-    Ok(StepRange { first, last, step })
+    Ok(range)
 }
 
-fn parse_number(digits: &str, within: &str) -> Result<u64, SelectionError> {
+impl StepRange {
+    /// The three numbers as they are given; `None` where one is missing, too large or none.
+    fn parse(text: &str) -> Option<StepRange> {
+        let (range, step) = match text.split_once(['x', 'X']) {
+            Some((range, step)) => (range, parse_number(step)?),
+            None => (text, 1),
+        };
+        let (first, last) = range.split_once('-').unwrap_or((range, range));
+        Some(StepRange { first: parse_number(first)?, last: parse_number(last)?, step })
+    }
+}
+
+/// Digits alone: no sign.
+fn parse_number(digits: &str) -> Option<u64> {
     let digits = digits.trim();
-    let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-    digits.parse().ok().filter(|_| plain).ok_or_else(|| SelectionError {
-        what: format!(
-            "`{within}` is neither a frame number nor a range such as 1-240 or 1-240x2: \
-             `{digits}` is not a number"
-        ),
-    })
+    digits.parse().ok().filter(|_| digits.bytes().all(|byte| byte.is_ascii_digit()))
 }
 
 #[cfg(test)]
@@ -134,6 +136,17 @@ mod tests {
             ["", "a", "1-", "-3", "1-3x", "1-3x0", "5-3", "1,,2", "1-2-3", "+4", "99999999999999999999"]
         {
             assert!(text.parse::<FrameSelection>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn errors_quote_the_whole_item() {
+        for (text, item) in
+            [("x", "x"), ("1-", "1-"), ("1-2x", "1-2x"), ("5,1-2x,7", "1-2x"), ("a-3x2", "a-3x2")]
+        {
+            let error = text.parse::<FrameSelection>().expect_err(text).to_string();
+            assert!(error.starts_with(&format!("`{item}` is no selection")), "{error}");
+            assert!(error.contains("1-240x2"), "{error}");
         }
     }
 }

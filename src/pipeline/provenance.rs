@@ -8,6 +8,7 @@ use std::fs::File;
 use std::path::Path;
 
 use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
 use twox_hash::XxHash3_128;
 
@@ -61,15 +62,21 @@ pub(super) fn provenance(
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// Whether every output of a frame is there and records what this run would record.
+/// Whether every output of a frame is there, whole, and records what this run would record. Whole
+/// is one that has its end; bytes overwritten in the middle are not found out.
 pub(super) fn is_done(frame: &Frame, input: &InputIdentity, options: &OutputOptions) -> bool {
     options.formats.iter().all(|&format| {
         let wanted = provenance(&frame.settings, input, format, options);
-        let recorded = File::open(output_path(&options.folder, &frame.stem, format))
-            .map_err(meniscus_formats::Error::from)
-            .and_then(|file| read_provenance(provenance_kind(format), file));
-        recorded.is_ok_and(|recorded| wanted.iter().all(|pair| recorded.contains(pair)))
+        let path = output_path(&options.folder, &frame.stem, format);
+        records(&path, provenance_kind(format), &wanted).unwrap_or(false)
     })
+}
+
+/// Whether a file records all of `wanted`, and is whole.
+fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_formats::Result<bool> {
+    let mut file = File::open(path)?;
+    let recorded = read_provenance(kind, &file)?;
+    Ok(wanted.iter().all(|pair| recorded.contains(pair)) && is_whole(kind, &mut file)?)
 }
 
 /// Every setting that matters to an output in `format`, numbers in the shortest form that reads

@@ -29,21 +29,31 @@ pub struct AutomaticVoxelSize {
 /// Why there is none.
 #[derive(Debug)]
 pub struct NoVoxelSize {
-    /// The first frame that could not be read, if there is one.
+    /// How many frames could be read, but had too few particles.
+    pub sparse_count: usize,
+    /// How many could not be read.
+    pub unreadable_count: usize,
+    /// Why the first of those could not.
     pub unreadable: Option<FrameError>,
 }
 
 impl fmt::Display for NoVoxelSize {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.unreadable {
+        let NoVoxelSize { sparse_count, unreadable_count, unreadable } = self;
+        match unreadable {
             None => f.write_str(
                 "no frame has the 33 distinct particles that it takes to measure their spacing: \
                  give --voxel-size",
             ),
+            // A voxel size would not help: what is wrong is the files.
+            Some(error) if *sparse_count == 0 => match unreadable_count {
+                ..=1 => write!(f, "{error}"),
+                _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
+            },
             Some(error) => write!(
                 f,
-                "no frame could be read that has the 33 distinct particles that it takes to measure \
-                 their spacing (give --voxel-size): {error}"
+                "no frame that can be read has the 33 distinct particles that it takes to measure \
+                 their spacing: give --voxel-size; {unreadable_count} cannot be read: {error}"
             ),
         }
     }
@@ -58,23 +68,23 @@ impl std::error::Error for NoVoxelSize {}
 pub fn automatic_voxel_size<'a>(
     files: impl IntoIterator<Item = &'a Path>,
 ) -> Result<AutomaticVoxelSize, NoVoxelSize> {
-    let mut unreadable = None;
+    let mut none = NoVoxelSize { sparse_count: 0, unreadable_count: 0, unreadable: None };
     for path in files {
         let spacing_of_file = || {
             let bytes = read_file(path)?;
             Ok(estimate_spacing(&parse_particles(path, &bytes)?.particles))
         };
         match FrameError::catch(path, Stage::Read, spacing_of_file).flatten() {
-            Ok(spacing) => {
-                if let Some(spacing) = spacing {
-                    let voxel_size = spacing / VOXELS_PER_SPACING;
-                    return Ok(AutomaticVoxelSize { voxel_size, spacing, measured_on: path.to_owned() });
-                }
+            Ok(Some(spacing)) => {
+                let voxel_size = spacing / VOXELS_PER_SPACING;
+                return Ok(AutomaticVoxelSize { voxel_size, spacing, measured_on: path.to_owned() });
             }
+            Ok(None) => none.sparse_count += 1,
             Err(error) => {
-                unreadable.get_or_insert(error);
+                none.unreadable_count += 1;
+                none.unreadable.get_or_insert(error);
             }
         }
     }
-    Err(NoVoxelSize { unreadable })
+    Err(none)
 }

@@ -39,7 +39,14 @@ fn what_makes_no_sense_is_refused() {
         (&["dam.1.ply", "--frames", "7"], &["--frames selects none of the 1"]),
         (&["dam.1.ply", "--threads", "0"], &["--threads"]),
         (&["dam.1.ply", "--format", "stl"], &["stl"]),
-        (&["dam.1.ply", "--voxel-size", "-1"], &["-1"]),
+        (&["dam.1.ply", "--voxel-size", "-1"], &["voxel size", "positive"]),
+        (&["dam.1.ply", "--radius-min", "-0.1"], &["-0.1", "radius"]),
+        (&["dam.1.ply", "--radius-init", "-0.001"], &["radius"]),
+        (&["dam.1.ply", "--radius-ratio", "-2"], &["ratio", "at least 1"]),
+        (&["dam.1.ply", "--step-size", "-1"], &["step size"]),
+        (&["dam.1.ply", "--integrator", "implicit", "--cg-tolerance", "-1"], &["tolerance"]),
+        (&["dam.1.ply", "--steps", "-1"], &["invalid value '-1' for '--steps"]),
+        (&["dam.1.ply", "--frames", "1-2x"], &["`1-2x` is no selection of frames"]),
         (&["dam.1.ply", "--voxel-size=-1"], &["voxel size", "positive"]),
         (&["dam.1.ply", "--voxel-size", "nan"], &["voxel size"]),
         (&["dam.1.ply", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),
@@ -142,6 +149,28 @@ fn without_a_spacing_the_voxel_size_is_asked_for() {
     for name in ["few.ply", "none.ply"] {
         assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--voxel-size"]);
     }
+}
+
+#[test]
+fn where_nothing_can_be_read_the_reason_leads() {
+    let folder = folder();
+    let path = folder.path();
+    for number in 1..=2 {
+        let vtk = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\n";
+        fs::write(path.join(format!("f.{number}.vtk")), vtk).expect("written");
+    }
+    let err = |inputs: &[&str]| meniscus(path, &[&["convert", "--out", "o"], inputs].concat()).err;
+    for inputs in [&["f.1.vtk"][..], &["f.1.vtk", "f.2.vtk"]] {
+        let err = err(inputs);
+        assert!(err.contains("f.1.vtk: legacy VTK: not read yet"), "{err}");
+        assert!(!err.contains("--voxel-size") && !err.contains("distinct"), "{err}");
+    }
+    // Readable, but sparse: a voxel size would help.
+    fs::create_dir(path.join("mixed")).expect("made");
+    write_ply(&path.join("mixed/f.1.ply"), &block(3, 0.0));
+    fs::write(path.join("mixed/f.2.ply"), "ply\n").expect("written");
+    let err = err(&["mixed"]);
+    assert!(err.contains("give --voxel-size; 1 cannot be read: ") && err.contains("f.2.ply"), "{err}");
 }
 
 #[test]

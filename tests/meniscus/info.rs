@@ -60,6 +60,40 @@ fn meshes_are_described() {
 }
 
 #[test]
+fn a_mesh_in_a_ply_file_is_told_as_a_mesh() {
+    let folder = tempdir().expect("a folder");
+    let told = |vertices: &[&str], properties: &[&str], faces: &[&str]| {
+        let mut text = format!("ply\nformat ascii 1.0\nelement vertex {}\n", vertices.len());
+        for name in properties {
+            text += &format!("property float {name}\n");
+        }
+        let lists = "property list uchar int vertex_indices\nend_header\n";
+        text += &format!("element face {}\n{lists}", faces.len());
+        text += &[vertices, faces].concat().iter().map(|line| format!("{line}\n")).collect::<String>();
+        fs::write(folder.path().join("t.ply"), text).expect("written");
+        let ran = meniscus(folder.path(), &["info", "t.ply"]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        ran.out
+    };
+    let lines_with = |out: &str, word: &str| out.lines().filter(|line| line.contains(word)).count();
+
+    let vertices = ["0 0 0 5", "1 0 0 6", "0 1 0 7"];
+    let bare = told(&["0 0 0", "1 0 0", "0 1 0"], &["x", "y", "z"], &["3 0 1 2"]);
+    let more = told(&vertices, &["x", "y", "z", "heat"], &["3 0 1 2"]);
+    for out in [&bare, &more] {
+        let counts =
+            ["triangles", "bounds ", "note", "particles", "spacing"].map(|word| lines_with(out, word));
+        assert_eq!(counts, [1, 1, 0, 0, 0], "{out}");
+    }
+    assert_eq!((lines_with(&bare, "attribute"), lines_with(&more, "attribute")), (0, 1), "{more}");
+
+    let empty = told(&[], &["x", "y", "z"], &[]);
+    assert!(lines_with(&empty, "triangles") == 1 && lines_with(&empty, "particles") == 0, "{empty}");
+    let cloud = told(&vertices, &["x", "y", "z", "heat"], &[]);
+    assert!(lines_with(&cloud, "triangles") == 0 && lines_with(&cloud, "particles") > 0, "{cloud}");
+}
+
+#[test]
 fn a_file_that_cannot_be_read_costs_itself_only() {
     let folder = tempdir().expect("a folder");
     write_ply(&folder.path().join("block.ply"), &block(4, 0.0));

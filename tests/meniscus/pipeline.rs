@@ -247,6 +247,26 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
 }
 
 #[test]
+fn what_lost_its_end_is_made_again() {
+    let mut bench = Bench::new(&[2]);
+    bench.outputs.formats.push(OutputFormat::Gltf);
+    let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
+    assert_eq!(run(&bench), "c");
+    for extension in ["glb", "gltf", "obj", "ply", "vdb"] {
+        let path = bench.out().join(format!("f.0.{extension}"));
+        let whole = fs::read(&path).expect("readable");
+        for length in [whole.len() * 6 / 10, whole.len() - 1] {
+            fs::write(&path, &whole[..length]).expect("written");
+            assert_eq!(run(&bench), "c", "{extension} cut to {length} of {} bytes", whole.len());
+            assert!(fs::read(&path).expect("readable") == whole);
+        }
+        fs::write(&path, [&whole[..], b"x"].concat()).expect("written");
+        assert_eq!(run(&bench), "c", "{extension} that grew");
+    }
+    assert_eq!(run(&bench), "d");
+}
+
+#[test]
 fn the_bytes_do_not_depend_on_threads_or_neighbours() {
     let contents = |bench: &Bench| -> Vec<(String, Vec<u8>)> {
         let read = |name: String| (name.clone(), fs::read(bench.out().join(name)).expect("readable"));

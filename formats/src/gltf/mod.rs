@@ -21,7 +21,7 @@ mod write;
 pub use read::read_mesh;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 
-pub(crate) use read_provenance::{json_of_glb_head, read_provenance};
+pub(crate) use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};
 
 /// The format's name in errors.
 const FORMAT: &str = "glTF";

@@ -23,6 +23,16 @@ pub(crate) fn json_of_glb_head(head: &[u8]) -> Result<&[u8]> {
     }
 }
 
+/// How long the header of a `.glb` says that the file is; `None` if the header is cut off.
+pub(crate) fn glb_bytes_claimed(head: &[u8]) -> Result<Option<u64>> {
+    const LENGTH_AT: usize = 8;
+    if !head.starts_with(&GLB_MAGIC) {
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "no GLB header"));
+    }
+    let length = head.get(LENGTH_AT..).and_then(|rest| rest.first_chunk::<4>());
+    Ok(length.map(|&length| u64::from(u32::from_le_bytes(length))))
+}
+
 /// What our writer put into `asset.extras`. `json` may be cut anywhere after that.
 pub(crate) fn read_provenance(json: &[u8]) -> Result<Vec<(String, String)>> {
     let mut asset = None;

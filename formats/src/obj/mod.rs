@@ -6,5 +6,7 @@ mod write;
 pub use read::read_mesh;
 pub use write::{WriteOptions, write};
 
+pub(crate) use write::ends_as_written;
+
 /// The format's name in errors.
 const FORMAT: &str = "OBJ";

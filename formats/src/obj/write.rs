@@ -1,7 +1,8 @@
 //! Writes a triangle mesh as OBJ text.
 //!
 //! Reals are the shortest decimals that read back as the same number. Lines are formatted in
-//! parallel, a run of elements per task, and written in order.
+//! parallel, a run of elements per task, and written in order. The last line is a comment that says
+//! how much there was, for nothing else in the format tells a whole file from a part of one.
 
 use std::io::Write;
 
@@ -15,6 +16,9 @@ use crate::provenance::{GENERATOR, comments};
 /// Elements that are formatted as one task, and tasks whose text is held at once.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
 const TASKS_AT_ONCE: usize = 64;
+
+/// What the last line begins with.
+const LAST_LINE: &str = "# end: ";
 
 /// How to write a mesh.
 #[derive(Clone, Debug)]
@@ -53,7 +57,17 @@ pub fn write(
         write_lines(mesh.positions, |line, position| line.reals("v", world(position)), out)?;
     }
     write_lines(mesh.normals, |line, normal| line.reals("vn", *normal), out)?;
-    write_lines(mesh.triangles, |line, triangle| line.face(*triangle), out)
+    write_lines(mesh.triangles, |line, triangle| line.face(*triangle), out)?;
+    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    writeln!(out, "{LAST_LINE}{vertices} vertices, {triangles} triangles")?;
+    Ok(())
+}
+
+/// Whether the last bytes of a file are those of a whole one that [`write`] made.
+pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
+    let Some(lines) = tail.strip_suffix(b"\n") else { return false };
+    let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+    lines[start..].starts_with(LAST_LINE.as_bytes())
 }
 
 /// Text in the making, with memory for one number.

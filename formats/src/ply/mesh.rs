@@ -1,12 +1,13 @@
 //! A PLY file as a mesh: its vertices and faces.
 
-use crate::data::{MeshData, Positions, Role, Values};
+use crate::data::{MeshData, ParticleFrame, Positions, Role, Values};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::scalar::Scalar;
 
 use super::FORMAT;
 use super::header::{Element, Property, PropertyType, read_header};
+use super::read::read_vertices;
 use super::rows::{Rows, checked_count, rows_of};
 
 /// Reads vertices, normals and faces; a polygon of more than three corners becomes a fan.
@@ -14,17 +15,25 @@ use super::rows::{Rows, checked_count, rows_of};
 /// # Errors
 /// As [`super::read`]; and `Unsupported` for triangle strips.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
-    let frame = super::read(bytes, limits)?;
-    let positions = match frame.positions {
+    Ok(read_mesh_and_vertices(bytes, limits)?.0)
+}
+
+/// Reads the mesh, and its vertices with all their scalar properties as a frame.
+///
+/// # Errors
+/// As [`read_mesh`].
+pub fn read_mesh_and_vertices(bytes: &[u8], limits: &Limits) -> Result<(MeshData, ParticleFrame)> {
+    let header = read_header(bytes, limits)?;
+    let frame = read_vertices(bytes, &header, limits)?;
+    let positions = match &frame.positions {
         Positions::F32(positions) => positions.iter().map(|position| position.map(f64::from)).collect(),
-        Positions::F64(positions) => positions,
+        Positions::F64(positions) => positions.clone(),
     };
     let mut mesh = MeshData { positions, ..MeshData::default() };
     if let Some(normal) = frame.attributes.iter().find(|attribute| attribute.role == Some(Role::Normal)) {
         mesh.normals = normals(&normal.values);
     }
 
-    let header = read_header(bytes, limits)?;
     let named = |name: &str| header.elements.iter().find(|element| element.name.eq_ignore_ascii_case(name));
     if named("tristrips").is_some_and(|strips| strips.count > 0) {
         return Err(Error::unsupported(FORMAT, "triangle strips are not read: save the mesh with faces"));
@@ -33,7 +42,24 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
         let rows = rows_of(bytes, &header, faces)?;
         mesh.triangles = triangles(rows, faces, mesh.positions.len())?;
     }
-    Ok(mesh)
+    Ok((mesh, frame))
+}
+
+/// How long a binary file is whose header is in `head` and whose lists are all triangles, as in
+/// every file of [`super::write::write_mesh`]; `None` for text, or beyond 2⁶⁴.
+pub(crate) fn mesh_bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<u64>> {
+    let header = read_header(head, limits)?;
+    let mut size = Some(header.body_offset as u64);
+    for element in &header.elements {
+        let items = element.properties.iter().map(|property| match property.kind {
+            PropertyType::Scalar(_) => 0,
+            PropertyType::List { item, .. } => 3 * item.size(),
+        });
+        let record = (element.record_size_min() + items.sum::<usize>()) as u64;
+        let table = element.count.checked_mul(record);
+        size = size.zip(table).and_then(|(size, table)| size.checked_add(table));
+    }
+    Ok(size.filter(|_| header.encoding.endian().is_some()))
 }
 
 fn normals(values: &Values) -> Vec<[f32; 3]> {

@@ -26,8 +26,10 @@ mod rows;
 pub mod write;
 
 pub use header::{Element, Encoding, Header, Property, PropertyType, read_header};
-pub use mesh::read_mesh;
+pub use mesh::{read_mesh, read_mesh_and_vertices};
 pub use read::read;
+
+pub(crate) use mesh::mesh_bytes_claimed;
 
 /// The name of the format in errors.
 const FORMAT: &str = "PLY";

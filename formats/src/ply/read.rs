@@ -17,12 +17,22 @@ use super::{FORMAT, ascii, binary};
 /// limits.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
+    let mut frame = read_vertices(bytes, &header, limits)?;
+    let faces = header.elements.iter().find(|element| element.name.eq_ignore_ascii_case("face"));
+    if let Some(faces) = faces.filter(|faces| faces.count > 0) {
+        frame.notes.push(format!("the file also has {} faces: only its vertices are read", faces.count));
+    }
+    Ok(frame)
+}
+
+/// The vertices of the file with this header.
+pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> Result<ParticleFrame> {
     let element = header.vertex_element().ok_or_else(|| {
         Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
     })?;
     let columns = element.columns();
     let Some(position) = columns.position else { return Err(no_position(element)) };
-    let mut rows = rows_of(bytes, &header, element)?;
+    let mut rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
     check_limit(count, limits)?;
 
@@ -44,7 +54,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
         attribute.scale(group.scale);
     }
-    frame.notes = notes(&header, element, &columns);
+    frame.notes = notes(element, &columns);
     Ok(frame)
 }
 
@@ -145,7 +155,7 @@ fn targets<'a>(
     targets
 }
 
-fn notes(header: &Header, element: &Element, columns: &Columns) -> Vec<String> {
+fn notes(element: &Element, columns: &Columns) -> Vec<String> {
     let mut notes = Vec::new();
     if !element.name.eq_ignore_ascii_case("vertex") {
         notes.push(format!("no element is called `vertex`: particles are taken from `{}`", element.name));
@@ -158,10 +168,6 @@ fn notes(header: &Header, element: &Element, columns: &Columns) -> Vec<String> {
         if matches!(property.kind, PropertyType::List { .. }) {
             notes.push(format!("the list `{}` of each vertex is not read", property.name));
         }
-    }
-    let faces = header.elements.iter().find(|other| other.name.eq_ignore_ascii_case("face"));
-    if let Some(faces) = faces.filter(|faces| faces.count > 0) {
-        notes.push(format!("the file also has {} faces: only its vertices are read", faces.count));
     }
     notes
 }

@@ -37,7 +37,7 @@ pub use read::{GridInfo, Transform, grids, read_level_set};
 pub use read_tree::{LevelSetData, Tile};
 pub use write::{WriteOptions, write};
 
-pub(crate) use read::first_grid_metadata;
+pub(crate) use read::{first_grid_metadata, only_grid_end};
 
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";

@@ -114,6 +114,17 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
     read_metadata(&mut cursor)
 }
 
+/// Where the grid of a file with one grid ends, from the first bytes of the file; `None` if there
+/// are more grids or none, or a stream does not say.
+pub(crate) fn only_grid_end(head: &[u8]) -> Result<Option<u64>> {
+    let mut cursor = Cursor::new(head);
+    let header = read_header(&mut cursor)?;
+    if header.grid_count != 1 || !header.has_offsets {
+        return Ok(None);
+    }
+    Ok(Some(read_descriptor(&mut cursor)?.end))
+}
+
 /// Where a tree begins and how its values are stored.
 #[derive(Clone, Copy)]
 struct TreePlace {

@@ -12,7 +12,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
 use anyhow::{Result, anyhow};
-use meniscus_formats::{Kind, Limits, Probe, gltf, obj, ply, probe, read_particles, vdb};
+use meniscus_formats::{
+    Kind, Limits, ParticleFrame, Probe, Role, gltf, obj, ply, probe, read_particles, vdb,
+};
 use serde::Serialize;
 
 use super::Verdict;
@@ -33,6 +35,7 @@ struct FileInfo {
     /// What a user should know though the file was read.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
+    /// Of a mesh: its vertices, where they have more than positions and normals.
     #[serde(skip_serializing_if = "Option::is_none")]
     particles: Option<ParticlesInfo>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -98,35 +101,52 @@ impl FileInfo {
                 self.mesh = Some(MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?));
             }
             Kind::Obj if !gzipped => self.mesh = Some(MeshInfo::of(&obj::read_mesh(&bytes)?)),
+            Kind::Ply if !gzipped && holds_mesh(&bytes, &limits)? => {
+                let (mesh, vertices) = ply::read_mesh_and_vertices(&bytes, &limits)?;
+                self.notes.clone_from(&vertices.notes);
+                self.mesh = Some(MeshInfo::of(&mesh));
+                self.particles = has_more_than_a_mesh(&vertices).then(|| ParticlesInfo::of(vertices));
+            }
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;
                 self.notes.clone_from(&frame.notes);
                 self.particles = Some(ParticlesInfo::of(frame));
-                self.mesh = mesh_of_ply(kind, gzipped, &bytes, &limits)?;
             }
         }
         Ok(())
     }
 }
 
-/// A PLY file may hold a mesh, whose vertices are particles too.
-fn mesh_of_ply(kind: Kind, gzipped: bool, bytes: &[u8], limits: &Limits) -> Result<Option<MeshInfo>> {
-    if kind != Kind::Ply || gzipped {
-        return Ok(None);
-    }
-    let mesh = ply::read_mesh(bytes, limits)?;
-    Ok((!mesh.triangles.is_empty()).then(|| MeshInfo::of(&mesh)))
+/// Whether a PLY file declares faces, of which there are none only where there are no vertices
+/// either: programs declare no faces for clouds of points, too.
+fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
+    let header = ply::read_header(bytes, limits)?;
+    let count = |name: &str| {
+        let mut elements = header.elements.iter();
+        elements.find(|element| element.name.eq_ignore_ascii_case(name)).map(|element| element.count)
+    };
+    // Strips of triangles are refused by the reader of meshes, with what to do.
+    let faces = [count("face"), count("tristrips").filter(|&count| count > 0)].into_iter().flatten().max();
+    Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
+}
+
+/// Whether the vertices of a mesh have anything beside their positions and normals.
+fn has_more_than_a_mesh(vertices: &ParticleFrame) -> bool {
+    vertices.attributes.iter().any(|attribute| attribute.role != Some(Role::Normal))
 }
 
 impl fmt::Display for FileInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let packed = if self.gzipped { ", gzipped" } else { "" };
         write!(f, "{}: {}{packed}, {} bytes", self.file, self.kind, self.bytes)?;
-        if let Some(particles) = &self.particles {
-            write!(f, "{particles}")?;
-        }
-        if let Some(mesh) = &self.mesh {
-            write!(f, "{mesh}")?;
+        match (&self.mesh, &self.particles) {
+            (Some(mesh), particles) => {
+                write!(f, "{mesh}")?;
+                // Count and bounds were told with the mesh.
+                particles.iter().try_for_each(|vertices| vertices.fmt_attributes(f))?;
+            }
+            (None, Some(particles)) => write!(f, "{particles}")?,
+            (None, None) => {}
         }
         for grid in self.grids.iter().flatten() {
             write!(f, "{grid}")?;

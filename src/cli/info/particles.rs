@@ -72,6 +72,11 @@ impl ParticlesInfo {
             suggested_voxel_size: spacing.map(|spacing| spacing / VOXELS_PER_SPACING),
         }
     }
+
+    /// The lines that tell of the attributes.
+    pub(super) fn fmt_attributes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.attributes.iter().try_for_each(|attribute| row(f, "attribute", attribute))
+    }
 }
 
 fn attribute_info(attribute: &Attribute) -> AttributeInfo {
@@ -148,9 +153,7 @@ impl fmt::Display for ParticlesInfo {
         if let Some(bounds) = self.bounds {
             row(f, "bounds", bounds)?;
         }
-        for attribute in &self.attributes {
-            row(f, "attribute", attribute)?;
-        }
+        self.fmt_attributes(f)?;
         match (self.spacing, self.suggested_voxel_size) {
             (Some(spacing), Some(voxel_size)) => {
                 row(f, "spacing", spacing)?;
