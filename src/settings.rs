@@ -93,13 +93,13 @@ impl Settings {
     pub fn resolve(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
         let h = positive("voxel size", voxel_size)?;
         let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
-        let ratio = positive("radius ratio", choices.radius_ratio.unwrap_or(2.0))?;
+        let ratio = choices.radius_ratio.unwrap_or(2.0);
+        require(ratio.is_finite() && ratio >= 1.0, || {
+            format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
+        })?;
         let radius_max = ratio * radius_min;
         let radius_init = choices.radius_init.unwrap_or(0.5 * (radius_min + radius_max));
         let radius_init = positive("radius r_init", radius_init)?;
-        require(ratio >= 1.0, || {
-            format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
-        })?;
         // A product of two numbers as typed may miss a third as typed by a rounding.
         let slack = 1e-9 * radius_max;
         require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {

@@ -369,7 +369,10 @@ impl Run {
                 Err(why) if !is_stopped => {
                     // It is the same for all frames of a sequence.
                     if told.replace(*sequence_index) != Some(*sequence_index) {
-                        console.warn(format_args!("error: {}: {why}", self.sequence_names[*sequence_index]));
+                        let name = &self.sequence_names[*sequence_index];
+                        // What cannot be read is named by its path already.
+                        let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };
+                        console.warn(format_args!("error: {of}{why}"));
                     }
                     self.record.add_failed(input, *sequence_index, why);
                     self.failures.push(format!("{}: {why}", input.display()));

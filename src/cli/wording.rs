@@ -38,10 +38,19 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
             counted(skin.cfl_exceeded_count, "explicit step")
         ));
     }
+    if skin.certificate.position_rounding > POSITION_ROUNDING_TOLD {
+        notes.push(format!(
+            "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
+            significant(skin.certificate.position_rounding)
+        ));
+    }
     let broken = broken_guarantees(skin).into_iter();
     notes.extend(broken.map(|what| format!("the result breaks a guarantee: {what}")));
     notes
 }
+
+/// Less is not worth a word, in voxels.
+const POSITION_ROUNDING_TOLD: f64 = 1.0 / 256.0;
 
 /// A sentence for each guarantee that does not hold.
 fn broken_guarantees(report: &SkinReport) -> Vec<String> {

@@ -135,6 +135,7 @@ struct CertificateRecord {
     particles_outside: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
+    position_rounding_voxels: f64,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -323,7 +324,8 @@ fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_outside: certificate.particles_outside,
-        closed_manifold: report.mesh.is_closed_manifold(),
+        closed_manifold: certificate.mesh_is_closed_manifold,
+        position_rounding_voxels: certificate.position_rounding,
     }
 }
 
