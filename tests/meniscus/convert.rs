@@ -65,10 +65,19 @@ fn the_bytes_do_not_depend_on_threads() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 4);
-    for integrator in ["fast", "implicit"] {
+    for integrator in ["fast", "implicit", "explicit"] {
         for threads in ["1", "2", "4"] {
             let out = format!("{integrator}{threads}");
-            let arguments = ["--format", "glb,vdb,obj,ply", "--threads", threads, "--integrator", integrator];
+            let arguments = [
+                "--format",
+                "glb,vdb,obj,ply",
+                "--threads",
+                threads,
+                "--integrator",
+                integrator,
+                "--steps",
+                "3",
+            ];
             converted(path, &[&["dam.#.ply", "--out", &out], &arguments[..]].concat());
             for name in names_in(&path.join(&out)) {
                 let of_one = fs::read(path.join(format!("{integrator}1")).join(&name)).expect("readable");
