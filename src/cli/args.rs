@@ -106,7 +106,7 @@ pub(super) struct SolverArgs {
     #[arg(long, value_name = "WHICH", default_value = "fast")]
     pub(super) integrator: IntegratorChoice,
 
-    /// Laplacian steps before the biharmonic ones [default: 15]
+    /// Laplacian steps before the biharmonic ones; with 0 distances are restored instead [default: 15]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(super) laplacian_steps: Option<u32>,
 

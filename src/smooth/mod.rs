@@ -41,7 +41,7 @@ pub enum Integrator {
 /// What to do, in units of voxels and of the time h⁴.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// Laplacian steps before the biharmonic ones.
+    /// Laplacian steps before the biharmonic ones. With none, φ is redistanced instead.
     pub laplacian_steps: u32,
     /// How a biharmonic step is taken.
     pub integrator: Integrator,
@@ -102,6 +102,13 @@ pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> Smooth
     let mut scratch = Scratch { laplacian: Field::splat(leaf_count, 0.0), values: band.phi.clone() };
     let mut report = SmoothReport::default();
     let mut reach = config.laplacian_steps;
+    if config.laplacian_steps == 0 {
+        // Something has to take the grain off what the first step holds fixed: noise there costs a
+        // sphere of radius 20 one per cent of its volume.
+        redistance(band, Sweeps::accurate(REDISTANCE_SWEEPS));
+        bounds.clamp(&mut band.phi);
+        reach = REDISTANCE_REACH;
+    }
     for step in 1..=config.steps {
         let region = Band::new(band, FREE_WIDTH);
         if step == 1 {

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use glam::IVec3;
 use meniscus::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand, Sweeps, redistance};
+use meniscus::level_set::{Bounds, NarrowBand};
 use meniscus::smooth::{Config, Integrator, smooth, smooth_laplacian_only};
 
 use crate::shapes::{Random, bending_energy, volume};
@@ -41,11 +41,7 @@ fn noisy_sphere() -> (NarrowBand, Bounds) {
         *value += 2.0 * random.unit() as f32 - 1.0;
     }
     let bounds = Bounds { lower: sphere(BOUND_RADII[1]), upper: sphere(BOUND_RADII[0]) };
-    let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH };
-    // The method starts from distances. Without this the noise in the values that a step holds fixed
-    // takes 0.1 voxels off the radius.
-    redistance(&mut band, Sweeps::accurate(8));
-    bounds.clamp(&mut band.phi);
+    let band = NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH };
     (band, bounds)
 }
 
