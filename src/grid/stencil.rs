@@ -39,16 +39,29 @@ impl<'a> Neighborhood<'a> {
     /// The rows at x − 1, x + 1, y − 1 and y + 1.
     #[inline]
     pub fn side_rows(&self, row: usize) -> [&'a Row; 4] {
+        self.rows_across::<1>(row)
+    }
+
+    /// The rows at x − 2, x + 2, y − 2 and y + 2.
+    #[inline]
+    pub fn second_side_rows(&self, row: usize) -> [&'a Row; 4] {
+        self.rows_across::<2>(row)
+    }
+
+    /// The rows `STEP` voxels away across x and y. A step in x is 8 rows, and a leaf has 64.
+    #[inline]
+    fn rows_across<const STEP: usize>(&self, row: usize) -> [&'a Row; 4] {
         let (x, y) = (row >> 3, row & 7);
         let beyond = |direction: Direction, wrapped: usize| match self.faces[direction as usize] {
             Some(leaf) => leaf.row(wrapped),
             None => self.center.row(row),
         };
+        let (low, high) = (STEP, 8 - STEP);
         [
-            if x > 0 { self.row(row - 8) } else { beyond(Direction::XMinus, row + 56) },
-            if x < 7 { self.row(row + 8) } else { beyond(Direction::XPlus, row - 56) },
-            if y > 0 { self.row(row - 1) } else { beyond(Direction::YMinus, row + 7) },
-            if y < 7 { self.row(row + 1) } else { beyond(Direction::YPlus, row - 7) },
+            if x >= low { self.row(row - 8 * STEP) } else { beyond(Direction::XMinus, row + 8 * high) },
+            if x < high { self.row(row + 8 * STEP) } else { beyond(Direction::XPlus, row - 8 * high) },
+            if y >= low { self.row(row - STEP) } else { beyond(Direction::YMinus, row + high) },
+            if y < high { self.row(row + STEP) } else { beyond(Direction::YPlus, row - high) },
         ]
     }
 
@@ -61,22 +74,6 @@ impl<'a> Neighborhood<'a> {
         [
             [before, c[0], c[1], c[2], c[3], c[4], c[5], c[6]],
             [c[1], c[2], c[3], c[4], c[5], c[6], c[7], after],
-        ]
-    }
-
-    /// The rows at x − 2, x + 2, y − 2 and y + 2.
-    #[inline]
-    pub fn second_side_rows(&self, row: usize) -> [&'a Row; 4] {
-        let (x, y) = (row >> 3, row & 7);
-        let beyond = |direction: Direction, wrapped: usize| match self.faces[direction as usize] {
-            Some(leaf) => leaf.row(wrapped),
-            None => self.center.row(row),
-        };
-        [
-            if x > 1 { self.row(row - 16) } else { beyond(Direction::XMinus, row + 48) },
-            if x < 6 { self.row(row + 16) } else { beyond(Direction::XPlus, row - 48) },
-            if y > 1 { self.row(row - 2) } else { beyond(Direction::YMinus, row + 6) },
-            if y < 6 { self.row(row + 2) } else { beyond(Direction::YPlus, row - 6) },
         ]
     }
 

@@ -19,8 +19,8 @@
 //!
 //! Passes are 1.5 √L a step, 81 at the default Δt of 20 h⁴. On the dam breaks and the Hilbert curve
 //! that leaves 0.003 to 0.015 voxels in the mean to the converged solution; Nesterov's momentum, with
-//! whose convergence there is a proof, needs twice as many, and stabilized Runge–Kutta steps stay 0.05
-//! to 0.2 away whatever their number, since theirs is another discretization in time.
+//! whose convergence there is a proof, needs twice as many. Stabilized Runge–Kutta steps of 54 stages stay
+//! 0.05 to 0.2 away, and 80 come no nearer: theirs is another discretization in time.
 //!
 //! This work is based on:
 //! Boris Polyak. Some methods of speeding up the convergence of iteration methods. 1964

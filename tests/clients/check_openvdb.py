@@ -225,9 +225,13 @@ def compared(path, grid, phi, first, ours, h):
     theirs = openvdb_surface(grid)
     ours = (ours[0] - origin, ours[1])
     figures = []
-    for name, is_droplets, limit in (("", False, DISTANCE_MAX_VOXELS), (" of droplets", True, DROPLET_DISTANCE_MAX_VOXELS)):
-        pairs = [(part(ours, is_droplets, h), theirs), (part(theirs, is_droplets, h), ours)]
-        ways = [distances(*pair) / h for pair in pairs if len(pair[0][1])]
+    # The surface as a whole; and by itself that part of it which is droplets, which its mesher makes smaller.
+    only_droplets = piece_sizes(*ours).max() < DROPLET_VOXELS * h
+    for name, parts, limit in (
+        ("", (ours, theirs), DROPLET_DISTANCE_MAX_VOXELS if only_droplets else DISTANCE_MAX_VOXELS),
+        (" of droplets", (droplets(ours, h), droplets(theirs, h)), DROPLET_DISTANCE_MAX_VOXELS),
+    ):
+        ways = [distances(*pair) / h for pair in zip(parts, (theirs, ours)) if len(pair[0][1])]
         if not ways:
             continue
         means, largest = [way.mean() for way in ways], max(way.max() for way in ways)
@@ -255,11 +259,11 @@ def near_origin(grid, phi, first):
     return moved, np.array(grid.transform.indexToWorld(tuple(first)))
 
 
-def part(mesh, is_droplets, h):
-    """The pieces of a mesh that are droplets, or those that are not."""
+def droplets(mesh, h):
+    """The pieces of a mesh that are droplets."""
     positions, triangles = mesh
     small = piece_sizes(positions, triangles)[triangles[:, 0]] < DROPLET_VOXELS * h
-    used, renumbered = np.unique(triangles[small == is_droplets], return_inverse=True)
+    used, renumbered = np.unique(triangles[small], return_inverse=True)
     return positions[used], renumbered.reshape(-1, 3)
 
 
