@@ -16,6 +16,8 @@
 
 pub mod cli;
 
+pub mod daemon;
+
 pub mod pipeline;
 
 pub mod skin;

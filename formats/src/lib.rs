@@ -9,6 +9,7 @@
 
 pub mod bgeo;
 pub mod bytes;
+pub mod completeness;
 pub mod csv;
 pub mod data;
 pub mod error;
@@ -26,6 +27,7 @@ mod text;
 pub mod vdb;
 pub mod wholeness;
 
+pub use completeness::Completeness;
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,
 };

@@ -22,6 +22,7 @@ mod record;
 mod sink;
 mod source;
 mod stages;
+mod stamp;
 mod voxel_size;
 mod writing;
 
@@ -32,4 +33,5 @@ pub use record::{RunRecord, SequenceRecord};
 pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
 pub use stages::{Conduct, LevelSetSkinning, Method, OnError, run};
+pub use stamp::FileStamp;
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};
