@@ -12,6 +12,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputFormat,
     OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
+    default_in_flight, default_memory_bytes,
 };
 use crate::settings::{Choices, Contouring, Integrator, Settings};
 
@@ -35,7 +36,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     clean_up_when_interrupted();
     let Selection { sequences, found } = select_frames(args, console)?;
     warn_of_what_is_ignored(args, console);
-    let outputs = output_options(args);
+    let outputs = Arc::new(output_options(args));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     refuse_conflicts(&sequences, &found, &outputs, args.report.as_deref())?;
@@ -48,10 +49,10 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
         let settings = resolve_settings(sequence, args, &pool, console)?;
-        run.add(sequence, settings);
+        run.add(sequence, settings, &outputs);
     }
     out_folder.keep();
-    run.convert(args.skip_done, &pool, &outputs, console);
+    run.convert(args.skip_done, &pool, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
 }
 
@@ -316,7 +317,12 @@ impl Run {
         }
     }
 
-    fn add(&mut self, sequence: &SelectedSequence, settings: Result<(Settings, SequenceRecord), String>) {
+    fn add(
+        &mut self,
+        sequence: &SelectedSequence,
+        settings: Result<(Settings, SequenceRecord), String>,
+        outputs: &Arc<OutputOptions>,
+    ) {
         let name = &sequence.sequence.name;
         let (settings, record) = match settings {
             Ok((settings, record)) => (Ok(Arc::new(settings)), record),
@@ -325,19 +331,18 @@ impl Run {
         let sequence_index = self.record.add_sequence(record);
         self.sequence_names.push(name.clone());
         for file in &sequence.selected {
-            let frame = |settings| Frame { input: file.path.clone(), stem: file.stem(), settings };
+            let frame = |settings| Frame {
+                input: file.path.clone(),
+                stem: file.stem(),
+                settings,
+                outputs: Arc::clone(outputs),
+            };
             let work = settings.clone().map(frame);
             self.planned.push(PlannedFrame { input: file.path.clone(), sequence_index, work });
         }
     }
 
-    fn convert(
-        &mut self,
-        skip_done: bool,
-        pool: &ThreadPool,
-        outputs: &OutputOptions,
-        console: &mut Console,
-    ) {
+    fn convert(&mut self, skip_done: bool, pool: &ThreadPool, console: &mut Console) {
         let planned = std::mem::take(&mut self.planned);
         let begin_count = match self.on_error {
             OnError::Continue => planned.len(),
@@ -349,7 +354,13 @@ impl Run {
             .enumerate()
             .filter_map(|(place, planned)| Some((place, planned.work.as_ref().ok()?.clone())))
             .unzip();
-        let conduct = Conduct { pool, outputs, on_error: self.on_error, skip_done };
+        let conduct = Conduct {
+            pool,
+            on_error: self.on_error,
+            skip_done,
+            in_flight: default_in_flight(pool.current_num_threads()),
+            memory_bytes: default_memory_bytes(),
+        };
         let has_bar = console.show_bar(frames.len());
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
             // The record and what is told have the order of the inputs.
@@ -407,11 +418,16 @@ impl Run {
                     console.say(format_args!("{name}: {}", described(report)));
                 }
             }
-            Outcome::AlreadyDone => {
+            Outcome::AlreadyDone(_) => {
                 self.done_count += 1;
                 if !has_bar {
                     console.say(format_args!("{name}: done already"));
                 }
+            }
+            Outcome::Changed => {
+                let failure = format!("{name}: the file was written while it was read");
+                console.warn(format_args!("error: {failure}"));
+                self.failures.push(failure);
             }
             Outcome::Failed(error) => {
                 console.warn(format_args!("error: {error}"));
