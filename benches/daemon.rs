@@ -1,0 +1,132 @@
+//! What the daemon adds to a frame: from the moment it is renamed into the watched folder to the moment
+//! when all its outputs are there, less the seconds that the log says reading, skinning and writing took.
+//!
+//! ```text
+//!   rename ─▶ event ─▶ the loop ─▶ queue ─▶ read … write ─▶ outputs are there
+//!          └──────────── added ───────────┘└── the log ──┘└─ added ─┘
+//! ```
+//!
+//! Ends with 1 where the median is not what the project promises.
+//!
+//! `cargo bench --bench daemon`
+
+#![allow(clippy::print_stdout, reason = "a bench tells what it measured")]
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, ChildStderr, Command, ExitCode, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+/// Frames before these have their own costs: the first settles the voxel size.
+const WARM_UP_COUNT: usize = 3;
+const FRAME_COUNT: usize = 60;
+/// A block of 3 000 particles.
+const BLOCK: [usize; 3] = [20, 15, 10];
+
+const MEDIAN_MAX: Duration = Duration::from_millis(50);
+
+fn main() -> ExitCode {
+    let folder = tempfile::tempdir().expect("a folder");
+    let inside = folder.path().join("in");
+    fs::create_dir(&inside).expect("made");
+    let mut daemon = Daemon::start(folder.path());
+    let mut added: Vec<Duration> = (0..WARM_UP_COUNT + FRAME_COUNT)
+        .map(|number| daemon.time_added(folder.path(), number))
+        .skip(WARM_UP_COUNT)
+        .collect();
+    added.sort();
+    let median = added[added.len() / 2];
+    println!("added by the daemon to each of {FRAME_COUNT} frames of 3000 particles, in ms");
+    println!("  median    90 %     max");
+    let [median_ms, most_ms, max_ms] =
+        [median, added[added.len() * 9 / 10], added[added.len() - 1]].map(|time| time.as_secs_f64() * 1e3);
+    println!("{median_ms:8.2}{most_ms:8.2}{max_ms:8.2}");
+    if median < MEDIAN_MAX {
+        return ExitCode::SUCCESS;
+    }
+    println!("the median is not under {MEDIAN_MAX:?}");
+    ExitCode::FAILURE
+}
+
+/// A daemon, and its log.
+struct Daemon {
+    child: Child,
+    log: BufReader<ChildStderr>,
+}
+
+impl Daemon {
+    fn start(folder: &Path) -> Daemon {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
+            .args(["watch", "in", "--out", "out", "--log", "json"])
+            .current_dir(folder)
+            .env_remove("NOTIFY_SOCKET")
+            .stdin(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the daemon starts");
+        let log = BufReader::new(child.stderr.take().expect("a pipe"));
+        Daemon { child, log }
+    }
+
+    /// Lets a frame land, and tells what the daemon added to its skinning.
+    fn time_added(&mut self, folder: &Path, number: usize) -> Duration {
+        let part = folder.join(format!("in/.{number}.part"));
+        fs::write(&part, block_ply(0.01 * number as f32)).expect("written");
+        let outputs = ["glb", "vdb"].map(|format| folder.join(format!("out/dam.{number}.{format}")));
+        let landed = Instant::now();
+        fs::rename(&part, folder.join(format!("in/dam.{number}.ply"))).expect("renamed");
+        while !outputs.iter().all(|output| output.exists()) {
+            thread::sleep(LOOK_EVERY);
+        }
+        let taken = landed.elapsed();
+        taken.saturating_sub(self.logged_time())
+    }
+
+    /// The time that the next frame in the log took in all stages.
+    fn logged_time(&mut self) -> Duration {
+        loop {
+            let mut line = String::new();
+            let count = self.log.read_line(&mut line).expect("a log");
+            assert!(count > 0, "the daemon has ended");
+            let line: Value = serde_json::from_str(&line).expect("JSON");
+            if line["message"] == "converted" {
+                let stages = ["read_s", "rasterize_s", "smooth_s", "contour_s", "write_s"];
+                let seconds = stages.iter().map(|stage| line[stage].as_f64().expect("seconds")).sum();
+                return Duration::from_secs_f64(seconds);
+            }
+            assert!(line["level"] != "ERROR", "{line}");
+        }
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        // It has nothing left to do.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Rarely enough to leave the cores to the daemon.
+const LOOK_EVERY: Duration = Duration::from_micros(200);
+
+/// A block of particles, 0.1 apart, moved along x, as binary PLY.
+fn block_ply(shift: f32) -> Vec<u8> {
+    let count: usize = BLOCK.iter().product();
+    let header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
+         property float x\nproperty float y\nproperty float z\nend_header\n"
+    );
+    let mut bytes = header.into_bytes();
+    for index in 0..count {
+        let [x, y, z] = [index % BLOCK[0], index / BLOCK[0] % BLOCK[1], index / BLOCK[0] / BLOCK[1]];
+        for (along, shift) in [(x, shift), (y, 0.0), (z, 0.0)] {
+            bytes.extend((along as f32 * 0.1 + shift).to_le_bytes());
+        }
+    }
+    bytes
+}

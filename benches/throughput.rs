@@ -1,0 +1,184 @@
+//! What the daemon costs when there is much to do: frames through `watch --once`, against the same frames
+//! through the stages called in a plain loop.
+//!
+//! ```text
+//!   daemon   start, scan, journal ─▶ frames overlap, each as a whole on a core where several wait ─▶ end
+//!   loop     start ─▶ read, rasterize, smooth, contour, write, one frame after the other ─▶ end
+//! ```
+//!
+//! Both are processes of their own with the same number of threads, and take turns, so that both see the
+//! machine as it is in that minute. Ends with 1 where the median of the ratios is not what the project
+//! promises.
+//!
+//! `cargo bench --bench throughput`
+
+#![allow(clippy::print_stdout, reason = "a bench tells what it measured")]
+
+use std::env;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::thread;
+use std::time::Instant;
+
+use meniscus::pipeline::{parse_particles, read_file, write_whole};
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::{Surface, skin};
+use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
+use rayon::ThreadPoolBuilder;
+
+/// So many frames of a block of particles.
+struct Load {
+    frame_count: usize,
+    block: [usize; 3],
+}
+
+const LOADS: [Load; 2] =
+    [Load { frame_count: 60, block: [20, 15, 10] }, Load { frame_count: 20, block: [50, 25, 20] }];
+
+const ROUND_COUNT: usize = 7;
+const RATIO_MAX: f64 = 1.05;
+const VOXEL_SIZE: f64 = 0.05;
+
+/// Asks this program for the plain loop.
+const PLAIN: &str = "--plain-loop";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = env::args().collect();
+    if let [_, plain, folder] = &arguments[..]
+        && plain == PLAIN
+    {
+        plain_loop(Path::new(folder));
+        return ExitCode::SUCCESS;
+    }
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    println!("`watch --once` against a plain loop, {threads} threads, {ROUND_COUNT} rounds, medians");
+    println!("  frames  particles    loop s  daemon s     ratio   lowest  highest");
+    let ratios = LOADS.map(|load| measure(&load));
+    if ratios.iter().all(|&ratio| ratio <= RATIO_MAX) {
+        return ExitCode::SUCCESS;
+    }
+    println!("a ratio is above {RATIO_MAX}");
+    ExitCode::FAILURE
+}
+
+/// Measures both by turns, prints a row, and returns the median of the ratios.
+fn measure(load: &Load) -> f64 {
+    let folder = tempfile::tempdir().expect("a folder");
+    let inside = folder.path().join("in");
+    fs::create_dir(&inside).expect("made");
+    for number in 0..load.frame_count {
+        let bytes = block_ply(load.block, 0.01 * number as f32);
+        fs::write(inside.join(format!("dam.{number}.ply")), bytes).expect("written");
+    }
+    // Unmeasured: the files, which must be left alone for a while, become old enough meanwhile.
+    run_plain_loop(folder.path());
+    let times = (0..ROUND_COUNT).map(|_| [run_plain_loop(folder.path()), run_daemon(folder.path())]);
+    let times: Vec<[f64; 2]> = times.collect();
+    let sorted = |figure: &dyn Fn(&[f64; 2]) -> f64| {
+        let mut figures: Vec<f64> = times.iter().map(figure).collect();
+        figures.sort_by(f64::total_cmp);
+        figures
+    };
+    let ratios = sorted(&|[of_loop, of_daemon]| of_daemon / of_loop);
+    let ratio = ratios[ROUND_COUNT / 2];
+    println!(
+        "{:8}{:11}{:10.3}{:10.3}{:10.3}{:9.3}{:9.3}",
+        load.frame_count,
+        load.block.iter().product::<usize>(),
+        sorted(&|times| times[0])[ROUND_COUNT / 2],
+        sorted(&|times| times[1])[ROUND_COUNT / 2],
+        ratio,
+        ratios[0],
+        ratios[ROUND_COUNT - 1],
+    );
+    ratio
+}
+
+fn run_plain_loop(folder: &Path) -> f64 {
+    let mut command = Command::new(env::current_exe().expect("this program"));
+    command.arg(PLAIN).arg(folder);
+    run_timed(folder, command)
+}
+
+fn run_daemon(folder: &Path) -> f64 {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+    let voxel_size = VOXEL_SIZE.to_string();
+    command.args(["watch", "in", "--out", "out", "--once", "--voxel-size", &voxel_size]);
+    run_timed(folder, command)
+}
+
+/// The seconds from the start of a process to its end, into an empty folder.
+fn run_timed(folder: &Path, mut command: Command) -> f64 {
+    let out = folder.join("out");
+    fs::create_dir(&out).expect("made");
+    command.current_dir(folder).env_remove("NOTIFY_SOCKET").stdin(Stdio::null()).stderr(Stdio::null());
+    let start = Instant::now();
+    let status = command.status().expect("it starts");
+    let seconds = start.elapsed().as_secs_f64();
+    assert!(status.success(), "{status}");
+    fs::remove_dir_all(&out).expect("removed");
+    seconds
+}
+
+/// Each frame of `folder`/`in` through the stages, one after the other, all threads on each.
+fn plain_loop(folder: &Path) {
+    let settings = Settings::resolve(VOXEL_SIZE, &Choices::default()).expect("valid");
+    let pool = ThreadPoolBuilder::new().build().expect("threads");
+    let mut inputs: Vec<PathBuf> = fs::read_dir(folder.join("in"))
+        .expect("the folder is there")
+        .map(|entry| entry.expect("an entry").path())
+        .collect();
+    inputs.sort();
+    for input in inputs {
+        let bytes = read_file(&input).expect("readable");
+        let stem = input.file_stem().expect("a name").to_string_lossy().into_owned();
+        pool.install(|| {
+            let read = parse_particles(&input, &bytes).expect("particles");
+            let surface = skin(&read.particles, &settings);
+            write_surface(&surface, &settings, &folder.join("out"), &stem);
+        });
+    }
+}
+
+/// Writes what the daemon writes by default.
+fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &str) {
+    let mesh = MeshView {
+        positions: bytemuck::cast_slice(&surface.mesh.positions),
+        normals: bytemuck::cast_slice(&surface.mesh.normals),
+        triangles: &surface.mesh.triangles,
+        origin: surface.mesh.origin.to_array(),
+    };
+    write_whole(&folder.join(format!("{stem}.glb")), |out| {
+        gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out)
+    })
+    .expect("written");
+    let origins: Vec<[i32; 3]> =
+        surface.band.topology.origins().iter().map(|origin| origin.to_array()).collect();
+    let levels = LevelSetView {
+        origins: &origins,
+        leaves: surface.band.phi.as_arrays(),
+        half_width_voxels: 3.0,
+        voxel_size: settings.voxel_size,
+    };
+    let options = vdb::WriteOptions::default();
+    write_whole(&folder.join(format!("{stem}.vdb")), |out| vdb::write(&levels, &options, &[], out))
+        .expect("written");
+}
+
+/// A block of particles, 0.1 apart, moved along x, as binary PLY.
+fn block_ply(block: [usize; 3], shift: f32) -> Vec<u8> {
+    let count: usize = block.iter().product();
+    let header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
+         property float x\nproperty float y\nproperty float z\nend_header\n"
+    );
+    let mut bytes = header.into_bytes();
+    for index in 0..count {
+        let [x, y, z] = [index % block[0], index / block[0] % block[1], index / block[0] / block[1]];
+        for (along, shift) in [(x, shift), (y, 0.0), (z, 0.0)] {
+            bytes.extend((along as f32 * 0.1 + shift).to_le_bytes());
+        }
+    }
+    bytes
+}

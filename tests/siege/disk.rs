@@ -1,0 +1,154 @@
+//! A disk that fills up, or has too little room from the start.
+//!
+//! ```text
+//!   in/     frames                                        as much room as there is
+//!   out/    outputs, the journal, and a ballast file      a small disk of its own
+//!   wanted/ what the one-shot command makes of the frames
+//! ```
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use tempfile::{TempDir, tempdir};
+
+use crate::mounts::{mount_tmpfs, with_own_mounts};
+use crate::scene::{
+    Daemon, assert_same_output, assert_same_outputs, convert, counts, frame_names, is_long, land_sequence,
+    names_in, status,
+};
+
+/// A folder with frames, and a small disk for their outputs.
+struct Siege {
+    folder: TempDir,
+    frames: Vec<String>,
+}
+
+/// Room for about a hundred of the frames here.
+const DISK_BYTES: u64 = 8 << 20;
+
+impl Siege {
+    fn new(frame_count: usize) -> Siege {
+        let folder = tempdir().expect("a folder");
+        let path = folder.path();
+        for name in ["in", "out"] {
+            fs::create_dir(path.join(name)).expect("made");
+        }
+        land_sequence(&path.join("in"), 1, frame_count, 6);
+        convert(path, "wanted", &[]);
+        mount_tmpfs(&path.join("out"), DISK_BYTES);
+        Siege { folder, frames: frame_names(1, frame_count) }
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn out(&self) -> PathBuf {
+        self.path().join("out")
+    }
+
+    /// Fills the disk up but for so many bytes.
+    fn fill_up_to(&self, free_bytes: u64) {
+        let mut ballast = File::create(self.out().join("ballast")).expect("made");
+        let bytes = usize::try_from(DISK_BYTES - free_bytes).expect("small");
+        ballast.write_all(&vec![1; bytes]).expect("there is room for it");
+    }
+
+    fn make_room(&self) {
+        fs::remove_file(self.out().join("ballast")).expect("removed");
+    }
+
+    /// The outputs that are there, each of which must be whole.
+    fn outputs(&self) -> Vec<String> {
+        let visible = names_in(&self.out()).into_iter().filter(|name| !name.starts_with('.'));
+        let outputs: Vec<String> = visible.filter(|name| name != "ballast").collect();
+        for name in &outputs {
+            assert_same_output(&self.out().join(name), &self.path().join("wanted").join(name));
+        }
+        outputs
+    }
+
+    /// Asserts that everything is there and known, and that nothing is done again after a restart.
+    fn is_whole(&self) {
+        let count = self.frames.len() as u64;
+        assert_same_outputs(&self.out(), &self.path().join("wanted"));
+        assert_eq!(counts(self.path()), [count, 0, 0, 0]);
+        assert_eq!(status(self.path())["failed"].as_array().map(Vec::len), Some(0));
+        let mut again = Daemon::start(self.path(), &["in", "--out", "out", "--once", "--disk-floor", "0"]);
+        again.until_drained();
+        assert_eq!(again.converted(), [""; 0]);
+        assert_eq!(counts(self.path()), [count, 0, 0, 0]);
+    }
+}
+
+/// Whether a daemon has said that it waits for room.
+fn is_paused(daemon: &Daemon) -> bool {
+    daemon.count_logged("paused") > 0 && daemon.has_status("paused")
+}
+
+#[test]
+fn a_disk_that_fills_up_is_waited_for() {
+    with_own_mounts("disk::a_disk_that_fills_up_is_waited_for", || {
+        let siege = Siege::new(if is_long() { 60 } else { 16 });
+        siege.fill_up_to(192 << 10);
+        let mut daemon = Daemon::start(siege.path(), &["in", "--out", "out", "--disk-floor", "0"]);
+        daemon.until("it says that it is paused", is_paused);
+        assert!(siege.outputs().len() < 2 * siege.frames.len());
+        assert_eq!(counts(siege.path())[3], 0);
+        assert!(status(siege.path())["daemon"]["state"].as_str().is_some_and(|s| s.contains("paused")));
+        if is_long() {
+            // It tries by itself now and then, and does not take that for a failure of the frame.
+            daemon.until("it tries again", |daemon| daemon.count_logged("paused") > 8);
+            siege.outputs();
+        }
+        siege.make_room();
+        daemon.until_converted(&siege.frames);
+        daemon.until("it is not paused any more", |daemon| !daemon.has_status("paused"));
+        assert_eq!(daemon.converted().len(), siege.frames.len());
+        daemon.stop();
+        siege.is_whole();
+    });
+}
+
+#[test]
+fn outputs_that_fill_the_disk_stop_at_the_floor() {
+    with_own_mounts("disk::outputs_that_fill_the_disk_stop_at_the_floor", || {
+        let siege = Siege::new(24);
+        siege.fill_up_to(3 << 20);
+        let floor = ["in", "--out", "out", "--disk-floor", "2MiB", "--in-flight", "1"];
+        let mut daemon = Daemon::start(siege.path(), &floor);
+        daemon.until("it says that it is paused", is_paused);
+        let converted = daemon.converted();
+        assert!(!converted.is_empty() && converted.len() < siege.frames.len(), "{converted:?}");
+        // The frames are small: none of them takes the disk from above the floor to nothing.
+        assert_eq!(daemon.count_logged("No space"), 0);
+        siege.outputs();
+        siege.make_room();
+        daemon.until_converted(&siege.frames);
+        daemon.stop();
+        siege.is_whole();
+    });
+}
+
+#[test]
+fn nothing_is_begun_below_the_floor() {
+    with_own_mounts("disk::nothing_is_begun_below_the_floor", || {
+        let siege = Siege::new(4);
+        siege.fill_up_to(3 << 20);
+        let mut daemon = Daemon::start(siege.path(), &["in", "--out", "out", "--disk-floor", "4MiB"]);
+        daemon.until("it says that it is paused", is_paused);
+        daemon.until("all frames wait", |daemon| daemon.has_status("4 queued"));
+        let why =
+            daemon.log.iter().find(|line| line["message"].as_str().is_some_and(|m| m.contains("paused")));
+        let why = why.expect("it said so")["message"].as_str().unwrap_or_default().to_owned();
+        assert!(why.contains("out has 3.0 MiB free") && why.contains("waiting for 4.0 MiB"), "{why}");
+        let state = status(siege.path())["daemon"]["state"].to_string();
+        assert!(state.contains("waiting for 4.0 MiB"), "{state}");
+        assert!(siege.outputs().is_empty() && daemon.converted().is_empty());
+        siege.make_room();
+        daemon.until_converted(&siege.frames);
+        daemon.stop();
+        siege.is_whole();
+    });
+}

@@ -1,0 +1,161 @@
+//! Folders that vanish, come back, come up empty, come late.
+//!
+//! In all of it, what is done stays done: a frame more, that comes last and whose name is the last in
+//! order, tells that nothing else was queued before it.
+
+use std::fs;
+use std::path::Path;
+
+use tempfile::{TempDir, tempdir};
+
+use crate::mounts::{mount_bind, unmount, with_own_mounts};
+use crate::scene::{Daemon, assert_same_outputs, convert, counts, frame_names, land_sequence, names_in};
+
+/// Frames `1..=last` land and are converted.
+fn begun(last: usize) -> (TempDir, Daemon) {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    land_sequence(&folder.path().join("in"), 1, last, 5);
+    let mut daemon = Daemon::start(folder.path(), &ARGUMENTS);
+    daemon.until_converted(&frame_names(1, last));
+    (folder, daemon)
+}
+
+/// Looking often is no part of what is tested: whatever is found is to be found by the events or by
+/// waiting for the folder.
+const ARGUMENTS: [&str; 7] = ["in", "--out", "out", "--settle", "50ms", "--rescan", "1h"];
+
+/// Asserts that frames `1..=last` were converted once each, and are there.
+fn assert_all_once(folder: &Path, daemon: Daemon, last: usize) {
+    let mut converted = daemon.converted();
+    converted.sort();
+    let mut wanted = frame_names(1, last);
+    wanted.sort();
+    assert_eq!(converted, wanted);
+    daemon.stop();
+    assert_eq!(counts(folder), [last as u64, 0, 0, 0]);
+    convert(folder, "wanted", &[]);
+    assert_same_outputs(&folder.join("out"), &folder.join("wanted"));
+}
+
+#[test]
+fn a_folder_that_is_moved_away_is_waited_for() {
+    let (folder, mut daemon) = begun(4);
+    let [inside, away] = ["in", "away"].map(|name| folder.path().join(name));
+    for round in 1..=2 {
+        fs::rename(&inside, &away).expect("renamed");
+        daemon.until("it is unavailable", |daemon| {
+            daemon.count_logged("unavailable") == round && daemon.has_status("is unavailable")
+        });
+        assert_eq!(counts(folder.path())[0], 3 + round as u64);
+        // One comes while nobody looks.
+        land_sequence(&away, 4 + round, 4 + round, 5);
+        fs::rename(&away, &inside).expect("renamed");
+        daemon.until_converted(&frame_names(1, 4 + round));
+        daemon.until("it is there again", |daemon| daemon.count_logged("there again") == round);
+    }
+    // And its events are heard again.
+    land_sequence(&inside, 7, 7, 5);
+    daemon.until_converted(&frame_names(1, 7));
+    assert_all_once(folder.path(), daemon, 7);
+}
+
+#[test]
+fn a_disk_that_is_unmounted_is_waited_for() {
+    with_own_mounts("roots::a_disk_that_is_unmounted_is_waited_for", || {
+        let folder = tempdir().expect("a folder");
+        let [inside, disk] = ["in", "disk"].map(|name| folder.path().join(name));
+        for path in [&inside, &disk] {
+            fs::create_dir(path).expect("made");
+        }
+        land_sequence(&disk, 1, 3, 5);
+        mount_bind(&disk, &inside);
+        let arguments = ["in", "--out", "out", "--settle", "50ms", "--rescan", "500ms"];
+        let mut daemon = Daemon::start(folder.path(), &arguments);
+        daemon.until_converted(&frame_names(1, 3));
+        unmount(&inside);
+        assert!(names_in(&inside).is_empty());
+        daemon.until("it is unavailable", |daemon| {
+            daemon.count_logged("unavailable") == 1 && daemon.has_status("is unavailable")
+        });
+        assert_eq!(counts(folder.path()), [3, 0, 0, 0]);
+        land_sequence(&disk, 4, 4, 5);
+        mount_bind(&disk, &inside);
+        daemon.until_converted(&frame_names(1, 4));
+        land_sequence(&inside, 5, 5, 5);
+        daemon.until_converted(&frame_names(1, 5));
+        assert_all_once(folder.path(), daemon, 5);
+        unmount(&inside);
+    });
+}
+
+#[test]
+fn a_folder_that_was_emptied_keeps_its_outputs() {
+    let (folder, mut daemon) = begun(3);
+    let inside = folder.path().join("in");
+    for name in frame_names(1, 3) {
+        fs::remove_file(inside.join(name)).expect("removed");
+    }
+    land_sequence(&inside, 4, 4, 5);
+    daemon.until_converted(&frame_names(1, 4));
+    assert_eq!(names_in(&folder.path().join("out")).len(), 8);
+    assert_eq!(daemon.converted().len(), 4);
+    daemon.stop();
+}
+
+#[test]
+fn a_folder_that_comes_back_empty_is_unavailable() {
+    let (folder, mut daemon) = begun(3);
+    let [inside, away] = ["in", "away"].map(|name| folder.path().join(name));
+    fs::rename(&inside, &away).expect("renamed");
+    fs::create_dir(&inside).expect("made");
+    daemon.until("it is unavailable", |daemon| daemon.has_status("is unavailable"));
+    assert_eq!(counts(folder.path()), [3, 0, 0, 0]);
+    fs::remove_dir(&inside).expect("it is empty");
+    fs::rename(&away, &inside).expect("renamed");
+    land_sequence(&inside, 4, 4, 5);
+    daemon.until_converted(&frame_names(1, 4));
+    assert_all_once(folder.path(), daemon, 4);
+}
+
+#[test]
+fn a_folder_may_come_late() {
+    for is_made_before_it_is_filled in [true, false] {
+        let folder = tempdir().expect("a folder");
+        let inside = folder.path().join("in");
+        let mut daemon = Daemon::start_ready(folder.path(), &ARGUMENTS);
+        daemon.until("it is unavailable", |daemon| daemon.has_status("is unavailable"));
+        if is_made_before_it_is_filled {
+            fs::create_dir(&inside).expect("made");
+            land_sequence(&inside, 1, 3, 5);
+        } else {
+            let elsewhere = folder.path().join("elsewhere");
+            fs::create_dir(&elsewhere).expect("made");
+            land_sequence(&elsewhere, 1, 3, 5);
+            fs::rename(&elsewhere, &inside).expect("renamed");
+        }
+        daemon.until_converted(&frame_names(1, 3));
+        assert_all_once(folder.path(), daemon, 3);
+    }
+}
+
+#[test]
+fn outputs_that_are_removed_are_made_again() {
+    let folder = tempdir().expect("a folder");
+    let [inside, out] = ["in", "out"].map(|name| folder.path().join(name));
+    fs::create_dir(&inside).expect("made");
+    land_sequence(&inside, 1, 3, 5);
+    let arguments = ["in", "--out", "out", "--settle", "50ms", "--rescan", "200ms"];
+    let mut daemon = Daemon::start(folder.path(), &arguments);
+    daemon.until_converted(&frame_names(1, 3));
+    // With the journal and the lock in it.
+    fs::remove_dir_all(&out).expect("removed");
+    land_sequence(&inside, 4, 4, 5);
+    daemon.until("all are there again", |daemon| {
+        daemon.converted().len() == 7 && daemon.has_status("4 done, 0 queued")
+    });
+    daemon.stop();
+    convert(folder.path(), "wanted", &[]);
+    assert_same_outputs(&out, &folder.path().join("wanted"));
+    assert_eq!(counts(folder.path()), [4, 0, 0, 0]);
+}

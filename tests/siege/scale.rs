@@ -1,0 +1,94 @@
+//! Many frames that are converted already: the daemon knows it soon, and then does next to nothing.
+//!
+//! The frames have no particles, so that a real run makes the outputs and the journal of 50 000 of them
+//! in a minute or two. What is measured does not depend on what is in them: no file is opened.
+
+use std::fs;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes};
+
+fn frame_count() -> usize {
+    if is_long() { 50_000 } else { 2_000 }
+}
+
+/// The voxel size is given, for frames without particles have none to measure.
+const ARGUMENTS: [&str; 8] = ["in", "--out", "out", "--format", "ply", "--voxel-size", "0.1", "--settle"];
+
+fn arguments<'a>(more: &[&'a str]) -> Vec<&'a str> {
+    [&ARGUMENTS[..], &["100ms"], more].concat()
+}
+
+/// A folder in which all frames are converted.
+fn converted_folder() -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    let empty = block_ply(0, 0.0);
+    for name in frame_names(1, frame_count()) {
+        fs::write(folder.path().join("in").join(name), &empty).expect("written");
+    }
+    let mut daemon = Daemon::start(folder.path(), &arguments(&["--once"]));
+    daemon.until_drained();
+    assert_eq!(daemon.converted().len(), frame_count());
+    folder
+}
+
+#[test]
+fn what_is_done_costs_little() {
+    let folder = converted_folder();
+    let path = folder.path();
+    let start = Instant::now();
+    let mut daemon = Daemon::start_ready(path, &arguments(&["--rescan", "5s"]));
+    let start_seconds = start.elapsed().as_secs_f64();
+    assert!(start_seconds < 2.0, "it was ready after {start_seconds} s");
+    daemon.until("all are known", |daemon| daemon.has_status(&format!("{} done", frame_count())));
+    assert_eq!(daemon.converted(), [""; 0]);
+
+    let watched = Duration::from_secs(if is_long() { 30 } else { 8 });
+    let before = cpu_seconds(daemon.pid());
+    daemon.listen_for(watched);
+    let share = (cpu_seconds(daemon.pid()) - before) / watched.as_secs_f64();
+    assert!(share <= 0.01, "it takes {share} of a core");
+    daemon.stop();
+}
+
+#[test]
+fn looking_again_takes_no_more_memory() {
+    let folder = converted_folder();
+    let path = folder.path();
+    let mut daemon = Daemon::start_ready(path, &arguments(&["--poll", "50ms"]));
+    // A frame that is found tells that the folder was looked through once more.
+    let mut look_again = |number: usize| {
+        land_one(path, number);
+        daemon.until_converted(&frame_names(number, number));
+        memory_bytes(daemon.pid(), "VmRSS")
+    };
+    let count = frame_count();
+    let at_first: Vec<u64> = (count + 1..=count + 5).map(&mut look_again).collect();
+    let at_last: Vec<u64> = (count + 6..=count + 25).map(&mut look_again).collect();
+    let [first, last] = [at_first, at_last].map(|sizes| sizes.into_iter().max().unwrap_or_default());
+    assert!(last < first + first / 10, "{first} bytes have become {last}");
+    assert_eq!(daemon.converted().len(), 25);
+    daemon.stop();
+}
+
+fn land_one(folder: &Path, number: usize) {
+    land(&folder.join("in"), &frame_names(number, number)[0], &block_ply(0, 0.0));
+}
+
+/// The time that a process has computed until now.
+fn cpu_seconds(pid: u32) -> f64 {
+    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).expect("it is there");
+    // The name of the program, in brackets, may have spaces.
+    let (_, fields) = stat.rsplit_once(')').expect("a name");
+    let ticks = |index: usize| -> f64 {
+        fields.split_whitespace().nth(index).and_then(|field| field.parse().ok()).expect("a number")
+    };
+    (ticks(11) + ticks(12)) / TICKS_PER_SECOND
+}
+
+/// What Linux counts in for programs, whatever it counts in itself.
+const TICKS_PER_SECOND: f64 = 100.0;
