@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use crate::certify::certify;
 use crate::contour;
+use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
 use crate::particles::Particles;
@@ -26,6 +27,16 @@ pub struct Surface {
     pub mesh: Mesh,
     /// What was measured on the way.
     pub report: SkinReport,
+}
+
+impl Surface {
+    /// The memory that it takes, in bytes.
+    pub fn size_bytes(&self) -> u64 {
+        let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
+        let Mesh { positions, normals, triangles, .. } = &self.mesh;
+        let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
+        (leaves + mesh) as u64
+    }
 }
 
 /// What rasterization hands to smoothing.
@@ -49,6 +60,11 @@ pub struct Smoothed {
 /// Skins one frame: rasterize, smooth, contour.
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
     contour(smooth(rasterize(particles, settings), settings), settings)
+}
+
+/// The most memory that the three stages take for these particles, about, in bytes.
+pub fn memory_estimate_bytes(particles: &Particles, _settings: &Settings) -> u64 {
+    particles.len() as u64 * 1000
 }
 
 /// The first stage: particles to level sets.
@@ -118,3 +134,6 @@ fn smooth_config(settings: &Settings) -> smooth::Config {
         cg_tolerance: settings.cg_tolerance,
     }
 }
+
+/// Memory that a topology takes for a leaf: its origin, its neighbours, and its place in the map.
+const TOPOLOGY_LEAF_BYTES: usize = 80;

@@ -10,7 +10,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputOptions,
-    RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
+    RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs, default_in_flight,
+    default_memory_bytes,
 };
 use crate::settings::Settings;
 
@@ -35,7 +36,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     if let Some(warning) = ignored(&args.solver) {
         console.warn(format_args!("warning: {warning}"));
     }
-    let outputs = output_options(args.out.clone(), args.format.as_deref(), &args.formats);
+    let outputs = Arc::new(output_options(args.out.clone(), args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     refuse_conflicts(&sequences, &found, &outputs, args.report.as_deref())?;
@@ -48,10 +49,10 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
         let settings = resolve_settings(sequence, args, &pool, console)?;
-        run.add(sequence, settings);
+        run.add(sequence, settings, &outputs);
     }
     out_folder.keep();
-    run.convert(args.skip_done, &pool, &outputs, console);
+    run.convert(args.skip_done, &pool, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
 }
 
@@ -258,7 +259,12 @@ impl Run {
         }
     }
 
-    fn add(&mut self, sequence: &SelectedSequence, settings: Result<(Settings, SequenceRecord), String>) {
+    fn add(
+        &mut self,
+        sequence: &SelectedSequence,
+        settings: Result<(Settings, SequenceRecord), String>,
+        outputs: &Arc<OutputOptions>,
+    ) {
         let name = &sequence.sequence.name;
         let (settings, record) = match settings {
             Ok((settings, record)) => (Ok(Arc::new(settings)), record),
@@ -267,19 +273,18 @@ impl Run {
         let sequence_index = self.record.add_sequence(record);
         self.sequence_names.push(name.clone());
         for file in &sequence.selected {
-            let frame = |settings| Frame { input: file.path.clone(), stem: file.stem(), settings };
+            let frame = |settings| Frame {
+                input: file.path.clone(),
+                stem: file.stem(),
+                settings,
+                outputs: Arc::clone(outputs),
+            };
             let work = settings.clone().map(frame);
             self.planned.push(PlannedFrame { input: file.path.clone(), sequence_index, work });
         }
     }
 
-    fn convert(
-        &mut self,
-        skip_done: bool,
-        pool: &ThreadPool,
-        outputs: &OutputOptions,
-        console: &mut Console,
-    ) {
+    fn convert(&mut self, skip_done: bool, pool: &ThreadPool, console: &mut Console) {
         let planned = std::mem::take(&mut self.planned);
         let begin_count = match self.on_error {
             OnError::Continue => planned.len(),
@@ -291,7 +296,13 @@ impl Run {
             .enumerate()
             .filter_map(|(place, planned)| Some((place, planned.work.as_ref().ok()?.clone())))
             .unzip();
-        let conduct = Conduct { pool, outputs, on_error: self.on_error, skip_done };
+        let conduct = Conduct {
+            pool,
+            on_error: self.on_error,
+            skip_done,
+            in_flight: default_in_flight(pool.current_num_threads()),
+            memory_bytes: default_memory_bytes(),
+        };
         let has_bar = console.show_bar(frames.len());
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
             // The record and what is told have the order of the inputs.
@@ -349,11 +360,16 @@ impl Run {
                     console.say(format_args!("{name}: {}", described(report)));
                 }
             }
-            Outcome::AlreadyDone => {
+            Outcome::AlreadyDone(_) => {
                 self.done_count += 1;
                 if !has_bar {
                     console.say(format_args!("{name}: done already"));
                 }
+            }
+            Outcome::Changed => {
+                let failure = format!("{name}: the file was written while it was read");
+                console.warn(format_args!("error: {failure}"));
+                self.failures.push(failure);
             }
             Outcome::Failed(error) => {
                 console.warn(format_args!("error: {error}"));

@@ -2,12 +2,16 @@
 
 use std::any::Any;
 use std::fmt;
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::report::SkinReport;
 use crate::settings::Settings;
+
+use super::outputs::OutputOptions;
+use super::stamp::FileStamp;
 
 /// One frame to convert.
 #[derive(Clone, Debug)]
@@ -18,6 +22,18 @@ pub struct Frame {
     pub stem: String,
     /// The settings of its sequence.
     pub settings: Arc<Settings>,
+    /// What is written, and where.
+    pub outputs: Arc<OutputOptions>,
+}
+
+/// Which state of a file was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ReadInput {
+    /// What the file system said of it, the same before and after reading.
+    pub stamp: FileStamp,
+    /// A hash of the file as it was on the disk. It tells files apart that are not made to be
+    /// confused; it is not a seal.
+    pub hash: u128,
 }
 
 /// What came of a frame.
@@ -26,8 +42,11 @@ pub enum Outcome {
     /// All outputs were written.
     Converted(Box<FrameReport>),
     /// All outputs were there already, made from the same input by the same settings.
-    AlreadyDone,
-    /// Outputs are missing.
+    AlreadyDone(ReadInput),
+    /// The file was written while it was read: what was read is neither the old file nor the new
+    /// one. It is to be read again later.
+    Changed,
+    /// No output was written.
     Failed(FrameError),
     /// Not attempted: an earlier frame failed, and that was to be the end.
     NotStarted,
@@ -36,6 +55,8 @@ pub enum Outcome {
 /// What was measured on a frame that was converted.
 #[derive(Clone, Debug, Default)]
 pub struct FrameReport {
+    /// What was read.
+    pub input: ReadInput,
     /// What the method measured.
     pub skin: SkinReport,
     /// Seconds of reading and parsing.
@@ -47,6 +68,8 @@ pub struct FrameReport {
     pub peak_memory_bytes: Option<u64>,
     /// The files that were written.
     pub outputs: Vec<PathBuf>,
+    /// The size of each of them.
+    pub output_bytes: Vec<u64>,
     /// What a user should know though the frame was converted.
     pub notes: Vec<String>,
 }
@@ -102,6 +125,14 @@ impl FrameError {
     /// A failure on account of a file.
     pub fn file(path: &Path, during: Stage, source: impl Into<meniscus_formats::Error>) -> FrameError {
         FrameError { path: path.to_owned(), during, cause: Cause::File(source.into()) }
+    }
+
+    /// Whether an output could not be written because the disk, or what its owner may use of it, is
+    /// full: it will go better once there is room.
+    pub fn is_disk_full(&self) -> bool {
+        let Cause::File(meniscus_formats::Error::Io(source)) = &self.cause else { return false };
+        let is_full = matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
+        is_full && self.during == Stage::Write
     }
 
     /// Does `work` on the frame at `path`; a panic becomes an error of this frame.

@@ -7,6 +7,11 @@ pub(super) fn peak_memory_bytes() -> Option<u64> {
     parse_peak(&status)
 }
 
+/// Half of the memory of this machine, or of what its control group allows this process.
+pub fn default_memory_bytes() -> u64 {
+    8 << 30
+}
+
 fn parse_peak(status: &str) -> Option<u64> {
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim_end().parse().ok()?;

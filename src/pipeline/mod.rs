@@ -13,8 +13,10 @@
 //! One command for one file, a sequence and a daemon run this same pipeline; they differ only in
 //! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
 
+mod budget;
 mod frame;
 mod memory;
+mod method;
 mod outputs;
 mod provenance;
 mod reading;
@@ -26,12 +28,14 @@ mod stamp;
 mod voxel_size;
 mod writing;
 
-pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, Stage};
+pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+pub use memory::default_memory_bytes;
+pub use method::{LevelSetSkinning, Method};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
 pub use reading::{ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
-pub use stages::{Conduct, LevelSetSkinning, Method, OnError, run};
+pub use stages::{Conduct, OnError, default_in_flight, run, stream};
 pub use stamp::FileStamp;
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};

@@ -10,45 +10,24 @@ use std::path::Path;
 use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
-use twox_hash::XxHash3_128;
 
 use crate::settings::{Contouring, Integrator, Settings};
 
-use super::frame::{Frame, FrameError};
+use super::frame::Frame;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
-use super::reading::read_file;
 
-/// Which input an output was made from.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct InputIdentity {
-    /// The file's name, without its folder.
-    name: String,
-    /// A hash of the file as it is on the disk. It tells files apart that are not made to be
-    /// confused; it is not a seal.
-    hash: u128,
-}
-
-impl InputIdentity {
-    /// Reads a file whole: its bytes, and what tells it from others.
-    pub(super) fn of_file(path: &Path) -> Result<(Vec<u8>, InputIdentity), FrameError> {
-        let bytes = read_file(path)?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let hash = XxHash3_128::oneshot(&bytes);
-        Ok((bytes, InputIdentity { name, hash }))
-    }
-}
-
-/// Names and values for an output in `format`.
+/// Names and values for an output in `format`, made from the file `input` with this hash.
 pub(super) fn provenance(
     settings: &Settings,
-    input: &InputIdentity,
+    input: &Path,
+    hash: u128,
     format: OutputFormat,
     options: &OutputOptions,
 ) -> Vec<(String, String)> {
     let mut pairs = vec![
         ("generator", format!("meniscus {}", env!("CARGO_PKG_VERSION"))),
-        ("input", input.name.clone()),
-        ("input_hash", format!("xxh3-128:{:032x}", input.hash)),
+        ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
+        ("input_hash", format!("xxh3-128:{hash:032x}")),
     ];
     pairs.extend(settings_pairs(settings, format));
     match format {
@@ -64,9 +43,10 @@ pub(super) fn provenance(
 
 /// Whether every output of a frame is there, whole, and records what this run would record. Whole
 /// is one that has its end; bytes overwritten in the middle are not found out.
-pub(super) fn is_done(frame: &Frame, input: &InputIdentity, options: &OutputOptions) -> bool {
+pub(super) fn is_done(frame: &Frame, hash: u128) -> bool {
+    let options = &*frame.outputs;
     options.formats.iter().all(|&format| {
-        let wanted = provenance(&frame.settings, input, format, options);
+        let wanted = provenance(&frame.settings, &frame.input, hash, format, options);
         let path = output_path(&options.folder, &frame.stem, format);
         records(&path, provenance_kind(format), &wanted).unwrap_or(false)
     })

@@ -17,6 +17,9 @@ use super::provenance::{contouring_name, integrator_name};
 use super::sink::write_whole;
 use super::voxel_size::AutomaticVoxelSize;
 
+/// What is told of a frame whose file was not left alone.
+const CHANGED: &str = "the file was written while it was read";
+
 /// Everything that is reported of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct RunRecord {
@@ -170,7 +173,8 @@ impl RunRecord {
     pub fn add_frame(&mut self, frame: &Frame, sequence_index: usize, outcome: &Outcome) {
         let (status, measured, error) = match outcome {
             Outcome::Converted(report) => (Status::Converted, Some(measured(report)), None),
-            Outcome::AlreadyDone => (Status::AlreadyDone, None, None),
+            Outcome::AlreadyDone(_) => (Status::AlreadyDone, None, None),
+            Outcome::Changed => (Status::Failed, None, Some(CHANGED.to_owned())),
             Outcome::Failed(error) => (Status::Failed, None, Some(error.to_string())),
             Outcome::NotStarted => (Status::NotStarted, None, None),
         };

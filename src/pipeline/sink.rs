@@ -31,19 +31,85 @@ const BUFFER_BYTES: usize = 1 << 18;
 /// # Errors
 /// What `write` returns, or what the system refuses. Nothing is left behind then, and a file that
 /// was at `path` before is still there, untouched.
-pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-    let (temporary, file) = Temporary::create(path)?;
-    let mut out = BufWriter::with_capacity(BUFFER_BYTES, file);
-    write(&mut out)?;
-    out.flush()?;
-    // Else a crash of the machine could leave the name without the bytes.
-    out.get_ref().sync_all()?;
-    drop(out);
-    temporary.rename_to(path)
+pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
+    publish(vec![write_unseen(path, write)?]).map_err(|(_, error)| error)?;
+    Ok(())
 }
 
-/// Removes all files that are not yet whole, and lets no other begin: for a process that ends at
-/// once. Whoever is writing waits from now on.
+/// A file that is whole and on the disk, and not yet to be seen under its name. It is removed unless it is
+/// published.
+pub(super) struct Unseen {
+    temporary: Temporary,
+    path: PathBuf,
+    size_bytes: u64,
+}
+
+impl Unseen {
+    /// The size of the file.
+    pub(super) fn size_bytes(&self) -> u64 {
+        self.size_bytes
+    }
+}
+
+/// Writes what is to appear at `path`.
+///
+/// # Errors
+/// What `write` returns, or what the system refuses. Nothing is left behind then.
+pub(super) fn write_unseen(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
+) -> Result<Unseen> {
+    let temporary = Temporary::create(path)?;
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, &temporary.file);
+    write(&mut out)?;
+    out.flush()?;
+    drop(out);
+    // Else a crash of the machine could leave the name without the bytes.
+    temporary.file.sync_all()?;
+    let size_bytes = temporary.file.metadata()?.len();
+    Ok(Unseen { temporary, path: path.to_owned(), size_bytes })
+}
+
+/// Lets files of one folder appear under their names, in a row, replacing what is there. Returns their
+/// paths.
+///
+/// # Errors
+/// The path that cannot be replaced, and why; then none of the files appears.
+pub(super) fn publish(files: Vec<Unseen>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
+    // What is sure to fail is found before anything is replaced.
+    if let Some(file) = files.iter().find(|file| file.path.symlink_metadata().is_ok_and(|m| m.is_dir())) {
+        return Err((file.path.clone(), io::ErrorKind::IsADirectory.into()));
+    }
+    let mut appeared = Vec::with_capacity(files.len());
+    // Locked for all of them: a stop comes before the first or after the last.
+    let under_way = under_way();
+    for file in &files {
+        if let Err(error) = fs::rename(&file.temporary.path, &file.path) {
+            for path in &appeared {
+                // Without the others it would be half a frame.
+                let _ = fs::remove_file(path);
+            }
+            drop(under_way);
+            return Err((file.path.clone(), error));
+        }
+        appeared.push(file.path.clone());
+    }
+    drop(under_way);
+    if let Some(folder) = appeared.first().and_then(|path| path.parent()) {
+        sync_folder(folder);
+    }
+    Ok(appeared)
+}
+
+/// Puts the names in a folder on the disk, where the system can do such a thing. Where it cannot, or
+/// fails, a crash of the machine may cost names that are there already; it never shows half a file.
+fn sync_folder(folder: &Path) {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let _ = File::open(folder).and_then(|folder| folder.sync_all());
+}
+
+/// Removes all files that are not yet whole, and lets no other begin or appear: for a process that ends
+/// at once. Whoever is writing waits from now on.
 pub fn stop_writing() {
     let under_way = under_way();
     for path in under_way.iter() {
@@ -56,16 +122,17 @@ pub fn stop_writing() {
 /// A file that is removed unless it is renamed: also when the writer panics.
 struct Temporary {
     path: PathBuf,
+    file: File,
 }
 
 impl Temporary {
-    fn create(path: &Path) -> io::Result<(Temporary, File)> {
+    fn create(path: &Path) -> io::Result<Temporary> {
         let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
         Temporary::create_named(path, || temporary_name(&name, random_number()))
     }
 
     /// Creates a file beside `path`, under the first of these names that is not taken.
-    fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<(Temporary, File)> {
+    fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
         // Locked until the file is known: a stop misses none.
         let mut under_way = under_way();
         let mut attempt_count = 0;
@@ -77,17 +144,13 @@ impl Temporary {
             match OpenOptions::new().write(true).create_new(true).open(&temporary) {
                 Ok(file) => {
                     under_way.insert(temporary.clone());
-                    return Ok((Temporary { path: temporary }, file));
+                    return Ok(Temporary { path: temporary, file });
                 }
                 Err(error)
                     if error.kind() == io::ErrorKind::AlreadyExists && attempt_count < ATTEMPTS_MAX => {}
                 Err(error) => return Err(error),
             }
         }
-    }
-
-    fn rename_to(self, path: &Path) -> Result<()> {
-        Ok(fs::rename(&self.path, path)?)
     }
 }
 
@@ -202,7 +265,7 @@ mod tests {
             number += 1;
             temporary_name("a.glb", number - 1)
         };
-        let (temporary, _file) = Temporary::create_named(&path, &mut count_up).expect("created");
+        let temporary = Temporary::create_named(&path, &mut count_up).expect("created");
         assert_eq!(temporary.path, folder.path().join(temporary_name("a.glb", 1)));
         drop(temporary);
         assert_eq!(fs::read_to_string(&taken).expect("still there"), "of somebody else");

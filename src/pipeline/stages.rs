@@ -1,71 +1,44 @@
-//! The stages of a frame, each on a thread of its own, joined by bounded channels.
+//! The stages of a frame, joined by bounded channels.
 //!
 //! ```text
-//!   read ══▶ rasterize ──▶ smooth ──▶ contour ══▶ write ──▶ the caller, in order
-//!        1            0           0           1
-//!        waiting      waiting     waiting     waiting
+//!   next ──▶ read ──▶ rasterize ──▶ smooth ──▶ contour ══▶ write ──▶ finished
+//!    ▲      1 thread     └── a lane for each core ──┘     some threads   │
+//!    └────────────── as many frames as may be in flight ─────────────────┘
 //! ```
 //!
-//! Several frames are under way at once, and a slow stage holds back the ones before it. The three
-//! stages of the method compute in one pool, so a frame that waited between them would cost memory
-//! and gain nothing; beside the disk one frame may wait, so that neither waits for the other.
+//! Several frames are under way at once, and a slow stage holds back the ones before it. The next frame is
+//! asked for only when there is room for one, so that whoever is asked can decide late which it is.
 //!
-//! A frame that failed travels on as its outcome: the order is kept, and one bad frame costs itself
-//! only. Each stage runs under `catch_unwind`, so a broken invariant is such a failure too.
+//! The three stages of the method compute in one pool of threads, a frame in each of as many *seats* as the
+//! pool has threads. When several frames are there, each thread has one of its own and none waits for
+//! another; when there is one, the others have nothing better to do than to take their share of it. A frame
+//! keeps its seat from rasterizing to the end of contouring: nothing half computed waits and costs memory.
+//! What the frames take together is bounded by a [budget](super::budget), too.
+//!
+//! Each stage runs under `catch_unwind`: a broken invariant costs its own frame only. A frame that failed,
+//! or was done already, leaves at once and overtakes others; [`run`] puts outcomes back in order.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPool;
+use twox_hash::XxHash3_128;
 
 use crate::particles::Particles;
 use crate::settings::Settings;
-use crate::skin::{self, Surface};
+use crate::skin::Surface;
 
-use super::frame::{Frame, FrameError, FrameReport, Outcome, Stage};
+use super::budget::{Budget, Reservation};
+use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
 use super::memory::peak_memory_bytes;
-use super::outputs::OutputOptions;
-use super::provenance::{InputIdentity, is_done};
-use super::reading::parse_particles;
+use super::method::Method;
+use super::provenance::is_done;
+use super::reading::{parse_particles, read_unchanged};
 use super::writing::write_surface;
-
-/// The three stages of the method. Tests put a quick or a failing one in its place.
-pub trait Method: Sync {
-    /// What rasterization hands to smoothing.
-    type Rasterized: Send;
-    /// What smoothing hands to contouring.
-    type Smoothed: Send;
-
-    /// The first stage.
-    fn rasterize(&self, particles: &Particles, settings: &Settings) -> Self::Rasterized;
-    /// The second stage.
-    fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Self::Smoothed;
-    /// The third stage.
-    fn contour(&self, smoothed: Self::Smoothed, settings: &Settings) -> Surface;
-}
-
-/// The method that this program is for.
-#[derive(Clone, Copy, Debug)]
-pub struct LevelSetSkinning;
-
-impl Method for LevelSetSkinning {
-    type Rasterized = skin::Rasterized;
-    type Smoothed = skin::Smoothed;
-
-    fn rasterize(&self, particles: &Particles, settings: &Settings) -> skin::Rasterized {
-        skin::rasterize(particles, settings)
-    }
-
-    fn smooth(&self, rasterized: skin::Rasterized, settings: &Settings) -> skin::Smoothed {
-        skin::smooth(rasterized, settings)
-    }
-
-    fn contour(&self, smoothed: skin::Smoothed, settings: &Settings) -> Surface {
-        skin::contour(smoothed, settings)
-    }
-}
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,167 +54,396 @@ pub enum OnError {
 pub struct Conduct<'a> {
     /// Where all computing happens.
     pub pool: &'a ThreadPool,
-    /// What is written, and where.
-    pub outputs: &'a OutputOptions,
-    /// What to do when a frame fails.
+    /// What to do when a frame fails, or changes while it is read. To stop, frames keep their order
+    /// on the whole way: one at a time in each stage.
     pub on_error: OnError,
     /// Leave frames alone whose outputs are there, made from the same input by the same settings
     /// and the same version of this program.
     pub skip_done: bool,
+    /// As many frames, at most, have been asked for and are not finished; at least one.
+    pub in_flight: usize,
+    /// As many bytes, about, the frames under way may take together. One that takes more by itself
+    /// runs alone.
+    pub memory_bytes: u64,
 }
 
-/// Converts frames; `finished` hears of each, by its index and in order, as soon as it is done.
+/// How many frames it takes to keep so many threads busy: one for each, and some that are read or written.
+pub fn default_in_flight(threads: usize) -> usize {
+    threads + writer_count(threads) + 1
+}
+
+/// Encoding takes a small part of the time of computing; waiting for the disk need not be waited for.
+fn writer_count(lane_count: usize) -> usize {
+    lane_count / 2 + 1
+}
+
+/// Converts the frames of a list; `finished` hears of each, by its index and in order, as soon as all
+/// before it are finished.
 pub fn run<M: Method>(
     method: &M,
     frames: &[Frame],
     conduct: &Conduct<'_>,
     mut finished: impl FnMut(usize, Outcome),
 ) {
-    let run = &Run { frames, conduct, failed: AtomicBool::new(false) };
-    let (to_rasterize, to_rasterize_from) = bounded(1);
+    let mut frames = frames.iter().cloned().enumerate();
+    let mut early = BTreeMap::new();
+    let mut is_stopped = false;
+    let mut told_count = 0;
+    stream(
+        method,
+        || frames.next(),
+        conduct,
+        |index, _, outcome| {
+            early.insert(index, outcome);
+            while let Some(outcome) = early.remove(&told_count) {
+                // A frame after the one that failed may have failed before it.
+                let outcome = if is_stopped { Outcome::NotStarted } else { outcome };
+                is_stopped |= conduct.on_error == OnError::Stop && is_failure(&outcome);
+                finished(told_count, outcome);
+                told_count += 1;
+            }
+        },
+    );
+}
+
+/// Converts the frames that `next` returns, until it returns `None`. It is asked when there is room for one
+/// frame more, and may block. `K` is the caller's own word for the frame. `finished` hears of each frame as
+/// soon as it is known what came of it, in whatever order, on the thread of the caller.
+pub fn stream<M: Method, K: Send>(
+    method: &M,
+    next: impl FnMut() -> Option<(K, Frame)> + Send,
+    conduct: &Conduct<'_>,
+    mut finished: impl FnMut(K, Frame, Outcome),
+) {
+    let lane_count = match conduct.on_error {
+        OnError::Stop => 1,
+        OnError::Continue => conduct.pool.current_num_threads().min(conduct.in_flight).max(1),
+    };
+    let line = &Line::new(method, conduct, lane_count);
+    let (room, no_room) = bounded(conduct.in_flight.max(1));
+    let (done, outcomes) = bounded(1);
+    let (to_rasterize, to_rasterize_from) = bounded(0);
     let (to_smooth, to_smooth_from) = bounded(0);
     let (to_contour, to_contour_from) = bounded(0);
     let (to_write, to_write_from) = bounded(1);
-    let (to_caller, done) = bounded(1);
-    thread::scope(|scope| {
-        scope.spawn(move || run.read(&to_rasterize));
-        scope.spawn(move || {
-            run.compute(Stage::Rasterize, &to_rasterize_from, &to_smooth, |particles, settings| {
-                method.rasterize(&particles, settings)
-            });
-        });
-        scope.spawn(move || {
-            run.compute(Stage::Smooth, &to_smooth_from, &to_contour, |rasterized, settings| {
-                method.smooth(rasterized, settings)
-            });
-        });
-        scope.spawn(move || {
-            run.compute(Stage::Contour, &to_contour_from, &to_write, |smoothed, settings| {
-                method.contour(smoothed, settings)
-            });
-        });
-        scope.spawn(move || run.write(&to_write_from, &to_caller));
-        for (index, outcome) in done {
-            finished(index, outcome);
+    thread::scope(move |scope| {
+        for _ in 0..lane_count {
+            let (from, to, ended) = (to_rasterize_from.clone(), to_smooth.clone(), done.clone());
+            scope.spawn(move || line.rasterize(&from, &to, &ended));
+            let (from, to, ended) = (to_smooth_from.clone(), to_contour.clone(), done.clone());
+            scope.spawn(move || line.smooth(&from, &to, &ended));
+            let (from, to, ended) = (to_contour_from.clone(), to_write.clone(), done.clone());
+            scope.spawn(move || line.contour(&from, &to, &ended));
+        }
+        for _ in 0..writer_count(lane_count) {
+            let (from, ended) = (to_write_from.clone(), done.clone());
+            scope.spawn(move || line.write(&from, &ended));
+        }
+        scope.spawn(move || line.read(next, &room, &to_rasterize, &done));
+        // The stages end when the one before has: this thread's own ends of the channels must not keep them.
+        drop((to_smooth, to_contour, to_write));
+        drop((to_rasterize_from, to_smooth_from, to_contour_from, to_write_from));
+        for Ended { key, frame, outcome } in outcomes {
+            finished(key, frame, outcome);
+            // There is a token in it for each frame that is not finished.
+            let _ = no_room.try_recv();
         }
     });
 }
 
 /// What all stages share.
-struct Run<'a> {
-    frames: &'a [Frame],
+struct Line<'a, M> {
+    method: &'a M,
     conduct: &'a Conduct<'a>,
-    /// Some frame failed: with [`OnError::Stop`] no further ones are read.
-    failed: AtomicBool,
+    budget: Budget,
+    seats: Seats,
+    /// Whoever holds it is the one that waits for a frame, a seat and memory.
+    door: Mutex<()>,
+    /// The number of the first frame that failed.
+    failed_first: AtomicUsize,
 }
 
-/// A frame on its way: what the next stage needs, or the outcome if it has one already.
-struct Parcel<T> {
-    index: usize,
-    content: Result<(T, Ticket), Outcome>,
+/// A frame between two stages: what the last one made of it, and what the end of its way needs.
+struct Parcel<'a, K, T> {
+    ticket: Ticket<'a, K>,
+    content: T,
 }
 
-/// What is known of a frame from reading it, for the end of its way.
-struct Ticket {
-    input: InputIdentity,
+struct Ticket<'a, K> {
+    /// Frames are counted as they are asked for.
+    number: usize,
+    key: K,
+    frame: Frame,
+    input: ReadInput,
     read_seconds: f64,
     notes: Vec<String>,
+    memory: Reservation<'a>,
+    /// While it computes.
+    seat: Option<Seat<'a>>,
 }
 
-impl Run<'_> {
-    fn read(&self, to: &Sender<Parcel<Particles>>) {
-        for (index, frame) in self.frames.iter().enumerate() {
-            let content = if self.is_stopped() { Err(Outcome::NotStarted) } else { self.read_one(frame) };
-            // Nobody listens only when the caller is gone.
-            if to.send(Parcel { index, content }).is_err() {
+/// What reading hands to rasterization.
+struct Read {
+    particles: Particles,
+    /// What computing will take.
+    memory_bytes: u64,
+}
+
+/// A frame of which it is known what came of it.
+struct Ended<K> {
+    key: K,
+    frame: Frame,
+    outcome: Outcome,
+}
+
+impl<'a, M: Method> Line<'a, M> {
+    fn new(method: &'a M, conduct: &'a Conduct<'a>, lane_count: usize) -> Line<'a, M> {
+        Line {
+            method,
+            conduct,
+            budget: Budget::new(conduct.memory_bytes),
+            seats: Seats::new(lane_count),
+            door: Mutex::new(()),
+            failed_first: AtomicUsize::new(usize::MAX),
+        }
+    }
+
+    fn read<'l, K>(
+        &'l self,
+        mut next: impl FnMut() -> Option<(K, Frame)>,
+        room: &Sender<()>,
+        to: &Sender<Parcel<'l, K, Read>>,
+        ended: &Sender<Ended<K>>,
+    ) {
+        // Sending fails when the caller is gone.
+        for number in 0.. {
+            if room.send(()).is_err() {
+                return;
+            }
+            let Some((key, frame)) = next() else { return };
+            let is_sent = match self.read_one(number, key, frame) {
+                Ok(parcel) => to.send(parcel).is_ok(),
+                Err(it) => ended.send(it).is_ok(),
+            };
+            if !is_sent {
                 return;
             }
         }
     }
 
-    fn read_one(&self, frame: &Frame) -> Result<(Particles, Ticket), Outcome> {
+    fn read_one<K>(&self, number: usize, key: K, frame: Frame) -> Result<Parcel<'_, K, Read>, Ended<K>> {
+        if self.conduct.on_error == OnError::Stop && self.failed_before(number) {
+            return Err(Ended { key, frame, outcome: Outcome::NotStarted });
+        }
+        // A file that cannot be looked at will not be read either.
+        let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
+        let mut memory = self.budget.hold(file_bytes.saturating_mul(READING_MEMORY));
         let start = Instant::now();
-        let outputs = self.conduct.outputs;
-        let read = FrameError::catch(&frame.input, Stage::Read, || {
-            let (bytes, input) = InputIdentity::of_file(&frame.input)?;
-            if self.conduct.skip_done && is_done(frame, &input, outputs) {
-                return Ok(None);
-            }
-            // Parsing is work for the pool; waiting for the disk before it is not.
-            let parsed = self.conduct.pool.install(|| parse_particles(&frame.input, &bytes))?;
-            Ok(Some((parsed, input)))
-        });
-        match read.flatten() {
-            Ok(Some((read, input))) => {
+        let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(&frame)).flatten();
+        match read.map_err(Outcome::Failed).flatten() {
+            Ok((input, read, notes)) => {
+                memory.resize(read.particles.len() as u64 * PARTICLE_BYTES);
                 let read_seconds = start.elapsed().as_secs_f64();
-                Ok((read.particles, Ticket { input, read_seconds, notes: read.notes }))
+                let ticket = Ticket { number, key, frame, input, read_seconds, notes, memory, seat: None };
+                Ok(Parcel { ticket, content: read })
             }
-            Ok(None) => Err(Outcome::AlreadyDone),
-            Err(error) => Err(self.fail(error)),
+            Err(outcome) => Err(self.end(number, key, frame, outcome)),
         }
     }
 
-    fn compute<A: Send, B: Send>(
+    /// The particles of a frame and the notes on them, or what came of it without.
+    fn particles_of(
+        &self,
+        frame: &Frame,
+    ) -> Result<Result<(ReadInput, Read, Vec<String>), Outcome>, FrameError> {
+        let Some((bytes, stamp)) = read_unchanged(&frame.input)? else { return Ok(Err(Outcome::Changed)) };
+        let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
+        if self.conduct.skip_done && is_done(frame, input.hash) {
+            return Ok(Err(Outcome::AlreadyDone(input)));
+        }
+        // Parsing is work for the pool; waiting for the disk before it is not.
+        let (read, notes) = self.conduct.pool.install(|| {
+            let read = parse_particles(&frame.input, &bytes)?;
+            let memory_bytes = self.method.memory_bytes(&read.particles, &frame.settings);
+            Ok((Read { particles: read.particles, memory_bytes }, read.notes))
+        })?;
+        Ok(Ok((input, read, notes)))
+    }
+
+    fn rasterize<'l, K>(
+        &'l self,
+        from: &Receiver<Parcel<'l, K, Read>>,
+        to: &Sender<Parcel<'l, K, M::Rasterized>>,
+        ended: &Sender<Ended<K>>,
+    ) {
+        let admitted = std::iter::from_fn(|| self.admit(from));
+        self.pass(admitted, to, ended, |parcel| {
+            self.compute(Stage::Rasterize, parcel, |read, settings| {
+                self.method.rasterize(&read.particles, settings)
+            })
+        });
+    }
+
+    /// The next frame, once there is a seat and memory for it. It is the one that was read first: nobody
+    /// else waits here.
+    fn admit<'l, K>(&'l self, from: &Receiver<Parcel<'l, K, Read>>) -> Option<Parcel<'l, K, Read>> {
+        let _door = self.door.lock().unwrap_or_else(PoisonError::into_inner);
+        let seat = self.seats.take();
+        let mut parcel = from.recv().ok()?;
+        parcel.ticket.memory.admit(parcel.content.memory_bytes);
+        parcel.ticket.seat = Some(seat);
+        Some(parcel)
+    }
+
+    fn smooth<'l, K>(
+        &'l self,
+        from: &Receiver<Parcel<'l, K, M::Rasterized>>,
+        to: &Sender<Parcel<'l, K, M::Smoothed>>,
+        ended: &Sender<Ended<K>>,
+    ) {
+        self.pass(from.iter(), to, ended, |parcel| {
+            self.compute(Stage::Smooth, parcel, |rasterized, settings| {
+                self.method.smooth(rasterized, settings)
+            })
+        });
+    }
+
+    fn contour<'l, K>(
+        &'l self,
+        from: &Receiver<Parcel<'l, K, M::Smoothed>>,
+        to: &Sender<Parcel<'l, K, Surface>>,
+        ended: &Sender<Ended<K>>,
+    ) {
+        self.pass(from.iter(), to, ended, |parcel| {
+            let mut parcel = self.compute(Stage::Contour, parcel, |smoothed, settings| {
+                self.method.contour(smoothed, settings)
+            })?;
+            parcel.ticket.seat = None;
+            parcel.ticket.memory.resize(parcel.content.size_bytes().saturating_mul(WRITING_MEMORY));
+            Ok(parcel)
+        });
+    }
+
+    /// Takes what comes through a stage, until no more comes or nobody listens.
+    fn pass<'l, K, A, B>(
+        &self,
+        from: impl Iterator<Item = Parcel<'l, K, A>>,
+        to: &Sender<Parcel<'l, K, B>>,
+        ended: &Sender<Ended<K>>,
+        stage: impl Fn(Parcel<'l, K, A>) -> Result<Parcel<'l, K, B>, Ended<K>>,
+    ) {
+        for parcel in from {
+            let is_sent = match stage(parcel) {
+                Ok(parcel) => to.send(parcel).is_ok(),
+                Err(it) => ended.send(it).is_ok(),
+            };
+            if !is_sent {
+                return;
+            }
+        }
+    }
+
+    fn compute<'l, K, A: Send, B: Send>(
         &self,
         stage: Stage,
-        from: &Receiver<Parcel<A>>,
-        to: &Sender<Parcel<B>>,
-        work: impl Fn(A, &Settings) -> B + Sync,
-    ) {
-        for Parcel { index, content } in from {
-            let frame = &self.frames[index];
-            let content = content.and_then(|(before, ticket)| {
-                let compute = || self.conduct.pool.install(|| work(before, &frame.settings));
-                FrameError::catch(&frame.input, stage, compute)
-                    .map(|after| (after, ticket))
-                    .map_err(|error| self.fail(error))
-            });
-            if to.send(Parcel { index, content }).is_err() {
-                return;
-            }
+        Parcel { ticket, content }: Parcel<'l, K, A>,
+        work: impl FnOnce(A, &Settings) -> B + Send,
+    ) -> Result<Parcel<'l, K, B>, Ended<K>> {
+        let settings = &*ticket.frame.settings;
+        let computed = FrameError::catch(&ticket.frame.input, stage, || {
+            self.conduct.pool.install(|| work(content, settings))
+        });
+        match computed {
+            Ok(content) => Ok(Parcel { ticket, content }),
+            Err(error) => Err(self.end(ticket.number, ticket.key, ticket.frame, Outcome::Failed(error))),
         }
     }
 
-    fn write(&self, from: &Receiver<Parcel<Surface>>, to: &Sender<(usize, Outcome)>) {
-        // Here frames arrive in order: what is written before a stop does not depend on timing.
-        let mut stopped = false;
-        for Parcel { index, content } in from {
-            let outcome = match content {
-                _ if stopped => Outcome::NotStarted,
-                Ok((surface, ticket)) => self.write_one(&self.frames[index], &surface, ticket),
-                Err(outcome) => outcome,
+    fn write<'l, K>(&self, from: &Receiver<Parcel<'l, K, Surface>>, ended: &Sender<Ended<K>>) {
+        for Parcel { ticket, content } in from {
+            let Ticket { number, key, frame, input, read_seconds, notes, memory, .. } = ticket;
+            // Where frames keep their order, those before this one are past all other stages: what is
+            // written before a stop does not depend on timing.
+            let outcome = if self.conduct.on_error == OnError::Stop && self.failed_before(number) {
+                Outcome::NotStarted
+            } else {
+                let report = FrameReport { input, read_seconds, notes, ..FrameReport::default() };
+                self.write_one(&frame, content, report)
             };
-            stopped |= matches!(outcome, Outcome::Failed(_)) && self.conduct.on_error == OnError::Stop;
-            if to.send((index, outcome)).is_err() {
+            drop(memory);
+            if ended.send(self.end(number, key, frame, outcome)).is_err() {
                 return;
             }
         }
     }
 
-    fn write_one(&self, frame: &Frame, surface: &Surface, ticket: Ticket) -> Outcome {
+    fn write_one(&self, frame: &Frame, surface: Surface, report: FrameReport) -> Outcome {
         let start = Instant::now();
         let written = FrameError::catch(&frame.input, Stage::Write, || {
-            write_surface(surface, frame, &ticket.input, self.conduct.outputs, self.conduct.pool)
+            write_surface(&surface, frame, report.input.hash, self.conduct.pool)
         });
         match written.flatten() {
-            Ok(outputs) => Outcome::Converted(Box::new(FrameReport {
-                skin: surface.report.clone(),
-                read_seconds: ticket.read_seconds,
+            Ok(written) => Outcome::Converted(Box::new(FrameReport {
+                skin: surface.report,
                 write_seconds: start.elapsed().as_secs_f64(),
                 peak_memory_bytes: peak_memory_bytes(),
-                outputs,
-                notes: ticket.notes,
+                outputs: written.paths,
+                output_bytes: written.sizes_bytes,
+                ..report
             })),
-            Err(error) => self.fail(error),
+            Err(error) => Outcome::Failed(error),
         }
     }
 
-    fn fail(&self, error: FrameError) -> Outcome {
-        self.failed.store(true, Ordering::Relaxed);
-        Outcome::Failed(error)
+    fn end<K>(&self, number: usize, key: K, frame: Frame, outcome: Outcome) -> Ended<K> {
+        if is_failure(&outcome) {
+            self.failed_first.fetch_min(number, Ordering::Relaxed);
+        }
+        Ended { key, frame, outcome }
     }
 
-    fn is_stopped(&self) -> bool {
-        self.conduct.on_error == OnError::Stop && self.failed.load(Ordering::Relaxed)
+    fn failed_before(&self, number: usize) -> bool {
+        self.failed_first.load(Ordering::Relaxed) < number
     }
 }
+
+fn is_failure(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Failed(_) | Outcome::Changed)
+}
+
+/// The places in which frames compute.
+struct Seats {
+    taken: Sender<()>,
+    given_back: Receiver<()>,
+}
+
+/// One of them, given back when it is dropped.
+struct Seat<'a>(&'a Seats);
+
+impl Seats {
+    fn new(count: usize) -> Seats {
+        let (taken, given_back) = bounded(count);
+        Seats { taken, given_back }
+    }
+
+    fn take(&self) -> Seat<'_> {
+        // It fails only when there are no more seats at all, and they last as long as this does.
+        let _ = self.taken.send(());
+        Seat(self)
+    }
+}
+
+impl Drop for Seat<'_> {
+    fn drop(&mut self) {
+        let _ = self.0.given_back.try_recv();
+    }
+}
+
+/// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.
+const READING_MEMORY: u64 = 2;
+
+/// Memory for a particle that waits: three coordinates of up to 64 bits.
+const PARTICLE_BYTES: u64 = 24;
+
+/// Memory for writing a surface, in sizes of the surface: itself, and a file that is encoded from it.
+const WRITING_MEMORY: u64 = 2;

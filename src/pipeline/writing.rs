@@ -1,7 +1,8 @@
 //! From a surface to files, one for each format.
 
+use std::fs;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use meniscus_formats::{LevelSetView, MeshView, gltf, obj, ply, vdb};
 use rayon::ThreadPool;
@@ -13,34 +14,45 @@ use crate::skin::Surface;
 
 use super::frame::{Frame, FrameError, Stage};
 use super::outputs::{OutputFormat, OutputOptions, output_path};
-use super::provenance::{InputIdentity, provenance};
-use super::sink::write_whole;
+use super::provenance::provenance;
+use super::sink::{Unseen, publish, write_unseen};
 
 /// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
 const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 
-/// Writes a frame's surface in every format: each file whole or not at all. Returns their paths.
+/// The files of a frame.
+pub(super) struct Written {
+    pub(super) paths: Vec<PathBuf>,
+    pub(super) sizes_bytes: Vec<u64>,
+}
+
+/// Writes a frame's surface in every format: all of these files appear, whole and together, or none.
+/// Their folder is made where it is missing.
 ///
 /// # Errors
-/// The first file that cannot be written; those before it are there.
+/// The first file that cannot be written.
 pub(super) fn write_surface(
     surface: &Surface,
     frame: &Frame,
-    input: &InputIdentity,
-    options: &OutputOptions,
+    input_hash: u128,
     pool: &ThreadPool,
-) -> Result<Vec<PathBuf>, FrameError> {
+) -> Result<Written, FrameError> {
+    let options = &*frame.outputs;
+    let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
+    fs::create_dir_all(&options.folder).map_err(|error| fail(&options.folder, error.into()))?;
     let write_one = |&format: &OutputFormat| {
         let path = output_path(&options.folder, &frame.stem, format);
-        let provenance = provenance(&frame.settings, input, format, options);
-        write_whole(&path, |out| {
+        let provenance = provenance(&frame.settings, &frame.input, input_hash, format, options);
+        write_unseen(&path, |out| {
             // Encoding is work for the pool; waiting for the disk afterwards is not.
             pool.install(|| encode(surface, &frame.settings, format, options, &provenance, out))
         })
-        .map_err(|error| FrameError::file(&path, Stage::Write, error))?;
-        Ok(path)
+        .map_err(|error| fail(&path, error))
     };
-    options.formats.iter().map(write_one).collect()
+    let unseen: Vec<Unseen> = options.formats.iter().map(write_one).collect::<Result<_, _>>()?;
+    let sizes_bytes = unseen.iter().map(Unseen::size_bytes).collect();
+    let paths = publish(unseen).map_err(|(path, error)| fail(&path, error.into()))?;
+    Ok(Written { paths, sizes_bytes })
 }
 
 fn encode(

@@ -1,7 +1,7 @@
 //! Frames through the stages, with a quick method in place of the real one.
 
 use std::fs;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -18,6 +18,7 @@ use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::Surface;
 use meniscus_formats::{gltf, vdb};
+use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};
 
 use crate::scene::{block, names_in, write_ply};
@@ -47,6 +48,10 @@ impl Quick {
 impl Method for Quick {
     type Rasterized = usize;
     type Smoothed = usize;
+
+    fn memory_bytes(&self, _particles: &Particles, _settings: &Settings) -> u64 {
+        1 << 20
+    }
 
     fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
         let under_way = self.under_way.fetch_add(1, Ordering::Relaxed) + 1;
@@ -78,7 +83,6 @@ impl Method for Quick {
 struct Bench {
     folder: TempDir,
     frames: Vec<Frame>,
-    outputs: OutputOptions,
 }
 
 impl Bench {
@@ -86,6 +90,14 @@ impl Bench {
     fn new(edge_counts: &[usize]) -> Bench {
         let folder = tempdir().expect("a folder");
         let settings = Arc::new(Settings::resolve(0.05, &Choices::default()).expect("valid"));
+        let outputs = Arc::new(OutputOptions {
+            folder: folder.path().join("out"),
+            formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
+            up: gltf::UpAxis::Y,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::Blosc,
+        });
+        fs::create_dir(&outputs.folder).expect("made");
         let mut frames = Vec::new();
         for (number, &edge_count) in edge_counts.iter().enumerate() {
             let input = folder.path().join(format!("f.{number}.ply"));
@@ -93,22 +105,21 @@ impl Bench {
                 0 => fs::write(&input, "ply\nformat nonsense 1.0\n").expect("written"),
                 _ => write_ply(&input, &block(edge_count, 0.0)),
             }
-            frames.push(Frame { input, stem: format!("f.{number}"), settings: Arc::clone(&settings) });
+            let stem = format!("f.{number}");
+            frames.push(Frame { input, stem, settings: settings.clone(), outputs: outputs.clone() });
         }
-        let out = folder.path().join("out");
-        fs::create_dir(&out).expect("made");
-        let outputs = OutputOptions {
-            folder: out,
-            formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
-            up: gltf::UpAxis::Y,
-            vdb_half: false,
-            vdb_compression: vdb::Compression::Blosc,
-        };
-        Bench { folder, frames, outputs }
+        Bench { folder, frames }
     }
 
-    fn out(&self) -> &Path {
-        &self.outputs.folder
+    fn out(&self) -> PathBuf {
+        self.folder.path().join("out")
+    }
+
+    /// Changes what is written of all frames.
+    fn change_outputs(&mut self, change: impl Fn(&mut OutputOptions)) {
+        for frame in &mut self.frames {
+            change(Arc::make_mut(&mut frame.outputs));
+        }
     }
 
     fn run_with<M: Method>(
@@ -119,14 +130,21 @@ impl Bench {
         threads: usize,
     ) -> Vec<Outcome> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let conduct = Conduct { pool: &pool, outputs: &self.outputs, on_error, skip_done };
+        let conduct = Conduct { on_error, skip_done, ..conduct(&pool) };
         let mut outcomes = Vec::new();
         run(method, &self.frames, &conduct, |index, outcome| {
             assert_eq!(index, outcomes.len(), "outcomes come in order");
             outcomes.push(outcome);
         });
         assert_eq!(outcomes.len(), self.frames.len());
-        assert!(names_in(self.out()).iter().all(|name| !name.contains("tmp")), "a temporary file is left");
+        assert!(names_in(&self.out()).iter().all(|name| !name.contains("tmp")), "a temporary file is left");
+        outcomes
+    }
+
+    fn run_all(&self) -> Vec<Outcome> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+        let mut outcomes = Vec::new();
+        run(&Quick::new(None), &self.frames, &conduct(&pool), |_, outcome| outcomes.push(outcome));
         outcomes
     }
 
@@ -136,7 +154,7 @@ impl Bench {
 
     /// The numbers of the frames that have all outputs, none of the others having any.
     fn written(&self) -> Vec<usize> {
-        let names = names_in(self.out());
+        let names = names_in(&self.out());
         let count = |number: usize| names.iter().filter(|n| n.starts_with(&format!("f.{number}."))).count();
         let written: Vec<usize> = (0..self.frames.len()).filter(|&number| count(number) == 4).collect();
         assert_eq!(names.len(), 4 * written.len(), "{names:?}");
@@ -144,13 +162,19 @@ impl Bench {
     }
 }
 
+/// How frames are converted where it does not matter.
+fn conduct(pool: &ThreadPool) -> Conduct<'_> {
+    Conduct { pool, on_error: OnError::Continue, skip_done: false, in_flight: 5, memory_bytes: 1 << 30 }
+}
+
 /// One letter for each outcome.
 fn letters(outcomes: &[Outcome]) -> String {
     let letter = |outcome: &Outcome| match outcome {
         Outcome::Converted(_) => 'c',
-        Outcome::AlreadyDone => 'd',
+        Outcome::AlreadyDone(_) => 'd',
         Outcome::Failed(_) => 'f',
         Outcome::NotStarted => 'n',
+        Outcome::Changed => 'x',
     };
     outcomes.iter().map(letter).collect()
 }
@@ -204,28 +228,32 @@ fn an_output_that_cannot_be_written_fails_its_frame() {
     let Outcome::Failed(error) = &outcomes[1] else { panic!("not failed") };
     assert_eq!((error.during, error.path.clone()), (Stage::Write, bench.out().join("f.1.vdb")));
     assert!(std::error::Error::source(error).is_some_and(|cause| cause.is::<meniscus_formats::Error>()));
-    // What came before it is whole; it is made again, and so is the rest, once the way is free.
-    assert!(bench.out().join("f.1.glb").exists());
+    // Nothing of it is there; it is made once the way is free.
     fs::remove_dir(bench.out().join("f.1.vdb")).expect("removed");
+    assert_eq!(bench.written(), [0, 2]);
     assert_eq!(letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2)), "dcd");
 }
 
 #[test]
-fn a_folder_that_is_gone_fails_every_frame() {
-    let bench = Bench::new(&[2, 2]);
+fn a_folder_that_is_missing_is_made() {
+    let mut bench = Bench::new(&[2, 2]);
     fs::remove_dir(bench.out()).expect("removed");
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("threads");
-    let conduct =
-        Conduct { pool: &pool, outputs: &bench.outputs, on_error: OnError::Continue, skip_done: false };
-    let mut outcomes = Vec::new();
-    run(&Quick::new(None), &bench.frames, &conduct, |_, outcome| outcomes.push(outcome));
-    assert_eq!(letters(&outcomes), "ff");
+    bench.change_outputs(|outputs| outputs.folder = outputs.folder.join("shot/take"));
+    assert_eq!(letters(&bench.run_all()), "cc");
+    assert_eq!(names_in(&bench.out().join("shot/take")).len(), 8);
+    // Where a file is in its place, that is what the error names.
+    let below_a_file = bench.folder.path().join("file/out");
+    fs::write(bench.folder.path().join("file"), "").expect("written");
+    bench.change_outputs(|outputs| outputs.folder.clone_from(&below_a_file));
+    let outcomes = bench.run_all();
+    let Outcome::Failed(error) = &outcomes[0] else { panic!("not failed") };
+    assert_eq!((error.during, error.path.clone()), (Stage::Write, below_a_file));
 }
 
 #[test]
 fn what_is_done_is_left_alone_and_anything_else_made_again() {
     let mut bench = Bench::new(&[2, 2, 2, 2]);
-    bench.outputs.formats.push(OutputFormat::Gltf);
+    bench.change_outputs(|outputs| outputs.formats.push(OutputFormat::Gltf));
     let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
     assert_eq!(run(&bench), "cccc");
     assert_eq!(run(&bench), "dddd");
@@ -236,9 +264,9 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
     assert_eq!(run(&bench), "cdcc");
     assert_eq!(run(&bench), "dddd");
     // Options of one format.
-    bench.outputs.vdb_half = true;
+    bench.change_outputs(|outputs| outputs.vdb_half = true);
     assert_eq!(run(&bench), "cccc");
-    bench.outputs.up = gltf::UpAxis::Z;
+    bench.change_outputs(|outputs| outputs.up = gltf::UpAxis::Z);
     assert_eq!(run(&bench), "cccc");
     // Settings.
     let choices = Choices { laplacian_steps: Some(14), ..Choices::default() };
@@ -249,7 +277,7 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
 #[test]
 fn what_lost_its_end_is_made_again() {
     let mut bench = Bench::new(&[2]);
-    bench.outputs.formats.push(OutputFormat::Gltf);
+    bench.change_outputs(|outputs| outputs.formats.push(OutputFormat::Gltf));
     let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
     assert_eq!(run(&bench), "c");
     for extension in ["glb", "gltf", "obj", "ply", "vdb"] {
@@ -270,7 +298,7 @@ fn what_lost_its_end_is_made_again() {
 fn the_bytes_do_not_depend_on_threads_or_neighbours() {
     let contents = |bench: &Bench| -> Vec<(String, Vec<u8>)> {
         let read = |name: String| (name.clone(), fs::read(bench.out().join(name)).expect("readable"));
-        names_in(bench.out()).into_iter().map(read).collect()
+        names_in(&bench.out()).into_iter().map(read).collect()
     };
     let mut expected = None;
     for threads in [1, 2, 4] {
@@ -291,8 +319,7 @@ fn a_slow_reader_of_outcomes_holds_frames_back() {
     let bench = Bench::new(&[2; 40]);
     let quick = Quick::new(None);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct =
-        Conduct { pool: &pool, outputs: &bench.outputs, on_error: OnError::Continue, skip_done: false };
+    let conduct = conduct(&pool);
     let mut is_first = true;
     run(&quick, &bench.frames, &conduct, |_, _| {
         if std::mem::take(&mut is_first) {

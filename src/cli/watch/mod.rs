@@ -13,7 +13,6 @@ mod log;
 mod plan;
 mod service;
 mod signals;
-mod until_pipeline;
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -17,11 +17,11 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use super::until_pipeline::{default_in_flight, default_memory_bytes};
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 use crate::cli::choices::{choices, ignored, output_options};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
+use crate::pipeline::{default_in_flight, default_memory_bytes};
 use crate::settings::Settings;
 
 /// What to do, and what to say of it before.

@@ -1,0 +1,99 @@
+//! How much memory the frames under way may take together.
+//!
+//! ```text
+//!   hold     before reading: about what the file is large        waits for room, or until nothing else is held
+//!   resize   after reading: the particles
+//!   admit    before computing: all that the frame will take      waits for room, or until no other is admitted
+//!   resize   after computing: the surface
+//!   drop     after writing
+//! ```
+//!
+//! What is waited for always comes. A frame that was admitted never waits for memory again, so it ends and
+//! gives back what it has; when none is admitted, the one that waits is. For that, one thread holds and one
+//! thread admits at a time: then at most two frames have memory and are not admitted, of which the earlier
+//! is next.
+//!
+//! A frame that is larger than the whole budget so runs alone, beside at most the particles of the next.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Memory to be shared, in bytes.
+pub(super) struct Budget {
+    limit: u64,
+    taken: Mutex<Taken>,
+    given_back: Condvar,
+}
+
+#[derive(Default)]
+struct Taken {
+    /// Wide enough for any sum of sizes that somebody claims.
+    bytes: u128,
+    admitted_count: usize,
+}
+
+/// A frame's part of the budget, given back when it is dropped.
+pub(super) struct Reservation<'a> {
+    budget: &'a Budget,
+    bytes: u64,
+    is_admitted: bool,
+}
+
+impl Budget {
+    /// A budget of so many bytes.
+    pub(super) fn new(limit: u64) -> Budget {
+        Budget { limit, taken: Mutex::default(), given_back: Condvar::new() }
+    }
+
+    /// Waits until there is room for so much more, or nothing is taken.
+    pub(super) fn hold(&self, bytes: u64) -> Reservation<'_> {
+        let mut taken = self.wait_while(|taken| taken.bytes > 0 && !self.fits(taken.bytes, bytes));
+        taken.bytes += u128::from(bytes);
+        Reservation { budget: self, bytes, is_admitted: false }
+    }
+
+    fn fits(&self, taken_bytes: u128, bytes: u64) -> bool {
+        taken_bytes + u128::from(bytes) <= u128::from(self.limit)
+    }
+
+    fn wait_while(&self, is_full: impl Fn(&Taken) -> bool) -> MutexGuard<'_, Taken> {
+        let waited = self.given_back.wait_while(self.taken(), |taken| is_full(taken));
+        waited.unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Two numbers are in order whatever panicked beside them.
+    fn taken(&self) -> MutexGuard<'_, Taken> {
+        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Reservation<'_> {
+    /// Takes so much from now on, whether there is room or not: what is there cannot be argued with.
+    pub(super) fn resize(&mut self, bytes: u64) {
+        let mut taken = self.budget.taken();
+        taken.bytes = taken.bytes - u128::from(self.bytes) + u128::from(bytes);
+        self.bytes = bytes;
+        self.budget.given_back.notify_all();
+    }
+
+    /// Waits until there is room for so much in place of what is taken already, or until no other
+    /// frame is admitted.
+    pub(super) fn admit(&mut self, bytes: u64) {
+        let budget = self.budget;
+        let own = u128::from(self.bytes);
+        let mut taken =
+            budget.wait_while(|taken| taken.admitted_count > 0 && !budget.fits(taken.bytes - own, bytes));
+        taken.bytes = taken.bytes - own + u128::from(bytes);
+        taken.admitted_count += 1;
+        self.bytes = bytes;
+        self.is_admitted = true;
+    }
+}
+
+impl Drop for Reservation<'_> {
+    fn drop(&mut self) {
+        let mut taken = self.budget.taken();
+        taken.bytes -= u128::from(self.bytes);
+        taken.admitted_count -= usize::from(self.is_admitted);
+        self.budget.given_back.notify_all();
+    }
+}
