@@ -2,9 +2,11 @@
 
 mod config;
 mod journal;
+mod lock;
 
 pub use config::{Config, Order, Patience, Poll, Watch};
 pub use journal::{
     DaemonRecord, DaemonState, FrameRecord, Journal, OutputRecord, STATE_FOLDER, SequenceKey, SequenceRecord,
     Standing, State,
 };
+pub use lock::{LockError, OutputLock, host_name};
