@@ -10,7 +10,7 @@
 //!
 //! `cargo bench --bench daemon`
 
-#![allow(clippy::print_stdout, reason = "a bench tells what it measured")]
+#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
 
 use std::fs;
 use std::io::{BufRead, BufReader};

@@ -12,7 +12,7 @@
 //!
 //! `cargo bench --bench throughput`
 
-#![allow(clippy::print_stdout, reason = "a bench tells what it measured")]
+#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
 
 use std::env;
 use std::fs;
