@@ -5,9 +5,10 @@
 //! where the system allows user namespaces. Where neither is so, the test says that it is skipped.
 
 use std::env;
-use std::io::{self, Write};
 use std::path::Path;
 use std::process::Command;
+
+use crate::scene::tell;
 
 /// Set in the process of its own.
 const INSIDE: &str = "MENISCUS_SIEGE_OWN_MOUNTS";
@@ -18,9 +19,7 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
         return test();
     }
     let Some(unshare) = how_to_unshare() else {
-        // Not by a macro: those say nothing when a test passes.
-        let _ = writeln!(io::stderr(), "test {name} is SKIPPED: nobody here may mount file systems");
-        return;
+        return tell(&format!("test {name} is SKIPPED: it would mount file systems, and may not"));
     };
     let ran = Command::new("unshare")
         .args(unshare)

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::{TempDir, tempdir};
 
-use crate::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes};
+use crate::scene::{Daemon, block_ply, frame_names, is_long, land, memory_bytes, tell};
 
 fn frame_count() -> usize {
     if is_long() { 50_000 } else { 2_000 }
@@ -42,8 +42,10 @@ fn what_is_done_costs_little() {
     let path = folder.path();
     let start = Instant::now();
     let mut daemon = Daemon::start_ready(path, &arguments(&["--rescan", "5s"]));
-    let start_seconds = start.elapsed().as_secs_f64();
-    assert!(start_seconds < 2.0, "it was ready after {start_seconds} s");
+    let wall_seconds = start.elapsed().as_secs_f64();
+    // What it computes, not how long it waits for a machine that is busy with other tests.
+    let start_seconds = cpu_seconds(daemon.pid());
+    assert!(start_seconds < 2.0, "it computed for {start_seconds} s until it was ready");
     daemon.until("all are known", |daemon| daemon.has_status(&format!("{} done", frame_count())));
     assert_eq!(daemon.converted(), [""; 0]);
 
@@ -52,7 +54,14 @@ fn what_is_done_costs_little() {
     daemon.listen_for(watched);
     let share = (cpu_seconds(daemon.pid()) - before) / watched.as_secs_f64();
     assert!(share <= 0.01, "it takes {share} of a core");
+    let resident_mib = memory_bytes(daemon.pid(), "VmRSS") >> 20;
     daemon.stop();
+    tell(&format!(
+        "{} frames are done: ready after {wall_seconds:.3} s, of which it computed {start_seconds:.3} s; \
+         then it takes {:.2} % of a core and {resident_mib} MiB",
+        frame_count(),
+        100.0 * share
+    ));
 }
 
 #[test]

@@ -2,9 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::env;
-use std::fmt::Write;
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{self, BufRead, BufReader, Write};
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -21,6 +20,11 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Whether the tests have as many frames as were promised.
 pub(crate) fn is_long() -> bool {
     env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1")
+}
+
+/// Says something even where the test passes, which the macros for it do not.
+pub(crate) fn tell(text: &str) {
+    writeln!(io::stderr(), "{text}").expect("somebody listens");
 }
 
 /// What a daemon says.
@@ -92,10 +96,9 @@ impl Daemon {
 
     /// Listens until all these frames are converted.
     pub(crate) fn until_converted(&mut self, names: &[String]) {
-        self.until("frames are converted", |daemon| {
-            let converted = daemon.converted();
-            names.iter().all(|name| converted.contains(name))
-        });
+        for name in names {
+            self.until(&format!("{name} is converted"), |daemon| daemon.converted().contains(name));
+        }
     }
 
     /// Listens for so long.
@@ -148,9 +151,12 @@ impl Daemon {
         assert!(!self.log.iter().any(|line| line["level"] == "ERROR"), "{}", self.everything());
     }
 
-    /// Waits until it ends by itself, with everything converted.
+    /// Waits until it ends by itself, with everything converted, as long as it has something to say.
     pub(crate) fn until_drained(&mut self) {
-        self.until("it ends", |daemon| daemon.has_ended);
+        while !self.has_ended {
+            let heard = self.hear_until(Instant::now() + PATIENCE);
+            assert!(heard, "it says nothing more, and does not end\n{}", self.everything());
+        }
         let status = self.child.wait().expect("it ended");
         assert!(status.success(), "{status}:\n{}", self.everything());
     }
@@ -282,9 +288,10 @@ pub(crate) fn land(folder: &Path, name: &str, bytes: &[u8]) {
 /// A block of `edge_count`³ particles, 0.1 apart, moved along x, as binary PLY.
 pub(crate) fn block_ply(edge_count: usize, shift: f32) -> Vec<u8> {
     let count = edge_count.pow(3);
-    let mut header = String::from("ply\nformat binary_little_endian 1.0\n");
-    writeln!(header, "element vertex {count}").expect("strings take everything");
-    header += "property float x\nproperty float y\nproperty float z\nend_header\n";
+    let header = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
+         property float x\nproperty float y\nproperty float z\nend_header\n"
+    );
     let mut bytes = header.into_bytes();
     for index in 0..count {
         let [x, y, z] = [index % edge_count, index / edge_count % edge_count, index / edge_count.pow(2)];
