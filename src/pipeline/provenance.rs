@@ -5,6 +5,7 @@
 //! again; whatever else it records, or nothing at all, means that it must.
 
 use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use meniscus_formats::provenance::{Kind, read_provenance};
@@ -16,6 +17,12 @@ use crate::settings::{Contouring, Integrator, Settings};
 use super::frame::Frame;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 
+/// What an output's generator begins with; the version follows.
+const GENERATOR: &str = "meniscus ";
+
+/// The provenance of an output is within this much from its start, unless the input's name is very long.
+const HEAD_BYTES: u64 = 16 << 10;
+
 /// Names and values for an output in `format`, made from the file `input` with this hash.
 pub(super) fn provenance(
     settings: &Settings,
@@ -25,7 +32,7 @@ pub(super) fn provenance(
     options: &OutputOptions,
 ) -> Vec<(String, String)> {
     let mut pairs = vec![
-        ("generator", format!("meniscus {}", env!("CARGO_PKG_VERSION"))),
+        ("generator", format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))),
         ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
         ("input_hash", format!("xxh3-128:{hash:032x}")),
     ];
@@ -57,6 +64,24 @@ fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_for
     let mut file = File::open(path)?;
     let recorded = read_provenance(kind, &file)?;
     Ok(wanted.iter().all(|pair| recorded.contains(pair)) && is_whole(kind, &mut file)?)
+}
+
+/// Whether a file is an output of this program, of whatever version, by what it says of itself; what cannot
+/// be read is none. Only the head of the file is looked at.
+pub fn is_own_output(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let Some(&format) = OutputFormat::ALL.iter().find(|format| format.extension() == extension) else {
+        return false;
+    };
+    // Opening a pipe would wait for its other end.
+    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
+        return false;
+    }
+    let recorded = File::open(path)
+        .map_err(meniscus_formats::Error::from)
+        .and_then(|file| read_provenance(provenance_kind(format), file.take(HEAD_BYTES)));
+    let is_generator = |(name, value): &(String, String)| name == "generator" && value.starts_with(GENERATOR);
+    recorded.is_ok_and(|pairs| pairs.iter().any(is_generator))
 }
 
 /// Every setting that matters to an output in `format`, numbers in the shortest form that reads
