@@ -1,6 +1,11 @@
 //! Folders to frames: watches, settles, queues, remembers.
 
 mod config;
+pub mod mounts;
+pub mod readiness;
+pub mod scan;
+pub mod selection;
+pub mod watcher;
 
 use std::fmt;
 
