@@ -1,6 +1,9 @@
 //! Folders to frames: watches, settles, queues, remembers.
 
 mod config;
+mod decision;
+mod journal;
+mod lock;
 pub mod mounts;
 pub mod readiness;
 pub mod scan;
@@ -12,6 +15,12 @@ use std::fmt;
 use crossbeam::channel::Receiver;
 
 pub use config::{Config, Order, Patience, Poll, Watch};
+pub use decision::{ConvertReason, Decision, SkipReason, decide, decide_by_content};
+pub use journal::{
+    DaemonRecord, DaemonState, FrameRecord, Journal, OutputRecord, STATE_FOLDER, SequenceKey, SequenceRecord,
+    Standing, State,
+};
+pub use lock::{LockError, OutputLock, host_name};
 
 /// What the outside asks of a running daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
