@@ -2,6 +2,7 @@
 
 mod config;
 mod decision;
+mod explain;
 mod journal;
 mod lock;
 pub mod mounts;
@@ -16,6 +17,7 @@ use crossbeam::channel::Receiver;
 
 pub use config::{Config, Order, Patience, Poll, Watch};
 pub use decision::{ConvertReason, Decision, SkipReason, decide, decide_by_content};
+pub use explain::{Change, ExplainError, Explanation, FileFacts, Question, Verdict, explain};
 pub use journal::{
     DaemonRecord, DaemonState, FrameRecord, Journal, OutputRecord, STATE_FOLDER, SequenceKey, SequenceRecord,
     Standing, State,
