@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::daemon::selection::{Content, Selection};
-use crate::daemon::{
-    Change, Config, Explanation, FileFacts, FrameRecord, Question, Standing, Verdict as Fate, Watch, explain,
+use crate::daemon::explain::{
+    Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
 };
+use crate::daemon::journal::{FrameRecord, Standing};
+use crate::daemon::selection::{Content, Selection};
+use crate::daemon::{Config, Watch};
 
 use super::Verdict;
 use super::args::{WatchArgs, WhyArgs};
@@ -33,14 +35,15 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
     }
     let output_folders: Vec<PathBuf> =
         config.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
+    // Without the daemon's file, nobody knows what it was asked for.
+    let settings = args.config.as_ref().and_then(|_| remembered_fingerprint(watch, &frame, &state));
     let explanation = explain(&Question {
         frame: &frame,
         watch,
         output_folders: &output_folders,
         patience: &config.patience,
         record,
-        // SEAM: with --config, what the loop would convert it with now.
-        settings: None,
+        settings: settings.as_deref(),
     })
     .with_context(|| frame.display().to_string())?;
     console.say(text(&frame, record, &explanation, now_ms()));

@@ -29,6 +29,8 @@ use super::readiness::{
 use super::scan::{Seen, look};
 use super::selection::{Content, PatternError, Selection, content};
 
+pub use super::sequences::remembered_fingerprint;
+
 /// A frame, and what the loop would go by.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
@@ -42,8 +44,8 @@ pub struct Question<'a> {
     pub patience: &'a Patience,
     /// What the journal says of it.
     pub record: Option<&'a FrameRecord>,
-    /// The fingerprint of the settings that it would be converted with now. Where it is not known,
-    /// they are taken to be those recorded.
+    /// The [fingerprint](remembered_fingerprint) of the settings that it would be converted with now.
+    /// Where it is not known, they are taken to be those recorded.
     pub settings: Option<&'a str>,
 }
 

@@ -33,7 +33,7 @@ pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
-pub use provenance::is_own_output;
+pub use provenance::{is_own_output, settings_fingerprint};
 pub use reading::{ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use sink::{stop_writing, write_whole};

@@ -11,6 +11,7 @@ use std::path::Path;
 use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
+use twox_hash::XxHash3_64;
 
 use crate::settings::{Contouring, Integrator, Settings};
 
@@ -37,14 +38,7 @@ pub(super) fn provenance(
         ("input_hash", format!("xxh3-128:{hash:032x}")),
     ];
     pairs.extend(settings_pairs(settings, format));
-    match format {
-        OutputFormat::Vdb => {
-            pairs.push(("half", options.vdb_half.to_string()));
-            pairs.push(("compression", compression_name(options.vdb_compression).to_owned()));
-        }
-        OutputFormat::Glb | OutputFormat::Gltf => pairs.push(("up", up_name(options.up).to_owned())),
-        OutputFormat::Obj | OutputFormat::Ply => {}
-    }
+    pairs.extend(option_pairs(options, format));
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
@@ -82,6 +76,34 @@ pub fn is_own_output(path: &Path) -> bool {
         .and_then(|file| read_provenance(provenance_kind(format), file.take(HEAD_BYTES)));
     let is_generator = |(name, value): &(String, String)| name == "generator" && value.starts_with(GENERATOR);
     recorded.is_ok_and(|pairs| pairs.iter().any(is_generator))
+}
+
+/// All that outputs depend on but the input, in short: the settings, the formats and how they are written,
+/// the version of this program. Equal ones mean that an output need not be made again.
+pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> String {
+    let mut formats = options.formats.clone();
+    formats.sort_by_key(|format| format.extension());
+    let mut text = format!("meniscus {}", env!("CARGO_PKG_VERSION"));
+    for format in formats {
+        text += &format!("\n{}", format.extension());
+        for (name, value) in settings_pairs(settings, format).into_iter().chain(option_pairs(options, format))
+        {
+            text += &format!(" {name}={value}");
+        }
+    }
+    format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
+}
+
+/// How an output in `format` is written, as far as that can be chosen.
+fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static str, String)> {
+    match format {
+        OutputFormat::Vdb => vec![
+            ("half", options.vdb_half.to_string()),
+            ("compression", compression_name(options.vdb_compression).to_owned()),
+        ],
+        OutputFormat::Glb | OutputFormat::Gltf => vec![("up", up_name(options.up).to_owned())],
+        OutputFormat::Obj | OutputFormat::Ply => Vec::new(),
+    }
 }
 
 /// Every setting that matters to an output in `format`, numbers in the shortest form that reads

@@ -3,7 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use meniscus::daemon::{FrameRecord, Journal, OutputLock, OutputRecord, Standing};
+use meniscus::daemon::journal::{FrameRecord, Journal, OutputRecord, Standing};
+use meniscus::daemon::lock::OutputLock;
 use meniscus::pipeline::FileStamp;
 use tempfile::tempdir;
 
@@ -141,15 +142,15 @@ fn why_tells_everything_that_decides() {
     tells("in/dam.1.ply", &typed, &words);
     tells("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
     fs::remove_file(out.join("dam.1.glb")).expect("removed");
-    tells(
-        "in/dam.1.ply",
-        &typed,
-        &["dam.1.glb is not there", "It will be converted because its output", "No daemon is"],
-    );
 
-    let config = "[[watch]]\ninput = \"in\"\noutput = \"out\"\npattern = \"spray*\"\n";
+    let config = "[daemon]\nsettle = \"0s\"\n[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
     fs::write(path.join("meniscus.toml"), config).expect("written");
     let configured = ["--config", "meniscus.toml"];
+    let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
+    tells("in/dam.1.ply", &configured, &words);
+    fs::write(path.join("meniscus.toml"), format!("{config}voxel_size = 0.05\n")).expect("written");
+    tells("in/dam.1.ply", &configured, &["settings  not as recorded", "because its settings are others"]);
+    fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
     tells("in/dam.1.ply", &configured, &["name      not one of a frame"]);
     for (frame, options, words) in [
         ("in/gone.ply", &typed[..], "no such file, and nothing is recorded of it"),

@@ -12,9 +12,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
-use crate::daemon::{
-    DaemonState, FrameRecord, Journal, LockError, OutputLock, STATE_FOLDER, Standing, State,
-};
+use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State};
+use crate::daemon::lock::{LockError, OutputLock};
 use crate::pipeline::natural_order;
 
 use super::Verdict;

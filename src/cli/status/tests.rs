@@ -1,5 +1,5 @@
 use super::*;
-use crate::daemon::{DaemonRecord, OutputRecord};
+use crate::daemon::journal::{DaemonRecord, OutputRecord};
 use crate::pipeline::FileStamp;
 
 fn frame(standing: Standing, at_ms: u64) -> FrameRecord {
