@@ -22,7 +22,7 @@ HERE = Path(__file__).resolve().parent
 PYTHON = WORK / "simulators" / "bin" / "python"
 LIVE = WORK / "live"
 # Where each simulator puts its frames within its folder, and how many there must be.
-SIMULATORS = {"splishsplash": ("partio", "*.bgeo", 30), "taichi": ("", "*.ply", 40)}
+SIMULATORS = {"splishsplash": ("partio", "*.bgeo", 25), "taichi": ("", "*.ply", 30)}
 FORMATS = ["glb", "vdb"]
 # Beyond the skinning of the last frame, which is settled first.
 LATE_MAX_SECONDS = 1.0
@@ -175,7 +175,7 @@ class Observer:
         if not self.folder.is_dir():
             return
         for path in self.folder.iterdir():
-            if path.name not in self.appeared and path.suffix[1:] in FORMATS and not path.name.startswith("."):
+            if path.name not in self.appeared and path.suffix[1:] in FORMATS:
                 self.appeared[path.name] = time.monotonic()
                 self.digests[path.name] = digest(path)
 

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 SECONDS = 3.0
-FRAMES_PER_SECOND = 10
+FRAMES_PER_SECOND = 8
 # Distances in metres; the tank stands on y = 0, and its middle is above the origin.
 PARTICLE_RADIUS = 0.025
 TANK = [2.0, 2.0, 1.0]

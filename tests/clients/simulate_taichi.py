@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy
 import taichi as ti
 
-FRAMES = 40
-STEPS_PER_FRAME = 150
+FRAMES = 30
+STEPS_PER_FRAME = 180
 SECONDS_PER_STEP = 2e-4
 # The grid is a cube with edges of 1, and y is up. The tank lies within these cells of it.
 CELLS = 32
