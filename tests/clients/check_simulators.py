@@ -82,7 +82,7 @@ def simulated(paths, count, seconds, status):
 def ended_well(daemon, surfaces, wanted):
     """The daemon ends when asked, and what it leaves are surfaces and its journal."""
     status, seconds = daemon.end()
-    left = {path.name for path in surfaces.iterdir()} - wanted - {STATE_FOLDER}
+    left = {path.name for path in surfaces.glob("*")} - wanted - {STATE_FOLDER}
     faults = [f"left behind: {name}" for name in sorted(left)]
     if status:
         faults.append(f"its exit status is {status}; see daemon.log")
