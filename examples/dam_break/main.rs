@@ -18,7 +18,7 @@
 mod water;
 
 use std::error::Error;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -44,7 +44,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// The daemon in a thread of its own, the simulation in this one.
 fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Result<(), Box<dyn Error>> {
-    tracing_subscriber::fmt().with_target(false).with_writer(std::io::stderr).init();
+    let stderr = std::io::stderr;
+    tracing_subscriber::fmt().with_target(false).with_ansi(stderr().is_terminal()).with_writer(stderr).init();
     std::fs::create_dir_all(cache)?;
     std::fs::create_dir_all(surfaces)?;
     let config = config(&std::path::absolute(cache)?, &std::path::absolute(surfaces)?);
