@@ -5,11 +5,9 @@ use std::io;
 use std::path::Path;
 use std::time::UNIX_EPOCH;
 
-use serde::{Deserialize, Serialize};
-
 /// Size, time of the last write, and which file it is: two files with equal stamps are taken for the
 /// same one, unchanged.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct FileStamp {
     /// Bytes.
     pub size: u64,

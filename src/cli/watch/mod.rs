@@ -52,7 +52,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         let mut notices = |notice: Notice| match notice {
             // It ends to begin again: for the outside it goes on.
             Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
-            Notice::Overdue => give_up_what_is_under_way(),
+            Notice::Overdue => give_up_what_is_under_way(args.once),
             notice => service.tell(&notice),
         };
         let summary = match daemon::run(&plan.config, &commands, &mut notices) {
@@ -79,9 +79,10 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
 }
 
 /// Ends at once: what is not whole yet is left for the next time.
-fn give_up_what_is_under_way() {
+fn give_up_what_is_under_way(once: bool) {
     stop_writing();
-    std::process::exit(0);
+    // A daemon did what it was asked to; who wanted all that is there did not get it.
+    std::process::exit(i32::from(once));
 }
 
 /// Tells how it ended.

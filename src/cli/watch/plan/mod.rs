@@ -50,6 +50,7 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<Plan> {
     let mut told = HashSet::new();
     warnings.retain(|warning: &String| told.insert(warning.clone()));
     let daemon = args.daemon.over(&file.map(|file| file.daemon).unwrap_or_default());
+    refuse_shared_journal(&watches, daemon.journal.as_deref())?;
     let config = config(watches, args.once, &daemon)?;
     Ok(Plan { config, log: daemon.log.unwrap_or(LogChoice::Text), warnings })
 }
@@ -161,6 +162,24 @@ fn refuse_twins(watches: &[Watch]) -> Result<()> {
         if watches[..index].iter().any(|other| is_twin(&other)) {
             bail!("{}: watched twice for the same output", watch.input.display());
         }
+    }
+    Ok(())
+}
+
+/// A journal is about one folder of outputs.
+fn refuse_shared_journal(watches: &[Watch], journal: Option<&Path>) -> Result<()> {
+    let mut outputs = watches.iter().map(|watch| &watch.outputs.folder);
+    let first = outputs.next();
+    if let (Some(journal), Some(first)) = (journal, first)
+        && let Some(other) = outputs.find(|other| !same_folder(first, other))
+    {
+        bail!(
+            "the journal {} is for one folder of outputs, and there are {} and {}: run a daemon for each, or \
+             leave it out, and each folder has its own",
+            journal.display(),
+            first.display(),
+            other.display()
+        );
     }
     Ok(())
 }
