@@ -67,10 +67,7 @@ impl Daemon<'_> {
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
-            let store = self.stores.of_watch_mut(root);
-            if let Err(error) = store.journal.note_sequence(&key, record) {
-                tracing::warn!(folder = %store.folder.display(), "cannot write the journal: {error}");
-            }
+            self.stores.of_watch_mut(root).write_down(|journal| journal.note_sequence(&key, record));
             self.tell_settings(index);
             for id in self.held_frames(index) {
                 self.release(&id);

@@ -84,7 +84,7 @@ impl Daemon<'_> {
         frame.attempt_count = 0;
         frame.phase = Phase::Done(record.stamp);
         self.failed.remove(id);
-        self.stores.of_watch_mut(id.root).note(&id.path, record);
+        self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
     }
 
     /// A frame failed: what now depends on why.
@@ -148,7 +148,7 @@ impl Daemon<'_> {
             settings: String::new(),
             ..self.record(id, Standing::Failed, stamp)
         };
-        self.stores.of_watch_mut(id.root).note(&id.path, record);
+        self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
         self.failed.insert(id.clone(), reason);
     }
 
@@ -196,7 +196,7 @@ impl Daemon<'_> {
         reason: Option<String>,
     ) {
         let record = FrameRecord { reason, ..self.record(id, standing, stamp) };
-        self.stores.of_watch_mut(id.root).note(&id.path, record);
+        self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
     }
 
     fn record(&self, id: &FrameId, standing: Standing, stamp: FileStamp) -> FrameRecord {

@@ -51,10 +51,20 @@ impl Room {
         self.shortage = Some(Shortage::Room(NoRoom {
             folder: folder.to_owned(),
             wanted_bytes: self.floor_bytes.max(free.saturating_add(MARGIN_BYTES)),
-            try_again_at: Some(now + self.patience),
+            try_again_at: Some(self.next_try_at(now)),
             free_bytes: free,
         }));
-        self.patience = (self.patience * 2).min(PATIENCE_MAX);
+    }
+
+    /// When a disk that was found full now is tried again. The frames that are under way together find
+    /// it full one after the other: that is no reason to wait longer.
+    fn next_try_at(&mut self, now: Instant) -> Instant {
+        if let Some(Shortage::Room(NoRoom { try_again_at: Some(at), .. })) = self.shortage {
+            return at;
+        }
+        let patience = self.patience;
+        self.patience = (patience * 2).min(PATIENCE_MAX);
+        now + patience
     }
 
     /// A frame was written: there is room.
@@ -152,7 +162,10 @@ mod tests {
         let mut now = Instant::now();
         let mut room = Room::new(0);
         for expected in [5, 10, 20, 40, 80, 160, 300, 300] {
-            room.ran_out(folder.path(), now);
+            // By several frames that were under way together.
+            for _ in 0..3 {
+                room.ran_out(folder.path(), now);
+            }
             // However much others free or take meanwhile, this is never enough.
             want(&mut room, u64::MAX);
             room.check([folder.path()], None, now + Duration::from_secs(expected - 1));

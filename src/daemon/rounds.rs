@@ -11,7 +11,7 @@ use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
 
 use super::config::Config;
 use super::frames::{FrameId, FrameState, Frames, Phase, Tally};
-use super::journal::{DaemonRecord, DaemonState, Standing};
+use super::journal::{DaemonRecord, DaemonState, Journal, Standing};
 use super::lock::host_name;
 use super::outcomes::now_ms;
 use super::queue::Queue;
@@ -461,18 +461,14 @@ impl<'a> Daemon<'a> {
             at_ms: now_ms(),
         };
         for store in self.stores.iter_mut() {
-            if let Err(error) = store.journal.note_daemon(record.clone()) {
-                tracing::warn!(folder = %store.folder.display(), "cannot write the journal: {error}");
-            }
+            store.write_down(|journal| journal.note_daemon(record.clone()));
         }
     }
 
     fn finish(&mut self, ended: Ended) -> Summary {
         self.note_daemon(&DaemonState::Stopped);
         for store in self.stores.iter_mut() {
-            if let Err(error) = store.journal.sync() {
-                tracing::warn!(folder = %store.folder.display(), "cannot write the journal: {error}");
-            }
+            store.write_down(Journal::sync);
         }
         let tally = self.frames.tally();
         let mut failed: Vec<(FrameId, String)> = std::mem::take(&mut self.failed).into_iter().collect();

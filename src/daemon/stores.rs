@@ -10,7 +10,7 @@ use crate::pipeline::sweep_temporaries;
 
 use super::DaemonError;
 use super::config::Config;
-use super::journal::{FrameRecord, Journal, STATE_FOLDER};
+use super::journal::{Journal, STATE_FOLDER};
 use super::lock::{LockError, OutputLock};
 use super::mounts::RootIdentity;
 
@@ -20,6 +20,8 @@ pub(super) struct Store {
     /// Absolute.
     pub(super) folder: PathBuf,
     pub(super) journal: Journal,
+    /// What was to be written last could not be.
+    is_journal_stuck: bool,
     locks: Vec<OutputLock>,
     /// Which file system it was on when it was opened.
     identity: RootIdentity,
@@ -114,7 +116,7 @@ impl Store {
                 tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
             }
         }
-        Ok(Store { folder, journal, locks, identity })
+        Ok(Store { folder, journal, is_journal_stuck: false, locks, identity })
     }
 
     /// Whether the folder is still there. What was in a folder whose file system was unmounted will come
@@ -137,11 +139,19 @@ impl Store {
         Ok(())
     }
 
-    /// Writes down what became of a frame. A journal that cannot be written costs work after a restart
-    /// and nothing else.
-    pub(super) fn note(&mut self, input: &Path, record: FrameRecord) {
-        if let Err(error) = self.journal.note_frame(input, record) {
-            tracing::warn!(folder = %self.folder.display(), "cannot write the journal: {error}");
+    /// Writes something down. A journal that cannot be written costs work after a restart and nothing
+    /// else; it is told once, not for every line, and once more when it can be written again.
+    pub(super) fn write_down(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
+        let written = write(&mut self.journal);
+        let was_stuck = std::mem::replace(&mut self.is_journal_stuck, written.is_err());
+        match written {
+            Err(error) if !was_stuck => {
+                tracing::warn!(folder = %self.folder.display(), "cannot write the journal: {error}");
+            }
+            Ok(()) if was_stuck => {
+                tracing::info!(folder = %self.folder.display(), "the journal is written again")
+            }
+            _ => {}
         }
     }
 }
