@@ -7,7 +7,7 @@
 //! ```
 
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use tempfile::{TempDir, tempdir};
@@ -55,6 +55,14 @@ impl Siege {
         ballast.write_all(&vec![1; bytes]).expect("there is room for it");
     }
 
+    /// Fills the disk up to the last byte.
+    fn fill_up(&self) {
+        let mut ballast = File::create(self.out().join("ballast")).expect("made");
+        let piece = [1; 1 << 12];
+        let error = (0..).find_map(|_| ballast.write(&piece).err()).expect("the disk is not endless");
+        assert_eq!(error.kind(), ErrorKind::StorageFull, "{error}");
+    }
+
     fn make_room(&self) {
         fs::remove_file(self.out().join("ballast")).expect("removed");
     }
@@ -96,7 +104,7 @@ fn a_disk_that_fills_up_is_waited_for() {
         daemon.until("it says that it is paused", is_paused);
         assert!(siege.outputs().len() < 2 * siege.frames.len());
         assert_eq!(counts(siege.path())[3], 0);
-        assert!(status(siege.path())["daemon"]["state"].as_str().is_some_and(|s| s.contains("paused")));
+        assert_eq!(status(siege.path())["daemon"]["state"], "paused");
         if is_long() {
             // It tries by itself now and then, and does not take that for a failure of the frame.
             daemon.until("it tries again", |daemon| daemon.count_logged("paused") > 8);
@@ -106,6 +114,43 @@ fn a_disk_that_fills_up_is_waited_for() {
         daemon.until_converted(&siege.frames);
         daemon.until("it is not paused any more", |daemon| !daemon.has_status("paused"));
         assert_eq!(daemon.converted().len(), siege.frames.len());
+        daemon.stop();
+        siege.is_whole();
+    });
+}
+
+#[test]
+fn a_journal_on_a_full_disk_goes_on_later() {
+    with_own_mounts("disk::a_journal_on_a_full_disk_goes_on_later", || {
+        let siege = Siege::new(24);
+        let [inside, later] = ["in", "later"].map(|name| siege.path().join(name));
+        fs::rename(&inside, &later).expect("renamed");
+        fs::create_dir(&inside).expect("made");
+        let move_in = |names: &[String]| {
+            for name in names {
+                fs::rename(later.join(name), inside.join(name)).expect("renamed");
+            }
+        };
+        let (first, second) = siege.frames.split_at(4);
+        move_in(first);
+        let mut daemon = Daemon::start(siege.path(), &["in", "--out", "out", "--disk-floor", "0"]);
+        daemon.until_converted(first);
+        daemon.until("all is written down", |daemon| daemon.has_status("4 done"));
+        siege.fill_up();
+        // More of them than there is room for in the last page of the journal.
+        move_in(second);
+        daemon.until("it says that it is paused", is_paused);
+        daemon.until("all frames wait", |daemon| daemon.has_status("4 done, 20 queued; paused"));
+        // Said once, not for each of its lines.
+        assert_eq!(daemon.count_logged("cannot write the journal"), 1);
+        assert_eq!(siege.outputs().len(), 2 * first.len());
+        siege.make_room();
+        daemon.until_converted(second);
+        assert_eq!(daemon.converted().len(), siege.frames.len());
+        assert_eq!(daemon.count_logged("the journal is written again"), 1);
+        daemon.until("all is written down", |daemon| daemon.has_status("24 done, 0 queued"));
+        assert_eq!(counts(siege.path()), [24, 0, 0, 0]);
+        assert_eq!(status(siege.path())["daemon"]["state"], "running");
         daemon.stop();
         siege.is_whole();
     });
@@ -143,8 +188,12 @@ fn nothing_is_begun_below_the_floor() {
             daemon.log.iter().find(|line| line["message"].as_str().is_some_and(|m| m.contains("paused")));
         let why = why.expect("it said so")["message"].as_str().unwrap_or_default().to_owned();
         assert!(why.contains("out has 3.0 MiB free") && why.contains("waiting for 4.0 MiB"), "{why}");
-        let state = status(siege.path())["daemon"]["state"].to_string();
-        assert!(state.contains("waiting for 4.0 MiB"), "{state}");
+        let told = status(siege.path())["daemon"].clone();
+        assert_eq!(told["state"], "paused");
+        assert!(
+            told["paused_because"].as_str().is_some_and(|why| why.contains("waiting for 4.0 MiB")),
+            "{told}"
+        );
         assert!(siege.outputs().is_empty() && daemon.converted().is_empty());
         siege.make_room();
         daemon.until_converted(&siege.frames);
