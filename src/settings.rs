@@ -141,6 +141,25 @@ impl Settings {
         Ok(settings)
     }
 
+    /// Whether there is a voxel size with which these choices make sense: for a voxel size that is
+    /// not yet known.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn check(choices: &Choices) -> Result<(), SettingsError> {
+        let sound = |radius: &f64| radius.is_finite() && *radius > 0.0;
+        let ratio = choices.radius_ratio.unwrap_or(2.0);
+        // One that puts a radius that was given between the others. What is wrong with the ratio
+        // is told by `resolve`.
+        let voxel_size = match (choices.radius_min.filter(sound), choices.radius_init.filter(sound)) {
+            (Some(radius_min), _) => radius_min * ratio,
+            (None, Some(radius_init)) => radius_init / (3f64.sqrt() * 0.5 * (1.0 + ratio)),
+            (None, None) => 1.0,
+        };
+        let voxel_size = Some(voxel_size).filter(sound).unwrap_or(1.0);
+        Settings::resolve(voxel_size, choices).map(|_| ())
+    }
+
     /// What a user should be told before work begins, one sentence each.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
@@ -175,4 +194,44 @@ fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
 
 fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
     if holds { Ok(()) } else { Err(SettingsError { what: what() }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn choices_are_checked_before_a_voxel_size_is_known() {
+        let choices = |radius_min, radius_ratio, radius_init| Choices {
+            radius_min,
+            radius_ratio,
+            radius_init,
+            ..Choices::default()
+        };
+        for sound in [
+            choices(None, None, None),
+            choices(Some(1e-9), None, None),
+            choices(Some(1e9), Some(30.0), None),
+            choices(None, None, Some(1e-9)),
+            choices(None, Some(1.0), Some(1e9)),
+            choices(None, Some(4.0), Some(0.3)),
+            choices(Some(0.1), Some(4.0), Some(0.3)),
+        ] {
+            assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
+        }
+        for (senseless, word) in [
+            (choices(None, Some(0.5), None), "ratio"),
+            (choices(None, Some(-1.0), Some(1.0)), "ratio"),
+            (choices(None, Some(f64::NAN), Some(1.0)), "ratio"),
+            (choices(Some(-1.0), None, None), "r_min"),
+            (choices(Some(f64::INFINITY), None, None), "r_min"),
+            (choices(None, None, Some(0.0)), "r_init"),
+            (choices(Some(0.1), Some(2.0), Some(0.3)), "r_init is 0.3"),
+            (choices(None, Some(1000.0), None), "voxels"),
+            (Choices { steps: Some(u32::MAX), ..Choices::default() }, "steps"),
+        ] {
+            let error = Settings::check(&senseless).expect_err("senseless");
+            assert!(error.what.contains(word), "{senseless:?}: {error}");
+        }
+    }
 }

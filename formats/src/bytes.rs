@@ -44,7 +44,7 @@ impl<'a> Cursor<'a> {
                 self.at += length;
                 Ok(taken)
             }
-            None => Err(self.invalid(format!(
+            None => Err(self.short(format!(
                 "expected {length} bytes of {what}, found {} before the end",
                 self.remaining()
             ))),
@@ -76,6 +76,11 @@ impl<'a> Cursor<'a> {
         })
     }
 
+    /// The error that the file ends too soon, told at the present position.
+    pub(crate) fn short(&self, what: impl Into<String>) -> Error {
+        Error::short(self.format, Place::Offset(self.at as u64), what)
+    }
+
     /// An error at the present position.
     pub(crate) fn invalid(&self, what: impl Into<String>) -> Error {
         Error::invalid(self.format, Place::Offset(self.at as u64), what)
@@ -102,7 +107,9 @@ mod tests {
     fn the_end_is_an_error_with_its_offset() {
         let mut cursor = Cursor::new("test", Endian::Little, &[1, 2, 3], 0);
         cursor.take(2, "x").unwrap();
-        let error = cursor.take(usize::MAX, "the table").unwrap_err().to_string();
+        let error = cursor.take(usize::MAX, "the table").unwrap_err();
+        assert!(error.is_short());
+        let error = error.to_string();
         assert!(
             error.starts_with("test, at byte 2: expected 18446744073709551615 bytes of the table, found 1")
         );

@@ -1,8 +1,9 @@
 //! What can go wrong with a file, told so that its owner can mend it.
 //!
-//! Four kinds, because they call for four different reactions: `Io` may pass by itself, `Invalid`
-//! needs the file to change, `Unsupported` needs this program to change, `TooLarge` needs a limit
-//! to change. The name of the file is added by whoever opened it.
+//! Five kinds, because they call for five different reactions: `Io` may pass by itself, `Short` may
+//! pass when whoever writes the file goes on, `Invalid` needs the file to change, `Unsupported` needs
+//! this program to change, `TooLarge` needs a limit to change. The name of the file is added by
+//! whoever opened it.
 
 use std::fmt;
 
@@ -35,7 +36,16 @@ impl fmt::Display for Place {
 pub enum Error {
     /// The operating system refused.
     Io(std::io::Error),
-    /// The file contradicts its own format, or ends too soon.
+    /// The file ends too soon. What there is of it may be the beginning of a good one.
+    Short {
+        /// The format as users know it, such as `PLY`.
+        format: &'static str,
+        /// Where.
+        place: Place,
+        /// One sentence: what was expected and what was found.
+        what: String,
+    },
+    /// The file contradicts its own format.
     Invalid {
         /// The format as users know it, such as `PLY`.
         format: &'static str,
@@ -61,6 +71,11 @@ pub enum Error {
 }
 
 impl Error {
+    /// An [`Error::Short`].
+    pub fn short(format: &'static str, place: Place, what: impl Into<String>) -> Error {
+        Error::Short { format, place, what: what.into() }
+    }
+
     /// An [`Error::Invalid`].
     pub fn invalid(format: &'static str, place: Place, what: impl Into<String>) -> Error {
         Error::Invalid { format, place, what: what.into() }
@@ -75,13 +90,20 @@ impl Error {
     pub fn too_large(format: &'static str, what: impl Into<String>) -> Error {
         Error::TooLarge { format, what: what.into() }
     }
+
+    /// Whether the file ends too soon, so that it may still be growing.
+    pub fn is_short(&self) -> bool {
+        matches!(self, Error::Short { .. })
+    }
 }
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Error::Io(source) => write!(f, "{source}"),
-            Error::Invalid { format, place, what } => write!(f, "{format}, {place}: {what}"),
+            Error::Short { format, place, what } | Error::Invalid { format, place, what } => {
+                write!(f, "{format}, {place}: {what}")
+            }
             Error::Unsupported { format, what } => write!(f, "{format}: {what}"),
             Error::TooLarge { format, what } => write!(f, "{format}: {what}"),
         }

@@ -26,8 +26,8 @@ pub(crate) fn is_gzip(bytes: &[u8]) -> bool {
 /// Inflates all members of the file, one after the other.
 ///
 /// # Errors
-/// `Invalid`, with the offset in the compressed file, if it is damaged or ends too soon; `TooLarge`
-/// beyond `decompressed_bytes` or `decompression_ratio`.
+/// `Short` if it ends too soon and `Invalid` if it is damaged, with the offset in the compressed file;
+/// `TooLarge` beyond `decompressed_bytes` or `decompression_ratio`.
 pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     let mut inflated = Vec::new();
     let mut rest = bytes;
@@ -37,7 +37,12 @@ pub(crate) fn inflate(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
     // Tapes and some copying tools pad files with zeros.
     if let Some(at) = rest.iter().position(|&byte| byte != 0) {
         let place = Place::Offset((bytes.len() - rest.len() + at) as u64);
-        return Err(Error::invalid(FORMAT, place, "the compressed data is followed by something else"));
+        let what = "the compressed data is followed by something else";
+        // Unless that is the first byte of another member.
+        return Err(match MAGIC.starts_with(rest) {
+            true => Error::short(FORMAT, place, what),
+            false => Error::invalid(FORMAT, place, what),
+        });
     }
     Ok(inflated)
 }
@@ -77,18 +82,18 @@ fn check_limits(inflated: u64, consumed: u64, limits: &Limits) -> Result<()> {
 }
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {
-    let what = match source.kind() {
-        std::io::ErrorKind::UnexpectedEof => "the compressed data ends too soon".into(),
-        _ => format!("the compressed data is damaged: {source}"),
-    };
-    Error::invalid(FORMAT, Place::Offset(consumed as u64), what)
+    let place = Place::Offset(consumed as u64);
+    match source.kind() {
+        std::io::ErrorKind::UnexpectedEof => Error::short(FORMAT, place, "the compressed data ends too soon"),
+        _ => Error::invalid(FORMAT, place, format!("the compressed data is damaged: {source}")),
+    }
 }
 
 /// Looks for damage in the first bytes without keeping what comes out of them: what little could be
 /// inflated of a damaged file may look like anything.
 ///
 /// # Errors
-/// `Invalid`, as from [`inflate`].
+/// `Short` and `Invalid`, as from [`inflate`].
 pub(crate) fn check_start(bytes: &[u8]) -> Result<()> {
     let mut start = GzDecoder::new(bytes).take(RATIO_FREE_BYTES);
     let outcome = std::io::copy(&mut start, &mut std::io::sink());
@@ -128,12 +133,12 @@ mod tests {
     #[test]
     fn damage_is_told_with_its_offset() {
         let mut file = gzipped(&[7; 5000]);
-        let error = inflate(&file[..file.len() - 3], &Limits::default()).unwrap_err().to_string();
-        assert!(error.contains("ends too soon"), "{error}");
+        let error = inflate(&file[..file.len() - 3], &Limits::default()).unwrap_err();
+        assert!(error.is_short() && error.to_string().contains("ends too soon"), "{error}");
         let middle = file.len() - 7; // within the checksum
         file[middle] ^= 1;
-        let error = inflate(&file, &Limits::default()).unwrap_err().to_string();
-        assert!(error.contains("is damaged"), "{error}");
+        let error = inflate(&file, &Limits::default()).unwrap_err();
+        assert!(!error.is_short() && error.to_string().contains("is damaged"), "{error}");
     }
 
     #[test]

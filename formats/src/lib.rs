@@ -27,7 +27,7 @@ mod text;
 pub mod vdb;
 pub mod wholeness;
 
-pub use completeness::Completeness;
+pub use completeness::{Completeness, completeness};
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,
 };
@@ -76,7 +76,7 @@ fn check_readable(kind: Kind) -> Result<()> {
 /// What the file is, and what to do instead.
 fn unreadable(kind: Kind) -> Error {
     let what = match kind {
-        Kind::Empty => return Error::invalid("particles", Place::File, "the file is empty"),
+        Kind::Empty => return Error::short("particles", Place::File, "the file is empty"),
         Kind::ClassicGeo => "text geometry is not read: save it as classic binary .bgeo or as PLY",
         Kind::HoudiniJsonBinary | Kind::HoudiniJsonText | Kind::HoudiniSc => {
             "geometry of Houdini 12 and later is not read yet: save it as classic .bgeo (.bhclassic) or as PLY"

@@ -6,20 +6,18 @@ use std::thread::available_parallelism;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use meniscus_formats::{gltf, vdb};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::{
-    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputFormat,
-    OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
-    default_in_flight, default_memory_bytes,
+    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputOptions,
+    RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs, default_in_flight,
+    default_memory_bytes,
 };
-use crate::settings::{Choices, Contouring, Integrator, Settings};
+use crate::settings::Settings;
 
 use super::Verdict;
-use super::args::{
-    CompressionChoice, ContourChoice, ConvertArgs, Format, IntegratorChoice, OnErrorChoice, UpChoice,
-};
+use super::args::{ConvertArgs, OnErrorChoice};
+use super::choices::{choices, ignored, output_options};
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
@@ -35,8 +33,10 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let start = Instant::now();
     clean_up_when_interrupted();
     let Selection { sequences, found } = select_frames(args, console)?;
-    warn_of_what_is_ignored(args, console);
-    let outputs = Arc::new(output_options(args));
+    if let Some(warning) = ignored(&args.solver) {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    let outputs = Arc::new(output_options(args.out.clone(), args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     refuse_conflicts(&sequences, &found, &outputs, args.report.as_deref())?;
@@ -110,42 +110,6 @@ fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
     selection.is_none_or(|selection| file.number().is_some_and(|number| selection.contains(number)))
 }
 
-fn warn_of_what_is_ignored(args: &ConvertArgs, console: &Console) {
-    if args.solver.cg_tolerance.is_some() && args.solver.integrator != IntegratorChoice::Implicit {
-        console.warn("warning: --cg-tolerance is ignored: it is for --integrator implicit only");
-    }
-}
-
-fn output_options(args: &ConvertArgs) -> OutputOptions {
-    let mut formats = Vec::new();
-    for &format in &args.format {
-        let format = match format {
-            Format::Glb => OutputFormat::Glb,
-            Format::Gltf => OutputFormat::Gltf,
-            Format::Vdb => OutputFormat::Vdb,
-            Format::Obj => OutputFormat::Obj,
-            Format::Ply => OutputFormat::Ply,
-        };
-        if !formats.contains(&format) {
-            formats.push(format);
-        }
-    }
-    OutputOptions {
-        folder: args.out.clone(),
-        formats,
-        up: match args.formats.up {
-            UpChoice::Y => gltf::UpAxis::Y,
-            UpChoice::Z => gltf::UpAxis::Z,
-        },
-        vdb_half: args.formats.vdb_half,
-        vdb_compression: match args.formats.vdb_compression {
-            CompressionChoice::None => vdb::Compression::None,
-            CompressionChoice::Active => vdb::Compression::ActiveMask,
-            CompressionChoice::Blosc => vdb::Compression::Blosc,
-        },
-    }
-}
-
 /// Makes sure that nothing written to the folder of the outputs, which exists, or to the report is
 /// lost or loses something else: also what was found but not selected must stay.
 fn refuse_conflicts(
@@ -198,7 +162,7 @@ fn resolve_settings(
         }
     };
     let voxel_size = args.surface.voxel_size.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
-    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(args))
+    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(&args.surface, &args.solver))
         .with_context(|| sequence.name.clone())?;
     say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
     if automatic.is_some() {
@@ -230,28 +194,6 @@ fn warn_of_siblings(sequence: &Sequence, console: &Console) {
              name the whole sequence and pick with --frames, or give --voxel-size",
             frame.name()
         ));
-    }
-}
-
-fn choices(args: &ConvertArgs) -> Choices {
-    Choices {
-        radius_min: args.surface.radius_min,
-        radius_ratio: args.surface.radius_ratio,
-        radius_init: args.surface.radius_init,
-        integrator: Some(match args.solver.integrator {
-            IntegratorChoice::Fast => Integrator::Fast,
-            IntegratorChoice::Implicit => Integrator::Implicit,
-            IntegratorChoice::Explicit => Integrator::Explicit,
-        }),
-        laplacian_steps: args.solver.laplacian_steps,
-        steps: args.solver.steps,
-        step_size: args.solver.step_size,
-        redistance_every: args.solver.redistance_every,
-        cg_tolerance: args.solver.cg_tolerance,
-        contouring: Some(match args.surface.contour {
-            ContourChoice::Dual => Contouring::Dual,
-            ContourChoice::Tetrahedra => Contouring::Tetrahedra,
-        }),
     }
 }
 

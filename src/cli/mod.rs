@@ -4,6 +4,8 @@
 //! Flags end here: the layers below see [`crate::settings::Settings`] and frames only.
 
 mod args;
+mod choices;
+mod config_file;
 mod console;
 mod convert;
 mod frame_selection;
@@ -11,6 +13,8 @@ mod info;
 mod inputs;
 mod interrupt;
 mod out_folder;
+mod quantities;
+mod watch;
 mod wording;
 
 use std::ffi::OsString;
@@ -47,6 +51,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
         Command::Info(args) => info::info(&args, &mut console),
+        Command::Watch(args) => watch::watch(&args),
     };
     let verdict = verdict.unwrap_or_else(|error| {
         console.hide_bar();

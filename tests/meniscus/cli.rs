@@ -60,7 +60,9 @@ fn what_makes_no_sense_is_refused() {
 #[test]
 fn help_and_version_are_no_errors() {
     let folder = folder();
-    for arguments in [&["--help"][..], &["--version"], &["convert", "--help"], &["info", "-h"]] {
+    for arguments in
+        [&["--help"][..], &["--version"], &["convert", "--help"], &["info", "-h"], &["watch", "-h"]]
+    {
         assert_eq!(meniscus(folder.path(), arguments).status, 0);
     }
     let help = meniscus(folder.path(), &["convert", "--help"]).out;

@@ -12,3 +12,4 @@ mod scene; // small frames of particles, and a way to run the command
 mod shapes; // particles to skin, the method with its defaults, and level sets read at a place
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod union_of_spheres; // rasterization against what is known of spheres
+mod watch; // the daemon's command: what it takes, and what it refuses before it begins

@@ -52,7 +52,8 @@ pub enum AttributeKind {
 /// # Errors
 ///
 /// [`Error::Unsupported`] for another version or an attribute type that this program does not
-/// know, [`Error::Invalid`] where the header contradicts itself or ends too soon.
+/// know, [`Error::Short`] where the header ends too soon, [`Error::Invalid`] where it contradicts
+/// itself.
 pub fn header(bytes: &[u8]) -> Result<Header> {
     header_within(bytes, &Limits::default())
 }
@@ -156,8 +157,7 @@ fn require(cursor: &Cursor, byte_count: usize, what: &str) -> Result<()> {
     if byte_count <= cursor.remaining() {
         return Ok(());
     }
-    Err(cursor
-        .invalid(format!("expected {byte_count} bytes of {what} or more, {} remain", cursor.remaining())))
+    Err(cursor.short(format!("expected {byte_count} bytes of {what} or more, {} remain", cursor.remaining())))
 }
 
 /// A number of `things`, which cannot be negative.

@@ -18,8 +18,8 @@ const BLOCK_BYTES: usize = 16 << 10;
 ///
 /// # Errors
 ///
-/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Invalid`] where
-/// points are missing.
+/// Those of [`super::header`], [`Error::TooLarge`] beyond `limits`, and [`Error::Short`] where points
+/// are missing.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header_within(bytes, limits)?;
     let after_header = &bytes[header.points_offset..];
@@ -33,7 +33,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
             header.record_bytes,
             after_header.len()
         );
-        return Err(Error::invalid(FORMAT, Place::Offset(header.points_offset as u64), what));
+        return Err(Error::short(FORMAT, Place::Offset(header.points_offset as u64), what));
     };
 
     let mut notes = notes(&header, rest);

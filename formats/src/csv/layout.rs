@@ -164,9 +164,13 @@ impl<'a> Head<'a> {
         Err(match self.text_first {
             Some(text) => {
                 let what = format!("{expected}, found {}", shown(text.text));
-                Error::invalid(FORMAT, Place::Line(text.number), what)
+                let place = Place::Line(text.number);
+                match bytes.ends_with(b"\n") || bytes.ends_with(b"\r") {
+                    true => Error::invalid(FORMAT, place, what),
+                    false => Error::short(FORMAT, place, what), // the line may be cut off
+                }
             }
-            None => Error::invalid(FORMAT, Place::File, format!("{expected}, found nothing but comments")),
+            None => Error::short(FORMAT, Place::File, format!("{expected}, found nothing but comments")),
         })
     }
 

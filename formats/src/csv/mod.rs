@@ -39,11 +39,12 @@ const FORMAT: &str = "delimited text";
 /// # Errors
 ///
 /// [`Error::Invalid`] with the line where a row has too many or too few cells, where text stands in
-/// a column of numbers, or if no position can be made out; [`Error::Unsupported`] for dialects that
-/// are recognised but not read; [`Error::TooLarge`] beyond `limits`.
+/// a column of numbers, or if no position can be made out, but [`Error::Short`] if nothing follows that
+/// line, not even its end; [`Error::Unsupported`] for dialects that are recognised but not read;
+/// [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     if bytes.is_empty() {
-        return Err(Error::invalid(FORMAT, Place::File, "expected text, found an empty file"));
+        return Err(Error::short(FORMAT, Place::File, "expected text, found an empty file"));
     }
     refuse_binary(bytes)?;
     let layout = layout::layout(bytes, limits)?;

@@ -160,7 +160,7 @@ impl<'a> Rows<'a> {
         let cell = rest[..length].trim_ascii();
         if cell.starts_with(b"\"") && quoted_length(cell) != Some(cell.len()) {
             let what = format!("expected a quote at the end of {}", shown(cell));
-            return Err(Error::invalid(FORMAT, Place::Line(self.line), what));
+            return Err(self.wrong(what));
         }
         let text = unquoted(cell);
         match meaning(&text) {
@@ -209,7 +209,7 @@ impl<'a> Rows<'a> {
             "expected {} cells, as in the first line of the table, found {found_count}",
             self.names.len()
         );
-        Error::invalid(FORMAT, Place::Line(self.line), what)
+        self.wrong(what)
     }
 
     fn not_a_number(&self, text: &[u8], index: usize) -> Error {
@@ -217,7 +217,16 @@ impl<'a> Rows<'a> {
             return decimal_commas(self.line);
         }
         let what = format!("expected a number in the column {:?}, found {}", self.names[index], shown(text));
-        Error::invalid(FORMAT, Place::Line(self.line), what)
+        self.wrong(what)
+    }
+
+    /// An error at the present position. A line that the file ends in may be cut off.
+    fn wrong(&self, what: String) -> Error {
+        let place = Place::Line(self.line);
+        match self.at + self.line_text().len() < self.bytes.len() {
+            true => Error::invalid(FORMAT, place, what),
+            false => Error::short(FORMAT, place, what),
+        }
     }
 }
 

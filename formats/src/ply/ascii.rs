@@ -1,7 +1,8 @@
 //! The body of an ascii PLY file: one record per line, values between spaces.
 //!
 //! A line that holds fewer or more values than the header declares is an error: taking values from
-//! the next line instead would shift all that follow without anybody noticing.
+//! the next line instead would shift all that follow without anybody noticing. Whatever is wrong with
+//! the last value of the file is told as the file being short: the value may be cut off.
 
 use fast_float2::FastFloat;
 
@@ -132,7 +133,7 @@ impl<'a> Lines<'a> {
         }
         self.at = start;
         let (least, most) = range.into_inner();
-        Err(self.invalid(format!("`{what}` must be an integer from {least} to {most}, found {value}")))
+        Err(self.wrong_value(format!("`{what}` must be an integer from {least} to {most}, found {value}")))
     }
 
     /// The next value, a real; or an integer that is stored as one.
@@ -153,7 +154,7 @@ impl<'a> Lines<'a> {
                     self.at += length;
                     Ok(value)
                 }
-                None => Err(self.invalid(format!("expected a number for `{what}`"))),
+                None => Err(self.wrong_value(format!("expected a number for `{what}`"))),
             },
         }
     }
@@ -171,10 +172,22 @@ impl<'a> Lines<'a> {
     }
 
     fn missing(&self, what: &str) -> Error {
-        self.invalid(match self.at == self.bytes.len() {
-            true => format!("the file ends where a value of `{what}` was expected"),
-            false => format!("the line ends where a value of `{what}` was expected"),
-        })
+        match self.at == self.bytes.len() {
+            true => self.short(format!("the file ends where a value of `{what}` was expected")),
+            false => self.invalid(format!("the line ends where a value of `{what}` was expected")),
+        }
+    }
+
+    /// What is wrong with the value at the present position, which may be all there is of it so far.
+    fn wrong_value(&self, what: String) -> Error {
+        match self.bytes[self.at..].iter().any(u8::is_ascii_whitespace) {
+            true => self.invalid(what),
+            false => self.short(what),
+        }
+    }
+
+    pub(super) fn short(&self, what: String) -> Error {
+        Error::short(FORMAT, Place::Line(line_number(self.bytes, self.at)), what)
     }
 
     pub(super) fn invalid(&self, what: String) -> Error {

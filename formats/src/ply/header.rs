@@ -149,7 +149,7 @@ impl Header {
 /// Reads the header alone.
 ///
 /// # Errors
-/// `Invalid` if it is malformed or ends before `end_header`; `TooLarge` beyond `header_bytes` or
+/// `Short` if it ends before `end_header`; `Invalid` if it is malformed; `TooLarge` beyond `header_bytes` or
 /// `attribute_count`.
 pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
     let capped = usize::try_from(limits.header_bytes).map_or(bytes, |most| &bytes[..bytes.len().min(most)]);
@@ -182,7 +182,7 @@ pub fn read_header(bytes: &[u8], limits: &Limits) -> Result<Header> {
             format!("no `end_header` within the {} bytes allowed for a header", limits.header_bytes),
         ));
     }
-    Err(Error::invalid(FORMAT, Place::Offset(bytes.len() as u64), "the file ends before `end_header`"))
+    Err(Error::short(FORMAT, Place::Offset(bytes.len() as u64), "the file ends before `end_header`"))
 }
 
 /// What was understood so far.

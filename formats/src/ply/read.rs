@@ -13,8 +13,8 @@ use super::{FORMAT, ascii, binary};
 /// Reads the vertices of a PLY file as particles, with all their scalar properties.
 ///
 /// # Errors
-/// `Invalid` for a malformed or truncated file and for one without positions; `TooLarge` beyond the
-/// limits.
+/// `Short` for a file that ends too soon; `Invalid` for a malformed one and for one without positions;
+/// `TooLarge` beyond the limits.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
     let mut frame = read_vertices(bytes, &header, limits)?;

@@ -66,8 +66,11 @@ impl<'a> Rows<'a> {
             Rows::Ascii(lines) => lines.remaining(),
         };
         usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
-            let what = if count < 0 { "a negative count" } else { "a count beyond the end of the file" };
-            self.invalid(format!("list `{}` has {what}, {count}", property.name))
+            let name = &property.name;
+            match count < 0 {
+                true => self.invalid(format!("list `{name}` has a negative count, {count}")),
+                false => self.short(format!("list `{name}` has a count beyond the end of the file, {count}")),
+            }
         })
     }
 
@@ -104,6 +107,13 @@ impl<'a> Rows<'a> {
         Ok(())
     }
 
+    fn short(&self, what: String) -> Error {
+        match self {
+            Rows::Binary(cursor) => cursor.short(what),
+            Rows::Ascii(lines) => lines.short(what),
+        }
+    }
+
     pub(super) fn invalid(&self, what: String) -> Error {
         match self {
             Rows::Binary(cursor) => cursor.invalid(what),
@@ -125,14 +135,16 @@ pub(super) fn checked_count(rows: &Rows<'_>, element: &Element) -> Result<usize>
     let most = remaining / record;
     usize::try_from(element.count).ok().filter(|&count| count <= most).ok_or_else(|| {
         let Element { name, count, .. } = element;
-        Error::invalid(
-            FORMAT,
-            Place::Offset(rows.at() as u64),
-            format!(
-                "the header claims {count} `{name}` records of at least {record} {kind}, but only {} bytes follow",
-                remaining - usize::from(matches!(rows, Rows::Ascii(_)))
-            ),
-        )
+        let what = format!(
+            "the header claims {count} `{name}` records of at least {record} {kind}, but only {} bytes follow",
+            remaining - usize::from(matches!(rows, Rows::Ascii(_)))
+        );
+        let place = Place::Offset(rows.at() as u64);
+        // No file ever grows so long.
+        match count.checked_mul(record as u64) {
+            None => Error::invalid(FORMAT, place, what),
+            Some(_) => Error::short(FORMAT, place, what),
+        }
     })
 }
 

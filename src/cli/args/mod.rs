@@ -3,11 +3,19 @@
 //! Options for numbers take negative ones too: what is wrong with those is told where numbers are
 //! checked, and not as an option called `-1`.
 
+mod surface;
+mod watch;
+
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use super::frame_selection::FrameSelection;
+
+pub(super) use surface::{
+    CompressionChoice, ContourChoice, Format, FormatArgs, IntegratorChoice, SolverArgs, SurfaceArgs, UpChoice,
+};
+pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 
 /// Particles in, smooth meshes and level sets out.
 #[derive(Debug, Parser)]
@@ -23,6 +31,8 @@ pub(super) enum Command {
     Convert(Box<ConvertArgs>),
     /// Tell what files hold: particles, meshes, level sets.
     Info(InfoArgs),
+    /// Watch folders, and convert every frame as it lands.
+    Watch(Box<WatchArgs>),
 }
 
 #[derive(Debug, Args)]
@@ -43,9 +53,9 @@ pub(super) struct ConvertArgs {
     #[arg(long, value_name = "DIR")]
     pub(super) out: PathBuf,
 
-    /// What to write: a list of glb, gltf, vdb, obj, ply
-    #[arg(long, value_name = "LIST", value_delimiter = ',', default_value = "glb,vdb")]
-    pub(super) format: Vec<Format>,
+    /// What to write: a list of glb, gltf, vdb, obj, ply [default: glb,vdb]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub(super) format: Option<Vec<Format>>,
 
     /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
@@ -78,71 +88,6 @@ pub(super) struct ConvertArgs {
 }
 
 #[derive(Debug, Args)]
-pub(super) struct SurfaceArgs {
-    /// Edge of a voxel h, in the particles' unit of length; half the particle spacing by default
-    #[arg(long, value_name = "H", allow_negative_numbers = true)]
-    pub(super) voxel_size: Option<f64>,
-
-    /// Radius r_min around each particle that is always inside; √3·h by default
-    #[arg(long, value_name = "R", allow_negative_numbers = true)]
-    pub(super) radius_min: Option<f64>,
-
-    /// r_max / r_min: nothing farther than r_max from all particles is inside [default: 2]
-    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
-    pub(super) radius_ratio: Option<f64>,
-
-    /// Radius of the spheres that smoothing starts from; (r_min + r_max) / 2 by default
-    #[arg(long, value_name = "R", allow_negative_numbers = true)]
-    pub(super) radius_init: Option<f64>,
-
-    /// How the level set becomes triangles
-    #[arg(long, value_name = "HOW", default_value = "dual")]
-    pub(super) contour: ContourChoice,
-}
-
-#[derive(Debug, Args)]
-pub(super) struct SolverArgs {
-    /// How the smoothing is integrated
-    #[arg(long, value_name = "WHICH", default_value = "fast")]
-    pub(super) integrator: IntegratorChoice,
-
-    /// Laplacian steps before the biharmonic ones; with 0 distances are restored instead [default: 15]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    pub(super) laplacian_steps: Option<u32>,
-
-    /// Biharmonic steps [default: 5; explicit: 500]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    pub(super) steps: Option<u32>,
-
-    /// Size of a biharmonic step, in units of h⁴ [default: 20; explicit: 0.01]
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
-    pub(super) step_size: Option<f64>,
-
-    /// Restore distances after so many biharmonic steps [default: 1; explicit: 50]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
-    pub(super) redistance_every: Option<u32>,
-
-    /// Relative tolerance of the conjugate gradients, for implicit only [default: 0.0001]
-    #[arg(long, value_name = "E", allow_negative_numbers = true)]
-    pub(super) cg_tolerance: Option<f64>,
-}
-
-#[derive(Debug, Args)]
-pub(super) struct FormatArgs {
-    /// Which axis of the particles points up: in glTF it must be y, and z is turned there
-    #[arg(long, value_name = "AXIS", default_value = "y")]
-    pub(super) up: UpChoice,
-
-    /// Store 16-bit values in .vdb: smaller, with three decimal digits
-    #[arg(long)]
-    pub(super) vdb_half: bool,
-
-    /// How values are packed in .vdb
-    #[arg(long, value_name = "HOW", default_value = "blosc")]
-    pub(super) vdb_compression: CompressionChoice,
-}
-
-#[derive(Debug, Args)]
 pub(super) struct InfoArgs {
     /// Files of particles, meshes or level sets
     #[arg(required = true, value_name = "FILE")]
@@ -154,61 +99,11 @@ pub(super) struct InfoArgs {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum Format {
-    /// Binary glTF: positions, normals
-    Glb,
-    /// Text glTF
-    Gltf,
-    /// The level set, for OpenVDB
-    Vdb,
-    /// Wavefront OBJ
-    Obj,
-    /// Binary PLY
-    Ply,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum OnErrorChoice {
     /// Write exactly the frames before the one that failed
     Stop,
     /// Go on with the next frame
     Continue,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum IntegratorChoice {
-    /// Implicit steps without reductions: the quickest
-    Fast,
-    /// The paper's implicit steps: conjugate gradients with a growing active set
-    Implicit,
-    /// The paper's explicit steps: many small ones
-    Explicit,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum ContourChoice {
-    /// Dual contouring: fewer and better shaped triangles
-    Dual,
-    /// Marching tetrahedra: as the paper does
-    Tetrahedra,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum UpChoice {
-    /// As glTF has it
-    Y,
-    /// As Blender and many simulators have it
-    Z,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum CompressionChoice {
-    /// All values as they are
-    None,
-    /// Active values only
-    Active,
-    /// Active values only, compressed: OpenVDB's default
-    Blosc,
 }
 
 const CHOOSING: &str = "\

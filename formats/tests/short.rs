@@ -1,0 +1,148 @@
+//! A file that is cut off is told apart from one that is wrong: it may be the beginning of a good one.
+//!
+//! The frames of a running simulation are all cut off at some time. So every good file is cut at many
+//! lengths: what is left is read, or said to be short. Text is the exception where it must be: the
+//! beginning of a number is a number, and the beginning of a table is a table.
+
+use std::io::Write;
+use std::path::Path;
+
+use meniscus_formats::{Completeness, Error, Limits, bgeo, completeness, csv, ply, read_particles};
+
+/// Lengths at which each file is cut; short files are cut everywhere.
+const CUT_COUNT: usize = 3000;
+
+/// Bytes that a file needs to be recognised at all: `ply` and its line end, `BgeoV`. Of fewer, only
+/// [`completeness()`] says that they may become something.
+const SIGNATURE_BYTES: usize = 4;
+
+/// The good files of the corpus whose names end so.
+fn valid_files(ending: &str) -> Vec<(String, Vec<u8>)> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus/valid");
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        if name.ends_with(ending) {
+            files.push((name, std::fs::read(path).unwrap()));
+        }
+    }
+    assert!(!files.is_empty(), "no file of the corpus ends in {ending}");
+    files
+}
+
+/// The lengths at which a file is cut, from all of it down to nothing.
+fn cuts(length: usize) -> impl Iterator<Item = usize> {
+    let step = length.div_ceil(CUT_COUNT).max(1);
+    // Every length near the start, where headers are.
+    (0..length).filter(move |cut| cut % step == 0 || *cut < 1000)
+}
+
+fn read(bytes: &[u8], name: &str) -> Result<usize, Error> {
+    read_particles(bytes, name, &Limits::default()).map(|frame| frame.positions.len())
+}
+
+/// Every beginning of the file is short, or has all of its particles; and its format never calls it
+/// complete.
+fn check_all_cuts(name: &str, bytes: &[u8]) {
+    let count = read(bytes, name).unwrap_or_else(|error| panic!("{name}: {error}"));
+    for cut in cuts(bytes.len()) {
+        let start = &bytes[..cut];
+        match read(start, name) {
+            Ok(found) => assert_eq!(found, count, "{name}, cut at {cut} of {}", bytes.len()),
+            Err(error) if error.is_short() => {}
+            Err(_) if (1..SIGNATURE_BYTES).contains(&cut) => {}
+            Err(error) => panic!("{name}, cut at {cut} of {}: {error}", bytes.len()),
+        }
+        let found = completeness(&mut std::io::Cursor::new(start), name).unwrap();
+        assert_ne!(found, Completeness::Complete, "{name}, cut at {cut} of {}", bytes.len());
+    }
+}
+
+fn gzipped(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+#[test]
+fn beginnings_of_ply_files_are_short() {
+    for (name, bytes) in valid_files(".ply") {
+        check_all_cuts(&name, &bytes);
+        check_all_cuts(&name, &gzipped(&bytes));
+    }
+}
+
+#[test]
+fn beginnings_of_bgeo_files_are_short() {
+    for (name, bytes) in valid_files(".bgeo") {
+        check_all_cuts(&name, &bytes); // gzipped by its writer
+    }
+    let (_, source) = valid_files("taichi_000007.ply").remove(0);
+    let frame = ply::read(&source, &Limits::default()).unwrap();
+    let mut bytes = Vec::new();
+    bgeo::write(&frame, &mut bytes).unwrap();
+    check_all_cuts("written.bgeo", &bytes);
+    let complete = completeness(&mut std::io::Cursor::new(&bytes), "written.bgeo").unwrap();
+    assert_eq!(complete, Completeness::Complete);
+}
+
+#[test]
+fn beginnings_of_several_gzip_members_are_short() {
+    let (name, bytes) = valid_files("open3d.ply").remove(0);
+    let (first, second) = bytes.split_at(bytes.len() / 2);
+    check_all_cuts(&name, &[gzipped(first), gzipped(second)].concat());
+}
+
+/// The beginning of a table may be a table; where it is none, it is short.
+#[test]
+fn beginnings_of_tables_are_never_wrong() {
+    let text = "x,y,z,\"a b\",n\n1.5,-2e-3,3,0.25,7\n-1,.5,nan,1e5,8\n0.125,1,2,3,9\n";
+    for separated in [text.to_string(), text.replace(',', ";"), text.replace(',', "\t")] {
+        // Up to the end of the header, nothing tells that there is one.
+        for cut in separated.find('\n').unwrap()..separated.len() {
+            match csv::read(&separated.as_bytes()[..cut], &Limits::default()) {
+                Ok(_) => {}
+                Err(error) => assert!(error.is_short(), "{:?}: {error}", &separated[..cut]),
+            }
+        }
+    }
+}
+
+/// What programs wrote is complete by its format, where that can tell.
+#[test]
+fn good_files_are_complete() {
+    for (name, bytes) in valid_files("") {
+        let found = completeness(&mut std::io::Cursor::new(&bytes), &name).unwrap();
+        let is_table = name.ends_with(".csv");
+        let expected =
+            if is_table { found == Completeness::Unproven } else { found != Completeness::Unproven };
+        assert!(expected && !matches!(found, Completeness::Incomplete { .. }), "{name}: {found:?}");
+    }
+}
+
+/// Damage is not shortness: it would be read again and again for nothing.
+#[test]
+fn what_is_wrong_is_not_short() {
+    let header = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let ascii = |body: &str| format!("ply\nformat ascii 1.0\n{header}{body}");
+    let table = [
+        ("a line too short", ascii("0.5 0.5\n1 1 1\n")),
+        ("a line too long", ascii("0 0 0 0\n1 1 1\n")),
+        ("a word", ascii("0 0 zero\n1 1 1\n")),
+        ("a word at the end, ended", ascii("0 0 0\n1 1 one\n")),
+        ("no position", "ply\nformat ascii 1.0\nelement vertex 1\nproperty float q\nend_header\n1\n".into()),
+        ("an unknown type", "ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\n".into()),
+        ("a count beyond all files", ascii("").replace("vertex 2", "vertex 9999999999999999999")),
+        ("a table with text", "x,y,z\n1,2,three\n4,5,6\n".into()),
+        ("a ragged table", "x,y,z\n1,2\n4,5,6\n".into()),
+    ];
+    for (case, text) in table {
+        let error = read(text.as_bytes(), "a.ply").expect_err(case);
+        assert!(!error.is_short(), "{case}: {error}");
+    }
+    let mut damaged = gzipped(ascii("0 0 0\n1 1 1\n").as_bytes());
+    let checksum = damaged.len() - 7;
+    damaged[checksum] ^= 1;
+    assert!(!read(&damaged, "a.ply.gz").expect_err("damaged").is_short());
+}

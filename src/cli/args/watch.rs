@@ -1,0 +1,215 @@
+//! The options of the daemon.
+//!
+//! All but the folders themselves are keys of `meniscus.toml`, too, under the same names with
+//! underscores; so none has a default here, and what is given overrides the file.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+
+use super::surface::{Format, FormatArgs, SolverArgs, SurfaceArgs};
+use crate::cli::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
+use crate::daemon::Poll;
+
+#[derive(Clone, Debug, Default, Args)]
+#[command(after_long_help = WATCHING)]
+pub(in crate::cli) struct WatchArgs {
+    /// Folders to watch; they take the place of the [[watch]] blocks of a --config
+    ///
+    /// A folder need not be there yet. One that goes away is waited for.
+    #[arg(value_name = "DIR", required_unless_present = "config")]
+    pub(in crate::cli) inputs: Vec<PathBuf>,
+
+    /// Folder for the results; it is made if it is not there
+    ///
+    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on, sub/dam.0012.bgeo becomes
+    /// DIR/sub/dam.0012.glb. What is done is remembered in DIR/.meniscus.
+    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    pub(in crate::cli) out: Option<PathBuf>,
+
+    /// Read folders and settings from this file; options given here override it
+    ///
+    /// examples/meniscus.toml in the sources has every key, explained. SIGHUP reads it again.
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) config: Option<PathBuf>,
+
+    /// Convert what is there, and end
+    #[arg(long)]
+    pub(in crate::cli) once: bool,
+
+    #[command(flatten)]
+    pub(in crate::cli) frames: FrameArgs,
+
+    #[command(flatten, next_help_heading = "Daemon")]
+    pub(in crate::cli) daemon: DaemonArgs,
+}
+
+/// What is a frame, and what becomes of it: the keys of a `[[watch]]` block.
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct FrameArgs {
+    /// Only files whose path within DIR matches, such as 'dam.*.bgeo' or '*/fluid*.ply'
+    ///
+    /// By default all whose names say that they hold particles, and text that does. Hidden files
+    /// and results of this program are never taken.
+    #[arg(long, value_name = "GLOB")]
+    pub(in crate::cli) pattern: Option<String>,
+
+    /// Watch sub-folders, too
+    #[arg(long)]
+    pub(in crate::cli) recursive: bool,
+
+    /// A frame is complete when the file of this name lies beside it, such as {name}.ok
+    ///
+    /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for
+    /// theirs. Without it, {stem}.done is proof where it is there.
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) sentinel: Option<String>,
+
+    /// What to write: a list of glb, gltf, vdb, obj, ply [default: glb,vdb]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub(in crate::cli) format: Option<Vec<Format>>,
+
+    #[command(flatten, next_help_heading = "Surface")]
+    pub(in crate::cli) surface: SurfaceArgs,
+
+    #[command(flatten, next_help_heading = "Solver")]
+    pub(in crate::cli) solver: SolverArgs,
+
+    #[command(flatten, next_help_heading = "Formats")]
+    pub(in crate::cli) formats: FormatArgs,
+}
+
+/// How the daemon goes about it: the keys of the `[daemon]` block.
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct DaemonArgs {
+    /// Which of several waiting frames is next [default: natural]
+    #[arg(long, value_name = "WHICH")]
+    pub(in crate::cli) order: Option<OrderChoice>,
+
+    /// Threads to compute on; all there are by default. The results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(in crate::cli) threads: Option<u16>,
+
+    /// Frames under way at once, at most; by the number of threads by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(in crate::cli) in_flight: Option<u16>,
+
+    /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
+    /// default
+    ///
+    /// A frame that takes more by itself runs alone.
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub(in crate::cli) memory: Option<u64>,
+
+    /// Begin no frame while the disk of the results has less room than this [default: 1GiB]
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub(in crate::cli) disk_floor: Option<u64>,
+
+    /// How long a file must be left alone before it is read [default: 500ms]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(in crate::cli) settle: Option<Duration>,
+
+    /// The same, for a file whose format cannot tell whether it is complete [default: 4 times
+    /// --settle, at least 2s]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(in crate::cli) unproven: Option<Duration>,
+
+    /// The same, for a file whose format says that it is not complete: then it has failed
+    /// [default: 30s; with --once as --unproven]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(in crate::cli) stalled: Option<Duration>,
+
+    /// Look at the folders so often; auto does where the system does not tell of changes, as on
+    /// network file systems [default: auto]
+    #[arg(long, value_name = "TIME", value_parser = parse_poll)]
+    pub(in crate::cli) poll: Option<Poll>,
+
+    /// About how often everything is looked at, whatever the system said [default: 60s]
+    #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
+    pub(in crate::cli) rescan: Option<Duration>,
+
+    /// Folder to remember in what is done; .meniscus in the folder for the results by default
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) journal: Option<PathBuf>,
+
+    /// How the log on the standard error is written [default: text]
+    #[arg(long, value_name = "HOW")]
+    pub(in crate::cli) log: Option<LogChoice>,
+
+    /// How long frames under way may take to finish when the daemon is asked to end [default: 30s]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(in crate::cli) stop_deadline: Option<Duration>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum OrderChoice {
+    /// By name, numbers as numbers
+    Natural,
+    /// The one written last
+    Latest,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum LogChoice {
+    /// Lines to read
+    Text,
+    /// An object on each line
+    Json,
+}
+
+impl FrameArgs {
+    /// These, and where one is not given, that of `below`.
+    pub(in crate::cli) fn over(&self, below: &FrameArgs) -> FrameArgs {
+        FrameArgs {
+            pattern: self.pattern.clone().or_else(|| below.pattern.clone()),
+            recursive: self.recursive || below.recursive,
+            sentinel: self.sentinel.clone().or_else(|| below.sentinel.clone()),
+            format: self.format.clone().or_else(|| below.format.clone()),
+            surface: self.surface.over(&below.surface),
+            solver: self.solver.over(&below.solver),
+            formats: self.formats.over(&below.formats),
+        }
+    }
+}
+
+impl DaemonArgs {
+    /// These, and where one is not given, that of `below`.
+    pub(in crate::cli) fn over(&self, below: &DaemonArgs) -> DaemonArgs {
+        DaemonArgs {
+            order: self.order.or(below.order),
+            threads: self.threads.or(below.threads),
+            in_flight: self.in_flight.or(below.in_flight),
+            memory: self.memory.or(below.memory),
+            disk_floor: self.disk_floor.or(below.disk_floor),
+            settle: self.settle.or(below.settle),
+            unproven: self.unproven.or(below.unproven),
+            stalled: self.stalled.or(below.stalled),
+            poll: self.poll.or(below.poll),
+            rescan: self.rescan.or(below.rescan),
+            journal: self.journal.clone().or_else(|| below.journal.clone()),
+            log: self.log.or(below.log),
+            stop_deadline: self.stop_deadline.or(below.stop_deadline),
+        }
+    }
+}
+
+const WATCHING: &str = "\
+When a frame is read:
+  A file is read when it is complete, by the first of: it was renamed into place; its sentinel is
+  there; its format says so and it was left alone for --settle; it was left alone for --unproven.
+  One that is written again later is converted again. Inputs are never moved, changed or removed.
+
+  What is done is remembered in a journal, and survives a restart. `meniscus status --out DIR` tells
+  it, and `meniscus why FILE --out DIR` why a frame was converted or not.
+
+Signals:
+  SIGTERM, SIGINT  finish the frames under way, within --stop-deadline, and end; a second one ends
+                   at once. Nothing half written is left either way
+  SIGHUP           read the --config file again; where it is wrong, go on as before
+
+Exit status:
+  0    with --once: every frame is converted. Without: the daemon was asked to end, and did
+  1    with --once: some frames failed, or were left; each is named, with why
+  2    the command cannot be carried out; with --once also: no frame was converted
+  130  ended at once by a second SIGINT; 143 by a second SIGTERM";

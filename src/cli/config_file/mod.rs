@@ -1,0 +1,171 @@
+//! `meniscus.toml`: what to watch, and how.
+//!
+//! ```text
+//!   [daemon]              order, threads, memory …        at most one
+//!   [[watch]]             input, output, formats, voxel_size …    any number
+//! ```
+//!
+//! Keys are the options of the command line, with underscores, and their values are checked by the
+//! same functions. Relative paths are relative to the file's own folder, so that it can be moved
+//! together with what it names. Whatever is not understood is an error with its line: a misspelt key
+//! that is passed over in silence would cost somebody a night.
+
+mod block;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use toml::de::DeTable;
+
+use super::args::{DaemonArgs, FormatArgs, FrameArgs, SolverArgs, SurfaceArgs};
+use super::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
+
+use block::{Block, Source};
+
+/// What stands in a file.
+#[derive(Clone, Debug)]
+pub(super) struct ConfigFile {
+    /// Where it is.
+    pub(super) path: PathBuf,
+    /// In the order of the file.
+    pub(super) watches: Vec<WatchBlock>,
+    pub(super) daemon: DaemonArgs,
+}
+
+/// A `[[watch]]` block.
+#[derive(Clone, Debug)]
+pub(super) struct WatchBlock {
+    /// The line that it begins on.
+    pub(super) line: usize,
+    pub(super) input: PathBuf,
+    pub(super) output: Option<PathBuf>,
+    pub(super) frames: FrameArgs,
+}
+
+/// Reads the file at `path`.
+///
+/// # Errors
+/// When it cannot be read, or says something that makes no sense: file, line, and what would.
+pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
+    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    parse(&Source { path, text: &text })
+}
+
+fn parse(source: &Source<'_>) -> Result<ConfigFile> {
+    let root = DeTable::parse(source.text).map_err(|error| {
+        let message = error.message().replace('\n', ", ");
+        source.error(error.span().map_or(0, |span| span.start), message)
+    })?;
+    let root = Block::new(source, "", root.get_ref(), 0)?;
+    let watches: Result<Vec<WatchBlock>> =
+        root.blocks("watch")?.iter().map(|block| watch_block(source, block)).collect();
+    let daemon = root.block("daemon")?.map_or_else(|| Ok(DaemonArgs::default()), |block| daemon_args(&block));
+    Ok(ConfigFile { path: source.path.to_owned(), watches: watches?, daemon: daemon? })
+}
+
+fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
+    let input = block.path("input")?.ok_or_else(|| block.error("this [[watch]] block names no input"))?;
+    Ok(WatchBlock {
+        line: source.line(block.start),
+        input,
+        output: block.path("output")?,
+        frames: FrameArgs {
+            pattern: block.text("pattern")?,
+            recursive: block.switch("recursive")?,
+            sentinel: block.text("sentinel")?,
+            format: block.choices("formats")?,
+            surface: SurfaceArgs {
+                voxel_size: block.number("voxel_size")?,
+                radius_min: block.number("radius_min")?,
+                radius_ratio: block.number("radius_ratio")?,
+                radius_init: block.number("radius_init")?,
+                contour: block.choice("contour")?,
+            },
+            solver: SolverArgs {
+                integrator: block.choice("integrator")?,
+                laplacian_steps: block.count("laplacian_steps", 0..=u32::MAX)?,
+                steps: block.count("steps", 0..=u32::MAX)?,
+                step_size: block.number("step_size")?,
+                redistance_every: block.count("redistance_every", 0..=u32::MAX)?,
+                cg_tolerance: block.number("cg_tolerance")?,
+            },
+            formats: FormatArgs {
+                up: block.choice("up")?,
+                vdb_half: block.switch("vdb_half")?,
+                vdb_compression: block.choice("vdb_compression")?,
+            },
+        },
+    })
+}
+
+fn daemon_args(block: &Block<'_>) -> Result<DaemonArgs> {
+    Ok(DaemonArgs {
+        order: block.choice("order")?,
+        threads: block.count("threads", 1..=1024)?,
+        in_flight: block.count("in_flight", 1..=1024)?,
+        memory: block.size("memory", parse_bytes)?,
+        disk_floor: block.size("disk_floor", parse_bytes)?,
+        settle: block.parsed("settle", parse_duration)?,
+        unproven: block.parsed("unproven", parse_duration)?,
+        stalled: block.parsed("stalled", parse_duration)?,
+        poll: block.parsed("poll", parse_poll)?,
+        rescan: block.parsed("rescan", parse_rescan)?,
+        journal: block.path("journal")?,
+        log: block.choice("log")?,
+        stop_deadline: block.parsed("stop_deadline", parse_duration)?,
+    })
+}
+
+/// What each block may hold; the file itself is the block without a name.
+fn keys_of(block: &str) -> &'static [&'static str] {
+    match block {
+        "watch" => &WATCH_KEYS,
+        "daemon" => &DAEMON_KEYS,
+        _ => &ROOT_KEYS,
+    }
+}
+
+const ROOT_KEYS: [&str; 2] = ["watch", "daemon"];
+
+const WATCH_KEYS: [&str; 20] = [
+    "input",
+    "output",
+    "pattern",
+    "recursive",
+    "sentinel",
+    "formats",
+    "voxel_size",
+    "radius_min",
+    "radius_ratio",
+    "radius_init",
+    "contour",
+    "integrator",
+    "laplacian_steps",
+    "steps",
+    "step_size",
+    "redistance_every",
+    "cg_tolerance",
+    "up",
+    "vdb_half",
+    "vdb_compression",
+];
+
+const DAEMON_KEYS: [&str; 13] = [
+    "order",
+    "threads",
+    "in_flight",
+    "memory",
+    "disk_floor",
+    "settle",
+    "unproven",
+    "stalled",
+    "poll",
+    "rescan",
+    "journal",
+    "log",
+    "stop_deadline",
+];
+
+#[cfg(test)]
+mod tests;

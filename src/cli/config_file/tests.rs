@@ -1,0 +1,147 @@
+use super::*;
+use crate::cli::args::{ContourChoice, Format, LogChoice, OrderChoice};
+use crate::daemon::Poll;
+use std::time::Duration;
+use toml::de::DeValue;
+
+fn parsed(text: &str) -> Result<ConfigFile> {
+    parse(&Source { path: Path::new("farm/meniscus.toml"), text })
+}
+
+/// Asserts that a file is refused at a line, in these words.
+fn assert_wrong(text: &str, line: usize, words: &[&str]) {
+    let error = parsed(text).map(|_| ()).expect_err(text).to_string();
+    assert!(error.starts_with(&format!("farm/meniscus.toml:{line}: ")), "{text}: {error}");
+    for word in words {
+        assert!(error.contains(word), "{text}: {error} does not say {word}");
+    }
+}
+
+#[test]
+fn blocks_become_options() {
+    let file = parsed(
+        "[daemon]\norder = \"latest\"\nmemory = \"8GiB\"\ndisk_floor = 0x400\npoll = \"auto\"\nlog = \"json\"\n\
+         threads = 4\nsettle = \"2s\"\n\n\
+         [[watch]]\ninput = \"a\"\noutput = \"/out\"\nformats = [\"glb\", \"ply\"]\nvoxel_size = 1\n\
+         radius_ratio = 1.5\ncontour = \"tetrahedra\"\nsteps = 1_0\n\n[[watch]]\ninput = \"b\"\nrecursive = true\n",
+    )
+    .expect("a good file");
+    let DaemonArgs { order, memory, disk_floor, poll, log, threads, settle, rescan, .. } = file.daemon;
+    assert_eq!((order, log), (Some(OrderChoice::Latest), Some(LogChoice::Json)));
+    assert_eq!((memory, disk_floor), (Some(8 << 30), Some(1024)));
+    assert_eq!((poll, settle), (Some(Poll::Auto), Some(Duration::from_secs(2))));
+    assert_eq!((threads, rescan), (Some(4), None));
+    let [first, second] = &file.watches[..] else { panic!("two blocks") };
+    assert_eq!((first.line, second.line), (10, 19));
+    assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
+    assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
+    assert_eq!(first.frames.format, Some(vec![Format::Glb, Format::Ply]));
+    assert_eq!(first.frames.surface.contour, Some(ContourChoice::Tetrahedra));
+    assert_eq!((first.frames.surface.voxel_size, first.frames.solver.steps), (Some(1.0), Some(10)));
+    let expected = FrameArgs { recursive: true, ..FrameArgs::default() };
+    assert_eq!(second.frames, expected);
+}
+
+#[test]
+fn unknown_keys_are_errors_that_name_the_nearest() {
+    for (text, line, words) in [
+        (
+            "[[watch]]\ninput = \"a\"\nvoxelsize = 1\n",
+            3,
+            &["`voxelsize` in a [[watch]]", "mean `voxel_size`?"][..],
+        ),
+        ("[[watch]]\ninput = \"a\"\nvoxel-size = 1\n", 3, &["mean `voxel_size`?"]),
+        ("[[watch]]\ninput = \"a\"\nout = \"b\"\n", 3, &["mean `output`?"]),
+        ("[[watch]]\ninput = \"a\"\nformat = []\n", 3, &["mean `formats`?"]),
+        ("[daemon]\n\ndisk_flor = \"1GiB\"\n", 3, &["in the [daemon] block", "mean `disk_floor`?"]),
+        ("[daemon]\nzzz = 1\naaa = 1\n", 2, &["`zzz`", "it knows order, threads"]),
+        ("[demon]\n", 1, &["unknown key `demon`", "mean `daemon`?"]),
+        ("[[watches]]\n", 1, &["mean `watch`?"]),
+        ("input = \"a\"\n", 1, &["`input`", "but in a [[watch]] block"]),
+        ("[[watch]]\ninput = \"a\"\nsettle = \"1s\"\n", 3, &["`settle`", "but in the [daemon] block"]),
+        ("[daemon]\nvoxel_size = 1\n", 2, &["`voxel_size`", "but in a [[watch]] block"]),
+    ] {
+        assert_wrong(text, line, words);
+    }
+}
+
+#[test]
+fn wrong_values_are_errors_with_their_line() {
+    for (entry, words) in [
+        ("voxel_size = \"1\"", &["`voxel_size` is text", "a number"][..]),
+        ("voxel_size = true", &["is true"]),
+        ("steps = -1", &["`steps` is -1", "from 0 to 4294967295"]),
+        ("steps = 1.5", &["`steps` is 1.5", "whole number"]),
+        ("recursive = 1", &["true or false"]),
+        ("recursive = \"yes\"", &["true or false"]),
+        ("contour = \"cubes\"", &["`contour`: `cubes`", "\"dual\", \"tetrahedra\""]),
+        ("formats = \"glb\"", &["a list in brackets"]),
+        ("formats = []", &["`formats` is empty"]),
+        ("formats = [\"glb\", \"stl\"]", &["`stl` is not known", "\"gltf\""]),
+        ("formats = [1]", &["each one of"]),
+        ("output = \"\"", &["`output` is empty"]),
+        ("output = 1979-05-27", &["a date"]),
+        ("pattern = [\"a\"]", &["a list"]),
+        ("output = \"b\"\noutput = \"c\"", &["duplicate key"]),
+    ] {
+        let line = 3 + entry.matches('\n').count();
+        assert_wrong(&format!("[[watch]]\ninput = \"a\"\n{entry}\n"), line, words);
+    }
+    for (entry, words) in [
+        ("settle = 1", &["`settle` is 1", "with a unit"][..]),
+        ("settle = \"soon\"", &["`settle`: `soon` is no time"]),
+        ("poll = \"0s\"", &["too short"]),
+        ("rescan = \"99d\"", &["too long"]),
+        ("memory = \"lots\"", &["`memory`: `lots` is no size"]),
+        ("memory = -1", &["`memory` is -1"]),
+        ("threads = 0", &["from 1 to 1024"]),
+        ("in_flight = 99999", &["from 1 to 1024"]),
+        ("log = \"xml\"", &["\"text\", \"json\""]),
+    ] {
+        assert_wrong(&format!("# A comment\n[daemon]\n{entry}\n"), 3, words);
+    }
+}
+
+#[test]
+fn blocks_have_their_brackets() {
+    assert_wrong("\n[watch]\ninput = \"a\"\n", 2, &["`watch` is one block", "[[watch]]"]);
+    assert_wrong("[[daemon]]\n", 1, &["`daemon` is a list", "one block, [daemon]"]);
+    assert_wrong("watch = [1]\n", 1, &["[[watch]]"]);
+    assert_wrong("\n\n[[watch]]\noutput = \"a\"\n", 3, &["names no input"]);
+    assert_wrong("[[watch]]\ninput = \"a\n", 2, &[]);
+    assert_wrong("[daemon\n", 1, &[]);
+    assert_eq!(parsed("").map(|file| file.watches.len()).expect("an empty file"), 0);
+}
+
+/// The example with every setting that it only mentions switched on: `#key = value`.
+fn example(all: bool) -> String {
+    let text = include_str!("../../../examples/meniscus.toml");
+    let is_setting = |line: &str| line.starts_with('#') && !line.starts_with("# ") && line.contains(" = ");
+    let line =
+        |line: &str| line.strip_prefix('#').filter(|_| all && is_setting(line)).unwrap_or(line).to_owned();
+    text.lines().map(|text| line(text) + "\n").collect()
+}
+
+#[test]
+fn the_example_can_be_read_as_it_is() {
+    let file = parsed(&example(false)).expect("a good example");
+    assert_eq!(file.watches.len(), 1);
+    assert_eq!(file.watches[0].input, Path::new("farm/frames"));
+}
+
+#[test]
+fn the_example_has_every_key() {
+    let text = example(true);
+    parsed(&text).expect("a good example");
+    let root = DeTable::parse(&text).expect("TOML");
+    let blocks = |name: &str| match root.get_ref().get(name).expect(name).get_ref() {
+        DeValue::Array(array) => array.iter().filter_map(|value| value.get_ref().as_table()).collect(),
+        value => Vec::from_iter(value.as_table()),
+    };
+    for name in ["watch", "daemon"] {
+        let blocks = blocks(name);
+        for key in keys_of(name) {
+            assert!(blocks.iter().any(|block| block.contains_key(*key)), "no {key} in the example's {name}");
+        }
+    }
+}

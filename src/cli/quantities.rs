@@ -1,0 +1,89 @@
+//! Times and sizes as they are typed, on the command line and in a file: `500ms`, `8GiB`.
+
+use std::time::Duration;
+
+use bytesize::ByteSize;
+
+use crate::daemon::Poll;
+
+/// Nobody waits longer; and a moment so far away can still be computed.
+const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);
+
+/// Looking more often than this is all that a machine would do.
+const POLL_MIN: Duration = Duration::from_millis(50);
+
+/// A time from nothing to 30 days.
+pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
+    let duration = humantime::parse_duration(text.trim())
+        .map_err(|_| format!("`{text}` is no time: a number with a unit, such as 500ms, 2s, 1m 30s"))?;
+    if duration > DURATION_MAX {
+        return Err(format!("`{text}` is too long: at most {}", humantime::format_duration(DURATION_MAX)));
+    }
+    Ok(duration)
+}
+
+/// A time between two looks at the folders, or `auto`.
+pub(super) fn parse_poll(text: &str) -> Result<Poll, String> {
+    if text == "auto" {
+        return Ok(Poll::Auto);
+    }
+    let duration = parse_duration(text).map_err(|why| format!("{why}; or auto"))?;
+    at_least(text, duration, POLL_MIN).map(Poll::Every)
+}
+
+/// A time between two looks at everything.
+pub(super) fn parse_rescan(text: &str) -> Result<Duration, String> {
+    at_least(text, parse_duration(text)?, POLL_MIN)
+}
+
+fn at_least(text: &str, duration: Duration, least: Duration) -> Result<Duration, String> {
+    if duration < least {
+        return Err(format!("`{text}` is too short: at least {}", humantime::format_duration(least)));
+    }
+    Ok(duration)
+}
+
+/// A number of bytes.
+pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
+    let size: ByteSize =
+        text.trim().parse().map_err(|_| format!("`{text}` is no size: bytes, or such as 512MiB, 8GiB"))?;
+    Ok(size.as_u64())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_units_and_bounds() {
+        for (text, ms) in
+            [("0", 0), ("500ms", 500), ("2s", 2000), (" 1m 30s ", 90_000), ("30d", 2_592_000_000)]
+        {
+            assert_eq!(parse_duration(text), Ok(Duration::from_millis(ms)), "{text}");
+        }
+        for text in ["", "5", "-1s", "2 parsecs", "31d", "99999999999999999999y", "1e3s"] {
+            assert!(parse_duration(text).is_err_and(|why| why.contains(text)), "{text}");
+        }
+    }
+
+    #[test]
+    fn looking_takes_time() {
+        assert_eq!(parse_poll("auto"), Ok(Poll::Auto));
+        assert_eq!(parse_poll("2s"), Ok(Poll::Every(Duration::from_secs(2))));
+        assert_eq!(parse_rescan("50ms"), Ok(POLL_MIN));
+        for text in ["0", "1ms", "never"] {
+            assert!(parse_poll(text).is_err() && parse_rescan(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn sizes_are_binary_or_decimal() {
+        let sizes = [("0", 0), ("1024", 1024), ("8GiB", 8 << 30), ("8 GB", 8_000_000_000), ("1.5KiB", 1536)];
+        for (text, bytes) in sizes {
+            assert_eq!(parse_bytes(text), Ok(bytes), "{text}");
+        }
+        for text in ["", "-1", "much", "8 giraffes"] {
+            assert!(parse_bytes(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,165 @@
+//! `meniscus watch`: the daemon, between the person or system that started it and its loop.
+//!
+//! ```text
+//!   SIGTERM, SIGINT ──▶ Command::Finish ──▶ ┌─────────────┐ ──▶ Notice ──▶ systemd
+//!   SIGHUP ──▶ plan ──▶ Command::Reload ──▶ │ daemon::run │
+//!                                           └─────────────┘ ──▶ tracing ──▶ standard error
+//! ```
+//!
+//! A file that is wrong when it is read again changes nothing: the plan is made before the loop is
+//! asked to end, and it goes on with the old one where there is no new one.
+
+mod log;
+mod plan;
+mod service;
+mod signals;
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use anyhow::{Result, bail};
+use crossbeam::channel::{Sender, bounded};
+use tracing::{error, info, warn};
+
+use crate::daemon::{self, Command, Ended, Notice, Summary};
+
+use super::Verdict;
+use super::args::{LogChoice, WatchArgs};
+
+use plan::{Plan, make_plan};
+use service::Service;
+
+/// Watches until it is asked to end, or, once, until what is there is converted.
+///
+/// # Errors
+/// When it cannot begin.
+pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
+    let mut plan = make_plan(args)?;
+    log::start(plan.log)?;
+    // One of each at most is ever waiting: whoever sends never blocks.
+    let (sender, commands) = bounded(2);
+    let control = Arc::new(Control::new(args.clone(), plan.log, sender));
+    signals::listen(Arc::clone(&control))?;
+    let mut service = Service::new();
+    loop {
+        for warning in &plan.warnings {
+            warn!("{warning}");
+        }
+        let mut notices = |notice: Notice| match notice {
+            // It ends to begin again: for the outside it goes on.
+            Notice::Stopping if control.is_reloading() => {}
+            notice => service.tell(&notice),
+        };
+        let summary = match daemon::run(&plan.config, &commands, &mut notices) {
+            Ok(summary) => summary,
+            Err(error) => {
+                error!("{error}");
+                return Ok(Verdict::NothingDone);
+            }
+        };
+        match control.next_plan() {
+            Some(next) if summary.ended == Ended::Reload => plan = next,
+            _ if summary.ended == Ended::Reload && !control.is_finishing() => {}
+            _ => return Ok(conclude(args.once, &summary)),
+        }
+    }
+}
+
+/// Tells how it ended.
+fn conclude(once: bool, summary: &Summary) -> Verdict {
+    let Summary { ended, done_count, failed, left_count } = summary;
+    for failure in failed {
+        error!("failed: {failure}");
+    }
+    let why = if *ended == Ended::Drained { "everything is done" } else { "asked to end" };
+    info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
+    if !once {
+        return Verdict::Done;
+    }
+    match (failed.len() + left_count, done_count) {
+        (0, 1..) => Verdict::Done,
+        (_, 0) => Verdict::NothingDone,
+        _ => Verdict::SomeFailed,
+    }
+}
+
+/// What signals ask for, and the loop is told.
+struct Control {
+    args: WatchArgs,
+    /// A log is begun once.
+    log: LogChoice,
+    commands: Sender<Command>,
+    finishing: AtomicBool,
+    /// The plan of a reload that is under way.
+    next: Mutex<Option<Plan>>,
+}
+
+impl Control {
+    fn new(args: WatchArgs, log: LogChoice, commands: Sender<Command>) -> Control {
+        Control { args, log, commands, finishing: AtomicBool::new(false), next: Mutex::new(None) }
+    }
+
+    /// Asks the loop to finish. Whether it was asked before.
+    fn finish(&self) -> bool {
+        let again = self.finishing.swap(true, Ordering::SeqCst);
+        if !again {
+            info!("finishing the frames under way; a second signal ends at once");
+            // Where nobody listens any more, it has ended.
+            let _ = self.commands.send(Command::Finish);
+        }
+        again
+    }
+
+    /// Makes another plan, and asks the loop to end for it.
+    fn reload(&self) {
+        if self.is_finishing() {
+            return;
+        }
+        service::tell_reloading();
+        match self.plan_again() {
+            Ok(plan) => {
+                info!("reloading: finishing the frames under way first");
+                let is_first = self.lock_next().replace(plan).is_none();
+                if is_first {
+                    let _ = self.commands.send(Command::Reload);
+                }
+            }
+            Err(error) => {
+                error!("nothing is changed: {error:#}");
+                service::tell_not_reloaded(&format!("goes on with the old configuration: {error:#}"));
+            }
+        }
+    }
+
+    fn plan_again(&self) -> Result<Plan> {
+        if self.args.config.is_none() {
+            bail!("there is nothing to reload without a --config file");
+        }
+        let plan = make_plan(&self.args)?;
+        if plan.log != self.log {
+            warn!("`log` changes when the daemon is started again");
+        }
+        Ok(plan)
+    }
+
+    fn is_finishing(&self) -> bool {
+        self.finishing.load(Ordering::SeqCst)
+    }
+
+    fn is_reloading(&self) -> bool {
+        !self.is_finishing() && self.lock_next().is_some()
+    }
+
+    /// The plan to go on with, unless it is to end.
+    fn next_plan(&self) -> Option<Plan> {
+        self.lock_next().take().filter(|_| !self.is_finishing())
+    }
+
+    fn lock_next(&self) -> MutexGuard<'_, Option<Plan>> {
+        // A plan is there or not, whatever panicked beside it.
+        self.next.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests;

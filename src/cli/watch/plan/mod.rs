@@ -1,0 +1,230 @@
+//! From options and a file to the daemon's configuration, everything resolved and checked once.
+//!
+//! ```text
+//!   options ──────────────┐ over        DIR... and --out take the place of the [[watch]] blocks;
+//!   meniscus.toml ────────┤             every other option overrides its key in every block
+//!   defaults ─────────────┘
+//!                         ▼
+//!                      Config           absolute paths; numbers that make sense together
+//! ```
+//!
+//! A reload makes a plan from the same options and the file as it is by then.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+use std::thread::available_parallelism;
+use std::time::Duration;
+
+use anyhow::{Context, Result, anyhow, bail};
+
+use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
+use crate::cli::choices::{choices, ignored, output_options};
+use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::daemon::{Config, Order, Patience, Poll, Watch};
+use crate::pipeline::{default_in_flight, default_memory_bytes};
+use crate::settings::Settings;
+
+/// What to do, and what to say of it before.
+#[derive(Clone, Debug)]
+pub(in crate::cli) struct Plan {
+    pub(in crate::cli) config: Config,
+    pub(in crate::cli) log: LogChoice,
+    /// A sentence each.
+    pub(in crate::cli) warnings: Vec<String>,
+}
+
+/// What was asked for, checked.
+///
+/// # Errors
+/// When the file cannot be read, or something does not make sense.
+pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<Plan> {
+    let file = args.config.as_deref().map(read_config_file).transpose()?;
+    let (mut watches, mut warnings) = (Vec::new(), Vec::new());
+    for Folder { input, output, frames, place } in folders(args, file.as_ref())? {
+        let watch = watch(&input, &output, &frames, &mut warnings);
+        watches.push(watch.with_context(|| place)?);
+    }
+    refuse_twins(&watches)?;
+    // What is wrong with one option is wrong with it in every block.
+    let mut told = HashSet::new();
+    warnings.retain(|warning: &String| told.insert(warning.clone()));
+    let daemon = args.daemon.over(&file.map(|file| file.daemon).unwrap_or_default());
+    let config = config(watches, args.once, &daemon)?;
+    Ok(Plan { config, log: daemon.log.unwrap_or(LogChoice::Text), warnings })
+}
+
+/// A folder to watch, as it was asked for.
+struct Folder {
+    input: PathBuf,
+    output: PathBuf,
+    frames: FrameArgs,
+    /// Where it was asked for.
+    place: String,
+}
+
+fn folders(args: &WatchArgs, file: Option<&ConfigFile>) -> Result<Vec<Folder>> {
+    match file {
+        Some(file) if args.inputs.is_empty() => folders_of_file(args, file),
+        _ => typed_folders(args),
+    }
+}
+
+fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
+    let Some(output) = &args.out else {
+        bail!("folders given here take the place of the [[watch]] blocks of the file: give --out as well");
+    };
+    let folder = |input: &PathBuf| Folder {
+        input: input.clone(),
+        output: output.clone(),
+        frames: args.frames.clone(),
+        place: input.display().to_string(),
+    };
+    let mut inputs = args.inputs.clone();
+    // A shell may name a folder twice.
+    let mut seen = HashSet::new();
+    inputs.retain(|input| seen.insert(input.clone()));
+    Ok(inputs.iter().map(folder).collect())
+}
+
+fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
+    let path = file.path.display();
+    let Some(first) = file.watches.first() else {
+        bail!("{path}: there is nothing to watch: add a [[watch]] block, or give DIR and --out");
+    };
+    let has_other_output = |block: &&WatchBlock| block.output != first.output;
+    if args.out.is_some()
+        && let Some(other) = file.watches.iter().find(has_other_output)
+    {
+        bail!(
+            "{path}: the [[watch]] blocks at lines {} and {} have different outputs, and --out is only one: \
+             leave it out, or give DIR as well",
+            first.line,
+            other.line
+        );
+    }
+    let folder = |block: &WatchBlock| {
+        let place = format!("{path}:{}", block.line);
+        let output = args.out.as_ref().or(block.output.as_ref());
+        let output = output.ok_or_else(|| {
+            anyhow!("{place}: this [[watch]] block names no output: add one, or give --out")
+        })?;
+        let (input, output) = (block.input.clone(), output.clone());
+        Ok(Folder { input, output, frames: args.frames.over(&block.frames), place })
+    };
+    file.watches.iter().map(folder).collect()
+}
+
+fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
+    let choices = choices(&frames.surface, &frames.solver);
+    match frames.surface.voxel_size {
+        Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
+        None => Settings::check(&choices)?,
+    }
+    warnings.extend(ignored(&frames.solver).map(str::to_owned));
+    if let Some(pattern) = &frames.pattern {
+        glob::Pattern::new(pattern).with_context(|| format!("the pattern `{pattern}` is no glob"))?;
+    }
+    if let Some(sentinel) = &frames.sentinel {
+        check_sentinel(sentinel)?;
+    }
+    let folder = absolute(output)?;
+    if folder.exists() && !folder.is_dir() {
+        bail!("the output {} is there and is no folder", folder.display());
+    }
+    Ok(Watch {
+        input: absolute(input)?,
+        pattern: frames.pattern.clone(),
+        recursive: frames.recursive,
+        sentinel: frames.sentinel.clone(),
+        outputs: output_options(folder, frames.format.as_deref(), &frames.formats),
+        voxel_size: frames.surface.voxel_size,
+        choices,
+    })
+}
+
+/// A sentinel lies beside its frame, and is not the frame.
+fn check_sentinel(name: &str) -> Result<()> {
+    let is_name = !name.is_empty() && !name.contains(['/', '\\']) && !["{name}", ".", ".."].contains(&name);
+    if !is_name {
+        bail!("the sentinel `{name}` must be the name of a file beside the frame, such as {{stem}}.done");
+    }
+    Ok(())
+}
+
+/// Two watches of the same files would make the same outputs.
+fn refuse_twins(watches: &[Watch]) -> Result<()> {
+    for (index, watch) in watches.iter().enumerate() {
+        let is_twin = |other: &&Watch| {
+            same_folder(&other.input, &watch.input)
+                && same_folder(&other.outputs.folder, &watch.outputs.folder)
+                && other.pattern == watch.pattern
+        };
+        if watches[..index].iter().any(|other| is_twin(&other)) {
+            bail!("{}: watched twice for the same output", watch.input.display());
+        }
+    }
+    Ok(())
+}
+
+fn same_folder(a: &Path, b: &Path) -> bool {
+    let real = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    a == b || real(a) == real(b)
+}
+
+fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<Config> {
+    let threads = match daemon.threads {
+        Some(count) => usize::from(count),
+        None => available_parallelism().map_or(1, usize::from),
+    };
+    Ok(Config {
+        watches,
+        once,
+        order: match daemon.order.unwrap_or(OrderChoice::Natural) {
+            OrderChoice::Natural => Order::Natural,
+            OrderChoice::Latest => Order::Latest,
+        },
+        threads,
+        in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
+        memory_bytes: daemon.memory.unwrap_or_else(default_memory_bytes),
+        disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
+        patience: patience(once, daemon)?,
+        poll: daemon.poll.unwrap_or(Poll::Auto),
+        rescan_every: daemon.rescan.unwrap_or(RESCAN_EVERY),
+        journal: daemon.journal.as_deref().map(absolute).transpose()?,
+        stop_deadline: daemon.stop_deadline.unwrap_or(STOP_DEADLINE),
+    })
+}
+
+fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
+    let settle = daemon.settle.unwrap_or(SETTLE);
+    let long = UNPROVEN_MIN.max(4 * settle);
+    let unproven = daemon.unproven.unwrap_or(long);
+    // Who asks for what is there does not wait for a writer that is gone.
+    let stalled = daemon.stalled.unwrap_or(if once { long } else { STALLED.max(long) });
+    for (name, time) in [("unproven", unproven), ("stalled", stalled)] {
+        if time < settle {
+            bail!(
+                "{name} is {}, less than settle, {}: files would be given up before they have settled",
+                humantime::format_duration(time),
+                humantime::format_duration(settle)
+            );
+        }
+    }
+    Ok(Patience { settle, unproven, stalled })
+}
+
+/// From the root: a daemon may be started again from another folder, and its journal must know
+/// the frames.
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).with_context(|| format!("`{}` is no path", path.display()))
+}
+
+const SETTLE: Duration = Duration::from_millis(500);
+const UNPROVEN_MIN: Duration = Duration::from_secs(2);
+const STALLED: Duration = Duration::from_secs(30);
+const RESCAN_EVERY: Duration = Duration::from_secs(60);
+const STOP_DEADLINE: Duration = Duration::from_secs(30);
+const DISK_FLOOR_BYTES: u64 = 1 << 30;
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,175 @@
+use super::*;
+use crate::cli::args::{Command, Typed};
+use crate::pipeline::OutputFormat;
+use clap::Parser;
+use std::fs;
+use tempfile::TempDir;
+
+/// A folder with a `meniscus.toml`, and plans made of it.
+struct Bench {
+    folder: TempDir,
+}
+
+impl Bench {
+    fn new(text: &str) -> Bench {
+        let folder = tempfile::tempdir().expect("a folder");
+        fs::write(folder.path().join("meniscus.toml"), text).expect("written");
+        Bench { folder }
+    }
+
+    fn config_path(&self) -> PathBuf {
+        self.folder.path().join("meniscus.toml")
+    }
+
+    /// The plan with this file and these options.
+    fn plan(&self, options: &[&str]) -> Result<Plan> {
+        let config = self.config_path();
+        plan(&[&["--config", config.to_str().expect("text")], options].concat())
+    }
+
+    fn refused(&self, options: &[&str], words: &[&str]) {
+        assert_refused(self.plan(options), words);
+    }
+}
+
+fn plan(options: &[&str]) -> Result<Plan> {
+    let typed = Typed::try_parse_from([&["meniscus", "watch"], options].concat())?;
+    let Command::Watch(args) = typed.command else { panic!("another command") };
+    make_plan(&args)
+}
+
+fn assert_refused(plan: Result<Plan>, words: &[&str]) {
+    let error = format!("{:#}", plan.map(|_| ()).expect_err("it is refused"));
+    for word in words {
+        assert!(error.contains(word), "{error} does not say {word}");
+    }
+}
+
+#[test]
+fn defaults_are_filled_in() {
+    let Plan { config, log, warnings } = plan(&["in", "--out", "out"]).expect("a plan");
+    assert_eq!((log, warnings.len(), config.once), (LogChoice::Text, 0, false));
+    assert_eq!((config.order, config.poll), (Order::Natural, Poll::Auto));
+    assert_eq!(config.disk_floor_bytes, 1 << 30);
+    assert_eq!((config.rescan_every.as_secs(), config.stop_deadline.as_secs()), (60, 30));
+    let Patience { settle, unproven, stalled } = config.patience;
+    assert_eq!([settle, unproven, stalled].map(|time| time.as_millis()), [500, 2000, 30_000]);
+    assert!(config.threads > 0 && config.in_flight > 0 && config.memory_bytes > 0);
+    let [watch] = &config.watches[..] else { panic!("one folder") };
+    assert!(watch.input.is_absolute() && watch.input.ends_with("in") && watch.outputs.folder.is_absolute());
+    assert_eq!(watch.outputs.formats, [OutputFormat::Glb, OutputFormat::Vdb]);
+    assert_eq!((watch.voxel_size, &watch.choices), (None, &Default::default()));
+    assert!(!watch.recursive && watch.pattern.is_none() && watch.sentinel.is_none());
+}
+
+#[test]
+fn patience_follows_settle() {
+    for (options, expected) in [
+        (&["--settle", "1s"][..], [1000, 4000, 30_000]),
+        (&["--settle", "20s"], [20_000, 80_000, 80_000]),
+        (&["--once"], [500, 2000, 2000]),
+        (&["--once", "--settle", "1s"], [1000, 4000, 4000]),
+        (&["--unproven", "500ms", "--stalled", "1m"], [500, 500, 60_000]),
+        (&["--settle", "0"], [0, 2000, 30_000]),
+    ] {
+        let config = plan(&[&["in", "--out", "out"], options].concat()).expect("a plan").config;
+        let Patience { settle, unproven, stalled } = config.patience;
+        assert_eq!([settle, unproven, stalled].map(|time| time.as_millis()), expected, "{options:?}");
+    }
+}
+
+#[test]
+fn options_override_every_block() {
+    let bench = Bench::new(
+        "[daemon]\norder = \"latest\"\nsettle = \"3s\"\n\
+         [[watch]]\ninput = \"a\"\noutput = \"o\"\nvoxel_size = 0.5\nsteps = 7\nformats = [\"obj\"]\n\
+         [[watch]]\ninput = \"b\"\noutput = \"o\"\nvoxel_size = 0.25\npattern = \"*.ply\"\n",
+    );
+    let config = bench.plan(&[]).expect("a plan").config;
+    assert_eq!((config.order, config.patience.settle.as_secs()), (Order::Latest, 3));
+    assert_eq!(config.watches[0].input, bench.folder.path().join("a"));
+    assert_eq!(config.watches[0].choices.steps, Some(7));
+
+    let options = ["--voxel-size", "1", "--order", "natural", "--format", "ply", "--recursive", "--out", "x"];
+    let config = bench.plan(&options).expect("a plan").config;
+    assert_eq!((config.order, config.patience.settle.as_secs()), (Order::Natural, 3));
+    assert_eq!(config.watches[1].pattern.as_deref(), Some("*.ply"));
+    for watch in &config.watches {
+        assert_eq!((watch.voxel_size, watch.recursive), (Some(1.0), true));
+        assert_eq!(watch.outputs.formats, [OutputFormat::Ply]);
+        assert!(
+            watch.outputs.folder.ends_with("x") && !watch.outputs.folder.starts_with(bench.folder.path())
+        );
+    }
+}
+
+#[test]
+fn typed_folders_take_the_place_of_the_blocks() {
+    let bench =
+        Bench::new("[daemon]\nsettle = \"3s\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\nvoxel_size = 0.5\n");
+    let config = bench.plan(&["c", "d", "c", "--out", "x"]).expect("a plan").config;
+    assert_eq!((config.watches.len(), config.patience.settle.as_secs()), (2, 3));
+    assert!(config.watches.iter().all(|watch| watch.voxel_size.is_none()));
+    bench.refused(&["c"], &["take the place of the [[watch]] blocks", "give --out"]);
+}
+
+#[test]
+fn one_output_does_not_stand_for_several() {
+    let block = |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\n{output}\n");
+    let bench = Bench::new(&(block("a", "output = \"o\"") + &block("b", "output = \"p\"")));
+    bench.refused(&["--out", "x"], &["lines 1 and 4", "different outputs", "--out"]);
+    assert_eq!(bench.plan(&[]).expect("a plan").config.watches.len(), 2);
+    let bench = Bench::new(&(block("a", "") + &block("b", "")));
+    bench.refused(&[], &["meniscus.toml:1", "names no output", "--out"]);
+    assert_eq!(bench.plan(&["--out", "x"]).expect("a plan").config.watches.len(), 2);
+    Bench::new("[daemon]\n").refused(&[], &["nothing to watch"]);
+    Bench::new("[daemon]\n").refused(&["--out", "x"], &["nothing to watch"]);
+}
+
+#[test]
+fn the_same_files_are_not_watched_twice() {
+    let block = |input: &str, more: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"o\"\n{more}\n");
+    let bench = Bench::new(&(block("a", "") + &block("./a", "voxel_size = 1")));
+    bench.refused(&[], &["watched twice for the same output"]);
+    let told_apart = block("a", "pattern = \"dam*\"") + &block("a", "pattern = \"spray*\"");
+    assert_eq!(Bench::new(&told_apart).plan(&[]).expect("a plan").config.watches.len(), 2);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_before_the_first_frame() {
+    let bench = Bench::new("[[watch]]\ninput = \"a\"\noutput = \"o\"\nradius_ratio = 0.5\n");
+    bench.refused(&[], &["meniscus.toml:1", "radius ratio is 0.5"]);
+    assert!(bench.plan(&["--radius-ratio", "1.5"]).is_ok());
+    for (options, words) in [
+        (&["--voxel-size", "-1"][..], &["in: ", "voxel size"][..]),
+        (&["--radius-min", "0.1", "--radius-init", "5"], &["r_init is 5"]),
+        (&["--pattern", "a[", "--out", "o"], &["`a[` is no glob"]),
+        (&["--sentinel", ""], &["sentinel"]),
+        (&["--sentinel", "../{stem}"], &["beside the frame"]),
+        (&["--sentinel", "{name}"], &["beside the frame"]),
+        (&["--settle", "5s", "--unproven", "1s"], &["unproven is 1s, less than settle, 5s"]),
+        (&["--stalled", "1ms"], &["stalled is 1ms"]),
+        (&["--settle", "soon"], &["--settle", "no time"]),
+        (&["--poll", "1us"], &["--poll", "too short"]),
+        (&["--memory", "some"], &["--memory", "no size"]),
+        (&["--threads", "0"], &["--threads"]),
+        (&["--format", "stl"], &["stl"]),
+    ] {
+        let options =
+            if options.contains(&"--out") { options.to_vec() } else { [options, &["--out", "o"]].concat() };
+        assert_refused(plan(&[&["in"], &options[..]].concat()), words);
+    }
+    assert_refused(plan(&["in"]), &["--out"]);
+    assert_refused(plan(&["--out", "o"]), &["DIR"]);
+    assert_refused(plan(&[]), &["DIR"]);
+    let file = bench.config_path();
+    assert_refused(plan(&["in", "--out", file.to_str().expect("text")]), &["is no folder"]);
+}
+
+#[test]
+fn warnings_are_told_once() {
+    let options = ["a", "b", "--out", "o", "--cg-tolerance", "0.1", "--voxel-size", "1", "--radius-min", "1"];
+    let warnings = plan(&options).expect("a plan").warnings;
+    assert_eq!(warnings.len(), 2, "{warnings:?}");
+    assert!(warnings[0].contains("r_min is 1") && warnings[1].contains("--cg-tolerance is ignored"));
+}

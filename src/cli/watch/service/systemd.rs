@@ -1,0 +1,143 @@
+//! The messages of sd_notify(3), over the socket that `NOTIFY_SOCKET` names; without it, none.
+//!
+//! ```text
+//!   Notice::Ready      READY=1        also after a reload
+//!   Notice::Status     STATUS=…
+//!   Notice::Alive      WATCHDOG=1     where there is a watchdog, and twice in its time at most
+//!   Notice::Stopping   STOPPING=1
+//!   a reload begins    RELOADING=1, MONOTONIC_USEC=…; READY=1 ends it, also where nothing came of it
+//! ```
+
+use std::time::{Duration, Instant};
+
+use sd_notify::NotifyState;
+use tracing::warn;
+
+use crate::daemon::Notice;
+
+/// The service manager, for the loop.
+pub(in crate::cli::watch) struct Service {
+    /// A service that is silent for so long is taken for hung.
+    watchdog: Option<Duration>,
+    last_sign: Option<Instant>,
+}
+
+impl Service {
+    pub(in crate::cli::watch) fn new() -> Service {
+        Service { watchdog: sd_notify::watchdog_enabled(), last_sign: None }
+    }
+
+    pub(in crate::cli::watch) fn tell(&mut self, notice: &Notice) {
+        if let Some(message) = self.message(notice, Instant::now()) {
+            send(&[message]);
+        }
+    }
+
+    fn message<'a>(&mut self, notice: &'a Notice, now: Instant) -> Option<NotifyState<'a>> {
+        match notice {
+            Notice::Ready => Some(NotifyState::Ready),
+            Notice::Status(status) => Some(NotifyState::Status(status)),
+            Notice::Stopping => Some(NotifyState::Stopping),
+            Notice::Alive => {
+                let half = self.watchdog? / 2;
+                if self.last_sign.is_some_and(|last| now.saturating_duration_since(last) < half) {
+                    return None;
+                }
+                self.last_sign = Some(now);
+                Some(NotifyState::Watchdog)
+            }
+        }
+    }
+}
+
+/// A reload begins.
+pub(in crate::cli::watch) fn tell_reloading() {
+    match NotifyState::monotonic_usec_now() {
+        Ok(now) => send(&[NotifyState::Reloading, now]),
+        Err(error) => warn!("the service manager is not told of the reload: {error}"),
+    }
+}
+
+/// A reload changed nothing: the service goes on as it was.
+pub(in crate::cli::watch) fn tell_not_reloaded(why: &str) {
+    // A line ends a message.
+    send(&[NotifyState::Ready, NotifyState::Status(&why.replace('\n', " "))]);
+}
+
+/// A message that is lost is no reason to stop work; it is told in the log.
+fn send(messages: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(messages) {
+        warn!("the service manager cannot be told: {error}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::net::UnixDatagram;
+    use std::process::Command;
+
+    #[test]
+    fn the_watchdog_hears_of_it_twice_in_its_time_at_most() {
+        let mut service = Service { watchdog: Some(Duration::from_secs(10)), last_sign: None };
+        let start = Instant::now();
+        let heard = |service: &mut Service, second| {
+            service.message(&Notice::Alive, start + Duration::from_secs(second)).is_some()
+        };
+        let times: Vec<u64> = (0..=16).step_by(2).filter(|&second| heard(&mut service, second)).collect();
+        assert_eq!(times, [0, 6, 12]);
+        let mut unwatched = Service { watchdog: None, last_sign: None };
+        assert!(!heard(&mut unwatched, 0));
+    }
+
+    /// Says everything there is to say.
+    fn say_everything() {
+        let mut service = Service::new();
+        service.tell(&Notice::Ready);
+        service.tell(&Notice::Alive);
+        service.tell(&Notice::Alive);
+        service.tell(&Notice::Status("3 frames wait".into()));
+        tell_reloading();
+        tell_not_reloaded("two\nlines");
+        service.tell(&Notice::Stopping);
+    }
+
+    /// Set in the child of the test below.
+    const CHILD: &str = "MENISCUS_TEST_SAY_EVERYTHING";
+
+    #[test]
+    fn the_socket_hears_everything() {
+        // The socket is known by the environment, which only a process of its own can have.
+        if std::env::var_os(CHILD).is_some() {
+            return say_everything();
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("notify");
+        let socket = UnixDatagram::bind(&path).expect("a socket");
+        let name = concat!(module_path!(), "::the_socket_hears_everything");
+        let name = name.split_once("::").expect("within the crate").1;
+        let said = Command::new(std::env::current_exe().expect("this test"))
+            .args(["--exact", name])
+            .env(CHILD, "")
+            .env("NOTIFY_SOCKET", &path)
+            .env("WATCHDOG_USEC", "60000000")
+            .env_remove("WATCHDOG_PID")
+            .output()
+            .expect("it starts");
+        assert!(String::from_utf8_lossy(&said.stdout).contains("1 passed"), "{said:?}");
+        socket.set_nonblocking(true).expect("a socket");
+        let mut messages = Vec::new();
+        let mut bytes = [0; 512];
+        while let Ok(count) = socket.recv(&mut bytes) {
+            messages.push(String::from_utf8_lossy(&bytes[..count]).trim_end().to_owned());
+        }
+        let [ready, alive, status, reloading, not_reloaded, stopping] = &messages[..] else {
+            panic!("{messages:?}")
+        };
+        assert_eq!((&**ready, &**alive), ("READY=1", "WATCHDOG=1"));
+        assert_eq!((&**status, &**stopping), ("STATUS=3 frames wait", "STOPPING=1"));
+        let time = reloading.strip_prefix("RELOADING=1\nMONOTONIC_USEC=").expect("a time");
+        assert!(time.parse::<u64>().is_ok_and(|time| time > 0), "{time}");
+        assert_eq!(not_reloaded, "READY=1\nSTATUS=two lines");
+    }
+}

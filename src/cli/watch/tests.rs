@@ -1,0 +1,79 @@
+use super::*;
+use std::fs;
+
+fn summary(ended: Ended, done_count: usize, failed_count: usize, left_count: usize) -> Summary {
+    Summary { ended, done_count, failed: vec!["f: why".to_owned(); failed_count], left_count }
+}
+
+#[test]
+fn the_exit_status_is_that_of_convert_when_it_runs_once() {
+    for (done, failed, left, expected) in [
+        (3, 0, 0, Verdict::Done),
+        (3, 1, 0, Verdict::SomeFailed),
+        (3, 0, 1, Verdict::SomeFailed),
+        (0, 1, 0, Verdict::NothingDone),
+        (0, 0, 0, Verdict::NothingDone),
+    ] {
+        assert_eq!(conclude(true, &summary(Ended::Drained, done, failed, left)), expected);
+    }
+    // A daemon that was asked to end, and ended, did what it was asked.
+    assert_eq!(conclude(false, &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
+}
+
+/// Signals to a daemon with this file, and the commands that come of them.
+fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Receiver<Command>) {
+    let (sender, commands) = bounded(2);
+    let args = WatchArgs { config: config.map(Into::into), ..WatchArgs::default() };
+    (Control::new(args, LogChoice::Text, sender), commands)
+}
+
+#[test]
+fn the_first_signal_finishes_and_the_second_ends() {
+    let (control, commands) = control(None);
+    assert!(!control.finish());
+    assert!(control.finish());
+    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Finish]);
+}
+
+#[test]
+fn a_reload_takes_the_file_as_it_is_by_then() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("meniscus.toml");
+    let (control, commands) = control(Some(&path));
+    let write = |text: &str| fs::write(&path, text).expect("written");
+    // Wrong, or not there: nothing happens.
+    control.reload();
+    write("[[watch]]\ninputt = \"in\"\n");
+    control.reload();
+    assert!(commands.is_empty() && !control.is_reloading());
+    // Right, twice: the loop is asked once, and the last plan counts.
+    for output in ["first", "last"] {
+        write(&format!("[[watch]]\ninput = \"in\"\noutput = \"{output}\"\n"));
+        control.reload();
+    }
+    assert!(control.is_reloading());
+    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Reload]);
+    let plan = control.next_plan().expect("a plan");
+    assert!(plan.config.watches[0].outputs.folder.ends_with("last"));
+    assert!(control.next_plan().is_none() && !control.is_reloading());
+}
+
+#[test]
+fn without_a_file_there_is_nothing_to_reload() {
+    let (control, commands) = control(None);
+    control.reload();
+    assert!(commands.is_empty() && control.next_plan().is_none());
+}
+
+#[test]
+fn ending_wins_over_reloading() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("meniscus.toml");
+    fs::write(&path, "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
+    let (control, commands) = control(Some(&path));
+    control.reload();
+    control.finish();
+    control.reload();
+    assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Reload, Command::Finish]);
+    assert!(!control.is_reloading() && control.next_plan().is_none());
+}

@@ -1,0 +1,168 @@
+//! What a folder lies on: whether the system tells of changes there, how much room there is, and
+//! whether it is still the folder that it was.
+//!
+//! The kernel tells of changes that are made through it. Those that another machine, or the host of a
+//! virtual one, makes on a shared file system pass it by: such folders have to be looked at.
+
+use std::io;
+use std::path::Path;
+
+/// The name of the file system at `path`, if changes to it may go unannounced: one on a network, one
+/// shared with the host of a virtual machine, or one that some program provides.
+///
+/// Known on Linux only: elsewhere the answer is always `None`, and polling has to be asked for.
+///
+/// # Errors
+/// When there is no such path, or the system refuses.
+pub fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+    system::network_file_system(path)
+}
+
+/// Bytes that this user may still write to the file system at `path`.
+///
+/// # Errors
+/// When there is no such path, or the system refuses; [`io::ErrorKind::Unsupported`] on systems other
+/// than Unix.
+pub fn free_bytes(path: &Path) -> io::Result<u64> {
+    system::free_bytes(path)
+}
+
+/// Which file system a folder is on: an empty folder on another one than before has been unmounted,
+/// rather than emptied.
+///
+/// On systems other than Unix, all are equal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RootIdentity {
+    device: u64,
+}
+
+impl RootIdentity {
+    /// The identity of the folder at `path`, links followed.
+    ///
+    /// # Errors
+    /// When there is no such path, or the system refuses.
+    pub fn of(path: &Path) -> io::Result<RootIdentity> {
+        Ok(RootIdentity { device: system::device(&path.metadata()?) })
+    }
+}
+
+#[cfg(unix)]
+mod system {
+    use std::fs::Metadata;
+    use std::io;
+    use std::path::Path;
+
+    pub(super) fn free_bytes(path: &Path) -> io::Result<u64> {
+        let room = rustix::fs::statvfs(path)?;
+        Ok(room.f_bavail.saturating_mul(room.f_frsize))
+    }
+
+    pub(super) fn device(metadata: &Metadata) -> u64 {
+        std::os::unix::fs::MetadataExt::dev(metadata)
+    }
+
+    #[cfg(target_os = "linux")]
+    pub(super) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+        // 32 bits, in a number of whatever width and sign the machine has.
+        let magic = rustix::fs::statfs(path)?.f_type as u32;
+        Ok(super::NETWORK_FILE_SYSTEMS.iter().find(|entry| entry.0 == magic).map(|entry| entry.1))
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    pub(super) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+        path.metadata().map(|_| None)
+    }
+}
+
+#[cfg(not(unix))]
+mod system {
+    use std::fs::Metadata;
+    use std::io;
+    use std::path::Path;
+
+    pub(super) fn free_bytes(_path: &Path) -> io::Result<u64> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    pub(super) fn device(_metadata: &Metadata) -> u64 {
+        0
+    }
+
+    pub(super) fn network_file_system(path: &Path) -> io::Result<Option<&'static str>> {
+        path.metadata().map(|_| None)
+    }
+}
+
+/// What `statfs` calls the file systems on which changes may go unannounced, and what users call them.
+#[cfg(target_os = "linux")]
+const NETWORK_FILE_SYSTEMS: &[(u32, &str)] = &[
+    (0x6969, "NFS"),
+    (0xff53_4d42, "SMB (CIFS)"),
+    (0xfe53_4d42, "SMB"),
+    (0x517b, "SMB"),
+    (0x0102_1997, "9P"),
+    (0x6573_5546, "FUSE, such as SSHFS or virtiofs"), // local ones too: they cannot be told apart
+    (0x6b41_4653, "AFS"),
+    (0x5346_414f, "AFS"),
+    (0x00c3_6400, "Ceph"),
+    (0x0bd0_0bd0, "Lustre"),
+    (0x4750_4653, "GPFS (Storage Scale)"),
+    (0x1983_0326, "BeeGFS"),
+    (0x2003_0528, "OrangeFS"),
+    (0xaad7_aaea, "PanFS"),
+    (0xbeef_dead, "StorNext"),
+    (0x7375_7245, "Coda"),
+    (0x0116_1970, "GFS2"),
+    (0x7461_636f, "OCFS2"),
+    (0x786f_4256, "a shared folder of VirtualBox"),
+    (0xbacb_acbc, "a shared folder of VMware"),
+    (0x7c7c_6673, "a shared folder of Parallels"),
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_there_is_an_error() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let gone = folder.path().join("gone");
+        let not_found = |error: io::Error| error.kind() == io::ErrorKind::NotFound;
+        assert!(network_file_system(&gone).is_err_and(not_found));
+        assert!(RootIdentity::of(&gone).is_err_and(not_found));
+        assert!(free_bytes(&gone).is_err());
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn local_file_systems_are_told_by_the_kernel() {
+        for path in ["/proc", "/sys", "/dev/shm"].map(Path::new).into_iter().filter(|path| path.is_dir()) {
+            assert_eq!(network_file_system(path).expect("readable"), None, "{}", path.display());
+        }
+        let magics: std::collections::HashSet<u32> =
+            NETWORK_FILE_SYSTEMS.iter().map(|entry| entry.0).collect();
+        assert_eq!(magics.len(), NETWORK_FILE_SYSTEMS.len(), "each once");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_mount_has_an_identity_of_its_own() {
+        let of = |path: &Path| RootIdentity::of(path).expect("a folder");
+        let folder = tempfile::tempdir().expect("a folder");
+        let inner = folder.path().join("inner");
+        std::fs::create_dir(&inner).expect("made");
+        assert_eq!(of(&inner), of(folder.path()));
+        assert_ne!(of(Path::new("/proc")), of(folder.path()));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn room_is_counted_in_bytes() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let before = free_bytes(folder.path()).expect("room");
+        assert!((1 << 16..1 << 60).contains(&before), "{before}");
+        // Pseudo file systems have none at all.
+        #[cfg(target_os = "linux")]
+        assert_eq!(free_bytes(Path::new("/proc")).expect("room"), 0);
+    }
+}

@@ -1,0 +1,424 @@
+//! What is in a folder: the truth, where events are but hints.
+//!
+//! ```text
+//!   root ─┬─ dam.0001.bgeo          taken, if the selection takes its name
+//!         ├─ take2 ─┬─ dam.ply      where the selection is recursive
+//!         │         └─ up ──▶ root  a folder within itself: not entered
+//!         └─ surfaces               an excluded folder: not entered
+//! ```
+//!
+//! Links are followed. The same folder may so be reached by two ways, and each of its files is then two;
+//! only a folder that leads to itself is not entered again. Each file costs one call of the system.
+
+use std::fs::{self, DirEntry, Metadata};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+use crate::pipeline::FileStamp;
+
+use super::selection::{Selection, is_hidden};
+
+/// A file as it was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seen {
+    /// What tells whether it changes.
+    pub stamp: FileStamp,
+    /// How long ago it changed last, in its content or in anything else, by the clock of this machine.
+    /// `None` where that clock is not the file system's, or the change is yet to come.
+    pub age: Option<Duration>,
+}
+
+/// All that was found.
+#[derive(Debug, Default)]
+pub struct Scan {
+    /// The files that the selection takes, in no particular order.
+    pub files: Vec<(PathBuf, Seen)>,
+    /// The folders that were looked into, the one that was asked for first.
+    pub folders: Vec<PathBuf>,
+    /// What could not be looked at. Nothing is known of what is in there.
+    pub problems: Vec<(PathBuf, io::Error)>,
+}
+
+/// Looks at one file; links are followed. `None` if it is gone, or is no regular file.
+///
+/// With `trust_clock`, the times of the file are taken to be by the clock of this machine.
+///
+/// # Errors
+/// When the system refuses.
+pub fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
+    match fs::metadata(path) {
+        Ok(metadata) => Ok(seen(&metadata, trust_clock)),
+        Err(error) if is_gone(&error) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// Looks into `folder`, which is `root` or lies in it, and into all below it if the selection is
+/// recursive. Of a folder that the selection does not enter, the scan is empty.
+///
+/// # Errors
+/// When `folder` itself cannot be looked into. Whatever else cannot is told in [`Scan::problems`].
+pub fn scan(folder: &Path, root: &Path, selection: &Selection, trust_clock: bool) -> io::Result<Scan> {
+    let edges = Edges::new(root, selection)?;
+    let mut walk = Walk { root, selection, trust_clock, edges, scan: Scan::default() };
+    if folder != root && !selection.enters(root, folder) {
+        return Ok(walk.scan);
+    }
+    let mut around = folders_around(folder, root)?;
+    let mut pending = Vec::new();
+    walk.enter(folder, &mut around, &mut pending)?;
+    while let Some((next, depth)) = pending.pop() {
+        // Some that were entered since are not around this one.
+        around.truncate(depth);
+        match walk.enter(&next, &mut around, &mut pending) {
+            Err(error) if !is_gone(&error) => walk.scan.problems.push((next, error)),
+            _ => {}
+        }
+    }
+    Ok(walk.scan)
+}
+
+/// The folders from `root` down to the one that `folder` lies in.
+fn folders_around(folder: &Path, root: &Path) -> io::Result<Vec<FolderIdentity>> {
+    let outward = folder.ancestors().skip(1).take_while(|outer| outer.starts_with(root));
+    let mut around = outward.map(FolderIdentity::of).collect::<io::Result<Vec<_>>>()?;
+    around.reverse();
+    Ok(around)
+}
+
+/// A scan under way.
+struct Walk<'a> {
+    root: &'a Path,
+    selection: &'a Selection,
+    trust_clock: bool,
+    edges: Edges,
+    scan: Scan,
+}
+
+impl Walk<'_> {
+    /// Looks into one folder, unless it must not be entered. `around` are the folders that it lies in.
+    fn enter(
+        &mut self,
+        folder: &Path,
+        around: &mut Vec<FolderIdentity>,
+        pending: &mut Vec<(PathBuf, usize)>,
+    ) -> io::Result<()> {
+        let identity = FolderIdentity::of(folder)?;
+        if around.contains(&identity) || self.edges.excludes(folder)? {
+            return Ok(());
+        }
+        let entries = fs::read_dir(folder)?;
+        around.push(identity);
+        self.scan.folders.push(folder.to_owned());
+        for entry in entries {
+            let entry = entry?;
+            if is_hidden(&entry.file_name()) {
+                continue;
+            }
+            let path = entry.path();
+            match self.take(&entry, &path) {
+                Ok(true) => pending.push((path, around.len())),
+                Ok(false) => {}
+                Err(error) if is_gone(&error) => {}
+                Err(error) => self.scan.problems.push((path, error)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes a file that is selected, and tells whether this is a folder to look into instead.
+    fn take(&mut self, entry: &DirEntry, path: &Path) -> io::Result<bool> {
+        let kind = entry.file_type()?;
+        let is_recursive = self.selection.is_recursive();
+        if kind.is_dir() {
+            return Ok(is_recursive);
+        }
+        let is_taken = path.strip_prefix(self.root).is_ok_and(|within| self.selection.takes_name(within));
+        let metadata = match kind.is_symlink() {
+            true if is_taken || is_recursive => fs::metadata(path)?,
+            false if is_taken => entry.metadata()?,
+            _ => return Ok(false),
+        };
+        if let Some(seen) = seen(&metadata, self.trust_clock).filter(|_| is_taken) {
+            self.scan.files.push((path.to_owned(), seen));
+        }
+        Ok(is_recursive && metadata.is_dir())
+    }
+}
+
+/// Where a scan ends: the root and the excluded folders, by their true names.
+struct Edges {
+    root: PathBuf,
+    excluded: Vec<PathBuf>,
+}
+
+impl Edges {
+    fn new(root: &Path, selection: &Selection) -> io::Result<Edges> {
+        let root = root.canonicalize()?;
+        // One that is not there keeps nobody out; nor does one around the root.
+        let excluded = selection.excluded().iter().filter_map(|folder| folder.canonicalize().ok());
+        Ok(Edges { excluded: excluded.collect(), root })
+    }
+
+    /// Whether the innermost folder around this one that counts is an excluded one.
+    fn excludes(&self, folder: &Path) -> io::Result<bool> {
+        if self.excluded.is_empty() {
+            return Ok(false);
+        }
+        let folder = folder.canonicalize()?;
+        let in_root = folder.starts_with(&self.root);
+        let excludes = |excluded: &PathBuf| {
+            folder.starts_with(excluded) && !(in_root && self.root.starts_with(excluded))
+        };
+        Ok(self.excluded.iter().any(excludes))
+    }
+}
+
+/// Which folder it is, by whatever way it was reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct FolderIdentity {
+    #[cfg(unix)]
+    device_and_inode: (u64, u64),
+    #[cfg(not(unix))]
+    path: PathBuf,
+}
+
+impl FolderIdentity {
+    #[cfg(unix)]
+    fn of(folder: &Path) -> io::Result<FolderIdentity> {
+        use std::os::unix::fs::MetadataExt;
+        let metadata = fs::metadata(folder)?;
+        Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
+    }
+
+    #[cfg(not(unix))]
+    fn of(folder: &Path) -> io::Result<FolderIdentity> {
+        Ok(FolderIdentity { path: folder.canonicalize()? })
+    }
+}
+
+/// What is seen of a file; `None` of anything else.
+fn seen(metadata: &Metadata, trust_clock: bool) -> Option<Seen> {
+    let age = || SystemTime::now().duration_since(last_change(metadata)?).ok();
+    metadata.is_file().then(|| Seen { stamp: FileStamp::of(metadata), age: trust_clock.then(age).flatten() })
+}
+
+/// When the file or anything that the system says of it changed. Times of writing can be set to
+/// anything; that they were set cannot be hidden.
+#[cfg(unix)]
+fn last_change(metadata: &Metadata) -> Option<SystemTime> {
+    use std::os::unix::fs::MetadataExt;
+    let seconds = Duration::from_secs(u64::try_from(metadata.ctime()).ok()?);
+    let nanoseconds = Duration::from_nanos(u64::try_from(metadata.ctime_nsec()).ok()?);
+    let changed = SystemTime::UNIX_EPOCH.checked_add(seconds)?.checked_add(nanoseconds)?;
+    Some(changed.max(metadata.modified().ok()?))
+}
+
+#[cfg(not(unix))]
+fn last_change(metadata: &Metadata) -> Option<SystemTime> {
+    metadata.modified().ok()
+}
+
+/// Whether the path leads nowhere any more: also because a folder on its way became a file.
+fn is_gone(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::ffi::OsStr;
+    use std::fs::File;
+    use std::os::unix::ffi::OsStrExt;
+    use std::os::unix::fs::symlink;
+
+    use tempfile::{TempDir, tempdir};
+
+    /// A folder with empty files at these paths.
+    fn folder_of(paths: &[&str]) -> TempDir {
+        let folder = tempdir().expect("a folder");
+        for path in paths {
+            let path = folder.path().join(path);
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            fs::write(path, b"").expect("written");
+        }
+        folder
+    }
+
+    fn selection(pattern: Option<&str>, excluded: &[PathBuf]) -> Selection {
+        Selection::new(pattern, true, excluded.to_vec()).expect("a pattern")
+    }
+
+    /// The paths that a scan finds within its root, sorted; it must have no problems.
+    fn found(root: &Path, selection: &Selection) -> Vec<String> {
+        let scan = scan(root, root, selection, true).expect("readable");
+        assert!(scan.problems.is_empty(), "{:?}", scan.problems);
+        names(root, scan.files.iter().map(|file| &*file.0))
+    }
+
+    fn names<'a>(root: &Path, paths: impl Iterator<Item = &'a Path>) -> Vec<String> {
+        let within = |path: &Path| path.strip_prefix(root).expect("within").to_string_lossy().into_owned();
+        let mut names: Vec<String> = paths.map(within).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_scan_and_a_name_agree() {
+        let paths = [
+            "a.1.ply",
+            "b/a.2.ply",
+            "b/c/a.3.ply",
+            "b/x.txt",
+            "notes.md",
+            ".h.ply",
+            ".b/a.ply",
+            "frame.0001",
+            "out/a.ply",
+        ];
+        let folder = folder_of(&paths);
+        let root = folder.path();
+        let excluded = [root.join("out")];
+        for (pattern, recursive, expected) in [
+            (None, true, &["a.1.ply", "b/a.2.ply", "b/c/a.3.ply", "b/x.txt"][..]),
+            (None, false, &["a.1.ply"]),
+            (Some("a.*.ply"), true, &["a.1.ply", "b/a.2.ply", "b/c/a.3.ply"]),
+            (Some("a.*.ply"), false, &["a.1.ply"]),
+            (Some("*/a.*"), true, &["b/a.2.ply"]),
+            (Some("**/a.[13].ply"), true, &["a.1.ply", "b/c/a.3.ply"]),
+            (Some("frame.????"), true, &["frame.0001"]),
+        ] {
+            let selection = Selection::new(pattern, recursive, excluded.to_vec()).expect("a pattern");
+            assert_eq!(found(root, &selection), expected, "{pattern:?}");
+            let taken =
+                paths.map(|path| root.join(path)).into_iter().filter(|path| selection.takes(root, path));
+            let taken: Vec<PathBuf> = taken.collect();
+            assert_eq!(names(root, taken.iter().map(|path| &**path)), expected, "{pattern:?}");
+        }
+        let flat = Selection::new(None, false, Vec::new()).expect("no pattern");
+        let scan = scan(root, root, &flat, true).expect("readable");
+        assert_eq!(scan.folders, [root]);
+    }
+
+    /// The innermost of the root and the excluded folders decides.
+    #[test]
+    fn outputs_may_lie_within_the_frames_or_around_them() {
+        let folder = folder_of(&["a.ply", "out/b.ply", "out/deep/c.ply", "in/d.ply"]);
+        let root = folder.path();
+        let outside = tempdir().expect("a folder");
+        symlink(root.join("out/deep"), outside.path().join("link")).expect("linked");
+        fs::write(outside.path().join("e.ply"), b"").expect("written");
+        for (case, root, excluded, expected) in [
+            ("within", root, root.join("out"), &["a.ply", "in/d.ply"][..]),
+            ("the same", root, root.to_owned(), &["a.ply", "in/d.ply", "out/b.ply", "out/deep/c.ply"]),
+            ("around", &root.join("in"), root.to_owned(), &["d.ply"]),
+            ("by another name", root, root.join("in/../out"), &["a.ply", "in/d.ply"]),
+            ("through a link into it", outside.path(), root.join("out"), &["e.ply"]),
+            ("not there", root, root.join("gone"), &["a.ply", "in/d.ply", "out/b.ply", "out/deep/c.ply"]),
+        ] {
+            assert_eq!(found(root, &selection(None, &[excluded])), expected, "{case}");
+        }
+        let selection = selection(None, &[root.join("out")]);
+        let part = scan(&root.join("out/deep"), root, &selection, true).expect("readable");
+        assert!(part.folders.is_empty() && part.files.is_empty(), "asked for by its name: {part:?}");
+    }
+
+    #[test]
+    fn links_are_followed_but_never_round() {
+        let folder = folder_of(&["a/1.ply", "b/2.ply"]);
+        let root = folder.path();
+        for (target, link) in [
+            ("a/1.ply", "l.ply"),
+            ("..", "a/up"),
+            ("../b", "a/side"),
+            ("../a", "b/side"),
+            (".", "here"),
+            ("nowhere.ply", "broken.ply"),
+        ] {
+            symlink(target, root.join(link)).expect("linked");
+        }
+        let expected = ["a/1.ply", "a/side/2.ply", "b/2.ply", "b/side/1.ply", "l.ply"];
+        let selection = selection(None, &[]);
+        assert_eq!(found(root, &selection), expected);
+        // Part of a scan finds the same part of it.
+        let part = scan(&root.join("a"), root, &selection, true).expect("readable");
+        assert_eq!(names(root, part.files.iter().map(|file| &*file.0)), ["a/1.ply", "a/side/2.ply"]);
+        assert_eq!(names(root, part.folders.iter().map(|folder| &**folder)), ["a", "a/side"]);
+        let round = scan(&root.join("a/up"), root, &selection, true).expect("readable");
+        assert!(round.folders.is_empty(), "{round:?}");
+        let hidden = scan(&root.join(".git"), root, &selection, true).expect("not looked at");
+        assert!(hidden.folders.is_empty(), "{hidden:?}");
+    }
+
+    #[test]
+    fn names_need_not_be_text() {
+        let folder = tempdir().expect("a folder");
+        let sub = folder.path().join(OsStr::from_bytes(b"caf\xe9"));
+        let path = sub.join(OsStr::from_bytes(b"gr\xf6\xdfe.1.ply"));
+        // Some file systems hold text only.
+        if fs::create_dir(&sub).and_then(|()| fs::write(&path, b"")).is_err() {
+            return;
+        }
+        for pattern in [None, Some("*.ply"), Some("*/*.ply")] {
+            let selection = selection(pattern, &[]);
+            let scan = scan(folder.path(), folder.path(), &selection, true).expect("readable");
+            assert_eq!(scan.files[0].0, path);
+            assert!(selection.takes(folder.path(), &path));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_looked_at_is_told() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = folder_of(&["a.ply", "locked/b.ply"]);
+        let root = folder.path();
+        symlink("round.ply", root.join("round.ply")).expect("linked");
+        let locked = root.join("locked");
+        fs::set_permissions(&locked, PermissionsExt::from_mode(0)).expect("locked");
+        let mut expected = vec!["round.ply"];
+        // Some users may look everywhere.
+        if fs::read_dir(&locked).is_err() {
+            expected.insert(0, "locked");
+        }
+        let scan = scan(root, root, &selection(None, &[]), true).expect("readable");
+        fs::set_permissions(&locked, PermissionsExt::from_mode(0o700)).expect("unlocked");
+        assert_eq!(names(root, scan.problems.iter().map(|problem| &*problem.0)), expected);
+        assert!(scan.files.iter().any(|file| file.0 == root.join("a.ply")));
+    }
+
+    #[test]
+    fn a_root_that_is_gone_is_an_error() {
+        let folder = folder_of(&["a.ply"]);
+        let selection = selection(None, &[]);
+        for path in [folder.path().join("gone"), folder.path().join("a.ply")] {
+            let error = scan(&path, &path, &selection, true).expect_err("no folder");
+            assert!(is_gone(&error), "{error}");
+        }
+    }
+
+    #[test]
+    fn only_regular_files_are_seen() {
+        let folder = folder_of(&["a.ply"]);
+        let path = folder.path().join("a.ply");
+        let file = look(&path, true).expect("readable").expect("a file");
+        assert_eq!(file.stamp, FileStamp::of_path(&path).expect("a stamp"));
+        let a_while = Duration::from_secs(600);
+        assert!(file.age.is_some_and(|age| age < a_while), "{:?}", file.age);
+        assert_eq!(look(&path, false).expect("readable").expect("a file").age, None);
+        for nothing in
+            [folder.path().to_owned(), folder.path().join("gone"), path.join("within"), "/dev/null".into()]
+        {
+            assert_eq!(look(&nothing, true).expect("an answer"), None, "{}", nothing.display());
+        }
+        let set = |time| {
+            let file = File::options().append(true).open(&path).expect("a file");
+            file.set_modified(time).expect("set");
+            look(&path, true).expect("readable").expect("a file").age
+        };
+        // No clock here knows how long ago the future was.
+        assert_eq!(set(SystemTime::now() + Duration::from_secs(3600)), None);
+        // That a time was set is itself a change.
+        assert!(set(SystemTime::UNIX_EPOCH).is_some_and(|age| age < a_while));
+    }
+}
