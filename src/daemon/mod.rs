@@ -1,6 +1,9 @@
 //! Folders to frames: watches, settles, queues, remembers.
 
 mod config;
+pub mod decision;
+pub mod journal;
+pub mod lock;
 pub mod mounts;
 pub mod readiness;
 pub mod scan;

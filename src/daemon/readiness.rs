@@ -139,15 +139,16 @@ impl Candidate {
         completeness: impl FnOnce() -> Completeness,
     ) -> Readiness {
         match sentinel {
-            Sentinel::Wanted { there: true } | Sentinel::Optional { there: true } if !self.renamed => {
-                return Readiness::Ready(Proof::Sentinel);
-            }
-            Sentinel::Wanted { there: true } => return Readiness::Ready(Proof::Sentinel),
             Sentinel::Wanted { there: false } => {
                 return Readiness::Waiting { until: None, why: WaitReason::Sentinel };
             }
-            _ if self.renamed => return Readiness::Ready(Proof::Renamed),
-            _ => {}
+            Sentinel::Wanted { there: true } | Sentinel::Optional { there: true } => {
+                return Readiness::Ready(Proof::Sentinel);
+            }
+            Sentinel::None | Sentinel::Optional { there: false } if self.renamed => {
+                return Readiness::Ready(Proof::Renamed);
+            }
+            Sentinel::None | Sentinel::Optional { there: false } => {}
         }
         self.left_alone(now, patience.settle, WaitReason::Changing).unwrap_or_else(|| match completeness() {
             Completeness::Complete | Completeness::ByReading => Readiness::Ready(Proof::Format),
@@ -245,4 +246,301 @@ fn stem(frame: &Path) -> OsString {
         stem.set_extension("");
     }
     stem.into_os_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PATIENCE: Patience = Patience {
+        settle: Duration::from_millis(500),
+        unproven: Duration::from_millis(2000),
+        stalled: Duration::from_millis(10_000),
+    };
+    const HALF: Completeness = Completeness::Incomplete { expected: 100, found: 50 };
+
+    /// What happens to a file.
+    enum Step {
+        /// It is seen: size, time of writing, number, age in milliseconds.
+        See(u64, i64, u64, Option<u64>),
+        /// The same, and it was renamed into place.
+        Renamed(u64, i64, u64, Option<u64>),
+        /// It is asked whether the file is ready; this is what its format says, and the answer.
+        Ask(Sentinel, Completeness, Answer),
+    }
+
+    #[derive(Debug, PartialEq)]
+    enum Answer {
+        Ready(Proof),
+        /// Until so many milliseconds after the start.
+        Until(u64, WaitReason),
+        Never(WaitReason),
+    }
+
+    use Answer::{Never, Ready, Until};
+    use Completeness::{ByReading, Complete, Unproven};
+    use Step::{Ask, Renamed, See};
+
+    const NONE: Sentinel = Sentinel::None;
+
+    fn stamp(size: u64, modified_ns: i64, inode: u64) -> FileStamp {
+        FileStamp { size, modified_ns, inode }
+    }
+
+    /// Goes through the steps, each at its time in milliseconds after the start.
+    fn check(case: &str, steps: &[(u64, Step)]) {
+        let start = Instant::now();
+        let at = |ms: u64| start + Duration::from_millis(ms);
+        let mut candidate: Option<Candidate> = None;
+        for (ms, step) in steps {
+            let (stamp, age, renamed) = match step {
+                &See(size, modified, inode, age) => (stamp(size, modified, inode), age, false),
+                &Renamed(size, modified, inode, age) => (stamp(size, modified, inode), age, true),
+                Ask(sentinel, completeness, expected) => {
+                    let candidate = candidate.expect("seen before");
+                    let answer = match candidate.readiness(at(*ms), &PATIENCE, *sentinel, || *completeness) {
+                        Readiness::Ready(proof) => Ready(proof),
+                        Readiness::Waiting { until: None, why } => Never(why),
+                        Readiness::Waiting { until: Some(until), why } => {
+                            Until((until - start).as_millis().try_into().expect("soon"), why)
+                        }
+                    };
+                    assert_eq!(answer, *expected, "{case}, at {ms} ms");
+                    continue;
+                }
+            };
+            let seen = Seen { stamp, age: age.map(Duration::from_millis) };
+            match &mut candidate {
+                None => candidate = Some(Candidate::new(at(*ms), &seen, renamed)),
+                Some(candidate) => candidate.see(at(*ms), &seen, renamed),
+            }
+            assert_eq!(*candidate.expect("seen").stamp(), stamp, "{case}, at {ms} ms");
+        }
+    }
+
+    #[test]
+    fn formats_decide_how_long_to_wait() {
+        check(
+            "complete",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (499, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (500, Ask(NONE, Complete, Ready(Proof::Format))),
+                (500, Ask(NONE, ByReading, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "a table",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (600, Ask(NONE, Unproven, Until(2000, WaitReason::Unproven))),
+                (2000, Ask(NONE, Unproven, Ready(Proof::Unchanged))),
+            ],
+        );
+        check(
+            "given up by its writer",
+            &[
+                (0, See(50, 1, 1, Some(0))),
+                (9999, Ask(NONE, HALF, Until(10_000, WaitReason::Incomplete { expected: 100, found: 50 }))),
+                (10_000, Ask(NONE, HALF, Ready(Proof::Stalled))),
+            ],
+        );
+        check(
+            "last written an hour ago",
+            &[
+                (0, See(100, 1, 1, Some(3_600_000))),
+                (0, Ask(NONE, Complete, Ready(Proof::Format))),
+                (0, Ask(NONE, Unproven, Ready(Proof::Unchanged))),
+                (0, Ask(NONE, HALF, Ready(Proof::Stalled))),
+            ],
+        );
+        check(
+            "last written a second ago",
+            &[
+                (0, See(100, 1, 1, Some(1000))),
+                (0, Ask(NONE, Complete, Ready(Proof::Format))),
+                (0, Ask(NONE, Unproven, Until(1000, WaitReason::Unproven))),
+            ],
+        );
+        check(
+            "without a clock to trust",
+            &[
+                (0, See(100, 1, 1, None)),
+                (400, See(100, 1, 1, None)),
+                (499, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (500, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+    }
+
+    #[test]
+    fn every_change_starts_anew() {
+        check(
+            "a slow writer",
+            &[
+                (0, See(10, 1, 1, Some(0))),
+                (1000, See(40, 2, 1, Some(200))),
+                (1200, Ask(NONE, HALF, Until(1300, WaitReason::Changing))),
+                (3000, See(70, 3, 1, Some(0))),
+                (3600, Ask(NONE, HALF, Until(13_000, WaitReason::Incomplete { expected: 100, found: 50 }))),
+                (5000, See(100, 4, 1, Some(0))),
+                (5499, Ask(NONE, Complete, Until(5500, WaitReason::Changing))),
+                (5500, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "closed, and opened again to append",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (400, See(160, 2, 1, Some(0))),
+                (500, Ask(NONE, Complete, Until(900, WaitReason::Changing))),
+                (900, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "its header corrected, the size the same",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (400, See(100, 2, 1, Some(0))),
+                (600, Ask(NONE, Complete, Until(900, WaitReason::Changing))),
+            ],
+        );
+        check(
+            "replaced by another file of the same size and time",
+            &[
+                (0, See(100, 1, 1, Some(3_600_000))),
+                (0, Ask(NONE, Complete, Ready(Proof::Format))),
+                (100, See(100, 1, 2, Some(0))),
+                (100, Ask(NONE, Complete, Until(600, WaitReason::Changing))),
+            ],
+        );
+        check(
+            "its time set back, as copying programs do in the end",
+            &[
+                (0, See(100, 900, 1, Some(0))),
+                (300, See(100, 5, 1, Some(0))),
+                (600, Ask(NONE, Complete, Until(800, WaitReason::Changing))),
+                (800, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "its time in the future",
+            &[
+                (0, See(100, i64::MAX, 1, None)),
+                (0, Ask(NONE, Complete, Until(500, WaitReason::Changing))),
+                (500, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "touched without any trace but that it was",
+            &[
+                (0, See(100, 1, 1, Some(450))),
+                (40, See(100, 1, 1, Some(10))),
+                (60, Ask(NONE, Complete, Until(530, WaitReason::Changing))),
+                (530, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+        check(
+            "seen again unchanged",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (450, See(100, 1, 1, Some(451))),
+                (500, Ask(NONE, Complete, Ready(Proof::Format))),
+            ],
+        );
+    }
+
+    #[test]
+    fn a_rename_is_a_proof_of_what_was_renamed() {
+        check(
+            "renamed into place",
+            &[
+                (0, Renamed(100, 1, 1, Some(0))),
+                (0, Ask(NONE, HALF, Ready(Proof::Renamed))),
+                (10, See(100, 1, 1, Some(10))),
+                (10, Ask(NONE, HALF, Ready(Proof::Renamed))),
+            ],
+        );
+        check(
+            "seen before its rename is told",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (1, Renamed(100, 1, 1, Some(1))),
+                (1, Ask(Sentinel::Optional { there: false }, Unproven, Ready(Proof::Renamed))),
+            ],
+        );
+        check(
+            "written again after its rename",
+            &[
+                (0, Renamed(100, 1, 1, Some(0))),
+                (10, See(0, 2, 1, Some(0))),
+                (10, Ask(NONE, HALF, Until(510, WaitReason::Changing))),
+                (20, See(50, 3, 1, Some(0))),
+                (600, Ask(NONE, HALF, Until(10_020, WaitReason::Incomplete { expected: 100, found: 50 }))),
+                (700, Renamed(100, 4, 2, Some(0))),
+                (700, Ask(NONE, Complete, Ready(Proof::Renamed))),
+            ],
+        );
+    }
+
+    #[test]
+    fn sentinels_are_waited_for_where_they_are_wanted() {
+        let wanted = |there| Sentinel::Wanted { there };
+        check(
+            "wanted",
+            &[
+                (0, Renamed(100, 1, 1, Some(3_600_000))),
+                (0, Ask(wanted(false), Complete, Never(WaitReason::Sentinel))),
+                (90_000, Ask(wanted(false), HALF, Never(WaitReason::Sentinel))),
+                (90_000, Ask(wanted(true), HALF, Ready(Proof::Sentinel))),
+            ],
+        );
+        check(
+            "optional",
+            &[
+                (0, See(100, 1, 1, Some(0))),
+                (0, Ask(Sentinel::Optional { there: false }, Complete, Until(500, WaitReason::Changing))),
+                (0, Ask(Sentinel::Optional { there: true }, Unproven, Ready(Proof::Sentinel))),
+            ],
+        );
+        let (older, frame, later) = (stamp(0, 9, 7), stamp(100, 10, 1), stamp(0, 11, 7));
+        assert!(!sentinel_counts(&older, &frame), "it was for what was there before");
+        assert!(sentinel_counts(&later, &frame));
+        assert!(sentinel_counts(&stamp(0, 10, 7), &frame), "written within one tick of the clock");
+    }
+
+    #[test]
+    fn formats_are_asked_only_if_it_matters() {
+        let start = Instant::now();
+        let seen = Seen { stamp: stamp(1, 1, 1), age: None };
+        for (renamed, sentinel) in [(false, NONE), (true, NONE), (false, Sentinel::Wanted { there: false })] {
+            let candidate = Candidate::new(start, &seen, renamed);
+            candidate.readiness(start, &PATIENCE, sentinel, || panic!("asked for nothing"));
+        }
+    }
+
+    #[test]
+    fn sentinels_are_named_after_their_frames() {
+        for (frame, pattern, expected) in [
+            ("/f/dam.0012.bgeo.gz", DEFAULT_SENTINEL, "/f/dam.0012.done"),
+            ("/f/dam.0012.bgeo.sc", DEFAULT_SENTINEL, "/f/dam.0012.done"),
+            ("/f/frame.0001", DEFAULT_SENTINEL, "/f/frame.0001.done"),
+            ("/f/dam.ply", "{name}.ok", "/f/dam.ply.ok"),
+            ("/f/dam.ply", "done/{stem}", "/f/done/dam"),
+            ("/f/dam.ply", ".{name}-{stem}-{x}{", "/f/.dam.ply-dam-{x}{"),
+            ("/f/{stem}.ply", "{name}.done", "/f/{stem}.ply.done"),
+            ("dam.ply", "READY", "READY"),
+        ] {
+            assert_eq!(sentinel_path(Path::new(frame), pattern), Path::new(expected), "{frame} {pattern}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn sentinels_of_names_that_are_no_text_are_found() {
+        use std::os::unix::ffi::OsStrExt;
+        let path = |bytes: &[u8]| PathBuf::from(std::ffi::OsStr::from_bytes(bytes));
+        assert_eq!(sentinel_path(&path(b"/f/d\xe4m.1.ply.gz"), DEFAULT_SENTINEL), path(b"/f/d\xe4m.1.done"));
+    }
 }

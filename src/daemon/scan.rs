@@ -375,7 +375,7 @@ mod tests {
         let root = folder.path();
         symlink("round.ply", root.join("round.ply")).expect("linked");
         let locked = root.join("locked");
-        fs::set_permissions(&locked, PermissionsExt::from_mode(0)).expect("locked");
+        fs::set_permissions(&locked, PermissionsExt::from_mode(0o000)).expect("locked");
         let mut expected = vec!["round.ply"];
         // Some users may look everywhere.
         if fs::read_dir(&locked).is_err() {

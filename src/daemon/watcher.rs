@@ -25,8 +25,10 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crossbeam::channel::{Receiver, Sender, bounded};
-use notify::event::{AccessKind, AccessMode, EventKind, ModifyKind, RenameMode};
-use notify::{ErrorKind, Event, RecommendedWatcher, RecursiveMode};
+use notify::event::{AccessKind, AccessMode, CreateKind, EventKind, ModifyKind, RemoveKind, RenameMode};
+use notify::{ErrorKind, Event, RecommendedWatcher, RecursiveMode, Watcher as _};
+
+use crate::pipeline::FileStamp;
 
 /// What may have changed.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -146,7 +148,7 @@ impl Place {
         let path = folder.canonicalize()?;
         let metadata = fs::metadata(&path)?;
         match metadata.is_dir() {
-            true => Ok(Place { path, inode: crate::pipeline::FileStamp::of(&metadata).inode }),
+            true => Ok(Place { path, inode: FileStamp::of(&metadata).inode }),
             false => Err(io::ErrorKind::NotADirectory.into()),
         }
     }
@@ -259,7 +261,6 @@ enum Meaning {
 
 /// `None` for what need not be looked at.
 fn meaning(kind: EventKind) -> Option<Meaning> {
-    use notify::event::{CreateKind, RemoveKind};
     Some(match kind {
         // Opened, or closed after reading, by us as by others.
         EventKind::Access(AccessKind::Close(AccessMode::Write)) => Meaning::Changed,
@@ -289,5 +290,291 @@ fn watch_error(error: notify::Error) -> WatchError {
         ),
         ErrorKind::Io(source) if source.kind() == io::ErrorKind::NotFound => WatchError::Gone,
         _ => WatchError::Other(error.to_string()),
+    }
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use std::fs::File;
+    use std::os::unix::fs::symlink;
+    use std::time::Duration;
+
+    use tempfile::{TempDir, tempdir};
+
+    /// A watched folder, one beside it that is not watched, and what is heard.
+    struct Bench {
+        watcher: Watcher,
+        hints: Receiver<Hint>,
+        folder: PathBuf,
+        beside: PathBuf,
+        marker_count: usize,
+        _base: TempDir,
+    }
+
+    const MARKER: &str = "marker-";
+
+    impl Bench {
+        fn new(capacity: usize) -> Bench {
+            let base = tempdir().expect("a folder");
+            let (folder, beside) = (base.path().join("frames"), base.path().join("beside"));
+            fs::create_dir(&folder).expect("made");
+            fs::create_dir(&beside).expect("made");
+            let (mut watcher, hints) = Watcher::with_capacity(capacity).expect("a watcher");
+            watcher.watch(&folder).expect("watched");
+            Bench { watcher, hints, folder, beside, marker_count: 0, _base: base }
+        }
+
+        fn path(&self, name: &str) -> PathBuf {
+            self.folder.join(name)
+        }
+
+        /// All hints up to the expected one.
+        fn until(&self, expected: &Hint) -> Vec<Hint> {
+            let mut heard = Vec::new();
+            while heard.last() != Some(expected) {
+                let next = self.hints.recv_timeout(Duration::from_secs(20));
+                heard.push(next.unwrap_or_else(|_| panic!("{expected:?} is missing after {heard:?}")));
+            }
+            heard
+        }
+
+        /// All hints so far: those before that of a file that is made now, and those of such files.
+        fn so_far(&mut self) -> Vec<Hint> {
+            self.marker_count += 1;
+            let marker = self.path(&format!("{MARKER}{}", self.marker_count));
+            File::create(&marker).expect("made");
+            let mut heard = self.until(&Hint::Changed(marker));
+            heard.retain(
+                |hint| !matches!(hint, Hint::Changed(path) if path.to_string_lossy().contains(MARKER)),
+            );
+            heard
+        }
+    }
+
+    #[test]
+    fn every_way_to_make_a_file_is_heard() {
+        let bench = Bench::new(CAPACITY);
+        let written = bench.path("written.ply");
+        fs::write(&written, b"ply").expect("written");
+        bench.until(&Hint::Changed(written.clone()));
+
+        let renamed = bench.path("renamed.ply");
+        fs::rename(&written, &renamed).expect("renamed");
+        let heard = bench.until(&Hint::Renamed(renamed.clone()));
+        assert!(heard.contains(&Hint::Changed(written)), "the old name: {heard:?}");
+
+        let elsewhere = bench.beside.join("a.ply");
+        let moved = bench.path("moved.ply");
+        fs::write(&elsewhere, b"ply").expect("written");
+        fs::rename(&elsewhere, &moved).expect("renamed");
+        bench.until(&Hint::Renamed(moved));
+
+        let linked = bench.path("linked.ply");
+        fs::hard_link(&renamed, &linked).expect("linked");
+        fs::remove_file(&renamed).expect("removed");
+        bench.until(&Hint::Changed(linked));
+        bench.until(&Hint::Changed(renamed));
+
+        let link = bench.path("link.ply");
+        symlink("linked.ply", &link).expect("linked");
+        bench.until(&Hint::Changed(link));
+    }
+
+    #[test]
+    fn every_change_of_a_file_is_heard() {
+        let mut bench = Bench::new(CAPACITY);
+        let path = bench.path("a.ply");
+        fs::write(&path, b"ply").expect("written");
+        bench.so_far();
+        let append = || File::options().append(true).open(&path).expect("a file");
+        append().set_len(10).expect("longer");
+        assert!(bench.so_far().contains(&Hint::Changed(path.clone())));
+        append().set_modified(std::time::UNIX_EPOCH).expect("set");
+        assert!(bench.so_far().contains(&Hint::Changed(path.clone())));
+        fs::remove_file(&path).expect("removed");
+        assert!(bench.so_far().contains(&Hint::Changed(path)));
+    }
+
+    /// Else every look would cause the next.
+    #[test]
+    fn reading_makes_no_hints() {
+        let mut bench = Bench::new(CAPACITY);
+        let path = bench.path("a.ply");
+        fs::write(&path, b"ply").expect("written");
+        bench.so_far();
+        fs::read(&path).expect("read");
+        fs::read_dir(&bench.folder).expect("read").for_each(drop);
+        assert_eq!(bench.so_far(), []);
+    }
+
+    #[test]
+    fn folders_are_heard_as_such() {
+        let mut bench = Bench::new(CAPACITY);
+        let made = bench.path("made");
+        fs::create_dir(&made).expect("made");
+        bench.until(&Hint::Folder(made.clone()));
+        bench.watcher.watch(&made).expect("watched");
+        fs::write(made.join("a.ply"), b"ply").expect("written");
+        bench.until(&Hint::Changed(made.join("a.ply")));
+
+        let (elsewhere, moved) = (bench.beside.join("sub"), bench.path("moved"));
+        fs::create_dir(&elsewhere).expect("made");
+        fs::rename(&elsewhere, &moved).expect("renamed");
+        bench.until(&Hint::Folder(moved.clone()));
+        bench.watcher.watch(&moved).expect("watched");
+        fs::rename(&moved, &elsewhere).expect("renamed");
+        bench.until(&Hint::Folder(moved));
+
+        let link = bench.path("link");
+        symlink(&elsewhere, &link).expect("linked");
+        bench.until(&Hint::Folder(link.clone()));
+        bench.watcher.watch(&link).expect("watched");
+        fs::write(elsewhere.join("b.ply"), b"ply").expect("written");
+        bench.until(&Hint::Changed(link.join("b.ply")));
+        fs::remove_file(&link).expect("removed");
+        bench.until(&Hint::Folder(link));
+
+        fs::remove_dir_all(&made).expect("removed");
+        bench.until(&Hint::Folder(made));
+    }
+
+    #[test]
+    fn a_root_that_is_replaced_is_heard_and_can_be_watched_again() {
+        let mut bench = Bench::new(CAPACITY);
+        let root = bench.folder.clone();
+        fs::remove_dir(&root).expect("removed");
+        bench.until(&Hint::Folder(root.clone()));
+        assert_eq!(bench.watcher.watch(&root), Err(WatchError::Gone));
+        fs::create_dir(&root).expect("made");
+        bench.watcher.watch(&root).expect("watched");
+        bench.so_far();
+
+        // Another folder in its place, while the first one lives on.
+        let away = bench.beside.join("away");
+        fs::rename(&root, &away).expect("renamed");
+        bench.until(&Hint::Folder(root.clone()));
+        fs::create_dir(&root).expect("made");
+        bench.watcher.watch(&root).expect("watched");
+        fs::write(away.join("a.ply"), b"ply").expect("written");
+        let heard = bench.so_far();
+        assert!(!heard.contains(&Hint::Changed(root.join("a.ply"))), "{heard:?}");
+    }
+
+    #[test]
+    fn one_folder_by_two_names_is_heard_for_both() {
+        let mut bench = Bench::new(CAPACITY);
+        let other = bench.beside.join("link");
+        symlink(&bench.folder, &other).expect("linked");
+        bench.watcher.watch(&other).expect("watched");
+        fs::write(bench.path("a.ply"), b"ply").expect("written");
+        let heard = bench.so_far();
+        for path in [bench.path("a.ply"), other.join("a.ply")] {
+            assert!(heard.contains(&Hint::Changed(path)), "{heard:?}");
+        }
+        bench.watcher.unwatch(&other);
+        fs::write(bench.path("b.ply"), b"ply").expect("written");
+        let heard = bench.so_far();
+        assert!(heard.contains(&Hint::Changed(bench.path("b.ply"))), "{heard:?}");
+        assert!(!heard.contains(&Hint::Changed(other.join("b.ply"))), "{heard:?}");
+        bench.watcher.unwatch(&bench.folder);
+        fs::write(bench.path("c.ply"), b"ply").expect("written");
+        bench.watcher.watch(&bench.folder).expect("watched");
+        let heard = bench.so_far();
+        assert!(!heard.contains(&Hint::Changed(bench.path("c.ply"))), "{heard:?}");
+    }
+
+    #[test]
+    fn only_folders_are_watched() {
+        let mut bench = Bench::new(CAPACITY);
+        fs::write(bench.path("a.ply"), b"ply").expect("written");
+        for path in [bench.path("a.ply"), bench.path("gone")] {
+            assert_eq!(bench.watcher.watch(&path), Err(WatchError::Gone), "{}", path.display());
+        }
+    }
+
+    #[test]
+    fn what_is_lost_is_told() {
+        let bench = Bench::new(4);
+        for index in (0..100_000).take_while(|_| !bench.hints.is_full()) {
+            fs::write(bench.path(&format!("{index}.ply")), b"ply").expect("written");
+        }
+        assert_eq!(bench.until(&Hint::Rescan).len(), 4);
+    }
+
+    /// The queue with events of our own making.
+    struct Ear {
+        listener: Listener,
+        hints: Receiver<Hint>,
+    }
+
+    impl Ear {
+        fn new(capacity: usize) -> Ear {
+            let (queue, hints) = bounded(capacity);
+            let mut folders = Folders::default();
+            folders.add(Path::new("/f"), Place { path: "/true".into(), inode: 1 });
+            let folders = Arc::new(Mutex::new(folders));
+            Ear { listener: Listener { queue, capacity, last: None, folders }, hints }
+        }
+
+        fn hear(&mut self, kind: EventKind, name: &str) {
+            self.listener.hear(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
+        }
+
+        fn heard(&self) -> Vec<Hint> {
+            self.hints.try_iter().collect()
+        }
+    }
+
+    const WRITTEN: EventKind = EventKind::Access(AccessKind::Close(AccessMode::Write));
+
+    fn changed(name: &str) -> Hint {
+        Hint::Changed(Path::new("/f").join(name))
+    }
+
+    #[test]
+    fn the_last_place_is_for_the_word_that_others_were_lost() {
+        let mut ear = Ear::new(4);
+        let names = ["a", "b", "c", "d", "e", "f"];
+        names.iter().for_each(|name| ear.hear(WRITTEN, name));
+        assert_eq!(ear.heard(), [changed("a"), changed("b"), changed("c"), Hint::Rescan]);
+        // Lost once more while the word of the first loss is still waiting.
+        names.iter().for_each(|name| ear.hear(WRITTEN, name));
+        assert_eq!(ear.hints.try_recv(), Ok(changed("a")));
+        names.iter().for_each(|name| ear.hear(WRITTEN, name));
+        assert_eq!(ear.heard().last(), Some(&Hint::Rescan));
+        ear.hear(WRITTEN, "g");
+        assert_eq!(ear.heard(), [changed("g")]);
+    }
+
+    #[test]
+    fn the_same_hint_waits_once() {
+        let mut ear = Ear::new(8);
+        for _ in 0..3 {
+            ear.hear(EventKind::Create(CreateKind::File), "a");
+            ear.hear(WRITTEN, "a");
+        }
+        assert_eq!(ear.heard(), [changed("a")]);
+        ear.hear(WRITTEN, "a");
+        assert_eq!(ear.heard(), [changed("a")], "taken out, it may come again");
+    }
+
+    #[test]
+    fn losses_of_others_are_told() {
+        let mut ear = Ear::new(8);
+        ear.listener.hear(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
+        assert_eq!(ear.heard(), [Hint::Rescan]);
+        ear.listener.hear(Err(notify::Error::generic("lost")));
+        assert_eq!(ear.heard(), [Hint::Rescan]);
+        ear.listener.hear(Ok(Event::new(EventKind::Any)));
+        assert_eq!(ear.heard(), [Hint::Rescan], "something happened, nobody knows where");
+    }
+
+    #[test]
+    fn limits_say_what_to_raise() {
+        let too_many = watch_error(notify::Error::new(ErrorKind::MaxFilesWatch)).to_string();
+        assert!(too_many.contains("max_user_watches"), "{too_many}");
+        let too_many = watch_error(notify::Error::io(io::Error::from_raw_os_error(24))).to_string();
+        assert!(too_many.contains("max_user_instances"), "{too_many}");
     }
 }

@@ -1,0 +1,354 @@
+//! What the daemon remembers from one run to the next: one text file, to which lines are added.
+//!
+//! ```text
+//!   meniscus journal 1⏎
+//!   8f3a09c1d2e4b576 {"frame":{"input":"/sim/dam.0001.bgeo","standing":"queued", … }}⏎
+//!   41d07e5522a98c3f {"frame":{"input":"/sim/dam.0001.bgeo","standing":"done", … }}⏎    the last one holds
+//!   c2609b1ea0f347d8 {"frame":{"input":"/sim/dam.00                                     torn: cut off
+//! ```
+//!
+//! It says which frames are done, so that they are not converted again, which failed and why, and
+//! which settings a sequence was given. The last record of a frame holds.
+//!
+//! **Losing it only costs work.** Outputs are on the disk before they have their names, and say
+//! themselves what they were made from; without a journal, frames are read again and found done.
+//! Hence what is simple here: a record is one write at the end of the file, and nothing waits for the
+//! disk; a line that a crash has torn is cut off; a damaged one is passed over; a journal of another
+//! version is set aside. The one thing that must not be is a record that was never made: each line
+//! has a checksum.
+//!
+//! **The disk may fill up.** [`State`] in memory is always right. A record that could not be written
+//! stays pending, and goes out with the next one; what half of it reached the disk is cut off first.
+//! The same holds where the file is taken away under a running daemon: it is written anew.
+//!
+//! When most lines have been overtaken by later ones, a fresh file is written beside it and renamed
+//! over it. Readers that have the old one open read on in that.
+//!
+//! One daemon writes a journal: the lock of the outputs sees to that. Anybody may read it meanwhile.
+
+mod line;
+mod state;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashSet;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use crate::pipeline::FileStamp;
+
+use line::{parse_line, push_line};
+use state::{Entry, Key};
+
+pub use state::{
+    DaemonRecord, DaemonState, FrameRecord, OutputRecord, SequenceKey, SequenceRecord, Standing, State,
+};
+
+/// The folder, in that of the outputs, of what the daemon keeps for itself.
+pub const STATE_FOLDER: &str = ".meniscus";
+
+/// The journal in its folder.
+const FILE_NAME: &str = "journal";
+/// The one that will replace it.
+const FRESH_NAME: &str = "journal.new";
+/// One of another version.
+const SET_ASIDE_NAME: &str = "journal.old-version";
+
+/// The first line. A change that older programs would misread needs another number.
+const VERSION_LINE: &[u8] = b"meniscus journal 1\n";
+
+/// A journal of fewer lines is left as it is.
+const COMPACTED_LINES_MIN: usize = 1000;
+
+/// The journal of a running daemon.
+#[derive(Debug)]
+pub struct Journal {
+    path: PathBuf,
+    state: State,
+    /// What the state knows and the disk does not.
+    pending: HashSet<Key>,
+    /// Where lines are added; `None` until the first one, and after a write that failed.
+    file: Option<File>,
+    /// Which file that is.
+    inode: u64,
+    /// How much of it is whole lines.
+    whole_bytes: u64,
+    /// Lines in it after the first.
+    line_count: usize,
+    /// From how many lines on it is worth a fresh file.
+    compacted_from_lines: usize,
+}
+
+impl Journal {
+    /// Opens the journal in `folder`, or begins one; the folder is made where it is missing.
+    ///
+    /// # Errors
+    /// When the system refuses. A full disk is no error: what is to be written waits.
+    pub fn open(folder: &Path) -> io::Result<Journal> {
+        fs::create_dir_all(folder)?;
+        let path = folder.join(FILE_NAME);
+        let loaded = match load(&path)? {
+            Found::Journal(loaded) => loaded,
+            Found::OtherVersion => {
+                set_aside(&path)?;
+                Loaded::default()
+            }
+        };
+        let Loaded { state, whole_bytes, line_count } = loaded;
+        if state.damaged_line_count > 0 {
+            let line_count = state.damaged_line_count;
+            tracing::warn!(journal = %path.display(), line_count, "damaged lines were passed over");
+        }
+        let mut journal = Journal {
+            path,
+            state,
+            pending: HashSet::new(),
+            file: None,
+            inode: 0,
+            whole_bytes,
+            line_count,
+            compacted_from_lines: COMPACTED_LINES_MIN,
+        };
+        match journal.write_pending() {
+            Err(error) if is_disk_full(&error) => {
+                tracing::warn!(journal = %journal.path.display(), %error, "the journal cannot be written yet");
+            }
+            result => result?,
+        }
+        journal.compact();
+        Ok(journal)
+    }
+
+    /// What the journal in `folder` says, whether or not a daemon is writing it. Without one, nothing.
+    ///
+    /// # Errors
+    /// When the system refuses, or the journal is of another version.
+    pub fn read(folder: &Path) -> io::Result<State> {
+        match load(&folder.join(FILE_NAME))? {
+            Found::Journal(loaded) => Ok(loaded.state),
+            Found::OtherVersion => {
+                let what = "the journal was written by another version of meniscus";
+                Err(io::Error::new(io::ErrorKind::InvalidData, what))
+            }
+        }
+    }
+
+    /// All that is remembered, also what could not be written yet.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Remembers what became of a frame.
+    ///
+    /// # Errors
+    /// When it is not on the disk. It is in the state all the same, and will be written with the next
+    /// record.
+    pub fn note_frame(&mut self, input: &Path, record: FrameRecord) -> io::Result<()> {
+        self.state.take(Entry::Frame(input.to_owned(), record));
+        self.note(Key::Frame(input.to_owned()))
+    }
+
+    /// Remembers the settings of a sequence.
+    ///
+    /// # Errors
+    /// As those of [`Journal::note_frame`].
+    pub fn note_sequence(&mut self, key: &SequenceKey, record: SequenceRecord) -> io::Result<()> {
+        self.state.take(Entry::Sequence(key.clone(), record));
+        self.note(Key::Sequence(key.clone()))
+    }
+
+    /// Remembers what the daemon itself is doing.
+    ///
+    /// # Errors
+    /// As those of [`Journal::note_frame`].
+    pub fn note_daemon(&mut self, record: DaemonRecord) -> io::Result<()> {
+        self.state.take(Entry::Daemon(record));
+        self.note(Key::Daemon)
+    }
+
+    /// Writes what is pending and waits until all of it is on the disk: for the end of a run.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn sync(&mut self) -> io::Result<()> {
+        self.write_pending()?;
+        match &self.file {
+            Some(file) => file.sync_data(),
+            None => Ok(()),
+        }
+    }
+
+    fn note(&mut self, key: Key) -> io::Result<()> {
+        self.pending.insert(key);
+        self.write_pending()?;
+        self.compact();
+        Ok(())
+    }
+
+    /// Adds the lines of all pending records, in one write. Nothing waits for the disk: a record that
+    /// the system has taken outlives this process, and one that is lost with the machine only costs
+    /// work.
+    fn write_pending(&mut self) -> io::Result<()> {
+        // Whatever fails from here on, the file stays closed, and is opened by its name the next time.
+        let Some(mut file) = self.take_file()? else { return self.rewrite() };
+        let mut lines = Vec::new();
+        for entry in self.pending.iter().filter_map(|key| self.state.entry(key)) {
+            push_line(&mut lines, entry)?;
+        }
+        file.write_all(&lines)?;
+        self.file = Some(file);
+        self.whole_bytes += lines.len() as u64;
+        self.line_count += self.pending.len();
+        self.pending.clear();
+        Ok(())
+    }
+
+    /// The file, open for adding to its last whole line; `None` where the one that was written to is
+    /// no longer there: people remove folders of outputs to begin again.
+    fn take_file(&mut self) -> io::Result<Option<File>> {
+        match self.file.take() {
+            Some(file) => {
+                let is_there = FileStamp::of_path(&self.path).is_ok_and(|stamp| stamp.inode == self.inode);
+                Ok(is_there.then_some(file))
+            }
+            None => self.reopen(),
+        }
+    }
+
+    /// Opens what is there, less what a torn write left at its end; `None` where there is nothing, or
+    /// less than was written.
+    fn reopen(&mut self) -> io::Result<Option<File>> {
+        let file = match OpenOptions::new().append(true).open(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            file => file?,
+        };
+        let stamp = FileStamp::of(&file.metadata()?);
+        if self.whole_bytes == 0 || stamp.size < self.whole_bytes {
+            return Ok(None);
+        }
+        if stamp.size > self.whole_bytes {
+            // By a handle of its own: on Windows one that only adds cannot cut.
+            OpenOptions::new().write(true).open(&self.path)?.set_len(self.whole_bytes)?;
+        }
+        self.inode = stamp.inode;
+        Ok(Some(file))
+    }
+
+    /// Puts a fresh file of one line per record in place of what is there.
+    fn rewrite(&mut self) -> io::Result<()> {
+        // Windows renames nothing over a file that is open.
+        self.file = None;
+        let fresh = self.path.with_file_name(FRESH_NAME);
+        if let Some(folder) = self.path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        let written = write_fresh(&fresh, &self.state).and_then(|whole_bytes| {
+            fs::rename(&fresh, &self.path)?;
+            Ok(whole_bytes)
+        });
+        if written.is_err() {
+            // The room is worth more than half a journal; the error that led here is the one to tell.
+            let _ = fs::remove_file(&fresh);
+        }
+        self.whole_bytes = written?;
+        self.line_count = self.state.entry_count();
+        self.compacted_from_lines = COMPACTED_LINES_MIN;
+        self.pending.clear();
+        Ok(())
+    }
+
+    /// Writes a fresh file when more than half of the lines have been overtaken.
+    fn compact(&mut self) {
+        let overtaken_count = self.line_count.saturating_sub(self.state.entry_count());
+        if self.line_count < self.compacted_from_lines || overtaken_count * 2 <= self.line_count {
+            return;
+        }
+        // Where it fails, the old file is as good as it was: no record is missing, and it is not tried
+        // again with every line.
+        if let Err(error) = self.rewrite() {
+            self.compacted_from_lines = self.line_count * 2;
+            tracing::warn!(journal = %self.path.display(), %error, "the journal could not be made shorter");
+        }
+    }
+}
+
+/// What there is under the name of a journal.
+enum Found {
+    Journal(Loaded),
+    OtherVersion,
+}
+
+/// A journal that was read.
+#[derive(Default)]
+struct Loaded {
+    state: State,
+    /// Without a torn line at the end.
+    whole_bytes: u64,
+    /// Lines after the first.
+    line_count: usize,
+}
+
+/// Reads the journal at `path`; where there is none, an empty one.
+fn load(path: &Path) -> io::Result<Found> {
+    match File::open(path) {
+        Ok(file) => parse(BufReader::new(file)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Found::Journal(Loaded::default())),
+        Err(error) => Err(error),
+    }
+}
+
+/// Reads a journal, whole lines only.
+fn parse(mut reader: impl BufRead) -> io::Result<Found> {
+    let mut loaded = Loaded::default();
+    let mut line = Vec::new();
+    reader.read_until(b'\n', &mut line)?;
+    if line != VERSION_LINE {
+        // Whoever began it was stopped before the end of the first line: nothing is in it.
+        let is_torn = VERSION_LINE.starts_with(&line);
+        return Ok(if is_torn { Found::Journal(loaded) } else { Found::OtherVersion });
+    }
+    loop {
+        loaded.whole_bytes += line.len() as u64;
+        line.clear();
+        reader.read_until(b'\n', &mut line)?;
+        let Some(record) = line.strip_suffix(b"\n") else { return Ok(Found::Journal(loaded)) };
+        loaded.line_count += 1;
+        match parse_line(record) {
+            Some(entry) => loaded.state.take(entry),
+            None => loaded.state.damaged_line_count += 1,
+        }
+    }
+}
+
+/// Makes way for a journal of this version.
+fn set_aside(path: &Path) -> io::Result<()> {
+    let aside = path.with_file_name(SET_ASIDE_NAME);
+    tracing::warn!(
+        journal = %path.display(),
+        kept_as = %aside.display(),
+        "the journal is not of this version of meniscus: a new one is begun"
+    );
+    fs::rename(path, aside)
+}
+
+/// Writes a journal of one line per record, down to the disk: its name may reach the disk before it
+/// otherwise. Returns its size.
+fn write_fresh(path: &Path, state: &State) -> io::Result<u64> {
+    let mut out = BufWriter::new(File::create(path)?);
+    let mut whole_bytes = VERSION_LINE.len() as u64;
+    out.write_all(VERSION_LINE)?;
+    let mut line = Vec::new();
+    for entry in state.entries() {
+        line.clear();
+        push_line(&mut line, entry)?;
+        out.write_all(&line)?;
+        whole_bytes += line.len() as u64;
+    }
+    out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
+    Ok(whole_bytes)
+}
+
+fn is_disk_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}

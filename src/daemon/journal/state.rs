@@ -1,0 +1,196 @@
+//! What the journal knows: the last record of each frame, each sequence, and the daemon itself.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::pipeline::FileStamp;
+
+/// All that is remembered.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State {
+    /// By the path of the input.
+    pub frames: HashMap<PathBuf, FrameRecord>,
+    /// The settings that sequences were given by their first frame.
+    pub sequences: HashMap<SequenceKey, SequenceRecord>,
+    /// The daemon that wrote last. That it says "running" is no proof that it is.
+    pub daemon: Option<DaemonRecord>,
+    /// Lines of the journal that could not be read, and were passed over.
+    pub damaged_line_count: usize,
+}
+
+/// What became of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameRecord {
+    /// How far it has come.
+    pub standing: Standing,
+    /// The input, as it was when this was recorded.
+    pub stamp: FileStamp,
+    /// The hash of its content, where it was read.
+    pub hash: Option<u128>,
+    /// The fingerprint of the settings that it was, or was to be, converted with.
+    pub settings: String,
+    /// What was made of it.
+    pub outputs: Vec<OutputRecord>,
+    /// Why it failed.
+    pub reason: Option<String>,
+    /// How often it was attempted.
+    pub attempt_count: u32,
+    /// When this was recorded, in milliseconds since 1970.
+    pub at_ms: u64,
+    /// Particles in it, where it was converted.
+    pub particle_count: Option<usize>,
+    /// How long it took, in seconds, where it was converted.
+    pub seconds: Option<f64>,
+}
+
+/// How far a frame has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Standing {
+    /// It waits, or is under way.
+    Queued,
+    /// All its outputs are there.
+    Done,
+    /// It cannot be converted, until it changes.
+    Failed,
+    /// It failed in a way that may pass, and will be attempted again.
+    Retrying,
+}
+
+/// One file that was made of a frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutputRecord {
+    /// Where it is.
+    pub path: PathBuf,
+    /// Bytes.
+    pub size_bytes: u64,
+}
+
+/// A sequence, and what the user chose for it: other choices make other settings.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct SequenceKey {
+    /// The folder of its frames.
+    pub folder: PathBuf,
+    /// The name of its frames, `{}` in place of the number: `dam.{}.bgeo`.
+    pub name: String,
+    /// The fingerprint of what the user chose.
+    pub choices: String,
+}
+
+/// What the first frame of a sequence has fixed for all of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SequenceRecord {
+    /// In units of the world.
+    pub voxel_size: f64,
+    /// Between particles, in units of the world, where the voxel size was made from it.
+    pub spacing: Option<f64>,
+    /// The frame it was measured on.
+    pub measured_on: Option<PathBuf>,
+}
+
+/// The daemon that writes the journal.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DaemonRecord {
+    /// Its number on its machine.
+    pub pid: u32,
+    /// Its machine.
+    pub host: String,
+    /// When it began, in milliseconds since 1970.
+    pub started_ms: u64,
+    /// What it is doing.
+    pub state: DaemonState,
+    /// Since when, in milliseconds since 1970.
+    pub at_ms: u64,
+}
+
+/// What a daemon is doing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum DaemonState {
+    /// It converts what comes, or waits for it.
+    Running,
+    /// It begins no frame, for this reason.
+    Paused(String),
+    /// It has ended, in good order.
+    Stopped,
+}
+
+impl fmt::Display for Standing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Standing::Queued => "queued",
+            Standing::Done => "done",
+            Standing::Failed => "failed",
+            Standing::Retrying => "retrying",
+        })
+    }
+}
+
+impl fmt::Display for DaemonState {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            DaemonState::Running => f.write_str("running"),
+            DaemonState::Paused(why) => write!(f, "paused: {why}"),
+            DaemonState::Stopped => f.write_str("stopped"),
+        }
+    }
+}
+
+/// What a record is about: a later one of the same key replaces an earlier one.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Key {
+    Frame(PathBuf),
+    Sequence(SequenceKey),
+    Daemon,
+}
+
+/// One record, as a line holds it.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Entry {
+    Frame(PathBuf, FrameRecord),
+    Sequence(SequenceKey, SequenceRecord),
+    Daemon(DaemonRecord),
+}
+
+/// One record, where it lies in the state.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum EntryRef<'a> {
+    Frame(&'a Path, &'a FrameRecord),
+    Sequence(&'a SequenceKey, &'a SequenceRecord),
+    Daemon(&'a DaemonRecord),
+}
+
+impl State {
+    /// Takes a record in, in place of the one before it.
+    pub(super) fn take(&mut self, entry: Entry) {
+        match entry {
+            Entry::Frame(input, record) => {
+                self.frames.insert(input, record);
+            }
+            Entry::Sequence(key, record) => {
+                self.sequences.insert(key, record);
+            }
+            Entry::Daemon(record) => self.daemon = Some(record),
+        }
+    }
+
+    /// The record of this key.
+    pub(super) fn entry<'a>(&'a self, key: &'a Key) -> Option<EntryRef<'a>> {
+        match key {
+            Key::Frame(input) => self.frames.get(input).map(|record| EntryRef::Frame(input, record)),
+            Key::Sequence(key) => self.sequences.get(key).map(|record| EntryRef::Sequence(key, record)),
+            Key::Daemon => self.daemon.as_ref().map(EntryRef::Daemon),
+        }
+    }
+
+    /// Every record, in no order.
+    pub(super) fn entries(&self) -> impl Iterator<Item = EntryRef<'_>> {
+        let frames = self.frames.iter().map(|(input, record)| EntryRef::Frame(input, record));
+        let sequences = self.sequences.iter().map(|(key, record)| EntryRef::Sequence(key, record));
+        frames.chain(sequences).chain(self.daemon.as_ref().map(EntryRef::Daemon))
+    }
+
+    /// How many records there are.
+    pub(super) fn entry_count(&self) -> usize {
+        self.frames.len() + self.sequences.len() + usize::from(self.daemon.is_some())
+    }
+}
