@@ -48,3 +48,10 @@ pub struct StageSeconds {
     /// Level set to mesh, and the measures and certificate of the result.
     pub contour: f64,
 }
+
+impl StageSeconds {
+    /// All stages together.
+    pub fn total(&self) -> f64 {
+        self.rasterize + self.smooth + self.contour
+    }
+}

@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputOptions,
     RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs, default_in_flight,
-    default_memory_bytes,
+    default_memory_bytes, is_own_output,
 };
 use crate::settings::Settings;
 
@@ -187,7 +187,8 @@ fn warn_of_siblings(sequence: &Sequence, console: &Console) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     let files = entries.flatten().map(|entry| FrameFile::new(folder.join(entry.file_name()))).collect();
     let is_ours = |s: &Sequence| s.frames.iter().any(|file| file.name() == frame.name());
-    let count = pipeline::sequences(files).into_iter().find(is_ours).map_or(1, |s| s.frames.len());
+    let siblings = pipeline::sequences(files).into_iter().find(is_ours).map_or(Vec::new(), |s| s.frames);
+    let count = siblings.iter().filter(|file| !is_own_output(&file.path)).count();
     if count > 1 {
         console.warn(format_args!(
             "warning: {}: its sequence has {count} frames, and its voxel size was measured on this one alone; \

@@ -21,7 +21,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use glob::MatchOptions;
 use meniscus_formats::looks_like_particles;
 
-use crate::pipeline::{FrameFile, has_particle_extension};
+use crate::pipeline::{FrameFile, has_particle_extension, is_own_output};
 
 /// The files that were meant.
 #[derive(Debug, Default)]
@@ -201,7 +201,8 @@ fn placeholder_at(text: &str) -> Option<(usize, usize)> {
 fn is_frame(path: &Path) -> io::Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let promises = has_particle_extension(&name) && !has_plain_text_extension(&name);
-    Ok(promises || head_is_of_particles(path, &name)?)
+    // A folder may hold the results of an earlier run beside the frames, and a .ply may be either.
+    Ok((promises || head_is_of_particles(path, &name)?) && !is_own_output(path))
 }
 
 fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {

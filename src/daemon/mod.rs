@@ -1,41 +1,88 @@
 //! Folders to frames: watches, settles, queues, remembers.
+//!
+//! ```text
+//!   watcher ──hints──▶ ┌──────────┐ ──queue──▶ pipeline: read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write
+//!   scans ────────────▶│ the loop │ ◀─outcomes─┘
+//!   commands ─────────▶│          │ ──▶ journal: what was done, and what failed
+//!                      └──────────┘
+//!
+//!   root       a watched folder, there or not     scan, watcher   what is in it, what has changed
+//!   readiness  when a file is complete            sequences       settings, fixed once for each sequence
+//!   frames     how far each frame is              queue           which one is next
+//!   outcomes   what became of it                  retry, room     what is tried again, and when
+//!   journal    what is known after a restart      decision        why a frame is, or is not, converted
+//!   lock       one daemon for one folder          explain         the same, for whoever asks
+//! ```
+//!
+//! One thread has all the state and works at its own pace. What comes from outside is a hint, and
+//! only makes it look sooner: an event says that a file may have changed, a scan says what is there. So
+//! an event that is lost, doubled or late changes nothing but the time.
+//!
+//! What is remembered is an append-only journal that may be lost, for the outputs say themselves what
+//! they were made from; what is written appears by rename. So a daemon may be killed at any moment.
 
 mod config;
 pub mod decision;
+mod frames;
 pub mod journal;
 pub mod lock;
+mod looking;
+mod measuring;
 pub mod mounts;
+mod outcomes;
+mod queue;
 pub mod readiness;
+mod rescans;
+mod retry;
+mod room;
+mod root;
+mod rounds;
 pub mod scan;
 pub mod selection;
+mod sequences;
+mod stores;
 pub mod watcher;
 
 use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::thread;
 
-use crossbeam::channel::Receiver;
+use crossbeam::channel::{Receiver, bounded, unbounded};
+use rayon::ThreadPoolBuilder;
 
 pub use config::{Config, Order, Patience, Poll, Watch};
 
-/// What the outside asks of a running daemon.
+use crate::pipeline::{Conduct, LevelSetSkinning, OnError, stream};
+
+use frames::FrameId;
+use lock::LockError;
+use queue::Queue;
+use rounds::Daemon;
+use selection::PatternError;
+
+/// What may be asked of a running daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Finish what is under way, within the deadline, and end.
+    /// Finish the frames under way, and end.
     Finish,
-    /// The same; the caller then runs it again, with another configuration.
+    /// The same, to begin again with another configuration.
     Reload,
 }
 
-/// What a running daemon tells the outside.
+/// What a running daemon tells whoever runs it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// It watches, and has looked at everything once.
+    /// Everything was looked at once, and from now on changes are heard.
     Ready,
-    /// What it is doing, in a line.
+    /// Where it is, in one line.
     Status(String),
-    /// It is alive: at least every two seconds.
+    /// It is not stuck. Comes at least every two seconds.
     Alive,
-    /// It begins to finish.
+    /// No further frame is begun.
     Stopping,
+    /// The time for finishing the frames under way is over: whoever is in a hurry may end the process.
+    Overdue,
 }
 
 /// What came of a run.
@@ -45,7 +92,7 @@ pub struct Summary {
     pub ended: Ended,
     /// Frames whose outputs are there: made in this run, or found done.
     pub done_count: usize,
-    /// A sentence for each frame that failed.
+    /// A sentence for each frame that failed, in natural order.
     pub failed: Vec<String>,
     /// Frames that were seen and are left for the next time.
     pub left_count: usize,
@@ -62,30 +109,106 @@ pub enum Ended {
     Reload,
 }
 
-/// Why the daemon cannot work.
+/// Why a daemon cannot run.
 #[derive(Debug)]
-pub struct DaemonError {
-    /// What is wrong.
-    pub what: String,
+pub enum DaemonError {
+    /// A folder of outputs cannot be made, or its journal not be opened.
+    Folder {
+        /// Which.
+        folder: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Somebody else has the folder of the outputs.
+    Locked(LockError),
+    /// A pattern is none.
+    Pattern(PatternError),
+    /// A folder that is to be converted once is not there.
+    Unavailable {
+        /// Which.
+        folder: PathBuf,
+        /// Why.
+        why: String,
+    },
+    /// The system refuses to start threads.
+    Threads(String),
 }
 
 impl fmt::Display for DaemonError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.what)
+        match self {
+            DaemonError::Folder { folder, source } => write!(f, "{}: {source}", folder.display()),
+            DaemonError::Locked(error) => write!(f, "{error}"),
+            DaemonError::Pattern(error) => write!(f, "{error}"),
+            DaemonError::Unavailable { folder, why } => write!(f, "{}: {why}", folder.display()),
+            DaemonError::Threads(why) => write!(f, "cannot start the threads: {why}"),
+        }
     }
 }
 
 impl std::error::Error for DaemonError {}
 
-/// Watches and converts until it is told to end, or, with `once`, until everything is done.
+/// Watches and converts until a command ends it, or, where that is all that was asked for, until
+/// everything is converted.
 ///
 /// # Errors
-/// When it cannot work at all.
+/// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
+/// journal and counted.
 pub fn run(
     config: &Config,
-    _commands: &Receiver<Command>,
-    _notices: &mut dyn FnMut(Notice),
+    commands: &Receiver<Command>,
+    notices: &mut dyn FnMut(Notice),
 ) -> Result<Summary, DaemonError> {
-    let folder_count = config.watches.len();
-    Err(DaemonError { what: format!("the loop that watches {folder_count} folders is not there yet") })
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(config.threads)
+        .thread_name(|index| format!("compute {index}"))
+        .build()
+        .map_err(|error| DaemonError::Threads(error.to_string()))?;
+    let queue = Queue::new(config.order);
+    let (to_loop, outcomes) = bounded(config.in_flight);
+    let (to_measure, orders) = unbounded();
+    let (to_loop_measured, measured) = unbounded();
+    let daemon = Daemon::open(config, &queue, to_measure)?;
+    let conduct = Conduct {
+        pool: &pool,
+        on_error: OnError::Continue,
+        skip_done: true,
+        in_flight: config.in_flight,
+        memory_bytes: config.memory_bytes,
+    };
+    let (queue, pool) = (&queue, &pool);
+    thread::scope(|scope| {
+        scope.spawn(move || {
+            // Nobody listens only when the loop is gone, and then nobody needs to know.
+            stream(
+                &LevelSetSkinning,
+                || queue.next(),
+                &conduct,
+                |root, frame, outcome| {
+                    let _ = to_loop.send((FrameId::new(root, &frame.input), frame, outcome));
+                },
+            );
+        });
+        scope.spawn(move || {
+            for order in orders {
+                if to_loop_measured.send(pool.install(|| sequences::measure(order))).is_err() {
+                    return;
+                }
+            }
+        });
+        // Frames under way are finished, whatever ends the loop: the scope waits for them. It would wait
+        // for ever for the two threads if what they listen to outlived the loop.
+        let _closing = Closing(queue);
+        let mut daemon = daemon;
+        daemon.run(commands, &outcomes, &measured, notices)
+    })
+}
+
+/// Closes the queue when the loop ends, also where it ends in a panic.
+struct Closing<'a>(&'a Queue);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.close();
+    }
 }

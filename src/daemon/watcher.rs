@@ -31,7 +31,7 @@ use notify::{ErrorKind, Event, RecommendedWatcher, RecursiveMode, Watcher as _};
 use crate::pipeline::FileStamp;
 
 /// What may have changed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Hint {
     /// A file appeared, grew, or went.
     Changed(PathBuf),

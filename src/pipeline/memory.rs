@@ -1,4 +1,6 @@
-//! How much memory this process has held at most.
+//! How much memory this process has held at most, and how much it may take.
+
+use std::path::{Path, PathBuf};
 
 /// The largest resident size of this process until now; `None` where the system does not tell.
 pub(super) fn peak_memory_bytes() -> Option<u64> {
@@ -7,13 +9,55 @@ pub(super) fn peak_memory_bytes() -> Option<u64> {
     parse_peak(&status)
 }
 
-/// Half of the memory of this machine, or of what its control group allows this process.
+/// Half of the memory of this machine, or of what its control groups allow this process: what the frames
+/// under way take unless somebody says otherwise. Where the system tells neither, 4 GiB.
 pub fn default_memory_bytes() -> u64 {
-    8 << 30
+    let read = |path: &Path| std::fs::read_to_string(path).ok();
+    let machine = read(Path::new("/proc/meminfo")).and_then(|text| parse_total(&text));
+    let groups = read(Path::new("/proc/self/cgroup")).unwrap_or_default();
+    let allowed = limit_files(&groups).iter().filter_map(|path| parse_limit(&read(path)?)).min();
+    machine.into_iter().chain(allowed).min().unwrap_or(UNKNOWN_BYTES) / 2
+}
+
+/// Of a machine that does not say.
+const UNKNOWN_BYTES: u64 = 8 << 30;
+
+fn parse_total(meminfo: &str) -> Option<u64> {
+    parse_kibibytes(meminfo, "MemTotal:")
+}
+
+/// The files in which the limits of a process's control groups may stand, by its `/proc/self/cgroup`. Each
+/// group is bound by those it lies in; within a container the path may be that outside.
+fn limit_files(groups: &str) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for line in groups.lines() {
+        let mut fields = line.splitn(3, ':').skip(1);
+        let (Some(controllers), Some(group)) = (fields.next(), fields.next()) else { continue };
+        let (root, name) = if controllers.is_empty() {
+            ("/sys/fs/cgroup", "memory.max")
+        } else if controllers.split(',').any(|controller| controller == "memory") {
+            ("/sys/fs/cgroup/memory", "memory.limit_in_bytes")
+        } else {
+            continue;
+        };
+        let within = Path::new(group.trim_start_matches('/'));
+        files.extend(within.ancestors().map(|group| Path::new(root).join(group).join(name)));
+    }
+    files
+}
+
+/// A limit in bytes. `max`, or a number beyond any machine, is none.
+fn parse_limit(text: &str) -> Option<u64> {
+    text.trim().parse().ok().filter(|&bytes: &u64| bytes < 1 << 60)
 }
 
 fn parse_peak(status: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    parse_kibibytes(status, "VmHWM:")
+}
+
+/// The number of bytes in the line of a file of the system that begins with `name`.
+fn parse_kibibytes(text: &str, name: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim_end().parse().ok()?;
     kibibytes.checked_mul(1024)
 }
@@ -27,5 +71,29 @@ mod tests {
         assert_eq!(parse_peak("VmPeak:\t  9 kB\nVmHWM:\t  123 kB\nVmRSS: 7 kB\n"), Some(123 * 1024));
         assert_eq!(parse_peak("VmRSS: 7 kB\n"), None);
         assert_eq!(parse_peak("VmHWM: many kB\n"), None);
+    }
+
+    #[test]
+    fn limits_are_those_of_the_group_and_of_all_it_lies_in() {
+        let groups = "8:cpu,cpuacct:/a\n4:memory:/b/c\n0::/d\n";
+        let files = limit_files(groups);
+        let expected = [
+            "/sys/fs/cgroup/memory/b/c/memory.limit_in_bytes",
+            "/sys/fs/cgroup/memory/b/memory.limit_in_bytes",
+            "/sys/fs/cgroup/memory/memory.limit_in_bytes",
+            "/sys/fs/cgroup/d/memory.max",
+            "/sys/fs/cgroup/memory.max",
+        ];
+        assert_eq!(files, expected.map(PathBuf::from));
+        assert_eq!(parse_limit("1073741824\n"), Some(1 << 30));
+        assert_eq!(parse_limit("max\n"), None);
+        assert_eq!(parse_limit("9223372036854771712\n"), None);
+        assert_eq!(parse_total("MemTotal:       24567 kB\nMemFree: 1 kB\n"), Some(24567 << 10));
+    }
+
+    #[test]
+    fn half_of_the_machine_is_a_sensible_amount() {
+        let bytes = default_memory_bytes();
+        assert!(bytes >= 64 << 20, "{bytes} bytes");
     }
 }

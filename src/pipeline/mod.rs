@@ -25,6 +25,7 @@ mod sink;
 mod source;
 mod stages;
 mod stamp;
+mod temporary;
 mod voxel_size;
 mod writing;
 
@@ -32,10 +33,12 @@ pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
+pub use provenance::{is_own_output, settings_fingerprint};
 pub use reading::{ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream};
 pub use stamp::FileStamp;
+pub use temporary::sweep_temporaries;
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};

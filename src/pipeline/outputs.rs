@@ -27,6 +27,10 @@ pub enum OutputFormat {
 }
 
 impl OutputFormat {
+    /// Every format there is.
+    pub const ALL: [OutputFormat; 5] =
+        [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply];
+
     /// The extension of its files, without the dot.
     pub fn extension(self) -> &'static str {
         match self {
@@ -42,7 +46,7 @@ impl OutputFormat {
 /// What is written of each frame, and where.
 #[derive(Clone, Debug)]
 pub struct OutputOptions {
-    /// The folder of all outputs. It must exist.
+    /// The folder of all outputs. It is made where it is missing.
     pub folder: PathBuf,
     /// One file for each.
     pub formats: Vec<OutputFormat>,

@@ -5,16 +5,24 @@
 //! again; whatever else it records, or nothing at all, means that it must.
 
 use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
+use twox_hash::XxHash3_64;
 
 use crate::settings::{Contouring, Integrator, Settings};
 
 use super::frame::Frame;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
+
+/// What an output's generator begins with; the version follows.
+const GENERATOR: &str = "meniscus ";
+
+/// The provenance of an output is within this much from its start, unless the input's name is very long.
+const HEAD_BYTES: u64 = 16 << 10;
 
 /// Names and values for an output in `format`, made from the file `input` with this hash.
 pub(super) fn provenance(
@@ -25,19 +33,12 @@ pub(super) fn provenance(
     options: &OutputOptions,
 ) -> Vec<(String, String)> {
     let mut pairs = vec![
-        ("generator", format!("meniscus {}", env!("CARGO_PKG_VERSION"))),
+        ("generator", format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))),
         ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
         ("input_hash", format!("xxh3-128:{hash:032x}")),
     ];
     pairs.extend(settings_pairs(settings, format));
-    match format {
-        OutputFormat::Vdb => {
-            pairs.push(("half", options.vdb_half.to_string()));
-            pairs.push(("compression", compression_name(options.vdb_compression).to_owned()));
-        }
-        OutputFormat::Glb | OutputFormat::Gltf => pairs.push(("up", up_name(options.up).to_owned())),
-        OutputFormat::Obj | OutputFormat::Ply => {}
-    }
+    pairs.extend(option_pairs(options, format));
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
@@ -57,6 +58,52 @@ fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_for
     let mut file = File::open(path)?;
     let recorded = read_provenance(kind, &file)?;
     Ok(wanted.iter().all(|pair| recorded.contains(pair)) && is_whole(kind, &mut file)?)
+}
+
+/// Whether a file is an output of this program, of whatever version, by what it says of itself; what cannot
+/// be read is none. Only the head of the file is looked at.
+pub fn is_own_output(path: &Path) -> bool {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let Some(&format) = OutputFormat::ALL.iter().find(|format| format.extension() == extension) else {
+        return false;
+    };
+    // Opening a pipe would wait for its other end.
+    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
+        return false;
+    }
+    let recorded = File::open(path)
+        .map_err(meniscus_formats::Error::from)
+        .and_then(|file| read_provenance(provenance_kind(format), file.take(HEAD_BYTES)));
+    let is_generator = |(name, value): &(String, String)| name == "generator" && value.starts_with(GENERATOR);
+    recorded.is_ok_and(|pairs| pairs.iter().any(is_generator))
+}
+
+/// All that outputs depend on but the input, in short: the settings, the formats and how they are written,
+/// the version of this program. Equal ones mean that an output need not be made again.
+pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> String {
+    let mut formats = options.formats.clone();
+    formats.sort_by_key(|format| format.extension());
+    let mut text = format!("meniscus {}", env!("CARGO_PKG_VERSION"));
+    for format in formats {
+        text += &format!("\n{}", format.extension());
+        for (name, value) in settings_pairs(settings, format).into_iter().chain(option_pairs(options, format))
+        {
+            text += &format!(" {name}={value}");
+        }
+    }
+    format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
+}
+
+/// How an output in `format` is written, as far as that can be chosen.
+fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static str, String)> {
+    match format {
+        OutputFormat::Vdb => vec![
+            ("half", options.vdb_half.to_string()),
+            ("compression", compression_name(options.vdb_compression).to_owned()),
+        ],
+        OutputFormat::Glb | OutputFormat::Gltf => vec![("up", up_name(options.up).to_owned())],
+        OutputFormat::Obj | OutputFormat::Ply => Vec::new(),
+    }
 }
 
 /// Every setting that matters to an output in `format`, numbers in the shortest form that reads

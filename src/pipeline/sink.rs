@@ -7,21 +7,16 @@
 //!   dam.0012.glb             never seen half written, whatever stops the program
 //! ```
 //!
-//! The temporary file lies in the same folder, so that the rename stays within one file system.
-//! Its name begins with a dot: programs that watch for frames do not take it for one. It ends in a
-//! random number, because several machines may write into one shared folder, and what another one
-//! is writing must not be touched.
-//!
-//! A program that is about to be stopped takes its temporary files with it, by [`stop_writing`].
+//! Files that belong together are all written before the first is renamed; then all are, in a row. A
+//! program that is about to be stopped takes its temporary files with it, by [`stop_writing`].
 
-use std::collections::HashSet;
-use std::fs::{self, File, OpenOptions};
-use std::hash::{BuildHasher, RandomState};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::Result;
+
+use super::temporary::{Temporary, under_way};
 
 /// Large enough that the system call does not matter beside the copy.
 const BUFFER_BYTES: usize = 1 << 18;
@@ -60,13 +55,13 @@ pub(super) fn write_unseen(
     write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
 ) -> Result<Unseen> {
     let temporary = Temporary::create(path)?;
-    let mut out = BufWriter::with_capacity(BUFFER_BYTES, &temporary.file);
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, temporary.file());
     write(&mut out)?;
     out.flush()?;
     drop(out);
     // Else a crash of the machine could leave the name without the bytes.
-    temporary.file.sync_all()?;
-    let size_bytes = temporary.file.metadata()?.len();
+    temporary.file().sync_all()?;
+    let size_bytes = temporary.file().metadata()?.len();
     Ok(Unseen { temporary, path: path.to_owned(), size_bytes })
 }
 
@@ -84,7 +79,7 @@ pub(super) fn publish(files: Vec<Unseen>) -> std::result::Result<Vec<PathBuf>, (
     // Locked for all of them: a stop comes before the first or after the last.
     let under_way = under_way();
     for file in &files {
-        if let Err(error) = fs::rename(&file.temporary.path, &file.path) {
+        if let Err(error) = fs::rename(file.temporary.path(), &file.path) {
             for path in &appeared {
                 // Without the others it would be half a frame.
                 let _ = fs::remove_file(path);
@@ -119,77 +114,6 @@ pub fn stop_writing() {
     std::mem::forget(under_way);
 }
 
-/// A file that is removed unless it is renamed: also when the writer panics.
-struct Temporary {
-    path: PathBuf,
-    file: File,
-}
-
-impl Temporary {
-    fn create(path: &Path) -> io::Result<Temporary> {
-        let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
-        Temporary::create_named(path, || temporary_name(&name, random_number()))
-    }
-
-    /// Creates a file beside `path`, under the first of these names that is not taken.
-    fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
-        // Locked until the file is known: a stop misses none.
-        let mut under_way = under_way();
-        let mut attempt_count = 0;
-        loop {
-            let temporary = path.with_file_name(next_name());
-            attempt_count += 1;
-            // Only ever a new file: never one that somebody else is writing, and never through a
-            // link that somebody laid there.
-            match OpenOptions::new().write(true).create_new(true).open(&temporary) {
-                Ok(file) => {
-                    under_way.insert(temporary.clone());
-                    return Ok(Temporary { path: temporary, file });
-                }
-                Err(error)
-                    if error.kind() == io::ErrorKind::AlreadyExists && attempt_count < ATTEMPTS_MAX => {}
-                Err(error) => return Err(error),
-            }
-        }
-    }
-}
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        // Renamed, it is not there any more. And if it cannot be removed, the error that led here
-        // is the one worth telling.
-        let _ = fs::remove_file(&self.path);
-        under_way().remove(&self.path);
-    }
-}
-
-/// The temporary files there are.
-fn under_way() -> MutexGuard<'static, HashSet<PathBuf>> {
-    static UNDER_WAY: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
-    // A set of names is in order whatever panicked beside it.
-    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// A hidden name for what will be called `name`; as much of that as fits.
-fn temporary_name(name: &str, number: u64) -> String {
-    let suffix = format!(".tmp-{number:016x}");
-    let bytes_max = NAME_BYTES_MAX - 1 - suffix.len();
-    let kept_bytes = (0..=bytes_max.min(name.len())).rev().find(|&end| name.is_char_boundary(end));
-    format!(".{}{suffix}", &name[..kept_bytes.unwrap_or(0)])
-}
-
-/// Another number at each call, in each process and on each machine.
-fn random_number() -> u64 {
-    // The keys of hash maps come from the system's randomness.
-    RandomState::new().hash_one(std::process::id())
-}
-
-/// The longest file name on most file systems.
-const NAME_BYTES_MAX: usize = 255;
-
-/// Random names that are taken one after the other mean that something else is wrong.
-const ATTEMPTS_MAX: usize = 16;
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -220,7 +144,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.glb");
         write(&path, "old").expect("written");
-        let disk_full = |out: &mut BufWriter<File>| {
+        let disk_full = |out: &mut BufWriter<&File>| {
             out.write_all(&vec![0; 2 * BUFFER_BYTES])?;
             Err(io::Error::from(io::ErrorKind::StorageFull).into())
         };
@@ -242,6 +166,34 @@ mod tests {
     }
 
     #[test]
+    fn files_that_belong_together_appear_together_or_not_at_all() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        let unseen = |name: &str| {
+            write_unseen(&path(name), |out| Ok(out.write_all(name.as_bytes())?)).expect("written")
+        };
+        let names = ["a.glb", "a.vdb", "a.obj"];
+        let files: Vec<Unseen> = names.map(unseen).into();
+        assert!(names.iter().all(|name| !path(name).exists()));
+        assert_eq!(files[1].size_bytes(), 5);
+        assert_eq!(publish(files).expect("published"), names.map(path));
+        assert_eq!(names_in(folder.path()).len(), 3);
+        // A folder in the way is seen before anything is replaced; what can be seen only by trying
+        // leaves nothing of the others.
+        fs::write(path("a.glb"), "old").expect("written");
+        fs::remove_file(path("a.vdb")).expect("removed");
+        fs::create_dir(path("a.vdb")).expect("made");
+        let (culprit, _) = publish(names.map(unseen).into()).expect_err("a folder is in the way");
+        assert_eq!(culprit, path("a.vdb"));
+        assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
+        fs::remove_dir(path("a.vdb")).expect("removed");
+        let files: Vec<Unseen> = names.map(unseen).into();
+        fs::remove_file(files[2].temporary.path()).expect("removed");
+        assert_eq!(publish(files).expect_err("the last is gone").0, path("a.obj"));
+        assert_eq!(names_in(folder.path()), ["a.obj"]);
+    }
+
+    #[test]
     #[cfg(unix)]
     fn links_are_replaced_and_never_written_through() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -252,35 +204,5 @@ mod tests {
         write(&path, "text").expect("written");
         assert_eq!(fs::read_to_string(&precious).expect("readable"), "precious");
         assert!(!path.is_symlink());
-    }
-
-    #[test]
-    fn what_somebody_else_is_writing_is_left_alone() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("a.glb");
-        let taken = folder.path().join(temporary_name("a.glb", 0));
-        fs::write(&taken, "of somebody else").expect("written");
-        let mut number = 0;
-        let mut count_up = || {
-            number += 1;
-            temporary_name("a.glb", number - 1)
-        };
-        let temporary = Temporary::create_named(&path, &mut count_up).expect("created");
-        assert_eq!(temporary.path, folder.path().join(temporary_name("a.glb", 1)));
-        drop(temporary);
-        assert_eq!(fs::read_to_string(&taken).expect("still there"), "of somebody else");
-        assert_eq!(names_in(folder.path()).len(), 1);
-        let always_taken = Temporary::create_named(&path, || temporary_name("a.glb", 0));
-        assert_eq!(always_taken.err().map(|error| error.kind()), Some(io::ErrorKind::AlreadyExists));
-    }
-
-    #[test]
-    fn long_names_are_no_hindrance() {
-        let folder = tempfile::tempdir().expect("a folder");
-        for name in ["a".repeat(251) + ".glb", "ü".repeat(125) + ".glb"] {
-            write(&folder.path().join(&name), "text").expect("written");
-            assert!(temporary_name(&name, u64::MAX).len() <= NAME_BYTES_MAX);
-        }
-        assert_eq!(names_in(folder.path()).len(), 2);
     }
 }

@@ -51,8 +51,8 @@ impl FrameFile {
         self.name().get(span)?.parse().ok()
     }
 
-    /// What the names of a sequence share: all but the frame's number.
-    fn without_number(&self) -> (PathBuf, String) {
+    /// What the files of a sequence share: their folder, and the name with `{}` for the frame's number.
+    pub fn sequence(&self) -> (PathBuf, String) {
         let mut name = self.name();
         if let Some(span) = self.number_span.clone() {
             name.replace_range(span, "{}");
@@ -76,7 +76,7 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     let mut sequences: Vec<Sequence> = Vec::new();
     let mut place_of: HashMap<(PathBuf, String), usize> = HashMap::new();
     for file in files {
-        let key = file.without_number();
+        let key = file.sequence();
         let place = *place_of.entry(key).or_insert(sequences.len());
         match sequences.get_mut(place) {
             Some(sequence) => sequence.frames.push(file),
@@ -85,7 +85,7 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     }
     for sequence in &mut sequences {
         if sequence.frames.len() > 1 {
-            sequence.name = sequence.frames[0].without_number().1;
+            sequence.name = sequence.frames[0].sequence().1;
         }
     }
     sequences

@@ -38,7 +38,7 @@ use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::provenance::is_done;
 use super::reading::{parse_particles, read_unchanged};
-use super::writing::write_surface;
+use super::writing::{Written, write_surface};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -163,17 +163,24 @@ struct Line<'a, M> {
     failed_first: AtomicUsize,
 }
 
-/// A frame between two stages: what the last one made of it, and what the end of its way needs.
+/// A frame between two stages.
 struct Parcel<'a, K, T> {
-    ticket: Ticket<'a, K>,
+    label: Label<K>,
+    known: Known<'a>,
+    /// What the last stage made of it.
     content: T,
 }
 
-struct Ticket<'a, K> {
+/// Which frame it is.
+struct Label<K> {
     /// Frames are counted as they are asked for.
     number: usize,
     key: K,
     frame: Frame,
+}
+
+/// What is known of a frame since it was read.
+struct Known<'a> {
     input: ReadInput,
     read_seconds: f64,
     notes: Vec<String>,
@@ -221,9 +228,10 @@ impl<'a, M: Method> Line<'a, M> {
                 return;
             }
             let Some((key, frame)) = next() else { return };
-            let is_sent = match self.read_one(number, key, frame) {
-                Ok(parcel) => to.send(parcel).is_ok(),
-                Err(it) => ended.send(it).is_ok(),
+            let label = Label { number, key, frame };
+            let is_sent = match self.read_one(number, &label.frame) {
+                Ok((content, known)) => to.send(Parcel { label, known, content }).is_ok(),
+                Err(outcome) => ended.send(self.end(label, outcome)).is_ok(),
             };
             if !is_sent {
                 return;
@@ -231,43 +239,35 @@ impl<'a, M: Method> Line<'a, M> {
         }
     }
 
-    fn read_one<K>(&self, number: usize, key: K, frame: Frame) -> Result<Parcel<'_, K, Read>, Ended<K>> {
-        if self.conduct.on_error == OnError::Stop && self.failed_before(number) {
-            return Err(Ended { key, frame, outcome: Outcome::NotStarted });
+    fn read_one(&self, number: usize, frame: &Frame) -> Result<(Read, Known<'_>), Outcome> {
+        if self.is_stopped_before(number) {
+            return Err(Outcome::NotStarted);
         }
         // A file that cannot be looked at will not be read either.
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
         let mut memory = self.budget.hold(file_bytes.saturating_mul(READING_MEMORY));
         let start = Instant::now();
-        let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(&frame)).flatten();
-        match read.map_err(Outcome::Failed).flatten() {
-            Ok((input, read, notes)) => {
-                memory.resize(read.particles.len() as u64 * PARTICLE_BYTES);
-                let read_seconds = start.elapsed().as_secs_f64();
-                let ticket = Ticket { number, key, frame, input, read_seconds, notes, memory, seat: None };
-                Ok(Parcel { ticket, content: read })
-            }
-            Err(outcome) => Err(self.end(number, key, frame, outcome)),
-        }
+        let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(frame));
+        let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
+        memory.resize(read.particles.len() as u64 * PARTICLE_BYTES);
+        let read_seconds = start.elapsed().as_secs_f64();
+        Ok((read, Known { input, read_seconds, notes, memory, seat: None }))
     }
 
-    /// The particles of a frame and the notes on them, or what came of it without.
-    fn particles_of(
-        &self,
-        frame: &Frame,
-    ) -> Result<Result<(ReadInput, Read, Vec<String>), Outcome>, FrameError> {
-        let Some((bytes, stamp)) = read_unchanged(&frame.input)? else { return Ok(Err(Outcome::Changed)) };
+    /// The particles of a frame, and the notes on them.
+    fn particles_of(&self, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
+        let unchanged = read_unchanged(&frame.input).map_err(Outcome::Failed)?;
+        let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
         if self.conduct.skip_done && is_done(frame, input.hash) {
-            return Ok(Err(Outcome::AlreadyDone(input)));
+            return Err(Outcome::AlreadyDone(input));
         }
         // Parsing is work for the pool; waiting for the disk before it is not.
-        let (read, notes) = self.conduct.pool.install(|| {
-            let read = parse_particles(&frame.input, &bytes)?;
+        self.conduct.pool.install(|| {
+            let read = parse_particles(&frame.input, &bytes).map_err(Outcome::Failed)?;
             let memory_bytes = self.method.memory_bytes(&read.particles, &frame.settings);
-            Ok((Read { particles: read.particles, memory_bytes }, read.notes))
-        })?;
-        Ok(Ok((input, read, notes)))
+            Ok((Read { particles: read.particles, memory_bytes }, input, read.notes))
+        })
     }
 
     fn rasterize<'l, K>(
@@ -276,12 +276,13 @@ impl<'a, M: Method> Line<'a, M> {
         to: &Sender<Parcel<'l, K, M::Rasterized>>,
         ended: &Sender<Ended<K>>,
     ) {
-        let admitted = std::iter::from_fn(|| self.admit(from));
-        self.pass(admitted, to, ended, |parcel| {
-            self.compute(Stage::Rasterize, parcel, |read, settings| {
-                self.method.rasterize(&read.particles, settings)
-            })
-        });
+        let work = |read: Read, settings: &Settings| self.method.rasterize(&read.particles, settings);
+        while let Some(Parcel { label, known, content }) = self.admit(from) {
+            let computed = self.compute(Stage::Rasterize, &label.frame, content, work);
+            if !self.pass(label, known, computed, to, ended) {
+                return;
+            }
+        }
     }
 
     /// The next frame, once there is a seat and memory for it. It is the one that was read first: nobody
@@ -290,120 +291,118 @@ impl<'a, M: Method> Line<'a, M> {
         let _door = self.door.lock().unwrap_or_else(PoisonError::into_inner);
         let seat = self.seats.take();
         let mut parcel = from.recv().ok()?;
-        parcel.ticket.memory.admit(parcel.content.memory_bytes);
-        parcel.ticket.seat = Some(seat);
+        parcel.known.memory.admit(parcel.content.memory_bytes);
+        parcel.known.seat = Some(seat);
         Some(parcel)
     }
 
     fn smooth<'l, K>(
-        &'l self,
+        &self,
         from: &Receiver<Parcel<'l, K, M::Rasterized>>,
         to: &Sender<Parcel<'l, K, M::Smoothed>>,
         ended: &Sender<Ended<K>>,
     ) {
-        self.pass(from.iter(), to, ended, |parcel| {
-            self.compute(Stage::Smooth, parcel, |rasterized, settings| {
-                self.method.smooth(rasterized, settings)
-            })
-        });
+        let work = |rasterized, settings: &Settings| self.method.smooth(rasterized, settings);
+        for Parcel { label, known, content } in from {
+            let computed = self.compute(Stage::Smooth, &label.frame, content, work);
+            if !self.pass(label, known, computed, to, ended) {
+                return;
+            }
+        }
     }
 
     fn contour<'l, K>(
-        &'l self,
+        &self,
         from: &Receiver<Parcel<'l, K, M::Smoothed>>,
         to: &Sender<Parcel<'l, K, Surface>>,
         ended: &Sender<Ended<K>>,
     ) {
-        self.pass(from.iter(), to, ended, |parcel| {
-            let mut parcel = self.compute(Stage::Contour, parcel, |smoothed, settings| {
-                self.method.contour(smoothed, settings)
-            })?;
-            parcel.ticket.seat = None;
-            parcel.ticket.memory.resize(parcel.content.size_bytes().saturating_mul(WRITING_MEMORY));
-            Ok(parcel)
-        });
-    }
-
-    /// Takes what comes through a stage, until no more comes or nobody listens.
-    fn pass<'l, K, A, B>(
-        &self,
-        from: impl Iterator<Item = Parcel<'l, K, A>>,
-        to: &Sender<Parcel<'l, K, B>>,
-        ended: &Sender<Ended<K>>,
-        stage: impl Fn(Parcel<'l, K, A>) -> Result<Parcel<'l, K, B>, Ended<K>>,
-    ) {
-        for parcel in from {
-            let is_sent = match stage(parcel) {
-                Ok(parcel) => to.send(parcel).is_ok(),
-                Err(it) => ended.send(it).is_ok(),
-            };
-            if !is_sent {
+        let work = |smoothed, settings: &Settings| self.method.contour(smoothed, settings);
+        for Parcel { label, mut known, content } in from {
+            let computed = self.compute(Stage::Contour, &label.frame, content, work);
+            if let Ok(surface) = &computed {
+                known.seat = None;
+                known.memory.resize(surface.size_bytes().saturating_mul(WRITING_MEMORY));
+            }
+            if !self.pass(label, known, computed, to, ended) {
                 return;
             }
         }
     }
 
-    fn compute<'l, K, A: Send, B: Send>(
+    /// A stage of the method.
+    fn compute<A: Send, B: Send>(
         &self,
         stage: Stage,
-        Parcel { ticket, content }: Parcel<'l, K, A>,
+        frame: &Frame,
+        content: A,
         work: impl FnOnce(A, &Settings) -> B + Send,
-    ) -> Result<Parcel<'l, K, B>, Ended<K>> {
-        let settings = &*ticket.frame.settings;
-        let computed = FrameError::catch(&ticket.frame.input, stage, || {
-            self.conduct.pool.install(|| work(content, settings))
-        });
+    ) -> Result<B, FrameError> {
+        FrameError::catch(&frame.input, stage, || {
+            self.conduct.pool.install(|| work(content, &frame.settings))
+        })
+    }
+
+    /// Sends a frame to the next stage, or its end if this was it. Returns whether anybody listens.
+    fn pass<'l, K, B>(
+        &self,
+        label: Label<K>,
+        known: Known<'l>,
+        computed: Result<B, FrameError>,
+        to: &Sender<Parcel<'l, K, B>>,
+        ended: &Sender<Ended<K>>,
+    ) -> bool {
         match computed {
-            Ok(content) => Ok(Parcel { ticket, content }),
-            Err(error) => Err(self.end(ticket.number, ticket.key, ticket.frame, Outcome::Failed(error))),
+            Ok(content) => to.send(Parcel { label, known, content }).is_ok(),
+            Err(error) => ended.send(self.end(label, Outcome::Failed(error))).is_ok(),
         }
     }
 
     fn write<'l, K>(&self, from: &Receiver<Parcel<'l, K, Surface>>, ended: &Sender<Ended<K>>) {
-        for Parcel { ticket, content } in from {
-            let Ticket { number, key, frame, input, read_seconds, notes, memory, .. } = ticket;
+        for Parcel { label, known, content } in from {
             // Where frames keep their order, those before this one are past all other stages: what is
             // written before a stop does not depend on timing.
-            let outcome = if self.conduct.on_error == OnError::Stop && self.failed_before(number) {
+            let outcome = if self.is_stopped_before(label.number) {
                 Outcome::NotStarted
             } else {
-                let report = FrameReport { input, read_seconds, notes, ..FrameReport::default() };
-                self.write_one(&frame, content, report)
+                self.write_one(&label.frame, known, content)
             };
-            drop(memory);
-            if ended.send(self.end(number, key, frame, outcome)).is_err() {
+            if ended.send(self.end(label, outcome)).is_err() {
                 return;
             }
         }
     }
 
-    fn write_one(&self, frame: &Frame, surface: Surface, report: FrameReport) -> Outcome {
+    fn write_one(&self, frame: &Frame, known: Known<'_>, surface: Surface) -> Outcome {
         let start = Instant::now();
         let written = FrameError::catch(&frame.input, Stage::Write, || {
-            write_surface(&surface, frame, report.input.hash, self.conduct.pool)
+            write_surface(&surface, frame, known.input.hash, self.conduct.pool)
         });
         match written.flatten() {
-            Ok(written) => Outcome::Converted(Box::new(FrameReport {
+            Ok(Written { paths, sizes_bytes }) => Outcome::Converted(Box::new(FrameReport {
+                input: known.input,
                 skin: surface.report,
+                read_seconds: known.read_seconds,
                 write_seconds: start.elapsed().as_secs_f64(),
                 peak_memory_bytes: peak_memory_bytes(),
-                outputs: written.paths,
-                output_bytes: written.sizes_bytes,
-                ..report
+                outputs: paths,
+                output_bytes: sizes_bytes,
+                notes: known.notes,
             })),
             Err(error) => Outcome::Failed(error),
         }
     }
 
-    fn end<K>(&self, number: usize, key: K, frame: Frame, outcome: Outcome) -> Ended<K> {
+    fn end<K>(&self, Label { number, key, frame }: Label<K>, outcome: Outcome) -> Ended<K> {
         if is_failure(&outcome) {
             self.failed_first.fetch_min(number, Ordering::Relaxed);
         }
         Ended { key, frame, outcome }
     }
 
-    fn failed_before(&self, number: usize) -> bool {
-        self.failed_first.load(Ordering::Relaxed) < number
+    /// Whether a frame before this one failed, and that was to be the end.
+    fn is_stopped_before(&self, number: usize) -> bool {
+        self.conduct.on_error == OnError::Stop && self.failed_first.load(Ordering::Relaxed) < number
     }
 }
 

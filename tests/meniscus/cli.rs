@@ -276,6 +276,21 @@ fn what_lies_beside_the_frames_is_passed_over() {
 }
 
 #[test]
+fn results_in_a_folder_of_frames_are_no_frames() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    let arguments = ["convert", ".", "--out", "shot", "--format", "glb,gltf,vdb,obj,ply"];
+    assert_eq!(meniscus(path, &arguments).status, 0);
+    // A frame of somebody else's among them is one.
+    write_sequence(&path.join("shot"), 3, 3);
+    let ran = meniscus(path, &["convert", "shot", "--out", "o", "--format", "ply"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    assert!(ran.out.contains("passed over 10 other files"), "{}", ran.out);
+    assert_eq!(names_in(&path.join("o")), ["dam.3.ply"]);
+}
+
+#[test]
 #[cfg(target_os = "linux")]
 fn a_file_that_cannot_be_looked_at_is_told() {
     let folder = folder();

@@ -22,6 +22,7 @@ use crossbeam::channel::{Sender, bounded};
 use tracing::{error, info, warn};
 
 use crate::daemon::{self, Command, Ended, Notice, Summary};
+use crate::pipeline::stop_writing;
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
@@ -47,7 +48,8 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         }
         let mut notices = |notice: Notice| match notice {
             // It ends to begin again: for the outside it goes on.
-            Notice::Stopping if control.is_reloading() => {}
+            Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
+            Notice::Overdue => give_up_what_is_under_way(),
             notice => service.tell(&notice),
         };
         let summary = match daemon::run(&plan.config, &commands, &mut notices) {
@@ -63,6 +65,12 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
             _ => return Ok(conclude(args.once, &summary)),
         }
     }
+}
+
+/// Ends at once: what is not whole yet is left for the next time.
+fn give_up_what_is_under_way() {
+    stop_writing();
+    std::process::exit(0);
 }
 
 /// Tells how it ended.

@@ -38,6 +38,7 @@ impl Service {
             Notice::Ready => Some(NotifyState::Ready),
             Notice::Status(status) => Some(NotifyState::Status(status)),
             Notice::Stopping => Some(NotifyState::Stopping),
+            Notice::Overdue => None,
             Notice::Alive => {
                 let half = self.watchdog? / 2;
                 if self.last_sign.is_some_and(|last| now.saturating_duration_since(last) < half) {

@@ -1,0 +1,143 @@
+//! Frames through the pipeline beside the same frames through its stages in a plain loop.
+//!
+//! ```text
+//! cargo bench --bench pipeline                      40 frames of 19 683 particles on 2 threads
+//! cargo bench --bench pipeline -- 8 64 16           8 frames of 64³ particles on 16 threads
+//! ```
+//!
+//! The plain loop reads, skins and writes one frame after the other, all threads working on each. Both
+//! are timed in turns, for machines are never as quiet as one would like; what counts is the ratio of the
+//! two in one round. Below 1 the pipeline is quicker.
+
+#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+
+use std::error::Error;
+use std::fs;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use meniscus::pipeline::{
+    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, default_in_flight,
+    parse_particles, read_file, run, write_whole,
+};
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::{Surface, skin};
+use meniscus_formats::{LevelSetView, MeshView, ParticleFrame, Positions, bgeo, gltf, vdb};
+use rayon::ThreadPool;
+
+/// Distance between particles.
+const SPACING: f32 = 0.1;
+
+/// Rounds, each of the loop and the pipeline.
+const ROUND_COUNT: usize = 5;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let numbers: Vec<usize> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
+    let number = |index: usize, default| numbers.get(index).copied().unwrap_or(default);
+    let (frame_count, edge_count, thread_count) = (number(0, 40), number(1, 27), number(2, 2));
+    let folder = tempfile::tempdir()?;
+    let frames = write_frames(folder.path(), frame_count, edge_count)?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(thread_count).build()?;
+    println!("{frame_count} frames of {} particles, {thread_count} threads", edge_count.pow(3));
+    let mut ratios = Vec::new();
+    for _ in 0..ROUND_COUNT {
+        let start = Instant::now();
+        for frame in &frames {
+            convert_alone(frame, &pool)?;
+        }
+        let of_loop = start.elapsed().as_secs_f64();
+        let start = Instant::now();
+        convert_together(&frames, &pool)?;
+        let of_pipeline = start.elapsed().as_secs_f64();
+        println!("loop {of_loop:.2} s, pipeline {of_pipeline:.2} s: {:.3}", of_pipeline / of_loop);
+        ratios.push(of_pipeline / of_loop);
+    }
+    ratios.sort_by(f64::total_cmp);
+    println!("median {:.3}", ratios[ROUND_COUNT / 2]);
+    Ok(())
+}
+
+/// Blocks of particles that are moved a little from their places, another way in each frame.
+fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<Vec<Frame>, Box<dyn Error>> {
+    let settings = Arc::new(Settings::resolve(f64::from(SPACING) / 2.0, &Choices::default())?);
+    let outputs = Arc::new(OutputOptions {
+        folder: folder.join("out"),
+        formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
+        up: gltf::UpAxis::Y,
+        vdb_half: false,
+        vdb_compression: vdb::Compression::Blosc,
+    });
+    fs::create_dir(&outputs.folder)?;
+    let mut frames = Vec::new();
+    for number in 0..frame_count {
+        let input = folder.join(format!("f.{number:04}.bgeo"));
+        let positions = Positions::F32(block(edge_count, number));
+        let frame = ParticleFrame { positions, ..ParticleFrame::default() };
+        bgeo::write(&frame, &mut BufWriter::new(fs::File::create(&input)?))?;
+        let stem = format!("f.{number:04}");
+        frames.push(Frame { input, stem, settings: settings.clone(), outputs: outputs.clone() });
+    }
+    Ok(frames)
+}
+
+fn block(edge_count: usize, number: usize) -> Vec<[f32; 3]> {
+    let moved = |place: usize, phase: f32| place as f32 * SPACING + 0.3 * SPACING * (phase * 12.9898).sin();
+    let particle = |index: usize| {
+        let (x, y, z) = (index % edge_count, index / edge_count % edge_count, index / edge_count.pow(2));
+        let phase = (index * 3 + number) as f32;
+        [moved(x, phase), moved(y, phase + 1.0), moved(z, phase + 2.0)]
+    };
+    (0..edge_count.pow(3)).map(particle).collect()
+}
+
+/// The pipeline.
+fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
+    let conduct = Conduct {
+        pool,
+        on_error: OnError::Continue,
+        skip_done: false,
+        in_flight: default_in_flight(pool.current_num_threads()),
+        memory_bytes: u64::MAX,
+    };
+    let mut failures = Vec::new();
+    run(&LevelSetSkinning, frames, &conduct, |index, outcome| {
+        if !matches!(outcome, Outcome::Converted(_)) {
+            failures.push(format!("frame {index}: {outcome:?}"));
+        }
+    });
+    if failures.is_empty() { Ok(()) } else { Err(failures.join("\n").into()) }
+}
+
+/// One turn of the loop.
+fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
+    let bytes = read_file(&frame.input)?;
+    let read = parse_particles(&frame.input, &bytes)?;
+    let surface = pool.install(|| skin(&read.particles, &frame.settings));
+    let path =
+        |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };
+    write_whole(&path("glb"), |out| {
+        pool.install(|| gltf::write_glb(&mesh(&surface), &gltf::WriteOptions::default(), &[], out))
+    })?;
+    let origins: Vec<[i32; 3]> = surface.band.topology.origins().iter().map(|o| o.to_array()).collect();
+    let levels = LevelSetView {
+        origins: &origins,
+        leaves: surface.band.phi.as_arrays(),
+        half_width_voxels: 3.0,
+        voxel_size: frame.settings.voxel_size,
+    };
+    write_whole(&path("vdb"), |out| {
+        pool.install(|| vdb::write(&levels, &vdb::WriteOptions::default(), &[], out))
+    })?;
+    Ok(())
+}
+
+fn mesh(surface: &Surface) -> MeshView<'_> {
+    MeshView {
+        positions: bytemuck::cast_slice(&surface.mesh.positions),
+        normals: bytemuck::cast_slice(&surface.mesh.normals),
+        triangles: &surface.mesh.triangles,
+        origin: surface.mesh.origin.to_array(),
+    }
+}

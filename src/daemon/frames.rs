@@ -1,0 +1,176 @@
+//! Every frame that the daemon knows of, and how far it is.
+//!
+//! ```text
+//!                  ┌──────── written again ─────────────────────────┐
+//!                  ▼                                                │
+//!   (seen) ──▶ settling ──▶ held ──▶ queued or under way ──▶ done ──┤
+//!                  │   no settings yet      │                       │
+//!                  │                        ├──▶ retrying           │
+//!                  └──▶ ignored             └──▶ failed ────────────┘
+//! ```
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::pipeline::FileStamp;
+
+use super::readiness::Candidate;
+
+/// A file in a watched folder. One file in two of them is two frames: what becomes of it may differ.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub(super) struct FrameId {
+    /// The index of its root.
+    pub(super) root: usize,
+    /// Absolute.
+    pub(super) path: Arc<Path>,
+}
+
+impl FrameId {
+    pub(super) fn new(root: usize, path: &Path) -> FrameId {
+        FrameId { root, path: path.into() }
+    }
+}
+
+/// All frames.
+#[derive(Debug, Default)]
+pub(super) struct Frames {
+    all: HashMap<FrameId, FrameState>,
+    alarms: BinaryHeap<Reverse<(Instant, FrameId)>>,
+}
+
+/// What is known of a frame.
+#[derive(Debug)]
+pub(super) struct FrameState {
+    /// The index of its sequence.
+    pub(super) sequence: usize,
+    /// How far it is.
+    pub(super) phase: Phase,
+    /// Failures in a row that may pass by themselves.
+    pub(super) attempt_count: u32,
+    /// The scan that saw it last.
+    pub(super) scan_count: u64,
+    /// Some alarm is set for it.
+    has_alarm: bool,
+}
+
+/// How far a frame is.
+#[derive(Debug)]
+pub(super) enum Phase {
+    /// Its file may still be written.
+    Settling(Candidate),
+    /// Complete; its sequence has no settings yet.
+    Held(FileStamp),
+    /// Waits for the pipeline, or is in it.
+    Queued(FileStamp),
+    /// Failed, and is tried again at this time.
+    Retrying(FileStamp, Instant),
+    /// Its outputs are there.
+    Done(FileStamp),
+    /// Failed; only another file helps.
+    Failed(FileStamp),
+    /// No particles: some other file, or one of our own outputs.
+    Ignored(FileStamp),
+}
+
+impl Phase {
+    /// The file that this phase is about.
+    pub(super) fn stamp(&self) -> FileStamp {
+        match self {
+            Phase::Settling(candidate) => *candidate.stamp(),
+            Phase::Held(stamp)
+            | Phase::Queued(stamp)
+            | Phase::Retrying(stamp, _)
+            | Phase::Done(stamp)
+            | Phase::Failed(stamp)
+            | Phase::Ignored(stamp) => *stamp,
+        }
+    }
+}
+
+/// How many frames are how far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Tally {
+    pub(super) settling: usize,
+    pub(super) held: usize,
+    /// Waiting or under way.
+    pub(super) queued: usize,
+    pub(super) retrying: usize,
+    pub(super) done: usize,
+    pub(super) failed: usize,
+}
+
+impl Frames {
+    pub(super) fn get(&self, id: &FrameId) -> Option<&FrameState> {
+        self.all.get(id)
+    }
+
+    pub(super) fn get_mut(&mut self, id: &FrameId) -> Option<&mut FrameState> {
+        self.all.get_mut(id)
+    }
+
+    /// A frame that was not known.
+    pub(super) fn insert(&mut self, id: &FrameId, sequence: usize, candidate: Candidate, scan_count: u64) {
+        let state = FrameState {
+            sequence,
+            phase: Phase::Settling(candidate),
+            attempt_count: 0,
+            scan_count,
+            has_alarm: false,
+        };
+        self.all.insert(id.clone(), state);
+    }
+
+    pub(super) fn remove(&mut self, id: &FrameId) {
+        self.all.remove(id);
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&FrameId, &FrameState)> {
+        self.all.iter()
+    }
+
+    /// Has [`Frames::next_alarm`] name the frame at this time; one alarm for each is enough.
+    pub(super) fn set_alarm(&mut self, id: &FrameId, at: Instant) {
+        if let Some(frame) = self.all.get_mut(id)
+            && !frame.has_alarm
+        {
+            frame.has_alarm = true;
+            self.alarms.push(Reverse((at, id.clone())));
+        }
+    }
+
+    /// When the first alarm is due.
+    pub(super) fn alarm_at(&self) -> Option<Instant> {
+        self.alarms.peek().map(|Reverse((at, _))| *at)
+    }
+
+    /// A frame whose alarm is due.
+    pub(super) fn next_alarm(&mut self, now: Instant) -> Option<FrameId> {
+        if self.alarm_at()? > now {
+            return None;
+        }
+        let Reverse((_, id)) = self.alarms.pop()?;
+        if let Some(frame) = self.all.get_mut(&id) {
+            frame.has_alarm = false;
+        }
+        Some(id)
+    }
+
+    pub(super) fn tally(&self) -> Tally {
+        let mut tally = Tally::default();
+        for frame in self.all.values() {
+            match frame.phase {
+                Phase::Settling(_) => tally.settling += 1,
+                Phase::Held(_) => tally.held += 1,
+                Phase::Queued(_) => tally.queued += 1,
+                Phase::Retrying(..) => tally.retrying += 1,
+                Phase::Done(_) => tally.done += 1,
+                Phase::Failed(_) => tally.failed += 1,
+                Phase::Ignored(_) => {}
+            }
+        }
+        tally
+    }
+}

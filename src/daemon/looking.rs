@@ -1,0 +1,273 @@
+//! From a file that was seen to a frame that is queued, or to the reason why it is not.
+//!
+//! ```text
+//!   sight ──▶ advance ──▶ ready ──▶ release ──▶ enqueue
+//!     │          │          │          │
+//!     │          │          │          └ its sequence has no settings yet: held
+//!     │          │          └ no particles, or its outputs are another's
+//!     │          └ known from the journal, or still being written
+//!     └ seen before, and unchanged
+//! ```
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use meniscus_formats::completeness::{Completeness, completeness};
+
+use crate::pipeline::{FileStamp, Frame, FrameFile, OutputOptions, output_path};
+use crate::settings::Settings;
+
+use super::decision::{Decision, SkipReason, decide};
+use super::frames::{FrameId, Phase};
+use super::journal::Standing;
+use super::readiness::{Candidate, DEFAULT_SENTINEL, Readiness, Sentinel, sentinel_path};
+use super::rounds::Daemon;
+use super::scan::Seen;
+use super::selection::{Content, content};
+use super::sequences::SequenceSettings;
+
+impl Daemon<'_> {
+    /// A file of a root was seen.
+    pub(super) fn sight(&mut self, id: &FrameId, seen: &Seen, renamed: bool) {
+        let candidate = Candidate::new(Instant::now(), seen, renamed);
+        let scan_count = self.scan_count;
+        let Some(frame) = self.frames.get_mut(id) else {
+            let sequence = self.sequence_of(id);
+            self.frames.insert(id, sequence, candidate, scan_count);
+            return self.advance(id);
+        };
+        frame.scan_count = scan_count;
+        let is_same = frame.phase.stamp() == seen.stamp;
+        match &mut frame.phase {
+            Phase::Settling(candidate) => candidate.see(Instant::now(), seen, renamed),
+            Phase::Done(_) if is_same => return self.check_outputs(id),
+            _ if is_same => return,
+            // Under way: it is looked at again when its outcome comes.
+            Phase::Queued(stamp) if !self.queue.remove(id, stamp.modified_ns) => return,
+            _ => self.settle(id, candidate),
+        }
+        self.advance(id);
+    }
+
+    /// Whatever is known of a frame, its file is another one now.
+    pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
+        self.set_phase(id, Phase::Settling(candidate));
+        self.failed.remove(id);
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.attempt_count = 0;
+            self.sequences.get_mut(frame.sequence).sparse.remove(id);
+        }
+    }
+
+    /// A file is not there any more. What is under way goes on: its outcome says what to do.
+    pub(super) fn forget(&mut self, id: &FrameId) {
+        let Some(frame) = self.frames.get(id) else { return };
+        if let Phase::Queued(stamp) = frame.phase
+            && !self.queue.remove(id, stamp.modified_ns)
+        {
+            return;
+        }
+        // What waited for its settings need not wait any longer.
+        self.dirty_sequences.insert(frame.sequence);
+        self.frames.remove(id);
+        self.failed.remove(id);
+        let claimed = self.claimed_stem(id);
+        if self.claims.get(&claimed) == Some(id) {
+            self.claims.remove(&claimed);
+        }
+    }
+
+    /// Takes a frame that settles as far as it can go now.
+    pub(super) fn advance(&mut self, id: &FrameId) {
+        let Some(frame) = self.frames.get(id) else { return };
+        let Phase::Settling(candidate) = &frame.phase else { return };
+        let (stamp, sequence) = (*candidate.stamp(), frame.sequence);
+        if let Some(phase) = self.known_phase(id, sequence, &stamp) {
+            return self.set_phase(id, phase);
+        }
+        let Some(Phase::Settling(candidate)) = self.frames.get(id).map(|frame| &frame.phase) else { return };
+        let sentinel = self.sentinel(id, &stamp);
+        let looked = || completeness_of(&id.path);
+        match candidate.readiness(Instant::now(), &self.config.patience, sentinel, looked) {
+            Readiness::Ready(proof) => {
+                tracing::debug!(frame = %id.path.display(), "ready: {proof}");
+                self.ready(id, stamp);
+            }
+            Readiness::Waiting { until, .. } => {
+                if let Some(until) = until {
+                    self.frames.set_alarm(id, until);
+                }
+            }
+        }
+    }
+
+    /// What the journal knows of exactly this file: that its outputs are there, or that it cannot be
+    /// converted.
+    fn known_phase(&mut self, id: &FrameId, sequence: usize, stamp: &FileStamp) -> Option<Phase> {
+        let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path)?;
+        let missing = record.outputs.iter().map(|output| &*output.path).find(|path| !self.listings.has(path));
+        match decide(Some(record), stamp, self.sequences.get(sequence).fingerprint(), missing) {
+            Decision::Skip(SkipReason::Done) => {
+                // Its outputs are its own, also when another input comes that would have the same.
+                self.claim(id).is_ok().then_some(Phase::Done(*stamp))
+            }
+            Decision::Skip(SkipReason::FailedUnchanged) => {
+                self.failed.insert(id.clone(), record.reason.clone().unwrap_or_default());
+                Some(Phase::Failed(*stamp))
+            }
+            Decision::CompareContent | Decision::Convert(_) => None,
+        }
+    }
+
+    /// A frame that is done stays so only while its outputs are there.
+    fn check_outputs(&mut self, id: &FrameId) {
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
+        let Some(record) = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path) else {
+            return;
+        };
+        let missing = record.outputs.iter().map(|output| &*output.path).find(|path| !self.listings.has(path));
+        if let Some(missing) = missing {
+            tracing::info!(frame = %id.path.display(), "{} is gone: converted again", missing.display());
+            self.ready(id, stamp);
+        }
+    }
+
+    fn sentinel(&self, id: &FrameId, stamp: &FileStamp) -> Sentinel {
+        let proof = FileStamp::of_path(&self.sentinel_path(id));
+        // One that was left of an earlier version of the frame proves nothing.
+        let there = proof.is_ok_and(|proof| proof.modified_ns >= stamp.modified_ns);
+        match self.config.watches[id.root].sentinel {
+            Some(_) => Sentinel::Wanted { there },
+            None => Sentinel::Optional { there },
+        }
+    }
+
+    /// The file that says that a frame is complete.
+    pub(super) fn sentinel_path(&self, id: &FrameId) -> PathBuf {
+        sentinel_path(&id.path, self.sentinel_pattern(id.root))
+    }
+
+    /// Whether some frame's sentinel could have this name.
+    pub(super) fn may_be_sentinel(&self, root: usize, path: &Path) -> bool {
+        let pattern = self.sentinel_pattern(root);
+        let end = pattern.rsplit('}').next().unwrap_or(pattern);
+        path.as_os_str().as_encoded_bytes().ends_with(end.as_bytes())
+    }
+
+    fn sentinel_pattern(&self, root: usize) -> &str {
+        self.config.watches[root].sentinel.as_deref().unwrap_or(DEFAULT_SENTINEL)
+    }
+
+    /// A file is complete.
+    pub(super) fn ready(&mut self, id: &FrameId, stamp: FileStamp) {
+        match content(&id.path) {
+            Ok(Content::Particles) => {}
+            Ok(Content::OwnOutput | Content::NotParticles) => {
+                return self.set_phase(id, Phase::Ignored(stamp));
+            }
+            // Reading it will say what is wrong.
+            Err(error) => tracing::debug!(frame = %id.path.display(), "cannot be looked into: {error}"),
+        }
+        if let Err(conflict) = self.claim(id) {
+            return self.fail_for_good(id, stamp, conflict);
+        }
+        self.set_phase(id, Phase::Held(stamp));
+        self.release(id);
+    }
+
+    /// Queues a frame that is held, if its sequence has settings.
+    pub(super) fn release(&mut self, id: &FrameId) {
+        let Some(frame) = self.frames.get(id) else { return };
+        let (sequence, stamp) = (frame.sequence, frame.phase.stamp());
+        match &self.sequences.get(sequence).settings {
+            SequenceSettings::Fixed(settings, _) => {
+                let settings = Arc::clone(settings);
+                self.enqueue(id, stamp, settings);
+            }
+            SequenceSettings::Impossible(why) => {
+                let why = why.clone();
+                self.fail_for_good(id, stamp, why);
+            }
+            SequenceSettings::Unknown | SequenceSettings::BeingMeasured => {
+                self.dirty_sequences.insert(sequence);
+            }
+        }
+    }
+
+    fn enqueue(&mut self, id: &FrameId, stamp: FileStamp, settings: Arc<Settings>) {
+        let frame =
+            Frame { input: id.path.to_path_buf(), stem: stem(&id.path), settings, outputs: self.outputs(id) };
+        self.set_phase(id, Phase::Queued(stamp));
+        self.note(id, Standing::Queued, stamp, None);
+        self.queue.push(id, frame, stamp.modified_ns);
+    }
+
+    /// What is written of a frame, and where: its sub-folder is mirrored below that of the outputs.
+    fn outputs(&mut self, id: &FrameId) -> Arc<OutputOptions> {
+        let root = &self.roots[id.root].path;
+        let out = &self.stores.of_watch(id.root).folder;
+        let within = id.path.parent().and_then(|folder| folder.strip_prefix(root).ok());
+        let folder = within.map_or_else(|| out.clone(), |within| out.join(within));
+        let options = &self.config.watches[id.root].outputs;
+        let mirrored = self.outputs_of.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {
+            Arc::new(OutputOptions { folder: folder.clone(), ..options.clone() })
+        });
+        Arc::clone(mirrored)
+    }
+
+    /// Makes the outputs of this frame its own.
+    ///
+    /// # Errors
+    /// When another input has them already, or when one of them would replace a file of particles.
+    fn claim(&mut self, id: &FrameId) -> Result<(), String> {
+        let claimed = self.claimed_stem(id);
+        match self.claims.get(&claimed) {
+            Some(owner) if owner == id => return Ok(()),
+            Some(owner) if self.frames.get(owner).is_some() => {
+                return Err(format!(
+                    "{} and {} would both become {}.*; the first of them has it",
+                    owner.path.display(),
+                    id.path.display(),
+                    claimed.display(),
+                ));
+            }
+            _ => {}
+        }
+        let outputs = self.outputs(id);
+        for &format in &outputs.formats {
+            let output = output_path(&outputs.folder, &stem(&id.path), format);
+            if self.listings.has(&output) && matches!(content(&output), Ok(Content::Particles)) {
+                return Err(format!(
+                    "its output {} would replace a file of particles: choose another folder or format",
+                    output.display()
+                ));
+            }
+        }
+        self.claims.insert(claimed, id.clone());
+        Ok(())
+    }
+
+    /// What the outputs of a frame are called, but for their extensions.
+    fn claimed_stem(&mut self, id: &FrameId) -> PathBuf {
+        self.outputs(id).folder.join(stem(&id.path))
+    }
+
+    pub(super) fn set_phase(&mut self, id: &FrameId, phase: Phase) {
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.phase = phase;
+        }
+    }
+}
+
+fn stem(path: &Path) -> String {
+    FrameFile::new(path.to_owned()).stem()
+}
+
+/// What the format says; where the file cannot be read, reading it will say why.
+fn completeness_of(path: &Path) -> Completeness {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let look = || completeness(&mut File::open(path)?, &name);
+    look().unwrap_or(Completeness::Unproven)
+}

@@ -1,0 +1,105 @@
+//! Sequences get their settings: which frames are measured, and what follows from it.
+
+use std::path::PathBuf;
+
+use crate::pipeline::natural_order;
+
+use super::frames::{FrameId, FrameState, Phase};
+use super::rounds::Daemon;
+use super::sequences::{MeasureOrder, Measured, SequenceSettings};
+
+impl Daemon<'_> {
+    /// The index of the sequence that a file belongs to.
+    pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
+        let watch = &self.config.watches[id.root];
+        let remembered = &self.stores.of_watch(id.root).journal.state().sequences;
+        self.sequences.index(id, watch, |key| SequenceSettings::new(watch, remembered.get(key)))
+    }
+
+    /// Has the sequences measured that wait for it and can be.
+    pub(super) fn resolve_sequences(&mut self) {
+        for index in std::mem::take(&mut self.dirty_sequences) {
+            if let Some(files) = self.files_to_measure(index) {
+                self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
+                self.measuring_count += 1;
+                // The thread at the other end lives as long as the loop.
+                let _ = self.to_measure.send(MeasureOrder { sequence: index, files });
+            }
+        }
+    }
+
+    /// The complete frames of a sequence that come before all that are still being written, in natural
+    /// order; `None` where there is none, or nothing to measure.
+    fn files_to_measure(&self, index: usize) -> Option<Vec<PathBuf>> {
+        let sequence = self.sequences.get(index);
+        if !matches!(sequence.settings, SequenceSettings::Unknown) {
+            return None;
+        }
+        let mut members: Vec<(&FrameId, bool)> = self
+            .frames
+            .iter()
+            .filter(|(id, frame)| frame.sequence == index && !sequence.sparse.contains(*id))
+            .filter_map(|(id, frame)| match frame.phase {
+                Phase::Held(_) => Some((id, true)),
+                Phase::Settling(_) | Phase::Retrying(..) => Some((id, false)),
+                _ => None,
+            })
+            .collect();
+        members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
+        let complete = members.into_iter().take_while(|(_, is_complete)| *is_complete);
+        let files: Vec<PathBuf> = complete.map(|(id, _)| id.path.to_path_buf()).collect();
+        (!files.is_empty()).then_some(files)
+    }
+
+    /// A sequence was measured, or could not be.
+    pub(super) fn measured(&mut self, measured: Measured) {
+        self.measuring_count -= 1;
+        let Measured { sequence: index, record, sparse, unreadable } = measured;
+        let root = self.sequences.get(index).root;
+        let sequence = self.sequences.get_mut(index);
+        sequence.sparse.extend(sparse.iter().map(|path| FrameId::new(root, path)));
+        sequence.settings = SequenceSettings::new(&self.config.watches[root], record.as_ref());
+        for (path, error) in &unreadable {
+            let id = FrameId::new(root, path);
+            if let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp()) {
+                self.failed_frame(&id, stamp, error);
+            }
+        }
+        if let Some(record) = record {
+            let key = self.sequences.get(index).key.clone();
+            let store = self.stores.of_watch_mut(root);
+            if let Err(error) = store.journal.note_sequence(&key, record) {
+                tracing::warn!(folder = %store.folder.display(), "cannot write the journal: {error}");
+            }
+            self.tell_settings(index);
+            for id in self.held_frames(index) {
+                self.release(&id);
+            }
+        }
+        // More frames may have come meanwhile.
+        self.dirty_sequences.insert(index);
+    }
+
+    fn tell_settings(&self, index: usize) {
+        let sequence = self.sequences.get(index);
+        let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return };
+        tracing::info!(
+            sequence = %sequence.key.folder.join(&sequence.key.name).display(),
+            voxel_size = settings.voxel_size,
+            radius_min = settings.radius_min,
+            radius_init = settings.radius_init,
+            radius_max = settings.radius_max,
+            "settings are fixed"
+        );
+        for warning in settings.warnings() {
+            tracing::warn!(sequence = %sequence.key.name, "{warning}");
+        }
+    }
+
+    /// The frames of a sequence that wait for its settings.
+    fn held_frames(&self, sequence: usize) -> Vec<FrameId> {
+        let is_held =
+            |frame: &FrameState| frame.sequence == sequence && matches!(frame.phase, Phase::Held(_));
+        self.frames.iter().filter(|(_, frame)| is_held(frame)).map(|(id, _)| id.clone()).collect()
+    }
+}

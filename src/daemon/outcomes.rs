@@ -1,0 +1,218 @@
+//! What became of a frame: written down, told, and tried again where that may help.
+
+use std::path::Path;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, output_path};
+
+use super::frames::{FrameId, Phase};
+use super::journal::{FrameRecord, OutputRecord, Standing};
+use super::readiness::Candidate;
+use super::retry::{Remedy, backoff, remedy};
+use super::rounds::Daemon;
+use super::scan::look;
+
+impl Daemon<'_> {
+    /// The pipeline is finished with a frame.
+    pub(super) fn finished(&mut self, id: &FrameId, frame: &Frame, outcome: Outcome) {
+        let Some(state) = self.frames.get(id) else { return };
+        let stamp = state.phase.stamp();
+        match outcome {
+            Outcome::Converted(report) => self.converted(id, &report),
+            Outcome::AlreadyDone(input) => self.already_done(id, frame, &input),
+            Outcome::Changed => {
+                tracing::info!(frame = %id.path.display(), "was written while it was read: it is read again");
+                return self.start_over(id);
+            }
+            Outcome::Failed(error) => self.failed_frame(id, stamp, &error),
+            // The pipeline was closed before the frame was begun.
+            Outcome::NotStarted => {}
+        }
+        self.look_again(id);
+    }
+
+    fn converted(&mut self, id: &FrameId, report: &FrameReport) {
+        let skin = &report.skin;
+        let seconds = report.read_seconds + skin.seconds.total() + report.write_seconds;
+        tracing::info!(
+            frame = %id.path.display(),
+            particles = skin.particle_count,
+            read_s = rounded(report.read_seconds),
+            rasterize_s = rounded(skin.seconds.rasterize),
+            smooth_s = rounded(skin.seconds.smooth),
+            contour_s = rounded(skin.seconds.contour),
+            write_s = rounded(report.write_seconds),
+            queue = self.queue.len(),
+            "converted"
+        );
+        for note in &report.notes {
+            tracing::warn!(frame = %id.path.display(), "{note}");
+        }
+        if !skin.certificate.holds() {
+            tracing::warn!(frame = %id.path.display(), "the certificate does not hold: see the report of `convert`");
+        }
+        self.room.was_enough();
+        self.converted_count += 1;
+        let outputs = report.outputs.iter().zip(&report.output_bytes);
+        let outputs = outputs.map(|(path, &size_bytes)| OutputRecord { path: path.clone(), size_bytes });
+        let record = FrameRecord {
+            outputs: outputs.collect(),
+            particle_count: Some(skin.particle_count),
+            seconds: Some(rounded(seconds)),
+            ..self.record(id, Standing::Done, report.input.stamp)
+        };
+        self.note_done(id, FrameRecord { hash: Some(report.input.hash), ..record });
+    }
+
+    fn already_done(&mut self, id: &FrameId, frame: &Frame, input: &ReadInput) {
+        tracing::info!(frame = %id.path.display(), queue = self.queue.len(), "was done already");
+        let outputs = frame.outputs.formats.iter().map(|&format| {
+            let path = output_path(&frame.outputs.folder, &frame.stem, format);
+            let size_bytes = path.metadata().map_or(0, |metadata| metadata.len());
+            OutputRecord { path, size_bytes }
+        });
+        let record = FrameRecord {
+            outputs: outputs.collect(),
+            hash: Some(input.hash),
+            ..self.record(id, Standing::Done, input.stamp)
+        };
+        self.note_done(id, record);
+    }
+
+    fn note_done(&mut self, id: &FrameId, record: FrameRecord) {
+        let Some(frame) = self.frames.get_mut(id) else { return };
+        frame.attempt_count = 0;
+        frame.phase = Phase::Done(record.stamp);
+        self.failed.remove(id);
+        self.stores.of_watch_mut(id.root).note(&id.path, record);
+    }
+
+    /// A frame failed: what now depends on why.
+    pub(super) fn failed_frame(&mut self, id: &FrameId, stamp: FileStamp, error: &FrameError) {
+        let now = Instant::now();
+        match remedy(error) {
+            Remedy::Forget => {
+                tracing::info!(frame = %id.path.display(), "is gone");
+                self.set_phase(id, Phase::Failed(stamp));
+                self.forget(id);
+            }
+            Remedy::AwaitRoom => {
+                let folder = error.path.parent().unwrap_or(Path::new("."));
+                self.room.ran_out(folder, now);
+                self.queue.pause(true);
+                tracing::warn!(frame = %id.path.display(), "{error}: paused until there is room");
+                self.retry_at(id, stamp, now, &error.to_string());
+            }
+            Remedy::Retry => self.fail_for_now(id, stamp, error, now),
+            Remedy::GiveUp => self.fail_for_good(id, stamp, error.to_string()),
+        }
+    }
+
+    fn fail_for_now(&mut self, id: &FrameId, stamp: FileStamp, error: &FrameError, now: Instant) {
+        let Some(frame) = self.frames.get_mut(id) else { return };
+        frame.attempt_count += 1;
+        let attempt_count = frame.attempt_count;
+        match backoff(attempt_count, self.config.once) {
+            Some(wait) => {
+                tracing::warn!(frame = %id.path.display(), attempt = attempt_count, "{error}; again in {wait:?}");
+                self.retry_at(id, stamp, now + wait, &error.to_string());
+            }
+            None => {
+                let reason = format!("{error}; given up after {attempt_count} attempts");
+                self.fail_for_good(id, stamp, reason);
+            }
+        }
+    }
+
+    fn retry_at(&mut self, id: &FrameId, stamp: FileStamp, at: Instant, reason: &str) {
+        self.set_phase(id, Phase::Retrying(stamp, at));
+        self.note(id, Standing::Retrying, stamp, Some(reason.to_owned()));
+        self.frames.set_alarm(id, at);
+    }
+
+    /// A frame is not tried again until its file changes.
+    pub(super) fn fail_for_good(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
+        tracing::error!(frame = %id.path.display(), "{reason}");
+        self.set_phase(id, Phase::Failed(stamp));
+        self.note(id, Standing::Failed, stamp, Some(reason.clone()));
+        self.failed.insert(id.clone(), reason);
+    }
+
+    /// It is time to try a frame again.
+    pub(super) fn retry(&mut self, id: &FrameId, now: Instant) {
+        let Some(frame) = self.frames.get(id) else { return };
+        let Phase::Retrying(stamp, at) = frame.phase else { return };
+        if at > now {
+            return self.frames.set_alarm(id, at);
+        }
+        self.set_phase(id, Phase::Held(stamp));
+        self.look_again(id);
+        if self.frames.get(id).is_some_and(|frame| matches!(frame.phase, Phase::Held(_))) {
+            self.ready(id, stamp);
+        }
+    }
+
+    /// A frame settles once more, whatever is known of it.
+    fn start_over(&mut self, id: &FrameId) {
+        match look(&id.path, self.roots[id.root].trust_clock()) {
+            Ok(Some(seen)) => {
+                self.settle(id, Candidate::new(Instant::now(), &seen, false));
+                self.advance(id);
+            }
+            _ => self.look_again(id),
+        }
+    }
+
+    /// What was under way may have been written again meanwhile, or be gone.
+    fn look_again(&mut self, id: &FrameId) {
+        match look(&id.path, self.roots[id.root].trust_clock()) {
+            Ok(Some(seen)) => self.sight(id, &seen, false),
+            Ok(None) => self.forget(id),
+            // The next scan, or the next attempt, will see.
+            Err(error) => tracing::debug!(frame = %id.path.display(), "cannot be looked at: {error}"),
+        }
+    }
+
+    /// Writes a frame's standing into the journal.
+    pub(super) fn note(
+        &mut self,
+        id: &FrameId,
+        standing: Standing,
+        stamp: FileStamp,
+        reason: Option<String>,
+    ) {
+        let record = FrameRecord { reason, ..self.record(id, standing, stamp) };
+        self.stores.of_watch_mut(id.root).note(&id.path, record);
+    }
+
+    fn record(&self, id: &FrameId, standing: Standing, stamp: FileStamp) -> FrameRecord {
+        let frame = self.frames.get(id);
+        FrameRecord {
+            standing,
+            stamp,
+            hash: None,
+            settings: frame.map_or("", |frame| self.sequences.get(frame.sequence).fingerprint()).into(),
+            outputs: Vec::new(),
+            reason: None,
+            attempt_count: frame.map_or(0, |frame| frame.attempt_count),
+            at_ms: now_ms(),
+            particle_count: None,
+            seconds: None,
+        }
+    }
+}
+
+/// Milliseconds since 1970.
+pub(super) fn now_ms() -> u64 {
+    // A clock before 1970 is as good as none.
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .ok()
+        .and_then(|t| u64::try_from(t.as_millis()).ok())
+        .unwrap_or(0)
+}
+
+/// Seconds to the millisecond: more digits are noise in a log.
+fn rounded(seconds: f64) -> f64 {
+    (seconds * 1e3).round() / 1e3
+}

@@ -1,0 +1,90 @@
+//! What may pass by itself is tried again: soon at first, then less and less often, and not forever.
+
+use std::io;
+use std::time::Duration;
+
+use meniscus_formats::Error;
+
+use crate::pipeline::{Cause, FrameError, Stage};
+
+/// What to do about a frame that failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Remedy {
+    /// The file is gone: forget it.
+    Forget,
+    /// There is no room for the outputs: wait for some, then go on.
+    AwaitRoom,
+    /// It may pass by itself.
+    Retry,
+    /// Nothing helps but another file.
+    GiveUp,
+}
+
+/// What to do about this error.
+pub(super) fn remedy(error: &FrameError) -> Remedy {
+    let Cause::File(source) = &error.cause else { return Remedy::GiveUp };
+    match source {
+        _ if error.is_disk_full() => Remedy::AwaitRoom,
+        Error::Io(refusal) if error.during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
+            Remedy::Forget
+        }
+        Error::Io(_) => Remedy::Retry,
+        source if source.is_short() => Remedy::Retry,
+        _ => Remedy::GiveUp,
+    }
+}
+
+/// How long to wait after the `attempt_count`-th failure in a row; `None`: no more.
+pub(super) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
+    // Whoever wants the work done and the program ended does not wait for minutes.
+    let attempts_max = if once { ATTEMPTS_MAX_ONCE } else { ATTEMPTS_MAX };
+    let doublings = attempt_count.saturating_sub(1);
+    (attempt_count < attempts_max)
+        .then(|| BACKOFF_FIRST.saturating_mul(1 << doublings.min(16)).min(BACKOFF_MAX))
+}
+
+const BACKOFF_FIRST: Duration = Duration::from_millis(500);
+const BACKOFF_MAX: Duration = Duration::from_secs(60);
+
+/// In all about five minutes.
+const ATTEMPTS_MAX: u32 = 12;
+
+/// In all three and a half seconds.
+const ATTEMPTS_MAX_ONCE: u32 = 4;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meniscus_formats::Place;
+    use std::path::Path;
+
+    fn after(during: Stage, source: Error) -> Remedy {
+        remedy(&FrameError::file(Path::new("a"), during, source))
+    }
+
+    #[test]
+    fn each_error_has_its_remedy() {
+        let io = |kind: io::ErrorKind| Error::Io(kind.into());
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), Remedy::Forget);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), Remedy::Retry);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), Remedy::Retry);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), Remedy::AwaitRoom);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), Remedy::AwaitRoom);
+        assert_eq!(after(Stage::Read, Error::invalid("PLY", Place::File, "no")), Remedy::GiveUp);
+        assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), Remedy::GiveUp);
+        assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), Remedy::GiveUp);
+        let panic = FrameError { path: "a".into(), during: Stage::Smooth, cause: Cause::Panic("no".into()) };
+        assert_eq!(remedy(&panic), Remedy::GiveUp);
+    }
+
+    #[test]
+    fn waits_double_up_to_a_minute_and_end() {
+        let waits = |once| -> Vec<f64> {
+            (1..).map_while(|attempt| backoff(attempt, once)).map(|wait| wait.as_secs_f64()).collect()
+        };
+        assert_eq!(waits(true), [0.5, 1.0, 2.0]);
+        assert_eq!(waits(false)[..9], [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]);
+        assert_eq!(waits(false).len(), ATTEMPTS_MAX as usize - 1);
+        assert_eq!(backoff(u32::MAX, false), None);
+    }
+}

@@ -1,0 +1,165 @@
+//! The settings of each sequence: fixed once, and kept.
+//!
+//! ```text
+//!   voxel size given ────────────────────────────────┐
+//!   in the journal, from an earlier run ─────────────┼──▶ fixed: every frame has the same
+//!   measured on the first frame, in natural order, ──┘
+//!   that has enough particles
+//! ```
+//!
+//! Until then, frames that are complete are held. A frame that comes before them by name, and is
+//! still being written, is waited for: what is measured must not depend on which of two files was
+//! finished first, or on the order in which frames are converted.
+
+use std::collections::{HashMap, HashSet};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use twox_hash::XxHash3_64;
+
+use crate::pipeline::{FrameError, FrameFile, automatic_voxel_size, settings_fingerprint};
+use crate::settings::Settings;
+
+use super::config::Watch;
+use super::frames::FrameId;
+use super::journal::{SequenceKey, SequenceRecord};
+
+/// All sequences that were met.
+#[derive(Debug, Default)]
+pub(super) struct Sequences {
+    all: Vec<Sequence>,
+    index_of: HashMap<(usize, PathBuf, String), usize>,
+}
+
+/// Frames whose names differ in their number only.
+#[derive(Debug)]
+pub(super) struct Sequence {
+    /// What the journal knows it by.
+    pub(super) key: SequenceKey,
+    /// The index of its root.
+    pub(super) root: usize,
+    /// Its settings, or what is missing.
+    pub(super) settings: SequenceSettings,
+    /// Frames that were looked at and have too few particles to measure the spacing.
+    pub(super) sparse: HashSet<FrameId>,
+}
+
+impl Sequence {
+    /// What the journal knows its settings by; empty while there are none.
+    pub(super) fn fingerprint(&self) -> &str {
+        match &self.settings {
+            SequenceSettings::Fixed(_, fingerprint) => fingerprint,
+            _ => "",
+        }
+    }
+}
+
+/// The settings of a sequence, or what is missing.
+#[derive(Clone, Debug)]
+pub(super) enum SequenceSettings {
+    /// What all its frames are converted with, and what the journal knows these settings by.
+    Fixed(Arc<Settings>, Arc<str>),
+    /// To be measured on the first frame there is.
+    Unknown,
+    /// Under way.
+    BeingMeasured,
+    /// There are none, and this is why.
+    Impossible(String),
+}
+
+impl Sequences {
+    /// The index of the sequence that a frame belongs to; `new` is asked for the settings of one that is
+    /// met for the first time.
+    pub(super) fn index(
+        &mut self,
+        id: &FrameId,
+        watch: &Watch,
+        new: impl FnOnce(&SequenceKey) -> SequenceSettings,
+    ) -> usize {
+        let (folder, name) = FrameFile::new(id.path.to_path_buf()).sequence();
+        let place = (id.root, folder, name);
+        if let Some(&index) = self.index_of.get(&place) {
+            return index;
+        }
+        let (_, folder, name) = place.clone();
+        let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
+        let settings = new(&key);
+        self.all.push(Sequence { key, root: id.root, settings, sparse: HashSet::new() });
+        self.index_of.insert(place, self.all.len() - 1);
+        self.all.len() - 1
+    }
+
+    pub(super) fn get(&self, index: usize) -> &Sequence {
+        &self.all[index]
+    }
+
+    pub(super) fn get_mut(&mut self, index: usize) -> &mut Sequence {
+        &mut self.all[index]
+    }
+}
+
+impl SequenceSettings {
+    /// The settings, where they need no measuring: the voxel size was given, or is remembered.
+    pub(super) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
+        let voxel_size = watch.voxel_size.or(remembered.map(|record| record.voxel_size));
+        let Some(voxel_size) = voxel_size else { return SequenceSettings::Unknown };
+        match Settings::resolve(voxel_size, &watch.choices) {
+            Ok(settings) => {
+                let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
+                SequenceSettings::Fixed(Arc::new(settings), fingerprint)
+            }
+            Err(error) => SequenceSettings::Impossible(error.to_string()),
+        }
+    }
+}
+
+/// What a sequence is to be measured on.
+#[derive(Debug)]
+pub(super) struct MeasureOrder {
+    /// Which sequence.
+    pub(super) sequence: usize,
+    /// Its complete frames, in natural order.
+    pub(super) files: Vec<PathBuf>,
+}
+
+/// What came of it.
+#[derive(Debug)]
+pub(super) struct Measured {
+    /// Which sequence.
+    pub(super) sequence: usize,
+    /// The voxel size and where it is from, if one of the files tells.
+    pub(super) record: Option<SequenceRecord>,
+    /// Files with too few particles.
+    pub(super) sparse: Vec<PathBuf>,
+    /// Files that cannot be read.
+    pub(super) unreadable: Vec<(PathBuf, FrameError)>,
+}
+
+/// Looks at the files one by one until the spacing is known.
+pub(super) fn measure(order: MeasureOrder) -> Measured {
+    let mut measured =
+        Measured { sequence: order.sequence, record: None, sparse: Vec::new(), unreadable: Vec::new() };
+    for path in order.files {
+        match automatic_voxel_size([&*path]) {
+            Ok(automatic) => {
+                measured.record = Some(SequenceRecord {
+                    voxel_size: automatic.voxel_size,
+                    spacing: Some(automatic.spacing),
+                    measured_on: Some(automatic.measured_on),
+                });
+                break;
+            }
+            Err(none) => match none.unreadable {
+                Some(error) => measured.unreadable.push((path, error)),
+                None => measured.sparse.push(path),
+            },
+        }
+    }
+    measured
+}
+
+/// What the user chose, in short: with other choices, a sequence is another.
+fn choices_fingerprint(watch: &Watch) -> String {
+    let chosen = format!("{:?} {:?}", watch.voxel_size, watch.choices);
+    format!("{:016x}", XxHash3_64::oneshot(chosen.as_bytes()))
+}

@@ -1,0 +1,158 @@
+//! The folders of the outputs: locked, swept, and each with its journal.
+
+use std::collections::{HashMap, HashSet};
+use std::ffi::OsString;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::pipeline::sweep_temporaries;
+
+use super::DaemonError;
+use super::config::Config;
+use super::journal::{FrameRecord, Journal, STATE_FOLDER};
+use super::lock::OutputLock;
+
+/// A folder of outputs that is this daemon's alone.
+#[derive(Debug)]
+pub(super) struct Store {
+    /// Absolute.
+    pub(super) folder: PathBuf,
+    pub(super) journal: Journal,
+    _lock: OutputLock,
+}
+
+/// All folders of outputs, and which watch writes into which.
+#[derive(Debug)]
+pub(super) struct Stores {
+    all: Vec<Store>,
+    of_watch: Vec<usize>,
+}
+
+impl Stores {
+    /// Makes the folders, locks them, reads their journals, and removes what an earlier run that was
+    /// killed left half written.
+    ///
+    /// # Errors
+    /// When a folder cannot be made, or another daemon has it.
+    pub(super) fn open(config: &Config) -> Result<Stores, DaemonError> {
+        let mut stores = Stores { all: Vec::new(), of_watch: Vec::new() };
+        for watch in &config.watches {
+            let folder = open_folder(&watch.outputs.folder)?;
+            let known = stores.all.iter().position(|store| store.folder == folder);
+            let index = match known {
+                Some(index) => index,
+                None => {
+                    stores.all.push(Store::open(folder, config.journal.as_deref())?);
+                    stores.all.len() - 1
+                }
+            };
+            stores.of_watch.push(index);
+        }
+        Ok(stores)
+    }
+
+    /// Where this watch writes.
+    pub(super) fn of_watch(&self, watch: usize) -> &Store {
+        &self.all[self.of_watch[watch]]
+    }
+
+    /// The same, to be written to.
+    pub(super) fn of_watch_mut(&mut self, watch: usize) -> &mut Store {
+        &mut self.all[self.of_watch[watch]]
+    }
+
+    pub(super) fn iter(&self) -> impl Iterator<Item = &Store> {
+        self.all.iter()
+    }
+
+    pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = &mut Store> {
+        self.all.iter_mut()
+    }
+}
+
+fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
+    let make = || {
+        fs::create_dir_all(folder)?;
+        folder.canonicalize()
+    };
+    make().map_err(|source| DaemonError::Folder { folder: folder.to_owned(), source })
+}
+
+impl Store {
+    fn open(folder: PathBuf, journal: Option<&Path>) -> Result<Store, DaemonError> {
+        let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
+        let journal_folder = journal.map_or_else(|| folder.join(STATE_FOLDER), Path::to_owned);
+        let failed = |source| DaemonError::Folder { folder: journal_folder.clone(), source };
+        let journal = Journal::open(&journal_folder).map_err(failed)?;
+        let lost = journal.state().damaged_line_count;
+        if lost > 0 {
+            tracing::warn!(
+                journal = %journal_folder.display(),
+                "{lost} damaged lines in the journal were passed over: what they said is found out again"
+            );
+        }
+        match sweep(&folder) {
+            Ok(0) => {}
+            Ok(count) => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
+            Err(error) => {
+                tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}")
+            }
+        }
+        Ok(Store { folder, journal, _lock: lock })
+    }
+
+    /// Writes down what became of a frame. A journal that cannot be written costs work after a restart
+    /// and nothing else.
+    pub(super) fn note(&mut self, input: &Path, record: FrameRecord) {
+        if let Err(error) = self.journal.note_frame(input, record) {
+            tracing::warn!(folder = %self.folder.display(), "cannot write the journal: {error}");
+        }
+    }
+}
+
+/// Removes the temporaries of a folder and all below it that nobody is writing.
+fn sweep(folder: &Path) -> io::Result<usize> {
+    let mut swept = sweep_temporaries(folder)?;
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        // Links are not followed: what they lead to is not ours to sweep.
+        if entry.file_type()?.is_dir() && !entry.file_name().as_encoded_bytes().starts_with(b".") {
+            swept += sweep(&entry.path())?;
+        }
+    }
+    Ok(swept)
+}
+
+/// Whether files are there. During a scan, when thousands of outputs are asked for, each folder is
+/// listed once.
+#[derive(Debug, Default)]
+pub(super) struct Listings {
+    names_in: Option<HashMap<PathBuf, HashSet<OsString>>>,
+}
+
+impl Listings {
+    /// From now on, folders are listed once, and believed.
+    pub(super) fn begin(&mut self) {
+        self.names_in = Some(HashMap::new());
+    }
+
+    /// From now on, the system is asked for each file.
+    pub(super) fn end(&mut self) {
+        self.names_in = None;
+    }
+
+    /// Whether there is such a file.
+    pub(super) fn has(&mut self, path: &Path) -> bool {
+        let Some(names_in) = &mut self.names_in else { return path.symlink_metadata().is_ok() };
+        let (Some(folder), Some(name)) = (path.parent(), path.file_name()) else { return false };
+        if let Some(names) = names_in.get(folder) {
+            return names.contains(name);
+        }
+        let names: HashSet<OsString> =
+            fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.file_name()).collect();
+        let has = names.contains(name);
+        names_in.insert(folder.to_owned(), names);
+        has
+    }
+}
