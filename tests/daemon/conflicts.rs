@@ -15,7 +15,7 @@ fn outputs_within_the_watched_folder_are_no_inputs() {
         let ran = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
         assert_eq!(ran.status, Some(0), "{}", ran.err);
     }
-    let mut daemon = scene.start_as(&[&arguments[..], &QUICK, &["--rescan", "1s"]].concat());
+    let daemon = scene.start_as(&[&arguments[..], &QUICK, &["--rescan", "1s"]].concat());
     daemon.await_ready();
     scene.put_moving([3]);
     daemon.await_converted("dam.3.ply");
@@ -42,7 +42,7 @@ fn outputs_beside_the_frames_are_no_inputs() {
         assert_eq!(ran.status, Some(0), "{}", ran.err);
         assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.csv", "dam.1.ply"]);
     }
-    let mut daemon = scene.start_as(&[&arguments[..], &QUICK, &NO_SCANS].concat());
+    let daemon = scene.start_as(&[&arguments[..], &QUICK, &NO_SCANS].concat());
     daemon.await_ready();
     scene.write("in/dam.2.csv", csv(&moving(2)));
     daemon.await_converted("dam.2.csv");

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use crate::scene::{Line, NO_SCANS, Scene, Watching, await_that, block, by_length, moving, ply, text_ply};
 
-const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
+/// With a voxel size, for what it would be measured on changes here.
+const FORMATS: [&str; 4] = ["--format", "obj,vdb", "--voxel-size", "0.06"];
 
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
     scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())

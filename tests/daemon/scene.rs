@@ -22,7 +22,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// Longer than anything takes that is waited for, on a busy machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
 /// Settings that find changes by events alone: no scan happens to come by.
 pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
@@ -156,7 +156,7 @@ impl Scene {
 
     /// Starts the daemon, and waits until it has looked at everything once.
     pub(crate) fn watch(&self, arguments: &[&str]) -> Watching {
-        let mut watching = self.start(arguments);
+        let watching = self.start(arguments);
         watching.await_ready();
         watching
     }
@@ -173,11 +173,12 @@ impl Scene {
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("a start");
         let log = Arc::new(Log::default());
         let stderr = child.stderr.take().expect("piped");
-        let reader = thread::spawn({
-            let log = Arc::clone(&log);
-            move || log.listen(stderr)
-        });
-        Watching { child, log, reader: Some(reader), socket, socket_path }
+        let [log_of_lines, log_of_notices] = [&log, &log].map(Arc::clone);
+        let readers = vec![
+            thread::spawn(move || log_of_lines.listen(stderr)),
+            thread::spawn(move || log_of_notices.listen_for_notices(&socket)),
+        ];
+        Watching { child, log, readers, socket_path }
     }
 
     fn command(&self, arguments: &[&str]) -> Command {
@@ -348,6 +349,8 @@ struct Log {
 #[derive(Default)]
 struct LogState {
     lines: Vec<Line>,
+    /// What the service manager was told.
+    notices: Vec<String>,
     has_ended: bool,
 }
 
@@ -361,6 +364,39 @@ impl Log {
         self.changed.notify_all();
     }
 
+    /// A service manager that does not listen holds up everything.
+    fn listen_for_notices(&self, socket: &UnixDatagram) {
+        let mut buffer = [0; 4096];
+        while !self.lock().has_ended {
+            // Nothing yet, else.
+            if let Ok(length) = socket.recv(&mut buffer) {
+                let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
+                self.lock().notices.extend(text.lines().map(str::to_owned));
+                self.changed.notify_all();
+            }
+        }
+    }
+
+    /// Waits until something is found in the state; `None` if that does not come. Patience begins anew
+    /// with every line of the log.
+    fn await_found<T>(&self, find: impl Fn(&LogState) -> Option<T>) -> Option<T> {
+        let mut state = self.lock();
+        let (mut line_count, mut since) = (state.lines.len(), Instant::now());
+        loop {
+            if let Some(found) = find(&state) {
+                return Some(found);
+            }
+            if line_count < state.lines.len() {
+                (line_count, since) = (state.lines.len(), Instant::now());
+            }
+            let left = PATIENCE.saturating_sub(since.elapsed());
+            if left.is_zero() || state.has_ended {
+                return None;
+            }
+            state = self.changed.wait_timeout(state, left).expect("no panic").0;
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, LogState> {
         self.state.lock().expect("no panic")
     }
@@ -370,8 +406,7 @@ impl Log {
 pub(crate) struct Watching {
     child: Child,
     log: Arc<Log>,
-    reader: Option<JoinHandle<()>>,
-    socket: UnixDatagram,
+    readers: Vec<JoinHandle<()>>,
     socket_path: PathBuf,
 }
 
@@ -382,25 +417,17 @@ impl Watching {
 
     /// Waits until everything was looked at once.
     #[track_caller]
-    pub(crate) fn await_ready(&mut self) {
+    pub(crate) fn await_ready(&self) {
         self.await_notice("READY=1");
     }
 
     /// Waits until the service manager is told this.
     #[track_caller]
-    pub(crate) fn await_notice(&mut self, wanted: &str) {
-        let start = Instant::now();
-        let mut buffer = [0; 4096];
-        while start.elapsed() < PATIENCE {
-            if let Ok(length) = self.socket.recv(&mut buffer)
-                && String::from_utf8_lossy(&buffer[..length]).lines().any(|notice| notice.starts_with(wanted))
-            {
-                return;
-            }
-            let ended = self.child.try_wait().expect("a status");
-            assert!(ended.is_none(), "ended with {ended:?} before {wanted}:\n{}", self.told());
-        }
-        panic!("no {wanted} within {PATIENCE:?}:\n{}", self.told());
+    pub(crate) fn await_notice(&self, wanted: &str) {
+        let is_there =
+            |state: &LogState| state.notices.iter().any(|notice| notice.starts_with(wanted)).then_some(());
+        let found = self.log.await_found(is_there);
+        assert!(found.is_some(), "no {wanted}:\n{}", self.told());
     }
 
     /// Waits for a line of the log.
@@ -412,21 +439,13 @@ impl Watching {
     /// Waits for so many lines of the log, those before included.
     #[track_caller]
     pub(crate) fn await_lines(&self, count: usize, what: &str, is_it: impl Fn(&Line) -> bool) -> Vec<Line> {
-        let start = Instant::now();
-        let mut state = self.log.lock();
-        loop {
-            let found: Vec<Line> = state.lines.iter().filter(|line| is_it(line)).cloned().collect();
-            if count <= found.len() {
-                return found;
-            }
-            let left = PATIENCE.saturating_sub(start.elapsed());
-            if left.is_zero() || state.has_ended {
-                let (found, log) = (found.len(), told(&state.lines));
-                drop(state);
-                panic!("{what}: {found} of {count} lines:\n{log}");
-            }
-            state = self.log.changed.wait_timeout(state, left).expect("no panic").0;
-        }
+        let found = self.log.await_found(|state| {
+            let found: Vec<&Line> = state.lines.iter().filter(|line| is_it(line)).collect();
+            (count <= found.len()).then(|| found.into_iter().cloned().collect())
+        });
+        found.unwrap_or_else(|| {
+            panic!("{what}: {} of {count} lines:\n{}", self.lines(&is_it).len(), self.told())
+        })
     }
 
     /// Waits until this frame is converted, and says how it went.
@@ -491,7 +510,7 @@ impl Watching {
 
     fn end(&mut self, patience: Duration) -> Option<ExitStatus> {
         let status = ends(&mut self.child, patience)?;
-        if let Some(reader) = self.reader.take() {
+        for reader in self.readers.drain(..) {
             reader.join().expect("no panic");
         }
         Some(status)

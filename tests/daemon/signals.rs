@@ -8,8 +8,8 @@ use crate::scene::{Line, NO_SCANS, Scene, block, contents, moving, names_in, ply
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
-/// Hours of smoothing of a small frame.
-const ENDLESS: [&str; 6] = ["--integrator", "explicit", "--steps", "10000000", "--voxel-size", "0.1"];
+/// Minutes of smoothing of a small frame.
+const ENDLESS: [&str; 6] = ["--integrator", "explicit", "--steps", "1000000", "--voxel-size", "0.03"];
 
 /// What is under way when it is asked to end is finished, and nothing else is begun; the rest comes next
 /// time.
@@ -95,7 +95,7 @@ fn waiting_ends_when_asked() {
     scene.watch(&NO_SCANS).finish();
     scene.write("in/dam.1.ply", &ply(&moving(1))[..1000]);
     scene.watch(&NO_SCANS).finish();
-    let mut daemon = scene.start_as(&["watch", "nowhere", "--out", "out", "--log", "json"]);
+    let daemon = scene.start_as(&["watch", "nowhere", "--out", "out", "--log", "json"]);
     daemon.await_ready();
     daemon.finish();
     assert!(start.elapsed() < Duration::from_secs(20), "{:?}", start.elapsed());
@@ -149,7 +149,7 @@ fn config(pattern: &str, formats: &str) -> String {
 fn its_file_is_read_again_when_asked() {
     let scene = Scene::new();
     scene.write(CONFIG, config("dam.*.ply", "obj"));
-    let mut daemon = scene.start_as(&["watch", "--config", CONFIG]);
+    let daemon = scene.start_as(&["watch", "--config", CONFIG]);
     daemon.await_ready();
     scene.put("in/drop.1.ply", ply(&block(6, 0.1, 0.0)));
     scene.put_moving([1]);
@@ -178,7 +178,7 @@ fn its_file_is_read_again_when_asked() {
     scene.put("in/drop.2.ply", ply(&block(6, 0.1, 0.2)));
     daemon.await_converted("drop.2.ply");
     scene.put_moving([3]);
-    // Both at once, and once more the other way round.
+    // What was no frame before may be one now, and one that is done may have other outputs.
     scene.write(CONFIG, config("d*.ply", "ply"));
     daemon.signal(Signal::HUP);
     daemon.await_converted("dam.3.ply");
