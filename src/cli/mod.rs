@@ -5,6 +5,7 @@
 
 mod args;
 mod choices;
+mod clock;
 mod config_file;
 mod console;
 mod convert;
@@ -14,7 +15,9 @@ mod inputs;
 mod interrupt;
 mod out_folder;
 mod quantities;
+mod status;
 mod watch;
+mod why;
 mod wording;
 
 use std::ffi::OsString;
@@ -52,6 +55,8 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
         Command::Convert(args) => convert::convert(&args, &mut console),
         Command::Info(args) => info::info(&args, &mut console),
         Command::Watch(args) => watch::watch(&args),
+        Command::Status(args) => status::status(&args, &mut console),
+        Command::Why(args) => why::why(&args, &mut console),
     };
     let verdict = verdict.unwrap_or_else(|error| {
         console.hide_bar();

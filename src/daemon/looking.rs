@@ -22,7 +22,7 @@ use crate::settings::Settings;
 use super::decision::{Decision, SkipReason, decide};
 use super::frames::{FrameId, Phase};
 use super::journal::Standing;
-use super::readiness::{Candidate, DEFAULT_SENTINEL, Readiness, Sentinel, sentinel_path};
+use super::readiness::{Candidate, DEFAULT_SENTINEL, Readiness, Sentinel, sentinel_counts, sentinel_path};
 use super::rounds::Daemon;
 use super::scan::Seen;
 use super::selection::{Content, content};
@@ -76,6 +76,19 @@ impl Daemon<'_> {
         let claimed = self.claimed_stem(id);
         if self.claims.get(&claimed) == Some(id) {
             self.claims.remove(&claimed);
+            self.give_way(&claimed);
+        }
+    }
+
+    /// These outputs are nobody's any more: whoever was refused them may have them.
+    fn give_way(&mut self, claimed: &Path) {
+        for id in self.failed.keys().cloned().collect::<Vec<_>>() {
+            if self.claimed_stem(&id) == claimed
+                && let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp())
+            {
+                self.failed.remove(&id);
+                self.ready(&id, stamp);
+            }
         }
     }
 
@@ -89,8 +102,9 @@ impl Daemon<'_> {
         }
         let Some(Phase::Settling(candidate)) = self.frames.get(id).map(|frame| &frame.phase) else { return };
         let sentinel = self.sentinel(id, &stamp);
+        let patience = self.roots[id.root].patience(self.config);
         let looked = || completeness_of(&id.path);
-        match candidate.readiness(Instant::now(), &self.config.patience, sentinel, looked) {
+        match candidate.readiness(Instant::now(), &patience, sentinel, looked) {
             Readiness::Ready(proof) => {
                 tracing::debug!(frame = %id.path.display(), "ready: {proof}");
                 self.ready(id, stamp);
@@ -123,6 +137,9 @@ impl Daemon<'_> {
 
     /// A frame that is done stays so only while its outputs are there.
     fn check_outputs(&mut self, id: &FrameId) {
+        if !self.outputs_are_there {
+            return;
+        }
         let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
         let Some(record) = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path) else {
             return;
@@ -137,7 +154,7 @@ impl Daemon<'_> {
     fn sentinel(&self, id: &FrameId, stamp: &FileStamp) -> Sentinel {
         let proof = FileStamp::of_path(&self.sentinel_path(id));
         // One that was left of an earlier version of the frame proves nothing.
-        let there = proof.is_ok_and(|proof| proof.modified_ns >= stamp.modified_ns);
+        let there = proof.is_ok_and(|proof| sentinel_counts(&proof, stamp));
         match self.config.watches[id.root].sentinel {
             Some(_) => Sentinel::Wanted { there },
             None => Sentinel::Optional { there },
@@ -171,7 +188,7 @@ impl Daemon<'_> {
             Err(error) => tracing::debug!(frame = %id.path.display(), "cannot be looked into: {error}"),
         }
         if let Err(conflict) = self.claim(id) {
-            return self.fail_for_good(id, stamp, conflict);
+            return self.refuse(id, stamp, conflict);
         }
         self.set_phase(id, Phase::Held(stamp));
         self.release(id);

@@ -23,6 +23,7 @@
 
 mod config;
 pub mod decision;
+pub mod explain;
 mod frames;
 pub mod journal;
 pub mod lock;

@@ -138,6 +138,20 @@ impl Daemon<'_> {
         self.failed.insert(id.clone(), reason);
     }
 
+    /// The outputs of a frame would be another's. That may change without the frame: the journal does not
+    /// keep it from being looked at after a restart.
+    pub(super) fn refuse(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
+        tracing::error!(frame = %id.path.display(), "{reason}");
+        self.set_phase(id, Phase::Failed(stamp));
+        let record = FrameRecord {
+            reason: Some(reason.clone()),
+            settings: String::new(),
+            ..self.record(id, Standing::Failed, stamp)
+        };
+        self.stores.of_watch_mut(id.root).note(&id.path, record);
+        self.failed.insert(id.clone(), reason);
+    }
+
     /// It is time to try a frame again.
     pub(super) fn retry(&mut self, id: &FrameId, now: Instant) {
         let Some(frame) = self.frames.get(id) else { return };

@@ -14,9 +14,18 @@ pub(super) struct Room {
     patience: Duration,
 }
 
+/// Why outputs cannot be written.
+#[derive(Debug)]
+enum Shortage {
+    /// There is not enough room.
+    Room(NoRoom),
+    /// The folder is not there: its file system is not mounted.
+    Folder(PathBuf),
+}
+
 /// A lack of room.
 #[derive(Debug)]
-struct Shortage {
+struct NoRoom {
     folder: PathBuf,
     /// So much must be free.
     wanted_bytes: u64,
@@ -39,12 +48,12 @@ impl Room {
     /// A frame found the disk of this folder full.
     pub(super) fn ran_out(&mut self, folder: &Path, now: Instant) {
         let free = free_bytes(folder).unwrap_or(0);
-        self.shortage = Some(Shortage {
+        self.shortage = Some(Shortage::Room(NoRoom {
             folder: folder.to_owned(),
             wanted_bytes: self.floor_bytes.max(free.saturating_add(MARGIN_BYTES)),
             try_again_at: Some(now + self.patience),
             free_bytes: free,
-        });
+        }));
         self.patience = (self.patience * 2).min(PATIENCE_MAX);
     }
 
@@ -53,40 +62,49 @@ impl Room {
         self.patience = PATIENCE_FIRST;
     }
 
-    /// Looks at these folders again. A folder that cannot be asked is no reason to wait: writing into it
-    /// will say what is wrong.
-    pub(super) fn check<'a>(&mut self, folders: impl IntoIterator<Item = &'a Path>, now: Instant) {
-        if let Some(shortage) = &mut self.shortage {
+    /// Looks at these folders again; one of them may be known to be absent. A folder that cannot be asked
+    /// is no reason to wait: writing into it will say what is wrong.
+    pub(super) fn check<'a>(
+        &mut self,
+        folders: impl IntoIterator<Item = &'a Path>,
+        absent: Option<PathBuf>,
+        now: Instant,
+    ) {
+        if let Some(absent) = absent {
+            self.shortage = Some(Shortage::Folder(absent));
+            return;
+        }
+        if let Some(Shortage::Room(shortage)) = &mut self.shortage {
             shortage.free_bytes = free_bytes(&shortage.folder).unwrap_or(u64::MAX);
             let is_time = shortage.try_again_at.is_some_and(|at| at <= now);
             if shortage.free_bytes < shortage.wanted_bytes && !is_time {
                 return;
             }
-            self.shortage = None;
         }
-        for folder in folders {
-            let free = free_bytes(folder).unwrap_or(u64::MAX);
-            if free < self.floor_bytes {
-                self.shortage = Some(Shortage {
-                    folder: folder.to_owned(),
-                    wanted_bytes: self.floor_bytes,
-                    try_again_at: None,
-                    free_bytes: free,
-                });
-                return;
-            }
-        }
+        let below_floor = |folder: &Path| {
+            let free_bytes = free_bytes(folder).unwrap_or(u64::MAX);
+            let (wanted_bytes, folder) = (self.floor_bytes, folder.to_owned());
+            (free_bytes < wanted_bytes).then_some(NoRoom {
+                folder,
+                wanted_bytes,
+                try_again_at: None,
+                free_bytes,
+            })
+        };
+        self.shortage = folders.into_iter().find_map(below_floor).map(Shortage::Room);
     }
 
     /// Why no frame is begun, while none is.
     pub(super) fn shortage(&self) -> Option<String> {
-        let Shortage { folder, wanted_bytes, free_bytes, .. } = self.shortage.as_ref()?;
-        Some(format!(
-            "{} has {} free; waiting for {}",
-            folder.display(),
-            bytesize::ByteSize(*free_bytes),
-            bytesize::ByteSize(*wanted_bytes)
-        ))
+        Some(match self.shortage.as_ref()? {
+            Shortage::Folder(folder) => format!("{} is not mounted; waiting for it", folder.display()),
+            Shortage::Room(NoRoom { folder, wanted_bytes, free_bytes, .. }) => format!(
+                "{} has {} free; waiting for {}",
+                folder.display(),
+                bytesize::ByteSize(*free_bytes),
+                bytesize::ByteSize(*wanted_bytes)
+            ),
+        })
     }
 }
 
@@ -94,18 +112,37 @@ impl Room {
 mod tests {
     use super::*;
 
+    /// Has a disk that was full wait for this much.
+    fn want(room: &mut Room, bytes: u64) {
+        match &mut room.shortage {
+            Some(Shortage::Room(shortage)) => shortage.wanted_bytes = bytes,
+            other => panic!("the disk is not full: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn an_absent_folder_is_waited_for() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let now = Instant::now();
+        let mut room = Room::new(0);
+        room.check([folder.path()], Some(folder.path().to_owned()), now);
+        assert!(room.shortage().is_some_and(|why| why.ends_with("is not mounted; waiting for it")));
+        room.check([folder.path()], None, now);
+        assert_eq!(room.shortage(), None);
+    }
+
     #[test]
     fn below_the_floor_it_waits_for_room_however_long_it_takes() {
         let folder = tempfile::tempdir().expect("a folder");
         let now = Instant::now();
         let mut room = Room::new(u64::MAX);
         for hours in [0, 1, 1000] {
-            room.check([folder.path()], now + Duration::from_secs(3600 * hours));
+            room.check([folder.path()], None, now + Duration::from_secs(3600 * hours));
             let shortage = room.shortage().expect("nobody has that much room");
             assert!(shortage.starts_with(&*folder.path().to_string_lossy()), "{shortage}");
         }
         let mut room = Room::new(0);
-        room.check([folder.path()], now);
+        room.check([folder.path()], None, now);
         assert_eq!(room.shortage(), None);
     }
 
@@ -117,16 +154,18 @@ mod tests {
         for expected in [5, 10, 20, 40, 80, 160, 300, 300] {
             room.ran_out(folder.path(), now);
             // However much others free or take meanwhile, this is never enough.
-            room.shortage.as_mut().expect("a shortage").wanted_bytes = u64::MAX;
-            room.check([folder.path()], now + Duration::from_secs(expected - 1));
+            want(&mut room, u64::MAX);
+            room.check([folder.path()], None, now + Duration::from_secs(expected - 1));
             assert!(room.shortage().is_some(), "{expected}");
             now += Duration::from_secs(expected);
-            room.check([folder.path()], now);
+            room.check([folder.path()], None, now);
             assert_eq!(room.shortage(), None, "{expected}");
         }
         room.was_enough();
         room.ran_out(folder.path(), now);
-        assert_eq!(room.shortage.and_then(|shortage| shortage.try_again_at), Some(now + PATIENCE_FIRST));
+        want(&mut room, u64::MAX);
+        room.check([folder.path()], None, now + PATIENCE_FIRST);
+        assert_eq!(room.shortage(), None);
     }
 
     #[test]
@@ -135,8 +174,8 @@ mod tests {
         let now = Instant::now();
         let mut room = Room::new(0);
         room.ran_out(folder.path(), now);
-        room.shortage.as_mut().expect("a shortage").wanted_bytes = 1;
-        room.check([folder.path()], now);
+        want(&mut room, 1);
+        room.check([folder.path()], None, now);
         assert_eq!(room.shortage(), None);
     }
 }

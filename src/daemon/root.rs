@@ -11,8 +11,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use super::config::{Config, Poll, Watch};
-use super::mounts::network_file_system;
+use super::config::{Config, Patience, Poll, Watch};
+use super::mounts::{RootIdentity, network_file_system};
 use super::scan::{Scan, scan};
 use super::selection::{PatternError, Selection};
 use super::watcher::{WatchError, Watcher};
@@ -37,10 +37,15 @@ pub(super) struct Root<'a> {
     pub(super) next_scan: Instant,
     /// It had frames when it was last looked into.
     had_frames: bool,
+    /// The file system it was on then.
+    identity: Option<RootIdentity>,
 }
 
 /// On network file systems, unless somebody says how often.
 const POLL_DEFAULT: Duration = Duration::from_secs(2);
+
+/// What is known of a file on a network may be a few seconds old: NFS asks its server again after three.
+const NETWORK_SETTLE_MIN: Duration = Duration::from_secs(4);
 
 /// How soon a folder that is not there is looked for again.
 const UNAVAILABLE_RETRY: Duration = Duration::from_secs(1);
@@ -77,6 +82,7 @@ impl<'a> Root<'a> {
             heard: HashSet::new(),
             next_scan: Instant::now(),
             had_frames: false,
+            identity: None,
         })
     }
 
@@ -85,12 +91,31 @@ impl<'a> Root<'a> {
         self.network.is_none()
     }
 
+    /// How long its files must be left alone before they are read.
+    pub(super) fn patience(&self, config: &Config) -> Patience {
+        let Patience { settle, unproven, stalled } = config.patience;
+        match self.network {
+            None => config.patience,
+            Some(_) => Patience {
+                settle: settle.max(NETWORK_SETTLE_MIN),
+                unproven: unproven.max(2 * NETWORK_SETTLE_MIN),
+                stalled: stalled.max(2 * NETWORK_SETTLE_MIN),
+            },
+        }
+    }
+
     /// Everything in the folder, and from now on its events are heard.
     ///
     /// # Errors
     /// Why the folder is unavailable.
     pub(super) fn scan(&mut self, watcher: &mut Option<Watcher>) -> Result<Scan, String> {
         let started = Instant::now();
+        let identity = RootIdentity::of(&self.path).ok();
+        if self.identity != identity {
+            // Events of a file system that was unmounted just stop: those of the new one must be asked for.
+            self.stop_hearing(watcher);
+            self.identity = identity;
+        }
         let found = self.hear_and_scan(&self.path.clone(), watcher);
         let cost = started.elapsed();
         let found = found.map_err(|error| error.to_string()).and_then(|found| {
@@ -164,7 +189,7 @@ impl<'a> Root<'a> {
         {
             tracing::info!(
                 folder = %self.path.display(),
-                "is on {name}, which tells of no changes: it is looked into every {POLL_DEFAULT:?}"
+                "is on {name}, which does not tell of changes: it is looked into every {POLL_DEFAULT:?}"
             );
             self.poll = Some(POLL_DEFAULT);
         }

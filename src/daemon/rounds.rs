@@ -11,16 +11,16 @@ use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
 
 use super::config::Config;
 use super::frames::{FrameId, FrameState, Frames, Phase, Tally};
-use super::journal::{DaemonRecord, DaemonState};
+use super::journal::{DaemonRecord, DaemonState, Standing};
 use super::lock::host_name;
 use super::outcomes::now_ms;
 use super::queue::Queue;
 use super::rescans::RescanPace;
 use super::room::Room;
 use super::root::Root;
-use super::scan::look;
+use super::scan::{Seen, look};
 use super::sequences::{MeasureOrder, Measured, Sequences};
-use super::stores::{Listings, Stores};
+use super::stores::{Listings, Presence, Stores};
 use super::watcher::{Hint, Watcher};
 use super::{Command, DaemonError, Ended, Notice, Summary};
 
@@ -42,6 +42,8 @@ pub(super) struct Daemon<'a> {
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
     pub(super) listings: Listings,
     pub(super) room: Room,
+    /// No folder of outputs is unmounted: what is not in them is missing.
+    pub(super) outputs_are_there: bool,
     pub(super) scan_count: u64,
     pub(super) converted_count: usize,
     /// Why frames failed.
@@ -93,6 +95,7 @@ impl<'a> Daemon<'a> {
             outputs_of: HashMap::new(),
             listings: Listings::default(),
             room: Room::new(config.disk_floor_bytes),
+            outputs_are_there: true,
             scan_count: 0,
             converted_count: 0,
             failed: HashMap::new(),
@@ -254,11 +257,7 @@ impl<'a> Daemon<'a> {
                 // What was heard before was another folder of that name.
                 root.forget_folder(folder, &mut self.watcher);
                 match root.hear_and_scan(folder, &mut self.watcher) {
-                    Ok(found) => {
-                        for (path, seen) in found.files {
-                            self.sight(&FrameId::new(index, &path), &seen, false);
-                        }
-                    }
+                    Ok(found) => self.sight_all(index, found.files),
                     // Gone, or moved elsewhere: the scan finds out what is left.
                     Err(_) => self.roots[index].next_scan = Instant::now(),
                 }
@@ -279,18 +278,31 @@ impl<'a> Daemon<'a> {
         for (path, error) in &found.problems {
             tracing::warn!(path = %path.display(), "cannot be looked into: {error}");
         }
-        self.listings.begin();
-        for (path, seen) in &found.files {
-            self.sight(&FrameId::new(index, path), seen, false);
-        }
-        self.listings.end();
+        self.sight_all(index, found.files);
         let count = self.scan_count;
-        let is_gone = |id: &FrameId, frame: &FrameState| id.root == index && frame.scan_count != count;
+        // Nothing is known of what lies where the scan could not look.
+        let is_hidden = |id: &FrameId| found.problems.iter().any(|(path, _)| id.path.starts_with(path));
+        let is_gone = |id: &FrameId, frame: &FrameState| {
+            id.root == index && frame.scan_count != count && !is_hidden(id)
+        };
         let gone: Vec<FrameId> =
             self.frames.iter().filter(|(id, frame)| is_gone(id, frame)).map(|(id, _)| id.clone()).collect();
         for id in gone {
             self.forget(&id);
         }
+    }
+
+    /// Takes in what a scan found.
+    fn sight_all(&mut self, root: usize, mut files: Vec<(PathBuf, Seen)>) {
+        let frames = &self.stores.of_watch(root).journal.state().frames;
+        let is_done = |path: &Path| frames.get(path).is_some_and(|record| record.standing == Standing::Done);
+        // What has its outputs keeps them, whatever else would like to have them.
+        files.sort_by_cached_key(|(path, _)| (!is_done(path), path.clone()));
+        self.listings.begin();
+        for (path, seen) in &files {
+            self.sight(&FrameId::new(root, path), seen, false);
+        }
+        self.listings.end();
     }
 
     /// A root that is gone, or came up empty: nothing is forgotten, and it is waited for.
@@ -305,7 +317,9 @@ impl<'a> Daemon<'a> {
     /// Pauses while there is no room for outputs, and goes on when there is.
     fn look_for_room(&mut self, now: Instant) {
         let was_short = self.room.shortage().is_some();
-        self.room.check(self.stores.iter().map(|store| &*store.folder), now);
+        let absent = self.look_for_outputs();
+        self.outputs_are_there = absent.is_none();
+        self.room.check(self.stores.iter().map(|store| &*store.folder), absent, now);
         let shortage = self.room.shortage();
         self.queue.pause(shortage.is_some());
         match shortage {
@@ -313,6 +327,27 @@ impl<'a> Daemon<'a> {
             None if was_short => tracing::info!("there is room again: going on"),
             _ => {}
         }
+    }
+
+    /// A folder of outputs that is not there, and is waited for. One that was removed is made again.
+    fn look_for_outputs(&mut self) -> Option<PathBuf> {
+        let mut absent = None;
+        for store in self.stores.iter_mut() {
+            match store.presence() {
+                Presence::There => {}
+                Presence::Elsewhere => absent = Some(store.folder.clone()),
+                Presence::Removed => match store.make_again() {
+                    Ok(()) => {
+                        tracing::warn!(folder = %store.folder.display(), "was removed, and is made again");
+                    }
+                    Err(error) => {
+                        tracing::warn!(folder = %store.folder.display(), "was removed: {error}");
+                        absent = Some(store.folder.clone());
+                    }
+                },
+            }
+        }
+        absent
     }
 
     /// Tells how things stand, where that has changed, and that it is not stuck.
@@ -358,6 +393,9 @@ impl<'a> Daemon<'a> {
 
     /// Whether nothing is left to do. Frames that wait for settings nobody can measure fail for it.
     fn is_drained(&mut self) -> bool {
+        if self.queue.len() > 0 {
+            return false;
+        }
         let Tally { settling, queued, retrying, held, .. } = self.frames.tally();
         if settling + queued + retrying + self.measuring_count > 0 || !self.dirty_sequences.is_empty() {
             return false;

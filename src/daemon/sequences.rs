@@ -12,7 +12,7 @@
 //! finished first, or on the order in which frames are converted.
 
 use std::collections::{HashMap, HashSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use twox_hash::XxHash3_64;
@@ -22,7 +22,7 @@ use crate::settings::Settings;
 
 use super::config::Watch;
 use super::frames::FrameId;
-use super::journal::{SequenceKey, SequenceRecord};
+use super::journal::{SequenceKey, SequenceRecord, State};
 
 /// All sequences that were met.
 #[derive(Debug, Default)]
@@ -110,6 +110,17 @@ impl SequenceSettings {
             }
             Err(error) => SequenceSettings::Impossible(error.to_string()),
         }
+    }
+}
+
+/// What the journal knows the settings by that a frame would be converted with now; `None` where the
+/// voxel size is neither given nor remembered.
+pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Option<String> {
+    let (folder, name) = FrameFile::new(frame.to_owned()).sequence();
+    let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
+    match SequenceSettings::new(watch, state.sequences.get(&key)) {
+        SequenceSettings::Fixed(_, fingerprint) => Some(fingerprint.to_string()),
+        _ => None,
     }
 }
 

@@ -11,7 +11,8 @@ use crate::pipeline::sweep_temporaries;
 use super::DaemonError;
 use super::config::Config;
 use super::journal::{FrameRecord, Journal, STATE_FOLDER};
-use super::lock::OutputLock;
+use super::lock::{LockError, OutputLock};
+use super::mounts::RootIdentity;
 
 /// A folder of outputs that is this daemon's alone.
 #[derive(Debug)]
@@ -19,7 +20,20 @@ pub(super) struct Store {
     /// Absolute.
     pub(super) folder: PathBuf,
     pub(super) journal: Journal,
-    _lock: OutputLock,
+    locks: Vec<OutputLock>,
+    /// Which file system it was on when it was opened.
+    identity: RootIdentity,
+}
+
+/// Whether a folder of outputs is still the one that was opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Presence {
+    /// It is.
+    There,
+    /// Somebody removed it, and what was in it.
+    Removed,
+    /// Another file system is in its place: its own is not mounted.
+    Elsewhere,
 }
 
 /// All folders of outputs, and which watch writes into which.
@@ -81,25 +95,46 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 
 impl Store {
     fn open(folder: PathBuf, journal: Option<&Path>) -> Result<Store, DaemonError> {
-        let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
-        let journal_folder = journal.map_or_else(|| folder.join(STATE_FOLDER), Path::to_owned);
-        let failed = |source| DaemonError::Folder { folder: journal_folder.clone(), source };
+        let mut locks = vec![OutputLock::take(&folder).map_err(DaemonError::Locked)?];
+        let journal_folder = match journal {
+            None => folder.join(STATE_FOLDER),
+            Some(elsewhere) => {
+                // A journal, too, is written by one daemon only.
+                locks.push(OutputLock::take(elsewhere).map_err(DaemonError::Locked)?);
+                elsewhere.to_owned()
+            }
+        };
+        let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
+        let identity = RootIdentity::of(&folder).map_err(failed)?;
         let journal = Journal::open(&journal_folder).map_err(failed)?;
-        let lost = journal.state().damaged_line_count;
-        if lost > 0 {
-            tracing::warn!(
-                journal = %journal_folder.display(),
-                "{lost} damaged lines in the journal were passed over: what they said is found out again"
-            );
-        }
         match sweep(&folder) {
             Ok(0) => {}
             Ok(count) => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
             Err(error) => {
-                tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}")
+                tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
             }
         }
-        Ok(Store { folder, journal, _lock: lock })
+        Ok(Store { folder, journal, locks, identity })
+    }
+
+    /// Whether the folder is still there. What was in a folder whose file system was unmounted will come
+    /// back with it; what was removed is gone.
+    pub(super) fn presence(&self) -> Presence {
+        let there = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
+        match there {
+            Some(identity) if identity != self.identity => Presence::Elsewhere,
+            _ if self.folder.join(STATE_FOLDER).is_dir() => Presence::There,
+            _ => Presence::Removed,
+        }
+    }
+
+    /// Makes the folder again that somebody removed.
+    ///
+    /// # Errors
+    /// When the system refuses, or somebody else has the folder now.
+    pub(super) fn make_again(&mut self) -> Result<(), LockError> {
+        self.locks[0] = OutputLock::take(&self.folder)?;
+        Ok(())
     }
 
     /// Writes down what became of a frame. A journal that cannot be written costs work after a restart

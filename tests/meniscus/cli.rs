@@ -60,9 +60,15 @@ fn what_makes_no_sense_is_refused() {
 #[test]
 fn help_and_version_are_no_errors() {
     let folder = folder();
-    for arguments in
-        [&["--help"][..], &["--version"], &["convert", "--help"], &["info", "-h"], &["watch", "-h"]]
-    {
+    for arguments in [
+        &["--help"][..],
+        &["--version"],
+        &["convert", "--help"],
+        &["info", "-h"],
+        &["watch", "-h"],
+        &["status", "--help"],
+        &["why", "-h"],
+    ] {
         assert_eq!(meniscus(folder.path(), arguments).status, 0);
     }
     let help = meniscus(folder.path(), &["convert", "--help"]).out;

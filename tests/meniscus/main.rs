@@ -9,7 +9,8 @@ mod oracle; // the method against the paper's algorithms on a plain dense grid, 
 mod pipeline; // frames through the stages, with a quick method in place of the real one
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
 mod scene; // small frames of particles, and a way to run the command
+mod service; // the daemon as a service: what systemd hears, and what signals do
 mod shapes; // particles to skin, the method with its defaults, and level sets read at a place
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod union_of_spheres; // rasterization against what is known of spheres
-mod watch; // the daemon's command: what it takes, and what it refuses before it begins
+mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell

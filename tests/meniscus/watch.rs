@@ -1,11 +1,14 @@
-//! The daemon's command: what it takes, and what it refuses before it begins.
+//! The daemon's command, and those that ask what it did: what they take, refuse and tell.
 
 use std::fs;
 use std::path::Path;
 
+use meniscus::daemon::journal::{FrameRecord, Journal, OutputRecord, Standing};
+use meniscus::daemon::lock::OutputLock;
+use meniscus::pipeline::FileStamp;
 use tempfile::tempdir;
 
-use crate::scene::meniscus;
+use crate::scene::{Ran, meniscus, write_sequence};
 
 /// Asserts that a command does nothing, with exit status 2, and says why.
 fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {
@@ -32,7 +35,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
         (&["--settle", "1"], &["--settle", "no time"]),
         (&["--memory", "lots"], &["--memory", "no size"]),
         (&["--order", "random"], &["--order", "natural, latest"]),
-        (&["--pattern", "[", "--recursive"], &["no glob"]),
+        (&["--pattern", "[", "--recursive"], &["no pattern"]),
     ] {
         assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
     }
@@ -57,5 +60,105 @@ fn help_has_every_key_of_the_file() {
             key => format!("--{}", key.replace('_', "-")),
         };
         assert!(help.out.contains(&option), "the help does not know {option}");
+    }
+}
+
+/// Writes to the journal in `out` that a frame is done, with `output`, or failed for a reason.
+fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
+    let record = FrameRecord {
+        standing: if result.is_ok() { Standing::Done } else { Standing::Failed },
+        stamp: FileStamp::of_path(frame).expect("the frame is there"),
+        hash: None,
+        settings: "settings".into(),
+        outputs: result.iter().map(|path| OutputRecord { path: path.to_path_buf(), size_bytes: 0 }).collect(),
+        reason: result.err().map(str::to_owned),
+        attempt_count: 1,
+        at_ms: 1,
+        particle_count: result.ok().map(|_| 216),
+        seconds: None,
+    };
+    let mut journal = Journal::open(&out.join(".meniscus")).expect("a journal");
+    journal.note_frame(&frame.canonicalize().expect("a path"), record).expect("noted");
+}
+
+#[test]
+fn status_tells_what_the_journal_and_the_lock_say() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    let status = |more: &[&str]| -> Ran { meniscus(path, &[&["status", "--out", "out"], more].concat()) };
+    let nothing = status(&[]);
+    assert_eq!(nothing.status, 2);
+    assert!(nothing.err.contains("out: no daemon has worked here"), "{}", nothing.err);
+    assert!(!path.join("out").exists());
+
+    write_sequence(path, 1, 2);
+    let out = path.join("out");
+    note(&out, &path.join("dam.1.ply"), Ok(&out.join("dam.1.glb")));
+    let done = status(&[]);
+    assert_eq!((done.status, done.out.lines().nth(1)), (0, Some("1 done, 0 queued, 0 to retry, 0 failed")));
+    note(&out, &path.join("dam.2.ply"), Err("no end"));
+    let lock = OutputLock::take(&out).expect("the lock");
+    let failed = status(&[]);
+    assert_eq!(failed.status, 1);
+    assert!(failed.out.contains("dam.2.ply: no end ("), "{}", failed.out);
+    assert!(failed.out.starts_with("out: starting ("), "{}", failed.out);
+    let json = status(&["--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
+    assert_eq!(json["daemon"]["running"], true);
+    assert_eq!(json["failed"][0]["reason"], "no end");
+    assert_eq!(json["last_done"][0]["particles"], 216);
+    drop(lock);
+    let elsewhere = status(&["--journal", "nowhere"]);
+    assert!(elsewhere.err.contains("as far as nowhere says"), "{}", elsewhere.err);
+}
+
+#[test]
+fn why_tells_everything_that_decides() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    let out = path.join("out");
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 2);
+    fs::write(path.join("in/notes.md"), "Words.\n").expect("written");
+    let why = |frame: &str, more: &[&str]| meniscus(path, &[&["why", frame], more].concat());
+    let tells = |frame: &str, more: &[&str], words: &[&str]| {
+        let ran = why(frame, more);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        for word in words {
+            assert!(ran.out.contains(word), "{} does not say {word}", ran.out);
+        }
+    };
+    let typed = ["--out", "out"];
+    // It was written just now: whether it has settled is a matter of half a second.
+    tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It "]);
+    tells("in/notes.md", &typed, &["not one of a frame", "It is not converted because its name"]);
+
+    fs::create_dir(&out).expect("made");
+    fs::write(out.join("dam.1.glb"), "").expect("written");
+    note(&out, &path.join("in/dam.1.ply"), Ok(&out.join("dam.1.glb")));
+    note(&out, &path.join("in/dam.2.ply"), Err("no end"));
+    let words =
+        ["journal   done", "input     as recorded", "all that are recorded are there", "because it is done"];
+    tells("in/dam.1.ply", &typed, &words);
+    tells("in/dam.2.ply", &typed, &["journal   failed", "no end", "it failed, and neither it nor"]);
+    fs::remove_file(out.join("dam.1.glb")).expect("removed");
+
+    let config = "[daemon]\nsettle = \"0s\"\n[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
+    fs::write(path.join("meniscus.toml"), config).expect("written");
+    let configured = ["--config", "meniscus.toml"];
+    let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
+    tells("in/dam.1.ply", &configured, &words);
+    fs::write(path.join("meniscus.toml"), format!("{config}voxel_size = 0.05\n")).expect("written");
+    tells("in/dam.1.ply", &configured, &["settings  not as recorded", "because its settings are others"]);
+    fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
+    tells("in/dam.1.ply", &configured, &["name      not one of a frame"]);
+    for (frame, options, words) in [
+        ("in/gone.ply", &typed[..], "no such file, and nothing is recorded of it"),
+        ("meniscus.toml", &configured, "in none of the folders that are watched"),
+        ("in/dam.1.ply", &[], "--out"),
+    ] {
+        let ran = why(frame, options);
+        assert_eq!(ran.status, 2);
+        assert!(ran.err.contains(words), "{}", ran.err);
     }
 }

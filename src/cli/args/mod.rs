@@ -3,6 +3,7 @@
 //! Options for numbers take negative ones too: what is wrong with those is told where numbers are
 //! checked, and not as an option called `-1`.
 
+mod ask;
 mod surface;
 mod watch;
 
@@ -12,6 +13,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use super::frame_selection::FrameSelection;
 
+pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use surface::{
     CompressionChoice, ContourChoice, Format, FormatArgs, IntegratorChoice, SolverArgs, SurfaceArgs, UpChoice,
 };
@@ -33,6 +35,10 @@ pub(super) enum Command {
     Info(InfoArgs),
     /// Watch folders, and convert every frame as it lands.
     Watch(Box<WatchArgs>),
+    /// Tell what a daemon has done, what waits, and what failed and why.
+    Status(StatusArgs),
+    /// Tell why a frame was converted, or was not.
+    Why(WhyArgs),
 }
 
 #[derive(Debug, Args)]

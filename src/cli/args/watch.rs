@@ -48,7 +48,8 @@ pub(in crate::cli) struct WatchArgs {
 /// What is a frame, and what becomes of it: the keys of a `[[watch]]` block.
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct FrameArgs {
-    /// Only files whose path within DIR matches, such as 'dam.*.bgeo' or '*/fluid*.ply'
+    /// Only files whose name matches, such as 'dam.*.bgeo'; or, with a / in it and --recursive, whose
+    /// path within DIR does, such as '*/fluid*.ply'
     ///
     /// By default all whose names say that they hold particles, and text that does. Hidden files
     /// and results of this program are never taken.

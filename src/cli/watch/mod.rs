@@ -14,6 +14,7 @@ mod plan;
 mod service;
 mod signals;
 
+use std::mem::replace;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -27,7 +28,8 @@ use crate::pipeline::stop_writing;
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
 
-use plan::{Plan, make_plan};
+use plan::Plan;
+pub(super) use plan::make_plan;
 use service::Service;
 
 /// Watches until it is asked to end, or, once, until what is there is converted.
@@ -42,6 +44,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
     let control = Arc::new(Control::new(args.clone(), plan.log, sender));
     signals::listen(Arc::clone(&control))?;
     let mut service = Service::new();
+    let mut previous = None;
     loop {
         for warning in &plan.warnings {
             warn!("{warning}");
@@ -54,13 +57,21 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         };
         let summary = match daemon::run(&plan.config, &commands, &mut notices) {
             Ok(summary) => summary,
-            Err(error) => {
-                error!("{error}");
-                return Ok(Verdict::NothingDone);
-            }
+            // What could be read again may still be impossible: somebody else has the new output.
+            Err(error) => match previous.take() {
+                Some(old) => {
+                    error!("going on with the old configuration: {error}");
+                    plan = old;
+                    continue;
+                }
+                None => {
+                    error!("{error}");
+                    return Ok(Verdict::NothingDone);
+                }
+            },
         };
         match control.next_plan() {
-            Some(next) if summary.ended == Ended::Reload => plan = next,
+            Some(next) if summary.ended == Ended::Reload => previous = Some(replace(&mut plan, next)),
             _ if summary.ended == Ended::Reload && !control.is_finishing() => {}
             _ => return Ok(conclude(args.once, &summary)),
         }
@@ -111,7 +122,7 @@ impl Control {
     fn finish(&self) -> bool {
         let again = self.finishing.swap(true, Ordering::SeqCst);
         if !again {
-            info!("finishing the frames under way; a second signal ends at once");
+            info!("asked to end; a second signal ends at once");
             // Where nobody listens any more, it has ended.
             let _ = self.commands.send(Command::Finish);
         }
@@ -126,7 +137,7 @@ impl Control {
         service::tell_reloading();
         match self.plan_again() {
             Ok(plan) => {
-                info!("reloading: finishing the frames under way first");
+                info!("asked to begin again with what the file says now");
                 let is_first = self.lock_next().replace(plan).is_none();
                 if is_first {
                     let _ = self.commands.send(Command::Reload);

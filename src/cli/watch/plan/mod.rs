@@ -20,6 +20,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 use crate::cli::choices::{choices, ignored, output_options};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
 use crate::pipeline::{default_in_flight, default_memory_bytes};
 use crate::settings::Settings;
@@ -121,9 +122,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         None => Settings::check(&choices)?,
     }
     warnings.extend(ignored(&frames.solver).map(str::to_owned));
-    if let Some(pattern) = &frames.pattern {
-        glob::Pattern::new(pattern).with_context(|| format!("the pattern `{pattern}` is no glob"))?;
-    }
+    Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
     }

@@ -1,0 +1,62 @@
+//! The options of the commands that ask what a daemon did.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+#[derive(Debug, Args)]
+#[command(after_long_help = STATUS_JSON)]
+pub(in crate::cli) struct StatusArgs {
+    /// The folder for the results of the daemon
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) out: PathBuf,
+
+    /// The folder of its journal, where that is not DIR/.meniscus
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) journal: Option<PathBuf>,
+
+    /// Write JSON
+    #[arg(long)]
+    pub(in crate::cli) json: bool,
+}
+
+#[derive(Debug, Args)]
+pub(in crate::cli) struct WhyArgs {
+    /// The frame: a file of particles
+    #[arg(value_name = "FILE")]
+    pub(in crate::cli) file: PathBuf,
+
+    /// The folder for the results of the daemon
+    #[arg(long, value_name = "DIR", required_unless_present = "config")]
+    pub(in crate::cli) out: Option<PathBuf>,
+
+    /// The folder of its journal, where that is not DIR/.meniscus
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) journal: Option<PathBuf>,
+
+    /// The daemon's file: with it the settings are compared, too
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) config: Option<PathBuf>,
+}
+
+const STATUS_JSON: &str = "\
+Exit status:
+  0    no frame has failed
+  1    some frames have failed
+  2    there is nothing to tell: no daemon ever worked there
+
+JSON: an object with
+  output, journal  the folders
+  daemon           null where none is known, or an object with
+                     running         true or false; null where the disk has no locks to ask
+                     held_by         who has the folder now
+                     state           running, paused, starting, stopped, killed
+                     paused_because  why, where it is paused
+                     pid, host, started_ms, at_ms
+                                     of the daemon that was last there; at_ms: in this state since
+  counts           how many frames are done, queued, retrying, failed
+  failed, retrying, last_done
+                   frames, each with input, outputs, attempts and at_ms, and where they are known
+                   reason, particles and seconds. last_done: the newest first, five at most
+  damaged_lines    lines of the journal that cannot be read; they cost work and nothing else
+Times that end in _ms are milliseconds since 1970.";

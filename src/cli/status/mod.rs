@@ -1,0 +1,222 @@
+//! `meniscus status`: what a daemon has done, what waits, and what failed and why.
+//!
+//! It reads the journal, and asks the lock whether a daemon is there: what the journal says last of
+//! a daemon that was killed is that it runs.
+//!
+//! The structs here are those of the JSON; the text shows the same.
+
+mod text;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use serde::Serialize;
+
+use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State};
+use crate::daemon::lock::{LockError, OutputLock};
+use crate::pipeline::natural_order;
+
+use super::Verdict;
+use super::args::StatusArgs;
+use super::clock::now_ms;
+use super::console::Console;
+
+/// What there is to tell of a folder of outputs.
+#[derive(Debug, PartialEq, Serialize)]
+struct StatusRecord {
+    output: PathBuf,
+    journal: PathBuf,
+    /// Null where none is known.
+    daemon: Option<DaemonStatus>,
+    counts: Counts,
+    /// In natural order.
+    failed: Vec<FrameStatus>,
+    /// In natural order.
+    retrying: Vec<FrameStatus>,
+    /// The newest first.
+    last_done: Vec<FrameStatus>,
+    damaged_lines: usize,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct DaemonStatus {
+    /// Null where the file system cannot tell.
+    running: Option<bool>,
+    /// Who has the folder now, in words.
+    held_by: Option<String>,
+    state: &'static str,
+    paused_because: Option<String>,
+    /// From here on, of the daemon that wrote the journal last.
+    pid: Option<u32>,
+    host: Option<String>,
+    started_ms: Option<u64>,
+    /// Since when it is in this state.
+    at_ms: Option<u64>,
+}
+
+#[derive(Debug, Default, PartialEq, Serialize)]
+struct Counts {
+    done: usize,
+    queued: usize,
+    retrying: usize,
+    failed: usize,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct FrameStatus {
+    input: PathBuf,
+    outputs: Vec<PathBuf>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<String>,
+    attempts: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    particles: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seconds: Option<f64>,
+    at_ms: u64,
+}
+
+/// So many of the frames that are done are told: enough to see that it goes on, and how fast.
+const LAST_DONE_COUNT: usize = 5;
+
+/// Tells how far the daemon of a folder is, or was.
+///
+/// # Errors
+/// When there is nothing to tell, or it cannot be read.
+pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Verdict> {
+    let journal = journal_folder(&args.out, args.journal.as_deref());
+    let state = read_journal(&journal)?;
+    let holder = Holder::of(&args.out)?;
+    if state == State::default() && !matches!(holder, Holder::Daemon(_)) {
+        bail!("{}: no daemon has worked here, as far as {} says", args.out.display(), journal.display());
+    }
+    let record = StatusRecord::new(&args.out, &journal, &state, holder);
+    if args.json {
+        console.say(serde_json::to_string_pretty(&record)?);
+    } else {
+        console.say(record.text(now_ms()));
+    }
+    Ok(if record.failed.is_empty() { Verdict::Done } else { Verdict::SomeFailed })
+}
+
+/// Where a daemon that writes to `output` keeps its journal.
+pub(super) fn journal_folder(output: &Path, given: Option<&Path>) -> PathBuf {
+    given.map_or_else(|| output.join(STATE_FOLDER), Path::to_owned)
+}
+
+/// What the journal in a folder says.
+///
+/// # Errors
+/// When it cannot be read.
+pub(super) fn read_journal(folder: &Path) -> Result<State> {
+    Journal::read(folder).with_context(|| format!("cannot read the journal in {}", folder.display()))
+}
+
+/// Who has a folder of outputs now.
+#[derive(Debug)]
+pub(super) enum Holder {
+    Daemon(String),
+    Nobody,
+    /// The file system has no locks.
+    Unknown,
+}
+
+impl Holder {
+    /// Who has this one.
+    ///
+    /// # Errors
+    /// When the system refuses to tell.
+    pub(super) fn of(output: &Path) -> Result<Holder> {
+        match OutputLock::holder(output) {
+            Ok(Some(by)) => Ok(Holder::Daemon(by)),
+            Ok(None) => Ok(Holder::Nobody),
+            Err(LockError::Unsupported { .. }) => Ok(Holder::Unknown),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+impl StatusRecord {
+    fn new(output: &Path, journal: &Path, state: &State, holder: Holder) -> StatusRecord {
+        let in_standing = |standing| {
+            let mut frames: Vec<_> =
+                state.frames.iter().filter(|(_, frame)| frame.standing == standing).collect();
+            frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+            frames
+        };
+        let told = |frames: &[(&PathBuf, &FrameRecord)]| {
+            frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
+        };
+        let (failed, retrying) = (in_standing(Standing::Failed), in_standing(Standing::Retrying));
+        let mut done = in_standing(Standing::Done);
+        let counts = Counts {
+            done: done.len(),
+            queued: in_standing(Standing::Queued).len(),
+            retrying: retrying.len(),
+            failed: failed.len(),
+        };
+        // Stable: of those that are equally new, the last in natural order comes first.
+        done.reverse();
+        done.sort_by_key(|(_, frame)| std::cmp::Reverse(frame.at_ms));
+        done.truncate(LAST_DONE_COUNT);
+        StatusRecord {
+            output: output.to_owned(),
+            journal: journal.to_owned(),
+            daemon: DaemonStatus::new(state, holder),
+            counts,
+            failed: told(&failed),
+            retrying: told(&retrying),
+            last_done: told(&done),
+            damaged_lines: state.damaged_line_count,
+        }
+    }
+}
+
+impl DaemonStatus {
+    fn new(state: &State, holder: Holder) -> Option<DaemonStatus> {
+        let record = state.daemon.as_ref();
+        let (running, held_by) = match holder {
+            Holder::Daemon(by) => (Some(true), Some(by)),
+            Holder::Nobody => (Some(false), None),
+            Holder::Unknown => (None, None),
+        };
+        if record.is_none() && held_by.is_none() {
+            return None;
+        }
+        let (state, paused_because) = match (record.map(|record| &record.state), running) {
+            (None | Some(DaemonState::Stopped), Some(true)) => ("starting", None),
+            (Some(DaemonState::Stopped) | None, _) => ("stopped", None),
+            // It cannot have said so itself.
+            (Some(_), Some(false)) => ("killed", None),
+            (Some(DaemonState::Running), _) => ("running", None),
+            (Some(DaemonState::Paused(why)), _) => ("paused", Some(why.clone())),
+        };
+        Some(DaemonStatus {
+            running,
+            held_by,
+            state,
+            paused_because,
+            pid: record.map(|record| record.pid),
+            host: record.map(|record| record.host.clone()),
+            started_ms: record.map(|record| record.started_ms),
+            at_ms: record.map(|record| record.at_ms),
+        })
+    }
+}
+
+impl FrameStatus {
+    fn new(input: &Path, frame: &FrameRecord) -> FrameStatus {
+        FrameStatus {
+            input: input.to_owned(),
+            outputs: frame.outputs.iter().map(|output| output.path.clone()).collect(),
+            reason: frame.reason.clone(),
+            attempts: frame.attempt_count,
+            particles: frame.particle_count,
+            seconds: frame.seconds,
+            at_ms: frame.at_ms,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

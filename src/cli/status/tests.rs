@@ -1,0 +1,123 @@
+use super::*;
+use crate::daemon::journal::{DaemonRecord, OutputRecord};
+use crate::pipeline::FileStamp;
+
+fn frame(standing: Standing, at_ms: u64) -> FrameRecord {
+    FrameRecord {
+        standing,
+        stamp: FileStamp::default(),
+        hash: None,
+        settings: String::new(),
+        outputs: Vec::new(),
+        reason: None,
+        attempt_count: 1,
+        at_ms,
+        particle_count: None,
+        seconds: None,
+    }
+}
+
+fn daemon(state: DaemonState) -> DaemonRecord {
+    DaemonRecord { pid: 12, host: "render-04".into(), started_ms: 1000, state, at_ms: 60_000 }
+}
+
+/// A journal of 30 frames that are done, 25 that failed, and others.
+fn state() -> State {
+    let mut state = State { daemon: Some(daemon(DaemonState::Running)), ..State::default() };
+    let mut add = |name: String, record| state.frames.insert(Path::new("/sim").join(name), record);
+    for number in 1..=30 {
+        let outputs = vec![OutputRecord { path: format!("/out/dam.{number}.glb").into(), size_bytes: 1 }];
+        let (particle_count, seconds) = (Some(250_000), Some(2.25));
+        let done = frame(Standing::Done, 1000 * number);
+        add(format!("dam.{number}.ply"), FrameRecord { outputs, particle_count, seconds, ..done });
+    }
+    for number in 1..=25 {
+        let reason = Some("PLY, at 12 bytes: no end".to_owned());
+        add(format!("bad.{number}.ply"), FrameRecord { reason, ..frame(Standing::Failed, 5000) });
+    }
+    let reason = Some("/sim/late.ply: cannot be read: busy".to_owned());
+    add("late.ply".into(), FrameRecord { reason, attempt_count: 3, ..frame(Standing::Retrying, 9000) });
+    add("next.ply".into(), frame(Standing::Queued, 9000));
+    state
+}
+
+fn record(state: &State, holder: Holder) -> StatusRecord {
+    StatusRecord::new(Path::new("/out"), Path::new("/out/.meniscus"), state, holder)
+}
+
+#[test]
+fn frames_are_counted_and_told_in_order() {
+    let record = record(&state(), Holder::Daemon("pid 12 on render-04".into()));
+    assert_eq!(record.counts, Counts { done: 30, queued: 1, retrying: 1, failed: 25 });
+    let names = |frames: &[FrameStatus]| -> Vec<String> {
+        frames.iter().map(|frame| frame.input.file_name().expect("a name").to_string_lossy().into()).collect()
+    };
+    assert_eq!(
+        names(&record.last_done),
+        ["dam.30.ply", "dam.29.ply", "dam.28.ply", "dam.27.ply", "dam.26.ply"]
+    );
+    assert_eq!(names(&record.failed)[8..10], ["bad.9.ply", "bad.10.ply"]);
+}
+
+#[test]
+fn text_tells_what_json_tells() {
+    let text = record(&state(), Holder::Daemon("pid 12 on render-04".into())).text(64_000);
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[0], "/out: running (pid 12 on render-04)");
+    assert_eq!(lines[1], "30 done, 1 queued, 1 to retry, 25 failed");
+    assert_eq!(lines[3], "  /sim/bad.1.ply: PLY, at 12 bytes: no end (59s ago)");
+    assert_eq!(lines[23], "  and 5 more: --json has them all");
+    assert_eq!(lines[25], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
+    assert_eq!(lines[27], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
+    let damaged = State { damaged_line_count: 2, ..state() };
+    assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
+}
+
+#[test]
+fn whether_a_daemon_runs_is_asked_of_the_lock() {
+    let by = || Holder::Daemon("pid 13 on render-05".into());
+    let paused = || DaemonState::Paused("the disk is full".into());
+    for (state, holder, running, word, text) in [
+        (Some(DaemonState::Running), by(), Some(true), "running", "running (pid 13 on render-05)"),
+        (Some(DaemonState::Running), Holder::Nobody, Some(false), "killed", "was killed, or its machine"),
+        (
+            Some(DaemonState::Running),
+            Holder::Unknown,
+            None,
+            "running",
+            "no locks to ask (pid 12 on render-04)",
+        ),
+        (Some(paused()), by(), Some(true), "paused", "paused, 5s ago: the disk is full (pid 13"),
+        (Some(paused()), Holder::Nobody, Some(false), "killed", "killed"),
+        (Some(DaemonState::Stopped), Holder::Nobody, Some(false), "stopped", "has ended, 5s ago (pid 12"),
+        (Some(DaemonState::Stopped), by(), Some(true), "starting", "starting (pid 13"),
+        (None, by(), Some(true), "starting", "starting (pid 13"),
+    ] {
+        let state = State { daemon: state.map(daemon), ..State::default() };
+        let status = DaemonStatus::new(&state, holder).expect("a daemon");
+        assert_eq!((status.running, status.state), (running, word));
+        assert!(status.text(65_000).contains(text), "{} does not say {text}", status.text(65_000));
+    }
+    assert_eq!(DaemonStatus::new(&State::default(), Holder::Nobody), None);
+}
+
+#[test]
+fn json_has_the_documented_fields() {
+    let record = record(&state(), Holder::Daemon("pid 12 on render-04".into()));
+    let json = serde_json::to_value(&record).expect("JSON");
+    let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();
+    assert_eq!(keys.len(), 8);
+    let help = <crate::cli::args::Typed as clap::CommandFactory>::command()
+        .find_subcommand_mut("status")
+        .expect("the command")
+        .render_long_help()
+        .to_string();
+    let lists = ["daemon", "counts"].map(|key| json[key].as_object().expect("an object"));
+    let frames = ["failed", "last_done"].map(|key| json[key][0].as_object().expect("an object"));
+    for key in keys.into_iter().chain(lists.into_iter().chain(frames).flat_map(|object| object.keys())) {
+        assert!(help.contains(key.as_str()), "the help does not explain {key}");
+    }
+    assert_eq!(json["counts"]["failed"], 25);
+    assert_eq!(json["failed"].as_array().map(Vec::len), Some(25));
+    assert_eq!(json["daemon"]["running"], true);
+}

@@ -1,0 +1,83 @@
+//! The status as text.
+
+use std::fmt::Write;
+
+use crate::cli::clock::ago;
+use crate::cli::wording::{counted, significant};
+
+use super::{Counts, DaemonStatus, FrameStatus, StatusRecord};
+
+/// More than so many are counted and not told: `--json` has all.
+const TOLD_MAX: usize = 20;
+
+impl StatusRecord {
+    /// Everything, in lines; `now_ms` is milliseconds since 1970.
+    pub(super) fn text(&self, now_ms: u64) -> String {
+        let daemon = match &self.daemon {
+            Some(daemon) => daemon.text(now_ms),
+            None => "no daemon is known".to_owned(),
+        };
+        let Counts { done, queued, retrying, failed } = self.counts;
+        let mut text = format!(
+            "{}: {daemon}\n{done} done, {queued} queued, {retrying} to retry, {failed} failed",
+            self.output.display()
+        );
+        let lists = [("failed", &self.failed), ("to retry", &self.retrying), ("done last", &self.last_done)];
+        for (title, frames) in lists.into_iter().filter(|(_, frames)| !frames.is_empty()) {
+            text += &format!("\n{title}:");
+            for frame in frames.iter().take(TOLD_MAX) {
+                text += &format!("\n  {}", frame.text(now_ms));
+            }
+            if frames.len() > TOLD_MAX {
+                text += &format!("\n  and {} more: --json has them all", frames.len() - TOLD_MAX);
+            }
+        }
+        if self.damaged_lines > 0 {
+            let lines = counted(self.damaged_lines, "line");
+            // Strings take everything.
+            let _ =
+                write!(text, "\n{lines} of the journal cannot be read: what they said is found out again");
+        }
+        text
+    }
+}
+
+impl DaemonStatus {
+    pub(super) fn text(&self, now_ms: u64) -> String {
+        let since =
+            |at_ms: Option<u64>| at_ms.map_or_else(String::new, |at| format!(", {}", ago(at, now_ms)));
+        let who = match (&self.held_by, self.pid, &self.host) {
+            (Some(by), _, _) => by.clone(),
+            (None, Some(pid), Some(host)) => format!("pid {pid} on {host}"),
+            _ => "nobody knows who".to_owned(),
+        };
+        match (self.state, &self.paused_because) {
+            ("paused", Some(why)) => format!("paused{}: {why} ({who})", since(self.at_ms)),
+            ("stopped", _) => format!("the daemon has ended{} ({who})", since(self.at_ms)),
+            ("killed", _) => format!("the daemon was killed, or its machine went down ({who})"),
+            (state, _) if self.running.is_none() => {
+                format!("{state}, as far as the journal says: its disk has no locks to ask ({who})")
+            }
+            (state, _) => format!("{state} ({who})"),
+        }
+    }
+}
+
+impl FrameStatus {
+    pub(super) fn text(&self, now_ms: u64) -> String {
+        let mut about = Vec::new();
+        about.extend(self.particles.map(|count| counted(count, "particle")));
+        about.extend(self.seconds.map(|seconds| format!("{} s", significant(seconds))));
+        if self.attempts > 1 {
+            about.push(format!("{} attempts", self.attempts));
+        }
+        about.push(ago(self.at_ms, now_ms));
+        let input = self.input.display().to_string();
+        match &self.reason {
+            // A reason mostly names its file.
+            Some(reason) if reason.contains(&input) => format!("{reason} ({})", about.join(", ")),
+            Some(reason) => format!("{input}: {reason} ({})", about.join(", ")),
+            None => format!("{input}: {}", about.join(", ")),
+        }
+    }
+}

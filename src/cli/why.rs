@@ -1,0 +1,151 @@
+//! `meniscus why`: why a frame was converted, or was not.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow, bail};
+
+use crate::daemon::explain::{
+    Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
+};
+use crate::daemon::journal::{FrameRecord, Standing};
+use crate::daemon::selection::{Content, Selection};
+use crate::daemon::{Config, Watch};
+
+use super::Verdict;
+use super::args::{WatchArgs, WhyArgs};
+use super::clock::{ago, now_ms};
+use super::console::Console;
+use super::status::{Holder, journal_folder, read_journal};
+use super::watch::make_plan;
+
+/// Tells everything that decides about a frame, and what comes of it.
+///
+/// # Errors
+/// When there is neither such a file nor a record of it, or something cannot be read.
+pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
+    let frame = std::path::absolute(&args.file).context("the file has no name")?;
+    let config = config(args, &frame)?;
+    let watch = watch_of(&frame, args, &config)?;
+    let output = &watch.outputs.folder;
+    let journal = journal_folder(output, args.journal.as_deref().or(config.journal.as_deref()));
+    let state = read_journal(&journal)?;
+    let record = state.frames.get(&frame);
+    if record.is_none() && !frame.exists() {
+        bail!("{}: no such file, and nothing is recorded of it in {}", frame.display(), journal.display());
+    }
+    let output_folders: Vec<PathBuf> =
+        config.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
+    // Without the daemon's file, nobody knows what it was asked for.
+    let settings = args.config.as_ref().and_then(|_| remembered_fingerprint(watch, &frame, &state));
+    let explanation = explain(&Question {
+        frame: &frame,
+        watch,
+        output_folders: &output_folders,
+        patience: &config.patience,
+        record,
+        settings: settings.as_deref(),
+    })
+    .with_context(|| frame.display().to_string())?;
+    console.say(text(&frame, record, &explanation, now_ms()));
+    let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
+    if is_to_come && matches!(Holder::of(output)?, Holder::Nobody) {
+        console.say(format_args!("No daemon is at work in {}.", output.display()));
+    }
+    Ok(Verdict::Done)
+}
+
+/// The daemon's configuration: from its file, or what it is by default for the folder of the frame.
+fn config(args: &WhyArgs, frame: &Path) -> Result<Config> {
+    let watch_args = match &args.config {
+        Some(_) => WatchArgs { config: args.config.clone(), ..WatchArgs::default() },
+        None => WatchArgs {
+            inputs: vec![frame.parent().unwrap_or(frame).to_owned()],
+            out: args.out.clone(),
+            ..WatchArgs::default()
+        },
+    };
+    Ok(make_plan(&watch_args)?.config)
+}
+
+/// The watch that the frame belongs to: of those around it, the one that takes its name, or else the
+/// innermost.
+fn watch_of<'a>(frame: &Path, args: &WhyArgs, config: &'a Config) -> Result<&'a Watch> {
+    let output = args.out.as_deref().map(std::path::absolute).transpose().context("--out has no name")?;
+    let is_meant = |watch: &&Watch| {
+        frame.starts_with(&watch.input) && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
+    };
+    let takes = |watch: &Watch| {
+        let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
+        selection.is_ok_and(|selection| selection.takes(&watch.input, frame))
+    };
+    let around = config.watches.iter().filter(is_meant);
+    around.max_by_key(|watch| (takes(watch), watch.input.components().count())).ok_or_else(|| {
+        anyhow!("{}: in none of the folders that are watched for these outputs", frame.display())
+    })
+}
+
+/// Everything, in lines.
+fn text(frame: &Path, record: Option<&FrameRecord>, explanation: &Explanation, now_ms: u64) -> String {
+    let Explanation { is_taken, file, settings_hold, output_missing, verdict } = explanation;
+    let mut lines = vec![frame.display().to_string()];
+    let mut line = |name: &str, what: &str| lines.push(format!("  {name:<9} {what}"));
+    line("name", if *is_taken { "one of a frame" } else { "not one of a frame" });
+    if let Some(FileFacts { content, readiness, .. }) = file {
+        line(
+            "content",
+            match content {
+                Content::Particles => "particles",
+                Content::OwnOutput => "made by this program",
+                Content::NotParticles => "no particles",
+            },
+        );
+        line("complete", &readiness.to_string());
+    }
+    match record {
+        None => line("journal", "nothing"),
+        Some(record) => {
+            line("journal", &recorded(record, now_ms));
+            if let Some(reason) = &record.reason {
+                line("", reason);
+            }
+            line(
+                "input",
+                match file.as_ref().and_then(|file| file.change) {
+                    None => "gone",
+                    Some(Change::Unchanged) => "as recorded",
+                    Some(Change::Touched) => "touched or moved; its content is as recorded",
+                    Some(Change::Rewritten) => "not as recorded",
+                },
+            );
+            line(
+                "settings",
+                match settings_hold {
+                    None => "not compared: that needs --config, and a voxel size that is known",
+                    Some(true) => "as recorded",
+                    Some(false) => "not as recorded",
+                },
+            );
+            match output_missing {
+                Some(path) => line("outputs", &format!("{} is not there", path.display())),
+                None if record.outputs.is_empty() => line("outputs", "none recorded"),
+                None => line("outputs", "all that are recorded are there"),
+            }
+        }
+    }
+    lines.push(format!("It {verdict}."));
+    lines.join("\n")
+}
+
+fn recorded(record: &FrameRecord, now_ms: u64) -> String {
+    let attempts = match record.attempt_count {
+        0 | 1 => String::new(),
+        count => format!(", {count} attempts"),
+    };
+    let standing = match record.standing {
+        Standing::Queued => "queued, or under way",
+        Standing::Done => "done",
+        Standing::Failed => "failed",
+        Standing::Retrying => "failed, and is to be tried again",
+    };
+    format!("{standing}, {}{attempts}", ago(record.at_ms, now_ms))
+}

@@ -1,0 +1,427 @@
+//! Why a frame was converted, or was not: everything that the loop goes by, looked at once, for
+//! whoever asks.
+//!
+//! ```text
+//!   the file ──▶ its name ──▶ the journal ──▶ complete? ──▶ its content ──▶ a verdict
+//! ```
+//!
+//! The loop asks in this order, and the first that says no decides. Here all are asked, so that
+//! all can be told. Nothing is written, and a running daemon is not disturbed.
+
+use std::fmt;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use meniscus_formats::{Completeness, completeness};
+use twox_hash::XxHash3_128;
+
+use crate::pipeline::{FileStamp, read_file};
+
+use super::config::{Patience, Watch};
+use super::decision::{Decision, SkipReason, decide, decide_by_content};
+use super::journal::FrameRecord;
+use super::mounts::network_file_system;
+use super::readiness::{
+    Candidate, DEFAULT_SENTINEL, Readiness, Sentinel, WaitReason, sentinel_counts, sentinel_path,
+};
+use super::scan::{Seen, look};
+use super::selection::{Content, PatternError, Selection, content};
+
+pub use super::sequences::remembered_fingerprint;
+
+/// A frame, and what the loop would go by.
+#[derive(Clone, Copy, Debug)]
+pub struct Question<'a> {
+    /// The file. Absolute.
+    pub frame: &'a Path,
+    /// How it is watched.
+    pub watch: &'a Watch,
+    /// The folders of all outputs.
+    pub output_folders: &'a [PathBuf],
+    /// How long it must be left alone.
+    pub patience: &'a Patience,
+    /// What the journal says of it.
+    pub record: Option<&'a FrameRecord>,
+    /// The [fingerprint](remembered_fingerprint) of the settings that it would be converted with now.
+    /// Where it is not known, they are taken to be those recorded.
+    pub settings: Option<&'a str>,
+}
+
+/// Everything that decides about a frame.
+#[derive(Clone, Debug)]
+pub struct Explanation {
+    /// Whether its name and its place say that it is a frame.
+    pub is_taken: bool,
+    /// The file; `None` where there is none.
+    pub file: Option<FileFacts>,
+    /// Whether its settings are those recorded; `None` where either is not known.
+    pub settings_hold: Option<bool>,
+    /// The first of the recorded outputs that is not there.
+    pub output_missing: Option<PathBuf>,
+    /// What comes of it.
+    pub verdict: Verdict,
+}
+
+/// What was found of a file.
+#[derive(Clone, Debug)]
+pub struct FileFacts {
+    /// What it holds, by its first bytes.
+    pub content: Content,
+    /// Whether it may be read.
+    pub readiness: Readiness,
+    /// What it is beside the one that is recorded; `None` where none is.
+    pub change: Option<Change>,
+}
+
+/// A file beside the one that is recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// It is the same one, unchanged.
+    Unchanged,
+    /// It was touched, moved or written again; its content is the same.
+    Touched,
+    /// Its content is another.
+    Rewritten,
+}
+
+/// What comes of a frame, and why. Displays as a sentence without its subject and full stop.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// There is no such file.
+    Gone,
+    /// Its name is not one of a frame.
+    NotTaken,
+    /// The journal decides: it stays as it is.
+    Skipped(SkipReason),
+    /// It is not complete.
+    Waits(WaitReason),
+    /// It is complete, and holds no particles.
+    NoFrame(Content),
+    /// It is, or will be, converted. The decision says why.
+    Converted(Decision),
+}
+
+/// Looks at a frame as the loop would.
+///
+/// # Errors
+/// When the file or its folder cannot be looked at, or the pattern of the watch is none.
+pub fn explain(question: &Question<'_>) -> Result<Explanation, ExplainError> {
+    let Question { frame, watch, record, .. } = *question;
+    let selection =
+        Selection::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
+            .map_err(ExplainError::Pattern)?;
+    let is_taken = selection.takes(&watch.input, frame);
+    let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
+    let output_missing = record.and_then(first_missing_output);
+    let seen = look(frame, trust_clock(frame)).map_err(ExplainError::Io)?;
+    let (file, verdict) = match seen {
+        None => (None, Verdict::Gone),
+        Some(seen) => {
+            let (file, decision) =
+                facts(question, &seen, output_missing.as_deref()).map_err(ExplainError::Io)?;
+            let verdict = if is_taken { verdict(&file, decision) } else { Verdict::NotTaken };
+            (Some(file), verdict)
+        }
+    };
+    Ok(Explanation { is_taken, file, settings_hold, output_missing, verdict })
+}
+
+/// As the loop goes on: what is known first, then whether it is complete, then what it is.
+fn verdict(file: &FileFacts, decision: Decision) -> Verdict {
+    match (decision, file.readiness, file.content) {
+        (Decision::Skip(reason), _, _) => Verdict::Skipped(reason),
+        (_, Readiness::Waiting { why, .. }, _) => Verdict::Waits(why),
+        (_, _, other @ (Content::OwnOutput | Content::NotParticles)) => Verdict::NoFrame(other),
+        (decision, _, Content::Particles) => Verdict::Converted(decision),
+    }
+}
+
+fn facts(
+    question: &Question<'_>,
+    seen: &Seen,
+    output_missing: Option<&Path>,
+) -> io::Result<(FileFacts, Decision)> {
+    let Question { frame, watch, patience, record, .. } = *question;
+    let now = Instant::now();
+    let readiness = Candidate::new(now, seen, false).readiness(
+        now,
+        patience,
+        sentinel(watch, frame, &seen.stamp),
+        || completeness_of(frame),
+    );
+    let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
+    let mut decision = decide(record, &seen.stamp, settings, output_missing);
+    let mut change = None;
+    if let Some(record) = record {
+        let hash = match record.hash {
+            // Only a file of the same size and another time has to be read to know.
+            Some(_) if record.stamp != seen.stamp && record.stamp.size == seen.stamp.size => {
+                Some(hash_of(frame)?)
+            }
+            _ => None,
+        };
+        change = Some(match hash {
+            _ if record.stamp == seen.stamp => Change::Unchanged,
+            Some(hash) if record.hash == Some(hash) => Change::Touched,
+            _ => Change::Rewritten,
+        });
+        if let (Decision::CompareContent, Some(hash)) = (&decision, hash) {
+            decision = decide_by_content(record, hash);
+        }
+    }
+    Ok((FileFacts { content: content(frame)?, readiness, change }, decision))
+}
+
+/// Whether the file's times are by the clock of this machine.
+fn trust_clock(path: &Path) -> bool {
+    let folder = path.parent().unwrap_or(path);
+    network_file_system(folder).is_ok_and(|network| network.is_none())
+}
+
+fn sentinel(watch: &Watch, frame: &Path, stamp: &FileStamp) -> Sentinel {
+    let pattern = watch.sentinel.as_deref().unwrap_or(DEFAULT_SENTINEL);
+    let proof = FileStamp::of_path(&sentinel_path(frame, pattern));
+    let there = proof.is_ok_and(|proof| sentinel_counts(&proof, stamp));
+    if watch.sentinel.is_some() { Sentinel::Wanted { there } } else { Sentinel::Optional { there } }
+}
+
+/// What the format says; where the file cannot be read, reading it will say why.
+fn completeness_of(path: &Path) -> Completeness {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let look = || completeness(&mut File::open(path)?, &name);
+    look().unwrap_or(Completeness::Unproven)
+}
+
+fn hash_of(path: &Path) -> io::Result<u128> {
+    let bytes = read_file(path).map_err(|error| io::Error::other(error.to_string()))?;
+    Ok(XxHash3_128::oneshot(&bytes))
+}
+
+fn first_missing_output(record: &FrameRecord) -> Option<PathBuf> {
+    let missing = record.outputs.iter().find(|output| output.path.symlink_metadata().is_err());
+    missing.map(|output| output.path.clone())
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Verdict::Gone => f.write_str("is not converted because there is no such file"),
+            Verdict::NotTaken => {
+                f.write_str("is not converted because its name, or its place, is not one of a frame")
+            }
+            Verdict::Skipped(reason) => write!(f, "is not converted because {reason}"),
+            Verdict::Waits(why) => write!(f, "is not converted yet because {why}"),
+            Verdict::NoFrame(Content::OwnOutput) => {
+                f.write_str("is not converted because this program made it")
+            }
+            Verdict::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
+            Verdict::Converted(decision) => write!(f, "will be converted because {decision}"),
+        }
+    }
+}
+
+/// Why there is no explanation.
+#[derive(Debug)]
+pub enum ExplainError {
+    /// The file cannot be looked at.
+    Io(io::Error),
+    /// The pattern is none.
+    Pattern(PatternError),
+}
+
+impl fmt::Display for ExplainError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ExplainError::Io(error) => error.fmt(f),
+            ExplainError::Pattern(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for ExplainError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::time::{Duration, SystemTime};
+
+    use tempfile::TempDir;
+
+    use crate::daemon::decision::ConvertReason;
+    use crate::daemon::journal::{OutputRecord, Standing};
+    use crate::daemon::readiness::Proof;
+    use crate::pipeline::{OutputFormat, OutputOptions};
+    use crate::settings::Choices;
+
+    const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+
+    /// A watched folder with one frame, left alone for a minute, and one output.
+    struct Bench {
+        _folder: TempDir,
+        frame: PathBuf,
+        output: PathBuf,
+        watch: Watch,
+    }
+
+    impl Bench {
+        fn new() -> Bench {
+            let folder = tempfile::tempdir().expect("a folder");
+            let input = folder.path().join("in");
+            let out = folder.path().join("out");
+            fs::create_dir(&input).expect("made");
+            fs::create_dir(&out).expect("made");
+            let frame = input.join("dam.1.ply");
+            let output = out.join("dam.1.glb");
+            fs::write(&output, "mesh").expect("written");
+            let watch = Watch {
+                input,
+                pattern: None,
+                recursive: false,
+                sentinel: None,
+                outputs: OutputOptions {
+                    folder: out,
+                    formats: vec![OutputFormat::Glb],
+                    up: meniscus_formats::gltf::UpAxis::Y,
+                    vdb_half: false,
+                    vdb_compression: meniscus_formats::vdb::Compression::None,
+                },
+                voxel_size: None,
+                choices: Choices::default(),
+            };
+            let bench = Bench { _folder: folder, frame, output, watch };
+            bench.write(FRAME);
+            bench
+        }
+
+        fn write(&self, bytes: &[u8]) {
+            fs::write(&self.frame, bytes).expect("written");
+        }
+
+        /// What the journal would say, had the frame been converted as it is.
+        fn record(&self, standing: Standing) -> FrameRecord {
+            FrameRecord {
+                standing,
+                stamp: FileStamp::of_path(&self.frame).expect("there"),
+                hash: Some(XxHash3_128::oneshot(FRAME)),
+                settings: "s".into(),
+                outputs: vec![OutputRecord { path: self.output.clone(), size_bytes: 4 }],
+                reason: None,
+                attempt_count: 1,
+                at_ms: 0,
+                particle_count: None,
+                seconds: None,
+            }
+        }
+
+        fn explain(&self, record: Option<&FrameRecord>, settings: Option<&str>, settle: u64) -> Explanation {
+            let settle = Duration::from_secs(settle);
+            explain(&Question {
+                frame: &self.frame,
+                watch: &self.watch,
+                output_folders: std::slice::from_ref(&self.watch.outputs.folder),
+                patience: &Patience { settle, unproven: settle, stalled: settle },
+                record,
+                settings,
+            })
+            .expect("an explanation")
+        }
+
+        fn verdict(&self, record: Option<&FrameRecord>) -> Verdict {
+            self.explain(record, None, 0).verdict
+        }
+    }
+
+    #[test]
+    fn a_new_frame_is_converted_when_it_is_complete() {
+        let bench = Bench::new();
+        let told = bench.explain(None, None, 0);
+        assert_eq!(told.verdict, Verdict::Converted(Decision::Convert(ConvertReason::New)));
+        let file = told.file.expect("there");
+        assert_eq!((file.content, file.change), (Content::Particles, None));
+        assert_eq!(file.readiness, Readiness::Ready(Proof::Format));
+        let waits = |told: Explanation, expected| assert_eq!(told.verdict, Verdict::Waits(expected));
+        waits(bench.explain(None, None, 3600), WaitReason::Changing);
+        let mut bench = bench;
+        bench.watch.sentinel = Some("{name}.ok".into());
+        waits(bench.explain(None, None, 0), WaitReason::Sentinel);
+        fs::write(bench.frame.with_file_name("dam.1.ply.ok"), "").expect("written");
+        assert_eq!(
+            bench.explain(None, None, 3600).file.expect("there").readiness,
+            Readiness::Ready(Proof::Sentinel)
+        );
+    }
+
+    #[test]
+    fn what_is_done_is_skipped_while_everything_holds() {
+        let bench = Bench::new();
+        let record = bench.record(Standing::Done);
+        let told = bench.explain(Some(&record), Some("s"), 3600);
+        assert_eq!(told.verdict, Verdict::Skipped(SkipReason::Done));
+        assert_eq!((told.settings_hold, told.output_missing), (Some(true), None));
+        assert_eq!(told.file.expect("there").change, Some(Change::Unchanged));
+
+        let told = bench.explain(Some(&record), Some("others"), 0);
+        assert_eq!(told.verdict, Verdict::Converted(Decision::Convert(ConvertReason::SettingsChanged)));
+        assert_eq!(told.settings_hold, Some(false));
+        assert_eq!(bench.explain(Some(&record), None, 0).settings_hold, None);
+
+        fs::remove_file(&bench.output).expect("removed");
+        let missing = ConvertReason::OutputMissing(bench.output.clone());
+        assert_eq!(bench.verdict(Some(&record)), Verdict::Converted(Decision::Convert(missing)));
+        let failed = bench.record(Standing::Failed);
+        assert_eq!(bench.verdict(Some(&failed)), Verdict::Skipped(SkipReason::FailedUnchanged));
+    }
+
+    #[test]
+    fn a_touched_file_is_known_by_its_content() {
+        let bench = Bench::new();
+        let record = bench.record(Standing::Done);
+        let touch = |bytes: &[u8], seconds| {
+            bench.write(bytes);
+            let time = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
+            File::options()
+                .append(true)
+                .open(&bench.frame)
+                .and_then(|file| file.set_modified(time))
+                .expect("set");
+        };
+        let change = || bench.explain(Some(&record), None, 0).file.expect("there").change;
+        touch(FRAME, 1);
+        assert_eq!(change(), Some(Change::Touched));
+        assert_eq!(bench.verdict(Some(&record)), Verdict::Skipped(SkipReason::Done));
+        let rewritten = Verdict::Converted(Decision::Convert(ConvertReason::InputChanged));
+        let other: Vec<u8> = FRAME.iter().map(|&byte| if byte == b'0' { b'7' } else { byte }).collect();
+        for bytes in [&other[..], &[FRAME, b"\n"].concat()] {
+            touch(bytes, 2);
+            assert_eq!(change(), Some(Change::Rewritten));
+            assert_eq!(bench.verdict(Some(&record)), rewritten);
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_told() {
+        let mut bench = Bench::new();
+        bench.watch.pattern = Some("spray*".into());
+        let told = bench.explain(None, None, 0);
+        assert_eq!((told.is_taken, told.verdict), (false, Verdict::NotTaken));
+        bench.watch.pattern = Some("[".into());
+        let question = Question {
+            frame: &bench.frame,
+            watch: &bench.watch,
+            output_folders: &[],
+            patience: &Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO },
+            record: None,
+            settings: None,
+        };
+        assert!(matches!(explain(&question), Err(ExplainError::Pattern(_))));
+
+        bench.watch.pattern = Some("*.txt".into());
+        bench.frame = bench.frame.with_file_name("notes.txt");
+        assert_eq!(bench.verdict(None), Verdict::Gone);
+        bench.write(b"Nothing to see here, just words.\n");
+        assert_eq!(bench.verdict(None), Verdict::NoFrame(Content::NotParticles));
+    }
+}
