@@ -1,22 +1,14 @@
-//! A dam break of 3 072 particles, by position-based fluids: the small sequence in `examples/frames`.
+//! A block of water that collapses in a tank, by position-based fluids.
 //!
-//! ```text
-//! cargo run --release --example dam_break -- examples/frames 8
-//! ```
-//!
-//! Each frame is a classic BGEO with velocity, as SPlisHSPlasH and partio write them. The simulation
-//! is as small as it can be and still splash; it has no random numbers, so its frames are always the
-//! same.
+//! The simulation is as small as it can be and still splash; it has no random numbers, so its frames
+//! are always the same.
 //!
 //! This work is based on:
 //! Miles Macklin, Matthias Müller. Position Based Fluids. 2013
 
 use std::collections::HashMap;
-use std::error::Error;
-use std::path::{Path, PathBuf};
 
 use glam::{IVec3, Vec3};
-use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo};
 
 /// Distance between particles at rest, metres.
 const SPACING: f32 = 0.05;
@@ -28,7 +20,6 @@ const TANK: Vec3 = Vec3::new(1.6, 1.2, 0.6);
 const BLOCK: IVec3 = IVec3::new(16, 16, 12);
 const GRAVITY: Vec3 = Vec3::new(0.0, -9.81, 0.0);
 const SECONDS_PER_STEP: f32 = 1.0 / 120.0;
-const STEPS_PER_FRAME: usize = 15;
 /// Corrections of the positions in each step.
 const SOLVER_ITERATIONS: usize = 4;
 /// Softens the density constraint where a particle has few neighbours.
@@ -36,54 +27,17 @@ const RELAXATION: f32 = 200.0;
 /// How much velocities of neighbours blend in a step.
 const VISCOSITY: f32 = 0.02;
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let mut arguments = std::env::args().skip(1);
-    let (Some(folder), Some(count)) = (arguments.next(), arguments.next()) else {
-        return Err("usage: dam_break FOLDER FRAMES".into());
-    };
-    let folder = PathBuf::from(folder);
-    std::fs::create_dir_all(&folder)?;
-    let mut water = Water::block();
-    for frame in 1..=count.parse::<usize>()? {
-        write_frame(&water, &folder.join(format!("dam.{frame:04}.bgeo")))?;
-        for _ in 0..STEPS_PER_FRAME {
-            water.step();
-        }
-    }
-    Ok(())
-}
-
-/// Writes under another name and renames: whoever watches the folder sees whole frames only.
-fn write_frame(water: &Water, path: &Path) -> Result<(), Box<dyn Error>> {
-    let velocity = Attribute {
-        name: "v".into(),
-        arity: 3,
-        role: Some(Role::Velocity),
-        values: Values::F32(water.velocities.iter().flat_map(|velocity| velocity.to_array()).collect()),
-    };
-    let frame = ParticleFrame {
-        positions: Positions::F32(water.positions.iter().map(|position| position.to_array()).collect()),
-        attributes: vec![velocity],
-        ..ParticleFrame::default()
-    };
-    let unfinished = path.with_extension("unfinished");
-    let mut file = std::io::BufWriter::new(std::fs::File::create(&unfinished)?);
-    bgeo::write(&frame, &mut file)?;
-    file.into_inner()?.sync_all()?;
-    std::fs::rename(&unfinished, path)?;
-    Ok(())
-}
-
-struct Water {
-    positions: Vec<Vec3>,
-    velocities: Vec<Vec3>,
+/// All that there is of the water.
+pub(crate) struct Water {
+    pub(crate) positions: Vec<Vec3>,
+    pub(crate) velocities: Vec<Vec3>,
     /// The density of the block at rest, in units of one particle's mass.
     rest_density: f32,
 }
 
 impl Water {
     /// A block of water at rest in a corner of the tank.
-    fn block() -> Water {
+    pub(crate) fn block() -> Water {
         let mut positions = Vec::new();
         for x in 0..BLOCK.x {
             for y in 0..BLOCK.y {
@@ -98,7 +52,7 @@ impl Water {
         water
     }
 
-    fn step(&mut self) {
+    pub(crate) fn step(&mut self) {
         let before = self.positions.clone();
         for (position, velocity) in self.positions.iter_mut().zip(&mut self.velocities) {
             *velocity += GRAVITY * SECONDS_PER_STEP;

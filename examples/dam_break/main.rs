@@ -1,0 +1,149 @@
+//! A dam break of 3 072 particles, and its surfaces while it runs.
+//!
+//! ```text
+//! cargo run --release --example dam_break -- out/cache 60 out/surfaces
+//! ```
+//!
+//! The simulation writes a frame into `out/cache` every fraction of a second. Beside it the daemon
+//! watches that folder, as `meniscus watch out/cache --out out/surfaces` does, and each surface is in
+//! `out/surfaces` about as soon as its frame can be skinned. Each frame is a classic BGEO with velocity,
+//! as SPlisHSPlasH and partio write them.
+//!
+//! Without a folder for surfaces it only simulates: so `examples/frames` were made.
+//!
+//! ```text
+//! cargo run --release --example dam_break -- examples/frames 8
+//! ```
+
+mod water;
+
+use std::error::Error;
+use std::io::Write;
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crossbeam::channel;
+use meniscus::daemon::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
+use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
+use meniscus::settings::Choices;
+use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, gltf, vdb};
+
+use water::Water;
+
+const STEPS_PER_FRAME: usize = 15;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    match arguments.as_slice() {
+        [cache, count] => simulate(Path::new(cache), count.parse()?),
+        [cache, count, surfaces] => simulate_and_skin(Path::new(cache), count.parse()?, Path::new(surfaces)),
+        _ => Err("usage: dam_break FOLDER FRAMES [SURFACES]".into()),
+    }
+}
+
+/// The daemon in a thread of its own, the simulation in this one.
+fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Result<(), Box<dyn Error>> {
+    tracing_subscriber::fmt().with_target(false).with_writer(std::io::stderr).init();
+    std::fs::create_dir_all(cache)?;
+    std::fs::create_dir_all(surfaces)?;
+    let config = config(&std::path::absolute(cache)?, &std::path::absolute(surfaces)?);
+    let (commands, heard) = channel::unbounded();
+    let (simulated, end, watched) = thread::scope(|scope| {
+        let watching = scope.spawn(|| daemon::run(&config, &heard, &mut |_| ()));
+        let simulated = simulate(cache, frame_count);
+        let end = Instant::now();
+        // A daemon that has ended already hears nothing, and its thread tells why.
+        let _ = commands.send(Command::Finish);
+        (simulated, end, watching.join())
+    });
+    simulated?;
+    watched.map_err(|_| "the daemon panicked")??;
+    // What had not begun by then: a daemon goes on where another has ended.
+    let summary = daemon::run(&Config { once: true, ..config }, &heard, &mut |_| ())?;
+    tell(&summary, end.elapsed())
+}
+
+fn tell(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error>> {
+    writeln!(
+        std::io::stdout(),
+        "{} frames have their surfaces, {:.2} s after the simulation ended",
+        summary.done_count,
+        after.as_secs_f64()
+    )?;
+    if summary.failed.is_empty() { Ok(()) } else { Err(summary.failed.join("\n").into()) }
+}
+
+/// What `meniscus watch CACHE --out SURFACES` does: its defaults, written out.
+fn config(cache: &Path, surfaces: &Path) -> Config {
+    let threads = thread::available_parallelism().map_or(1, usize::from);
+    Config {
+        watches: vec![watch(cache, surfaces)],
+        once: false,
+        order: Order::Natural,
+        threads,
+        in_flight: default_in_flight(threads),
+        memory_bytes: default_memory_bytes(),
+        disk_floor_bytes: 1 << 30,
+        patience: Patience {
+            settle: Duration::from_millis(500),
+            unproven: Duration::from_secs(2),
+            stalled: Duration::from_secs(30),
+        },
+        poll: Poll::Auto,
+        rescan_every: Duration::from_secs(60),
+        journal: None,
+        stop_deadline: Duration::from_secs(30),
+    }
+}
+
+fn watch(cache: &Path, surfaces: &Path) -> Watch {
+    Watch {
+        input: cache.to_owned(),
+        pattern: None,
+        recursive: false,
+        sentinel: None,
+        outputs: OutputOptions {
+            folder: surfaces.to_owned(),
+            formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
+            up: gltf::UpAxis::Y,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::Blosc,
+        },
+        voxel_size: None,
+        choices: Choices::default(),
+    }
+}
+
+fn simulate(cache: &Path, frame_count: usize) -> Result<(), Box<dyn Error>> {
+    std::fs::create_dir_all(cache)?;
+    let mut water = Water::block();
+    for frame in 1..=frame_count {
+        write_frame(&water, &cache.join(format!("dam.{frame:04}.bgeo")))?;
+        for _ in 0..STEPS_PER_FRAME {
+            water.step();
+        }
+    }
+    Ok(())
+}
+
+/// Writes under another name and renames: whoever watches the folder sees whole frames only.
+fn write_frame(water: &Water, path: &Path) -> Result<(), Box<dyn Error>> {
+    let velocity = Attribute {
+        name: "v".into(),
+        arity: 3,
+        role: Some(Role::Velocity),
+        values: Values::F32(water.velocities.iter().flat_map(|velocity| velocity.to_array()).collect()),
+    };
+    let frame = ParticleFrame {
+        positions: Positions::F32(water.positions.iter().map(|position| position.to_array()).collect()),
+        attributes: vec![velocity],
+        ..ParticleFrame::default()
+    };
+    let unfinished = path.with_extension("unfinished");
+    let mut file = std::io::BufWriter::new(std::fs::File::create(&unfinished)?);
+    bgeo::write(&frame, &mut file)?;
+    file.into_inner()?.sync_all()?;
+    std::fs::rename(&unfinished, path)?;
+    Ok(())
+}

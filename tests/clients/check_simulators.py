@@ -1,0 +1,200 @@
+"""Surfaces appear while the simulators run.
+
+SPlisHSPlasH and Taichi write frames as they always do, in place and as fast as they come, into a
+folder that `meniscus watch` watches. Of every frame there is a .glb and a .vdb; each is whole from
+the moment its name is there; and the last of them is there less than the time its frame took to
+skin and one second after the simulator ended. Asked to end, the daemon ends well and leaves nothing
+but the surfaces and its journal. `meniscus convert` makes the same bytes of the same frames.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+from project import PROGRAM, WORK, Check, convert
+
+HERE = Path(__file__).resolve().parent
+PYTHON = WORK / "simulators" / "bin" / "python"
+LIVE = WORK / "live"
+# Where each simulator puts its frames within its folder, and how many there must be.
+SIMULATORS = {"splishsplash": ("partio", "*.bgeo", 25), "taichi": ("", "*.ply", 30)}
+FORMATS = ["glb", "vdb"]
+# Beyond the skinning of the last frame, which is settled first.
+LATE_MAX_SECONDS = 1.0
+LOOK_EVERY_SECONDS = 0.005
+# Far beyond what a simulation takes, and what is to do after it.
+GIVE_UP_SECONDS = 300
+WAIT_SECONDS = 30
+# The daemon's own, in the folder of the surfaces.
+STATE_FOLDER = ".meniscus"
+# Taichi asks the network for its newest version otherwise.
+QUIET = {"TI_SKIP_VERSION_CHECK": "ON"}
+
+
+def main():
+    check = Check("simulators: surfaces appear while they run")
+    for name, (frames, pattern, count) in SIMULATORS.items():
+        folder = LIVE / name
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        cache, surfaces = folder / "cache" / frames, folder / "surfaces"
+        observer = Observer(surfaces)
+        with Daemon(cache, surfaces, folder / "daemon.log") as daemon:
+            seconds, status = simulate(name, folder, observer)
+            end = time.monotonic()
+            paths = sorted(cache.glob(pattern))
+            check.line(f"{name}: simulator", *simulated(paths, count, seconds, status))
+            observer.wait_for(outputs(paths))
+            check.line(f"{name}: daemon", *ended_well(daemon, surfaces, outputs(paths)))
+            check.line(f"{name}: surfaces", *in_time(paths, end, observer, daemon))
+        check.line(f"{name}: bytes", *same_as_converted(paths, folder, observer))
+    check.end()
+
+
+def simulate(name, folder, observer):
+    """Runs a simulator, and looks for surfaces meanwhile; how long it ran, and its exit status."""
+    start = time.monotonic()
+    command = [str(PYTHON), str(HERE / f"simulate_{name}.py"), str(folder / "cache")]
+    with (folder / "simulator.log").open("w") as said:
+        process = subprocess.Popen(command, stdout=said, stderr=said, env={**os.environ, **QUIET})
+    while process.poll() is None and time.monotonic() < start + GIVE_UP_SECONDS:
+        observer.look()
+        time.sleep(LOOK_EVERY_SECONDS)
+    process.kill()
+    return time.monotonic() - start, process.wait()
+
+
+def simulated(paths, count, seconds, status):
+    """What the simulator did, which is not ours: without its frames nothing is checked."""
+    faults = []
+    if status:
+        faults.append(f"its exit status is {status}; see simulator.log")
+    if len(paths) < count:
+        faults.append(f"of its {count} frames there are {len(paths)}")
+    return f"{len(paths)} frames in {seconds:.1f} s", faults
+
+
+def ended_well(daemon, surfaces, wanted):
+    """The daemon ends when asked, and what it leaves are surfaces and its journal."""
+    status, seconds = daemon.end()
+    left = {path.name for path in surfaces.glob("*")} - wanted - {STATE_FOLDER}
+    faults = [f"left behind: {name}" for name in sorted(left)]
+    if status:
+        faults.append(f"its exit status is {status}; see daemon.log")
+    return f"in {seconds:.2f} s", faults
+
+
+def in_time(paths, end, observer, daemon):
+    """Every frame has its surfaces, and the last of them soon after the simulator's end."""
+    wanted = outputs(paths)
+    missing = sorted(wanted - observer.appeared.keys())
+    if missing or not wanted:
+        return f"{len(wanted) - len(missing)} of {len(wanted)}", [f"no {', '.join(missing[:5])} and so on"]
+    last = max(wanted, key=observer.appeared.get)
+    late = observer.appeared[last] - end
+    meanwhile = sum(observer.appeared[name] < end for name in wanted)
+    seconds = daemon.skinning_seconds()
+    faults = [f"the log says nothing of {path.name}" for path in paths if path.stem not in seconds][:5]
+    skinning = seconds.get(Path(last).stem, 0.0)
+    if late >= skinning + LATE_MAX_SECONDS:
+        faults.append(f"{last} came {late - skinning - LATE_MAX_SECONDS:.2f} s too late")
+    return (
+        f"{meanwhile} of {len(wanted)} there when the simulator ended; "
+        f"the last {late:.2f} s later, of which {skinning:.2f} s skinning"
+    ), faults
+
+
+def same_as_converted(paths, folder, observer):
+    """Every output was, when its name appeared, and is now what `convert` makes of the frame."""
+    again = folder / "converted"
+    status, said, _ = convert(paths, again, "--format", ",".join(FORMATS))
+    if status:
+        return f"convert: exit status {status}", [said.strip()]
+    faults = []
+    for name in sorted(outputs(paths)):
+        surface, right = folder / "surfaces" / name, digest(again / name)
+        if observer.digests.get(name) != right:
+            faults.append(f"{name} was something else, or not whole, when it appeared")
+        elif not surface.is_file() or digest(surface) != right:
+            faults.append(f"{name} is something else")
+    return f"{len(outputs(paths))} files as convert makes them", faults[:5]
+
+
+class Daemon:
+    """A running `meniscus watch`."""
+
+    def __init__(self, cache, surfaces, log):
+        self.log = log
+        words = ["watch", cache, "--out", surfaces, "--format", ",".join(FORMATS), "--log", "json"]
+        with log.open("w") as stderr:
+            self.process = subprocess.Popen([str(word) for word in [PROGRAM, *words]], stderr=stderr)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
+    def end(self):
+        """Asks it to end; its exit status, or what it did instead, and how long that took."""
+        start = time.monotonic()
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            status = self.process.wait(timeout=WAIT_SECONDS)
+        except subprocess.TimeoutExpired:
+            status = "not there: it goes on"
+        return status, time.monotonic() - start
+
+    def skinning_seconds(self):
+        """How long each frame took, all stages together, by its stem."""
+        seconds = {}
+        for line in self.log.read_text().splitlines():
+            entry = json.loads(line)
+            fields = {**entry, **entry.get("fields", {})}
+            if "frame" in fields and "seconds" in fields:
+                seconds[Path(fields["frame"]).stem] = fields["seconds"]
+        return seconds
+
+
+class Observer:
+    """Opens every output as its name appears."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.appeared = {}
+        self.digests = {}
+
+    def look(self):
+        if not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            if path.name not in self.appeared and path.suffix[1:] in FORMATS:
+                self.appeared[path.name] = time.monotonic()
+                self.digests[path.name] = digest(path)
+
+    def wait_for(self, names):
+        """Looks until all of them are there, or far too much time has passed."""
+        until = time.monotonic() + WAIT_SECONDS
+        while not names <= self.appeared.keys() and time.monotonic() < until:
+            self.look()
+            time.sleep(LOOK_EVERY_SECONDS)
+
+
+def outputs(paths):
+    """The names of what there must be of these frames."""
+    return {f"{path.stem}.{suffix}" for path in paths for suffix in FORMATS}
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+if __name__ == "__main__":
+    main()
