@@ -267,20 +267,30 @@ pub(crate) struct Once {
 }
 
 impl Once {
-    /// The names of the frames that were converted, in the order of the log.
+    /// The names of the frames that were converted, sorted: of several under way, any may be the first.
     pub(crate) fn converted(&self) -> Vec<String> {
+        sorted(self.converted_in_order())
+    }
+
+    /// The same, in the order of the log.
+    pub(crate) fn converted_in_order(&self) -> Vec<String> {
         frames_that(&self.log, Line::is_converted)
     }
 
-    /// The names of the frames that were read and found done.
+    /// The names of the frames that were read and found done, sorted.
     pub(crate) fn found_done(&self) -> Vec<String> {
-        frames_that(&self.log, Line::is_found_done)
+        sorted(frames_that(&self.log, Line::is_found_done))
     }
 
     #[track_caller]
     pub(crate) fn assert_status(&self, status: i32) {
         assert_eq!(self.status, Some(status), "{}", told(&self.log));
     }
+}
+
+fn sorted(mut names: Vec<String>) -> Vec<String> {
+    names.sort();
+    names
 }
 
 fn frames_that(log: &[Line], is_it: impl Fn(&Line) -> bool) -> Vec<String> {
