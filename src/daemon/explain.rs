@@ -200,7 +200,7 @@ fn hash_of(path: &Path) -> io::Result<u128> {
 }
 
 fn first_missing_output(record: &FrameRecord) -> Option<PathBuf> {
-    let missing = record.outputs.iter().find(|output| output.path.symlink_metadata().is_err());
+    let missing = record.outputs.iter().find(|output| !output.is_there());
     missing.map(|output| output.path.clone())
 }
 

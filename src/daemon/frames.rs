@@ -56,6 +56,13 @@ pub(super) struct FrameState {
     has_alarm: bool,
 }
 
+impl FrameState {
+    /// Whether it is not complete, and time alone does not help: it waits for another file.
+    pub(super) fn is_stuck(&self) -> bool {
+        matches!(self.phase, Phase::Settling(_)) && !self.has_alarm
+    }
+}
+
 /// How far a frame is.
 #[derive(Debug)]
 pub(super) enum Phase {
@@ -94,6 +101,8 @@ impl Phase {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Tally {
     pub(super) settling: usize,
+    /// Of these, those that time does not help: they wait for another file.
+    pub(super) stuck: usize,
     pub(super) held: usize,
     /// Waiting or under way.
     pub(super) queued: usize,
@@ -162,7 +171,10 @@ impl Frames {
         let mut tally = Tally::default();
         for frame in self.all.values() {
             match frame.phase {
-                Phase::Settling(_) => tally.settling += 1,
+                Phase::Settling(_) => {
+                    tally.settling += 1;
+                    tally.stuck += usize::from(frame.is_stuck());
+                }
                 Phase::Held(_) => tally.held += 1,
                 Phase::Queued(_) => tally.queued += 1,
                 Phase::Retrying(..) => tally.retrying += 1,

@@ -121,7 +121,7 @@ impl Daemon<'_> {
     /// converted.
     fn known_phase(&mut self, id: &FrameId, sequence: usize, stamp: &FileStamp) -> Option<Phase> {
         let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path)?;
-        let missing = record.outputs.iter().map(|output| &*output.path).find(|path| !self.listings.has(path));
+        let missing = record.outputs.iter().find(|output| !output.is_there()).map(|output| &*output.path);
         match decide(Some(record), stamp, self.sequences.get(sequence).fingerprint(), missing) {
             Decision::Skip(SkipReason::Done) => {
                 // Its outputs are its own, also when another input comes that would have the same.

@@ -370,7 +370,7 @@ impl<'a> Daemon<'a> {
     }
 
     fn status(&self) -> String {
-        let Tally { settling, held, queued, retrying, done, failed } = self.frames.tally();
+        let Tally { settling, held, queued, retrying, done, failed, .. } = self.frames.tally();
         let mut status = format!("{done} done, {queued} queued");
         for (count, what) in [
             (settling, "being written"),
@@ -391,24 +391,39 @@ impl<'a> Daemon<'a> {
         status
     }
 
-    /// Whether nothing is left to do. Frames that wait for settings nobody can measure fail for it.
+    /// Whether nothing is left that can be done. Frames that wait for settings nobody can measure fail for
+    /// it; those that wait for a file nobody writes are left, and so is what waits for them.
     fn is_drained(&mut self) -> bool {
         if self.queue.len() > 0 {
             return false;
         }
-        let Tally { settling, queued, retrying, held, .. } = self.frames.tally();
-        if settling + queued + retrying + self.measuring_count > 0 || !self.dirty_sequences.is_empty() {
+        let Tally { settling, stuck, queued, retrying, held, .. } = self.frames.tally();
+        if settling - stuck + queued + retrying + self.measuring_count > 0 || !self.dirty_sequences.is_empty()
+        {
             return false;
         }
+        let stuck = self.tell_of_stuck();
         if held > 0 {
-            self.give_up_on_held();
+            self.give_up_on_held(&stuck);
         }
         true
     }
 
-    fn give_up_on_held(&mut self) {
+    /// Names the frames that are left because their sentinels are missing; the result is their sequences.
+    fn tell_of_stuck(&self) -> HashSet<usize> {
+        let stuck = self.frames.iter().filter(|(_, frame)| frame.is_stuck());
+        stuck
+            .map(|(id, frame)| {
+                let sentinel = self.sentinel_path(id);
+                tracing::warn!(frame = %id.path.display(), "left: there is no newer {}", sentinel.display());
+                frame.sequence
+            })
+            .collect()
+    }
+
+    fn give_up_on_held(&mut self, stuck_sequences: &HashSet<usize>) {
         let held = self.frames.iter().filter_map(|(id, frame)| match frame.phase {
-            Phase::Held(stamp) => Some((id.clone(), stamp)),
+            Phase::Held(stamp) if !stuck_sequences.contains(&frame.sequence) => Some((id.clone(), stamp)),
             _ => None,
         });
         for (id, stamp) in held.collect::<Vec<_>>() {

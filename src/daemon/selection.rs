@@ -128,6 +128,10 @@ fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
 pub fn content(path: &Path) -> io::Result<Content> {
     const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
     let name = path.file_name().unwrap_or_default().to_string_lossy();
+    // Opening a pipe would wait for its other end.
+    if !path.metadata()?.is_file() {
+        return Ok(Content::NotParticles);
+    }
     let mut head = Vec::new();
     File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
     let promises = has_particle_extension(&name) && !has_plain_text_extension(&name);

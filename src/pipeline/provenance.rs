@@ -55,6 +55,10 @@ pub(super) fn is_done(frame: &Frame, hash: u128) -> bool {
 
 /// Whether a file records all of `wanted`, and is whole.
 fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_formats::Result<bool> {
+    // Opening a pipe would wait for its other end.
+    if !path.metadata()?.is_file() {
+        return Ok(false);
+    }
     let mut file = File::open(path)?;
     let recorded = read_provenance(kind, &file)?;
     Ok(wanted.iter().all(|pair| recorded.contains(pair)) && is_whole(kind, &mut file)?)

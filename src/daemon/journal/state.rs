@@ -66,6 +66,13 @@ pub struct OutputRecord {
     pub size_bytes: u64,
 }
 
+impl OutputRecord {
+    /// Whether it is there, as long as it was written: one that lost its end is as good as gone.
+    pub fn is_there(&self) -> bool {
+        self.path.metadata().is_ok_and(|metadata| metadata.len() == self.size_bytes)
+    }
+}
+
 /// A sequence, and what the user chose for it: other choices make other settings.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct SequenceKey {

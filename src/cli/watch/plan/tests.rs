@@ -127,6 +127,15 @@ fn one_output_does_not_stand_for_several() {
 }
 
 #[test]
+fn a_journal_is_about_one_folder_of_outputs() {
+    let block = |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
+    let bench = Bench::new(&(block("a", "o") + &block("b", "p")));
+    bench.refused(&["--journal", "j"], &["the journal", "one folder of outputs", "run a daemon for each"]);
+    assert!(bench.plan(&["--journal", "j", "c", "--out", "o"]).is_ok());
+    assert!(Bench::new(&(block("a", "o") + &block("b", "./o"))).plan(&["--journal", "j"]).is_ok());
+}
+
+#[test]
 fn the_same_files_are_not_watched_twice() {
     let block = |input: &str, more: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"o\"\n{more}\n");
     let bench = Bench::new(&(block("a", "") + &block("./a", "voxel_size = 1")));

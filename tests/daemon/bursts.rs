@@ -1,0 +1,175 @@
+//! More files at once than the system tells of, and folders that come with files in them.
+
+use std::fs;
+use std::thread;
+
+use rustix::process::Signal;
+
+use crate::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
+
+/// What makes a frame of few particles cheap. The last two are the daemon's alone.
+const CHEAP: [&str; 10] =
+    ["--voxel-size", "0.1", "--laplacian-steps", "0", "--steps", "0", "--format", "obj", "--settle", "50ms"];
+
+/// Few particles, others for each number.
+fn few(number: usize) -> Vec<[f32; 3]> {
+    vec![[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.001 * (number % 64) as f32]]
+}
+
+/// The kernel keeps so many events for whoever does not listen, and drops the rest.
+fn events_kept_max() -> usize {
+    let text = fs::read_to_string("/proc/sys/fs/inotify/max_queued_events").expect("Linux");
+    text.trim().parse().expect("a number")
+}
+
+/// The daemon is stopped until the kernel has dropped events; all the frames come after that, so that no
+/// event tells of them.
+#[test]
+fn a_burst_of_which_no_event_tells_is_found() {
+    let frame_count = by_length(600, 5000);
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
+    daemon.signal(Signal::STOP);
+    // Two events each: away from one name, and to the other.
+    let [here, there] = ["in/here", "in/there"].map(|name| scene.path(name));
+    scene.write("in/here", "");
+    for _ in 0..=events_kept_max() / 4 {
+        fs::rename(&here, &there).expect("renamed");
+        fs::rename(&there, &here).expect("renamed");
+    }
+    for number in 1..=frame_count {
+        scene.write(&format!("in/dam.{number}.ply"), ply(&few(number)));
+    }
+    daemon.signal(Signal::CONT);
+    daemon.await_line("the loss is told", |line| line.message.contains("events were lost"));
+    daemon.await_lines(frame_count, "all are converted", Line::is_converted);
+    daemon.finish();
+    assert_eq!(outputs(&scene, "out").len(), frame_count);
+    scene.assert_as_converted(&CHEAP[..8]);
+}
+
+/// Faster than anybody could listen, by four at once, in all the ways of writing.
+#[test]
+fn a_burst_is_taken_as_it_comes() {
+    let frame_count = by_length(400, 5000);
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
+    thread::scope(|scope| {
+        for writer in 0..4 {
+            let scene = &scene;
+            scope.spawn(move || {
+                for number in (1..=frame_count).filter(|number| number % 4 == writer) {
+                    let name = format!("in/dam.{number}.ply");
+                    match number % 8 {
+                        0..4 => scene.write(&name, ply(&few(number))),
+                        _ => scene.put(&name, ply(&few(number))),
+                    }
+                }
+            });
+        }
+    });
+    daemon.await_lines(frame_count, "all are converted", Line::is_converted);
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), frame_count);
+    scene.assert_as_converted(&CHEAP[..8]);
+}
+
+/// The names of the meshes in a folder.
+fn outputs(scene: &Scene, folder: &str) -> Vec<String> {
+    names_in(&scene.path(folder)).into_iter().filter(|name| name.ends_with(".obj")).collect()
+}
+
+fn watch_recursively(scene: &Scene) -> Watching {
+    scene.watch(&[&CHEAP[..], &NO_SCANS, &["--recursive"]].concat())
+}
+
+/// A folder is filled before its events can be heard: again and again, for it is a race.
+#[test]
+fn folders_that_are_filled_at_once_lose_nothing() {
+    let folder_count = by_length(60, 600);
+    let scene = Scene::new();
+    let daemon = watch_recursively(&scene);
+    let folder = |index: usize| match index % 3 {
+        0 => format!("shot{index}"),
+        1 => format!("shot{index}/a"),
+        _ => format!("shot{index}/a/b/c"),
+    };
+    for index in 0..folder_count {
+        for number in 1..=3 {
+            scene.write(&format!("in/{}/dam.{number}.ply", folder(index)), ply(&few(index + number)));
+        }
+    }
+    daemon.await_lines(3 * folder_count, "all are converted", Line::is_converted);
+    daemon.assert_no_complaints();
+    daemon.finish();
+    for index in 0..folder_count {
+        let names = outputs(&scene, &format!("out/{}", folder(index)));
+        assert_eq!(names, ["dam.1.obj", "dam.2.obj", "dam.3.obj"], "{}", folder(index));
+    }
+    for index in 0..3 {
+        let folder = folder(index);
+        scene.assert_folder_as_converted(&format!("in/{folder}"), &format!("out/{folder}"), &CHEAP[..8]);
+    }
+}
+
+/// A tree that comes by one rename tells of its topmost folder only, and frames that come into it later are
+/// frames like any other. The same where it is renamed once more.
+#[test]
+fn a_tree_that_is_renamed_into_place_is_found_and_heard() {
+    let scene = Scene::new();
+    let daemon = watch_recursively(&scene);
+    for name in ["take/dam.1.ply", "take/deep/er/dam.2.ply"] {
+        scene.write(&format!("elsewhere/{name}"), ply(&few(1)));
+    }
+    fs::rename(scene.path("elsewhere/take"), scene.path("in/take")).expect("renamed");
+    daemon.await_lines(2, "what came with it is converted", Line::is_converted);
+    scene.write("in/take/deep/er/dam.3.ply", ply(&few(3)));
+    daemon.await_converted("take/deep/er/dam.3.ply");
+
+    fs::rename(scene.path("in/take"), scene.path("in/retake")).expect("renamed");
+    daemon.await_converted("retake/deep/er/dam.3.ply");
+    scene.write("in/retake/deep/dam.4.ply", ply(&few(4)));
+    daemon.await_converted("retake/deep/dam.4.ply");
+    // The old name is free: another folder that gets it is heard as well.
+    scene.write("in/take/dam.5.ply", ply(&few(5)));
+    daemon.await_converted("take/dam.5.ply");
+    daemon.assert_no_complaints();
+    daemon.finish();
+    assert_eq!(outputs(&scene, "out/retake/deep/er"), ["dam.2.obj", "dam.3.obj"]);
+    assert_eq!(outputs(&scene, "out/retake/deep"), ["dam.4.obj"]);
+    // What was made of frames that are gone stays.
+    assert_eq!(outputs(&scene, "out/take"), ["dam.1.obj", "dam.5.obj"]);
+}
+
+/// A folder that is removed and made anew is another one of that name.
+#[test]
+fn a_folder_that_comes_again_is_heard_again() {
+    let scene = Scene::new();
+    // All else that is there never changes.
+    scene.put("in/dam.0.ply", ply(&few(0)));
+    let daemon = watch_recursively(&scene);
+    for number in 1..=by_length(5, 50) {
+        let name = format!("in/cache/dam.{number}.ply");
+        scene.write(&name, ply(&few(number)));
+        daemon.await_converted(&format!("cache/dam.{number}.ply"));
+        fs::remove_dir_all(scene.path("in/cache")).expect("removed");
+    }
+    daemon.assert_no_complaints();
+    daemon.finish();
+}
+
+/// Without being asked to, it does not look into sub-folders.
+#[test]
+fn sub_folders_are_somebody_elses_unless_asked_for() {
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&CHEAP[..], &NO_SCANS].concat());
+    scene.write("in/sub/dam.1.ply", ply(&few(1)));
+    scene.write("in/table.2.csv", csv(&few(2)));
+    scene.put("in/dam.3.ply", ply(&few(3)));
+    daemon.await_converted("dam.3.ply");
+    daemon.await_converted("table.2.csv");
+    daemon.finish();
+    scene.once(&CHEAP).assert_status(0);
+    assert_eq!(outputs(&scene, "out"), ["dam.3.obj", "table.2.obj"]);
+    assert_eq!(names_in(&scene.path("out")).len(), 3);
+}

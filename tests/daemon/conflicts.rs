@@ -1,0 +1,139 @@
+//! Outputs that would meet other files: our own, the user's, another daemon's.
+
+use crate::scene::{NO_SCANS, Scene, csv, moving, names_in, ply};
+
+const QUICK: [&str; 4] = ["--settle", "20ms", "--unproven", "50ms"];
+
+/// The outputs are particles, by their names at least, and lie in the watched folder.
+#[test]
+fn outputs_within_the_watched_folder_are_no_inputs() {
+    let scene = Scene::new();
+    scene.write("in/sub/dam.1.ply", ply(&moving(1)));
+    scene.put_moving([2]);
+    let arguments = ["watch", "in", "--out", "in/out", "--recursive", "--format", "ply,obj", "--log", "json"];
+    for _ in 0..2 {
+        let ran = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
+        assert_eq!(ran.status, Some(0), "{}", ran.err);
+    }
+    let daemon = scene.start_as(&[&arguments[..], &QUICK, &["--rescan", "1s"]].concat());
+    daemon.await_ready();
+    scene.put_moving([3]);
+    daemon.await_converted("dam.3.ply");
+    // What would take the outputs would have taken them by the time this one is done.
+    scene.put_moving([4]);
+    daemon.await_converted("dam.4.ply");
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    assert_eq!(names_in(&scene.path("in")), ["dam.2.ply", "dam.3.ply", "dam.4.ply", "out", "sub"]);
+    assert_eq!(names_in(&scene.path("in/sub")), ["dam.1.ply"]);
+    let names =
+        [".meniscus", "dam.2.obj", "dam.2.ply", "dam.3.obj", "dam.3.ply", "dam.4.obj", "dam.4.ply", "sub"];
+    assert_eq!(names_in(&scene.path("in/out")), names);
+    assert_eq!(names_in(&scene.path("in/out/sub")), ["dam.1.obj", "dam.1.ply"]);
+}
+
+/// Side by side with the frames, an output is told by its content.
+#[test]
+fn outputs_beside_the_frames_are_no_inputs() {
+    let scene = Scene::new();
+    scene.write("in/dam.1.csv", csv(&moving(1)));
+    let arguments = ["watch", "in", "--out", "in", "--format", "ply", "--log", "json"];
+    for _ in 0..2 {
+        let ran = scene.run(&[&arguments[..], &QUICK, &["--once"]].concat());
+        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.csv", "dam.1.ply"]);
+    }
+    let daemon = scene.start_as(&[&arguments[..], &QUICK, &NO_SCANS].concat());
+    daemon.await_ready();
+    scene.write("in/dam.2.csv", csv(&moving(2)));
+    daemon.await_converted("dam.2.csv");
+    scene.write("in/dam.3.csv", csv(&moving(3)));
+    daemon.await_converted("dam.3.csv");
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    assert_eq!(names_in(&scene.path("in")).len(), 7);
+}
+
+/// The output of a frame would be the frame itself.
+#[test]
+fn a_frame_is_never_replaced() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    // Frames, too, though nobody asked for them to be converted.
+    scene.write("out/dam.1.ply", ply(&moving(7)));
+    let in_place = ["watch", "in", "--out", "in", "--format", "ply", "--once", "--log", "json"];
+    let onto_others = ["watch", "in", "--out", "out", "--format", "obj,ply", "--once", "--log", "json"];
+    let ran = scene.run(&[&in_place[..], &QUICK].concat());
+    assert_eq!(ran.status, Some(2), "{}", ran.err);
+    assert!(ran.err.contains("replace"), "{}", ran.err);
+    assert_eq!(names_in(&scene.path("in")), [".meniscus", "dam.1.ply", "dam.2.ply"]);
+    let ran = scene.run(&[&onto_others[..], &QUICK].concat());
+    assert_eq!(ran.status, Some(1), "{}", ran.err);
+    assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.ply", "dam.2.obj", "dam.2.ply"]);
+    for (within, number) in [("in/dam.1.ply", 1), ("in/dam.2.ply", 2), ("out/dam.1.ply", 7)] {
+        assert!(scene.bytes(within) == ply(&moving(number)), "{within}");
+    }
+}
+
+/// The first has the outputs, and keeps them; who is second is told of both.
+#[test]
+fn two_frames_for_one_output_are_both_named() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    let arguments = [&QUICK[..], &["--format", "obj"]].concat();
+    let daemon = scene.watch(&[&arguments[..], &NO_SCANS].concat());
+    daemon.await_converted("dam.1.ply");
+    daemon.await_converted("dam.2.ply");
+    let before = scene.bytes("out/dam.1.obj");
+    scene.write("in/dam.1.csv", csv(&moving(9)));
+    let conflict = daemon.await_line("the conflict is told", |line| line.level == "ERROR");
+    for name in ["in/dam.1.ply", "in/dam.1.csv", "out/dam.1"] {
+        assert!(conflict.message.contains(name), "{name}: {}", conflict.message);
+    }
+    daemon.finish();
+    let once = scene.once(&arguments);
+    once.assert_status(1);
+    assert!(once.converted().is_empty(), "{:?}", once.converted());
+    assert!(scene.bytes("out/dam.1.obj") == before);
+
+    // When the first goes, the second may have them.
+    scene.remove("in/dam.1.ply");
+    scene.write("in/dam.1.csv", csv(&moving(8)));
+    let once = scene.once(&arguments);
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.1.csv"]);
+}
+
+/// Two folders that are watched, and one for the outputs of both.
+#[test]
+fn two_folders_for_one_output_are_told_apart() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    scene.write("more/dam.2.ply", ply(&moving(5)));
+    scene.write("more/dam.3.ply", ply(&moving(6)));
+    let arguments = ["watch", "in", "more", "--out", "out", "--format", "obj", "--once", "--log", "json"];
+    let ran = scene.run(&[&arguments[..], &QUICK].concat());
+    assert_eq!(ran.status, Some(1), "{}", ran.err);
+    assert!(ran.err.contains("in/dam.2.ply") && ran.err.contains("more/dam.2.ply"), "{}", ran.err);
+    assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.obj", "dam.2.obj", "dam.3.obj"]);
+}
+
+#[test]
+fn a_second_daemon_for_one_output_is_refused() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let daemon = scene.watch(&QUICK);
+    let second = scene.once(&QUICK);
+    second.assert_status(2);
+    let named = format!("pid {}", daemon.pid());
+    assert!(
+        second.log.iter().any(|line| line.message.contains(&named)),
+        "{}",
+        crate::scene::told(&second.log)
+    );
+    // The first has not noticed; and when it is gone, whichever way, another may come.
+    scene.put_moving([2]);
+    daemon.await_converted("dam.2.ply");
+    daemon.assert_no_complaints();
+    daemon.kill();
+    scene.once(&QUICK).assert_status(0);
+}

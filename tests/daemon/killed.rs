@@ -1,0 +1,149 @@
+//! Killed at any moment, nothing is lost, and nothing half-made is ever seen.
+
+use std::collections::HashMap;
+use std::fs;
+use std::io::Cursor;
+use std::os::unix::fs::DirEntryExt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use meniscus_formats::provenance::Kind;
+use meniscus_formats::wholeness::is_whole;
+
+use crate::scene::{Scene, by_length, moving, ply, text_ply};
+
+const FORMATS: [&str; 2] = ["--format", "glb,vdb,obj,ply"];
+
+/// Killed, and started again at once, while frames are written: those of the first half are there from the
+/// beginning. The voxel size is measured, in one of the runs.
+#[test]
+fn a_daemon_that_is_killed_loses_nothing_and_shows_nothing_half_made() {
+    let (frame_count, kill_count) = by_length((40, 25), (300, 200));
+    let scene = Scene::new();
+    let frames: Vec<usize> = (1..=frame_count).collect();
+    let (there, coming) = frames.split_at(frame_count / 2);
+    scene.put_moving(there.iter().copied());
+    let killed_count = AtomicUsize::new(0);
+    let is_over = AtomicBool::new(false);
+    let out = scene.path("out");
+    let seen = thread::scope(|scope| {
+        let observer = scope.spawn(|| observe(&out, &is_over));
+        // In step with the kills: whenever one comes, there is something to do.
+        scope.spawn(|| {
+            for (index, &number) in coming.iter().enumerate() {
+                let turn = index * kill_count / coming.len();
+                while killed_count.load(Ordering::SeqCst) < turn {
+                    thread::sleep(Duration::from_millis(1));
+                }
+                produce(&scene, number);
+            }
+        });
+        let mut random = Random(7);
+        for _ in 0..kill_count {
+            let mut daemon = scene.start(&[&["--settle", "20ms"], &FORMATS[..]].concat());
+            thread::sleep(Duration::from_micros(random.below(150_000)));
+            assert!(daemon.is_alive(), "{}", daemon.told());
+            daemon.kill();
+            killed_count.fetch_add(1, Ordering::SeqCst);
+        }
+        let last = scene.once(&[&["--settle", "20ms"], &FORMATS[..]].concat());
+        is_over.store(true, Ordering::SeqCst);
+        last.assert_status(0);
+        observer.join().expect("no panic")
+    });
+    scene.assert_as_converted(&FORMATS);
+    scene.assert_no_temporaries();
+    assert_eq!(names_seen(&seen), 4 * frame_count);
+    for Sight { name, bytes } in seen {
+        assert!(is_whole(kind(&name), &mut Cursor::new(&bytes)).unwrap_or(false), "{name} was not whole");
+        // The same frame gives the same bytes, however often it is converted.
+        assert!(scene.bytes(&format!("out/{name}")) == bytes, "{name} was not what it is now");
+    }
+}
+
+/// By all the ways of writing, one after the other.
+fn produce(scene: &Scene, number: usize) {
+    let name = format!("in/dam.{number}.ply");
+    match number % 3 {
+        0 => scene.put(&name, ply(&moving(number))),
+        1 => scene.write(&name, ply(&moving(number))),
+        _ => scene.write(&name, text_ply(&moving(number))),
+    }
+}
+
+/// An output as it was when it appeared.
+struct Sight {
+    name: String,
+    bytes: Vec<u8>,
+}
+
+fn names_seen(seen: &[Sight]) -> usize {
+    let mut names: Vec<&str> = seen.iter().map(|sight| &*sight.name).collect();
+    names.sort_unstable();
+    names.dedup();
+    names.len()
+}
+
+/// Opens every file that can be seen as soon as it appears, and again whenever it is another file.
+fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Sight> {
+    let mut seen = Vec::new();
+    let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
+    loop {
+        // What is there when all is over is looked at, too.
+        let is_last = is_over.load(Ordering::SeqCst);
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            if name.starts_with('.') || inodes.get(&entry.path()) == Some(&entry.ino()) {
+                continue;
+            }
+            let bytes = fs::read(entry.path()).expect("an output is never taken away");
+            inodes.insert(entry.path(), entry.ino());
+            seen.push(Sight { name, bytes });
+        }
+        if is_last {
+            return seen;
+        }
+        thread::yield_now();
+    }
+}
+
+fn kind(name: &str) -> Kind {
+    match Path::new(name).extension().and_then(|extension| extension.to_str()) {
+        Some("glb") => Kind::Glb,
+        Some("vdb") => Kind::Vdb,
+        Some("obj") => Kind::Obj,
+        Some("ply") => Kind::Ply,
+        _ => panic!("{name} is no output"),
+    }
+}
+
+/// Numbers that look random, and are the same each time (SplitMix64).
+struct Random(u64);
+
+impl Random {
+    fn below(&mut self, end: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ (z >> 31)) % end
+    }
+}
+
+/// Killed in the middle of one frame, again and again, it does not begin with all others again.
+#[test]
+fn what_was_done_before_a_kill_is_not_done_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=8);
+    let daemon = scene.start(&FORMATS);
+    daemon.await_lines(8, "all are converted", |line| line.is_converted());
+    daemon.kill();
+    scene.put_moving([9]);
+    let next = scene.once(&FORMATS);
+    next.assert_status(0);
+    assert_eq!(next.converted(), ["dam.9.ply"]);
+    // What the journal knows need not even be read.
+    assert!(next.found_done().is_empty());
+}

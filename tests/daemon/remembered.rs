@@ -1,0 +1,117 @@
+//! What is done, failed or fixed stays so after a restart, also without the journal.
+
+use std::fs;
+use std::os::unix::fs::MetadataExt;
+
+use crate::scene::{Once, Scene, moving, names_in, ply};
+
+const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
+
+fn once(scene: &Scene) -> Once {
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    once
+}
+
+/// Which files the outputs are: another number is another file.
+fn inodes(scene: &Scene) -> Vec<u64> {
+    let names = names_in(&scene.path("out")).into_iter().filter(|name| !name.starts_with('.'));
+    names.map(|name| scene.path("out").join(name).metadata().expect("there").ino()).collect()
+}
+
+/// A scene of this many frames, all converted.
+fn all_done(frame_count: usize) -> Scene {
+    let scene = Scene::new();
+    scene.put_moving(1..=frame_count);
+    assert_eq!(once(&scene).converted().len(), frame_count);
+    scene
+}
+
+const JOURNAL: &str = "out/.meniscus/journal";
+
+#[test]
+fn without_the_journal_outputs_tell_that_they_are_done() {
+    let scene = all_done(5);
+    let before = inodes(&scene);
+    for lost in [JOURNAL, "out/.meniscus"] {
+        let path = scene.path(lost);
+        if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }.expect("removed");
+        let again = once(&scene);
+        assert_eq!((again.converted().len(), again.found_done().len()), (0, 5), "{lost}");
+        assert_eq!(inodes(&scene), before, "{lost}");
+    }
+}
+
+/// Whatever is in the journal: it costs work at most, and never a frame.
+#[test]
+fn a_damaged_journal_costs_work_only() {
+    let scene = all_done(5);
+    let before = inodes(&scene);
+    let journal = scene.bytes(JOURNAL);
+    let mut flipped = journal.clone();
+    // In the last third, where it is a record, and not the one line that says what this is.
+    let place = flipped.len() * 2 / 3;
+    flipped[place] ^= 0x20;
+    let damages: [(&str, Vec<u8>); 6] = [
+        ("empty", Vec::new()),
+        ("torn", journal[..journal.len() - 10].to_vec()),
+        ("half", journal[..journal.len() / 2].to_vec()),
+        ("a bit", flipped),
+        ("zeros behind", [&journal[..], &[0; 512]].concat()),
+        ("nonsense", b"\xff\xfe nonsense\n\n\n".repeat(50)),
+    ];
+    for (damage, bytes) in damages {
+        scene.write(JOURNAL, bytes);
+        let again = once(&scene);
+        assert!(again.converted().is_empty(), "{damage}: {:?}", again.converted());
+        assert_eq!(inodes(&scene), before, "{damage}");
+        // What was found out is written down again.
+        let then = once(&scene);
+        assert!(then.converted().is_empty() && then.found_done().is_empty(), "{damage}");
+    }
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// Taken away from a daemon that runs, it is written anew.
+#[test]
+fn a_journal_that_is_taken_away_comes_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    let daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    daemon.await_lines(3, "all are converted", |line| line.is_converted());
+    scene.remove(JOURNAL);
+    scene.put_moving([4]);
+    daemon.await_converted("dam.4.ply");
+    daemon.finish();
+    let again = once(&scene);
+    assert!(again.converted().is_empty() && again.found_done().is_empty(), "{:?}", again.found_done());
+}
+
+/// Elsewhere, when asked to: then nothing but the lock is kept with the outputs.
+#[test]
+fn the_journal_may_be_elsewhere() {
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    let arguments = [&["--settle", "10ms", "--journal", "memory"], &FORMATS[..]].concat();
+    scene.once(&arguments).assert_status(0);
+    assert_eq!(names_in(&scene.path("out/.meniscus")), ["lock"]);
+    assert!(scene.path("memory/journal").is_file());
+    let again = scene.once(&arguments);
+    assert!(again.converted().is_empty() && again.found_done().is_empty());
+    let status = scene.run(&["status", "--out", "out", "--journal", "memory", "--json"]);
+    assert!(status.out.contains("\"done\""), "{}{}", status.out, status.err);
+    assert_eq!(status.status, Some(0));
+}
+
+/// Outputs of `convert` are as good as one's own; those of other settings are not.
+#[test]
+fn what_convert_made_is_done() {
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    let ran = scene.run(&[&["convert", "in", "--out", "out"], &FORMATS[..]].concat());
+    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    scene.put("in/dam.3.ply", ply(&moving(4)));
+    let next = once(&scene);
+    assert_eq!(next.converted(), ["dam.3.ply"]);
+    assert_eq!(next.found_done(), ["dam.1.ply", "dam.2.ply"]);
+}

@@ -1,0 +1,163 @@
+//! Frames that change after they were converted, while they are, or before.
+
+use std::fs::{self, File, FileTimes, OpenOptions};
+use std::io::Write;
+use std::time::{Duration, Instant, SystemTime};
+
+use crate::scene::{Line, NO_SCANS, Scene, Watching, await_that, block, by_length, moving, ply, text_ply};
+
+/// With a voxel size, for what it would be measured on changes here.
+const FORMATS: [&str; 4] = ["--format", "obj,vdb", "--voxel-size", "0.06"];
+
+fn watch(scene: &Scene, more: &[&str]) -> Watching {
+    scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())
+}
+
+/// By a rename, in place with another length, and in place with the same one.
+#[test]
+fn a_frame_that_is_written_again_is_converted_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    let daemon = watch(&scene, &[]);
+    daemon.await_lines(3, "all are converted", Line::is_converted);
+    let before = scene.bytes("out/dam.1.vdb");
+    scene.put("in/dam.1.ply", ply(&block(7, 0.11, 0.3)));
+    scene.write("in/dam.2.ply", ply(&block(5, 0.1, 0.3)));
+    scene.write("in/dam.3.ply", ply(&block(6, 0.1, 0.7)));
+    for name in ["dam.1.ply", "dam.2.ply", "dam.3.ply"] {
+        daemon.await_lines(2, "converted again", |line| line.is_converted() && line.is_about(name));
+    }
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 6);
+    assert_ne!(scene.bytes("out/dam.1.vdb"), before);
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// Another time and the same bytes; another file and the same bytes.
+#[test]
+fn a_frame_that_is_touched_is_not_converted_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    let daemon = watch(&scene, &[]);
+    daemon.await_lines(2, "all are converted", Line::is_converted);
+    touch(&scene, "in/dam.1.ply");
+    scene.put_moving([2]);
+    daemon.await_lines(2, "both are found done", Line::is_found_done);
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    // The same while nobody watches. What was found out once need not be found out again.
+    touch(&scene, "in/dam.1.ply");
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    assert_eq!((once.converted(), once.found_done()), (vec![], vec!["dam.1.ply".to_owned()]));
+    let why = scene.run(&["why", "in/dam.1.ply", "--out", "out"]);
+    assert!(why.out.contains("it is done"), "{}{}", why.out, why.err);
+    scene.assert_as_converted(&FORMATS);
+}
+
+fn touch(scene: &Scene, within: &str) {
+    let file = OpenOptions::new().write(true).open(scene.path(within)).expect("opened");
+    file.set_times(FileTimes::new().set_modified(SystemTime::now())).expect("touched");
+}
+
+/// A large frame is written again and again, in place, in the same length and so quickly that it is read
+/// meanwhile. Whatever was read, in the end the outputs are those of what is there.
+#[test]
+fn a_frame_that_is_overwritten_while_it_is_read_is_read_again() {
+    let duration = Duration::from_millis(by_length(1500, 15_000));
+    let arguments = ["--format", "obj", "--voxel-size", "0.4"];
+    let scene = Scene::new();
+    let versions = [0.0, 0.25, 0.5].map(|shift| text_ply_of_one_length(&block(36, 0.1, shift)));
+    assert!(versions.iter().all(|version| version.len() == versions[0].len()));
+    let daemon = scene.watch(&[&["--settle", "1ms"], &NO_SCANS[..], &arguments].concat());
+    let start = Instant::now();
+    let mut write_count = 0;
+    while start.elapsed() < duration {
+        overwrite(&scene, "in/dam.1.ply", &versions[write_count % 2]);
+        write_count += 1;
+    }
+    overwrite(&scene, "in/dam.1.ply", &versions[2]);
+    let _ = fs::remove_dir_all(scene.path("expected"));
+    let ran = scene.run(&[&["convert", "in", "--out", "expected"], &arguments[..]].concat());
+    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let expected = scene.bytes("expected/dam.1.obj");
+    let is_as_expected = || fs::read(scene.path("out/dam.1.obj")).is_ok_and(|bytes| bytes == expected);
+    await_that("the last version is converted", is_as_expected);
+    let log = daemon.finish();
+    assert!(log.iter().all(|line| line.level != "ERROR"), "{}", crate::scene::told(&log));
+    // And it stays so.
+    let once = scene.once(&[&["--settle", "1ms"], &arguments[..]].concat());
+    once.assert_status(0);
+    assert!(once.converted().is_empty());
+    scene.assert_as_converted(&arguments);
+}
+
+/// Without truncating it: at every moment it is a whole file, of the one version, the other, or both.
+fn overwrite(scene: &Scene, within: &str, bytes: &[u8]) {
+    let options = OpenOptions::new().write(true).create(true).truncate(false).clone();
+    let mut file: File = options.open(scene.path(within)).expect("opened");
+    for part in bytes.chunks(1 << 16) {
+        file.write_all(part).expect("written");
+    }
+}
+
+/// Numbers of one width, so that versions have one length.
+fn text_ply_of_one_length(particles: &[[f32; 3]]) -> Vec<u8> {
+    let header = text_ply(&[]).replace("vertex 0", &format!("vertex {}", particles.len()));
+    let rows = particles.iter().map(|[x, y, z]| format!("{x:.4} {y:.4} {z:.4}\n"));
+    rows.fold(header, |text, row| text + &row).into_bytes()
+}
+
+/// Many frames wait, and most of them go away again.
+#[test]
+fn frames_that_go_away_while_they_wait_are_no_failures() {
+    let scene = Scene::new();
+    scene.put_moving(1..=200);
+    let daemon = watch(&scene, &["--in-flight", "1", "--threads", "1"]);
+    daemon.await_lines(1, "one is converted", Line::is_converted);
+    for number in 20..=200 {
+        scene.remove(&format!("in/dam.{number}.ply"));
+    }
+    for number in 1..20 {
+        daemon.await_converted(&format!("dam.{number}.ply"));
+    }
+    scene.put_moving([300]);
+    daemon.await_converted("dam.300.ply");
+    assert!(daemon.lines(|line| line.level == "ERROR").is_empty(), "{}", daemon.told());
+    daemon.finish();
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    assert!(once.converted().is_empty());
+}
+
+/// The only frame goes away before it could be read; then nothing waits for it, at the end least of all.
+#[test]
+fn a_frame_that_is_never_finished_may_go_away() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &[]);
+    scene.write("in/dam.1.ply", &ply(&moving(1))[..1000]);
+    scene.write("in/dam.2.ply", ply(&moving(2)));
+    scene.remove("in/dam.1.ply");
+    daemon.await_converted("dam.2.ply");
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// An output that somebody removes is made again.
+#[test]
+fn an_output_that_is_gone_is_made_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    let once = || scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once().assert_status(0);
+    scene.remove("out/dam.2.obj");
+    // One that lost its end is as good as gone.
+    let half = scene.bytes("out/dam.3.vdb");
+    scene.write("out/dam.3.vdb", &half[..half.len() / 2]);
+    let why = scene.run(&["why", "in/dam.2.ply", "--out", "out"]);
+    assert!(why.out.contains("dam.2.obj"), "{}{}", why.out, why.err);
+    let again = once();
+    again.assert_status(0);
+    assert_eq!(again.converted(), ["dam.2.ply", "dam.3.ply"]);
+    scene.assert_as_converted(&FORMATS);
+}

@@ -1,0 +1,559 @@
+//! A watched folder, the daemon beside it, and its log.
+//!
+//! ```text
+//!   in/ ──▶ the daemon ──▶ out/          expected/ ◀── `convert` on the same frames
+//!               │
+//!               └─ its log, line by line: tests wait for what it says, and not for time to pass
+//! ```
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Command, ExitStatus, Stdio};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// Longer than anything takes that is waited for, on a busy machine.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Settings that find changes by events alone: no scan happens to come by.
+pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
+
+/// The first in the short form of a test, the second in the long one.
+pub(crate) fn by_length<T>(short: T, long: T) -> T {
+    if std::env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1") { long } else { short }
+}
+
+/// A cube of `edge_count`³ particles, so far apart, moved along x.
+pub(crate) fn block(edge_count: usize, spacing: f32, shift: f32) -> Vec<[f32; 3]> {
+    let along = |index: usize| index as f32 * spacing;
+    (0..edge_count.pow(3))
+        .map(|i| {
+            let [x, y, z] = [i % edge_count, i / edge_count % edge_count, i / edge_count.pow(2)].map(along);
+            [x + shift, y, z]
+        })
+        .collect()
+}
+
+/// The frame of this number in a sequence of small moving cubes. The first one tells another spacing
+/// than the others.
+pub(crate) fn moving(number: usize) -> Vec<[f32; 3]> {
+    block(6, if number == 1 { 0.11 } else { 0.1 }, 0.025 * number as f32)
+}
+
+/// Particles as binary PLY.
+pub(crate) fn ply(particles: &[[f32; 3]]) -> Vec<u8> {
+    let mut bytes = ply_header("binary_little_endian", particles.len()).into_bytes();
+    bytes.extend(particles.iter().flatten().flat_map(|value| value.to_le_bytes()));
+    bytes
+}
+
+/// Particles as PLY in text.
+pub(crate) fn text_ply(particles: &[[f32; 3]]) -> String {
+    particles.iter().fold(ply_header("ascii", particles.len()), |mut text, [x, y, z]| {
+        writeln!(text, "{x} {y} {z}").expect("strings take everything");
+        text
+    })
+}
+
+fn ply_header(encoding: &str, count: usize) -> String {
+    format!(
+        "ply\nformat {encoding} 1.0\nelement vertex {count}\n\
+         property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+}
+
+/// Particles as a table.
+pub(crate) fn csv(particles: &[[f32; 3]]) -> String {
+    particles.iter().fold("x,y,z\n".to_owned(), |mut text, [x, y, z]| {
+        writeln!(text, "{x},{y},{z}").expect("strings take everything");
+        text
+    })
+}
+
+/// A folder with the frames in `in`; the outputs are to be in `out`.
+pub(crate) struct Scene {
+    folder: TempDir,
+}
+
+impl Scene {
+    pub(crate) fn new() -> Scene {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["in", "elsewhere"] {
+            fs::create_dir(folder.path().join(name)).expect("a folder");
+        }
+        Scene { folder }
+    }
+
+    /// A path within the folder: `in/dam.1.ply`.
+    pub(crate) fn path(&self, within: &str) -> PathBuf {
+        self.folder.path().join(within)
+    }
+
+    /// Writes a file where it belongs; its folder is made.
+    pub(crate) fn write(&self, within: &str, bytes: impl AsRef<[u8]>) {
+        let path = self.path(within);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("a folder");
+        fs::write(path, bytes).expect("written");
+    }
+
+    /// Writes a file elsewhere, and renames it into place.
+    pub(crate) fn put(&self, within: &str, bytes: impl AsRef<[u8]>) {
+        let elsewhere = format!("elsewhere/{}", within.replace('/', "-"));
+        self.write(&elsewhere, bytes);
+        fs::rename(self.path(&elsewhere), self.path(within)).expect("renamed");
+    }
+
+    /// Puts the frames of these numbers into `in`, as `dam.N.ply`.
+    pub(crate) fn put_moving(&self, numbers: impl IntoIterator<Item = usize>) {
+        for number in numbers {
+            self.put(&format!("in/dam.{number}.ply"), ply(&moving(number)));
+        }
+    }
+
+    pub(crate) fn remove(&self, within: &str) {
+        fs::remove_file(self.path(within)).expect("removed");
+    }
+
+    pub(crate) fn bytes(&self, within: &str) -> Vec<u8> {
+        fs::read(self.path(within)).unwrap_or_else(|error| panic!("{within}: {error}"))
+    }
+
+    /// Runs the program to its end.
+    pub(crate) fn run(&self, arguments: &[&str]) -> Ran {
+        let mut child =
+            self.command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("a start");
+        let [out, err] =
+            [drain(child.stdout.take().expect("piped")), drain(child.stderr.take().expect("piped"))];
+        let status = ends(&mut child, PATIENCE);
+        if status.is_none() {
+            child.kill().expect("killed");
+        }
+        let [out, err] = [out, err].map(|reader| reader.join().expect("no panic"));
+        let status = status.unwrap_or_else(|| panic!("{arguments:?} does not end:\n{out}\n{err}"));
+        assert!(!err.contains("panicked"), "{err}");
+        Ran { status: status.code(), out, err }
+    }
+
+    /// `watch --once`, from `in` to `out`.
+    pub(crate) fn once(&self, arguments: &[&str]) -> Once {
+        let ran = self.run(&[&WATCH[..], &["--once"], arguments].concat());
+        Once { log: ran.err.lines().map(line).collect(), status: ran.status }
+    }
+
+    /// Starts the daemon, from `in` to `out`; it may not have looked at anything yet.
+    pub(crate) fn start(&self, arguments: &[&str]) -> Watching {
+        self.start_as(&[&WATCH[..], arguments].concat())
+    }
+
+    /// Starts the daemon, and waits until it has looked at everything once.
+    pub(crate) fn watch(&self, arguments: &[&str]) -> Watching {
+        let watching = self.start(arguments);
+        watching.await_ready();
+        watching
+    }
+
+    /// Starts the daemon as it is told here.
+    pub(crate) fn start_as(&self, arguments: &[&str]) -> Watching {
+        let socket_path = self.path("notify");
+        // That of an earlier daemon.
+        let _ = fs::remove_file(&socket_path);
+        let socket = UnixDatagram::bind(&socket_path).expect("a socket");
+        socket.set_read_timeout(Some(Duration::from_millis(50))).expect("a timeout");
+        let mut command = self.command(arguments);
+        command.env("NOTIFY_SOCKET", &socket_path);
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("a start");
+        let log = Arc::new(Log::default());
+        let stderr = child.stderr.take().expect("piped");
+        let [log_of_lines, log_of_notices] = [&log, &log].map(Arc::clone);
+        let readers = vec![
+            thread::spawn(move || log_of_lines.listen(stderr)),
+            thread::spawn(move || log_of_notices.listen_for_notices(&socket)),
+        ];
+        Watching { child, log, readers, socket_path }
+    }
+
+    fn command(&self, arguments: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+        command
+            .args(arguments)
+            .current_dir(self.folder.path())
+            .stdin(Stdio::null())
+            .env_remove("NOTIFY_SOCKET");
+        command
+    }
+
+    /// Asserts that `out` holds what `convert` makes of `in`, and nothing else that can be seen; what
+    /// cannot is the daemon's memory alone.
+    #[track_caller]
+    pub(crate) fn assert_as_converted(&self, arguments: &[&str]) {
+        self.assert_folder_as_converted("in", "out", arguments);
+    }
+
+    /// The same of one folder of frames and its outputs.
+    #[track_caller]
+    pub(crate) fn assert_folder_as_converted(&self, input: &str, output: &str, arguments: &[&str]) {
+        let _ = fs::remove_dir_all(self.path("expected"));
+        let ran = self.run(&[&["convert", input, "--out", "expected"], arguments].concat());
+        assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+        let [expected, found] = ["expected", output].map(|folder| contents(&self.path(folder)));
+        let [expected_names, found_names] = [&expected, &found].map(|files| files.keys().collect::<Vec<_>>());
+        assert_eq!(found_names, expected_names);
+        for (name, bytes) in &expected {
+            assert!(found[name] == *bytes, "{name} is not what convert makes of it");
+        }
+    }
+
+    /// Asserts that nothing hidden is left in the outputs but what the daemon remembers.
+    #[track_caller]
+    pub(crate) fn assert_no_temporaries(&self) {
+        let hidden: Vec<String> =
+            names_in(&self.path("out")).into_iter().filter(|name| name.starts_with('.')).collect();
+        assert_eq!(hidden, [".meniscus"]);
+    }
+}
+
+/// How the daemon is started: a word of JSON for each line of the log.
+const WATCH: [&str; 6] = ["watch", "in", "--out", "out", "--log", "json"];
+
+/// The files of a folder that can be seen, by name; those of its sub-folders are left out.
+pub(crate) fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let names = names_in(folder).into_iter().filter(|name| !name.starts_with('.'));
+    let files = names.map(|name| (folder.join(&name), name)).filter(|(path, _)| path.is_file());
+    files.map(|(path, name)| (name, fs::read(path).expect("readable"))).collect()
+}
+
+/// All names in a folder, sorted; none where there is no folder.
+pub(crate) fn names_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).into_iter().flatten();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+/// Waits for something that nobody tells of.
+#[track_caller]
+pub(crate) fn await_that(what: &str, mut is_so: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !is_so() {
+        assert!(start.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// What a run of the program left.
+pub(crate) struct Ran {
+    /// The exit status; `None` after a signal.
+    pub(crate) status: Option<i32>,
+    /// The standard output.
+    pub(crate) out: String,
+    /// The standard error.
+    pub(crate) err: String,
+}
+
+/// What `watch --once` left.
+pub(crate) struct Once {
+    pub(crate) status: Option<i32>,
+    pub(crate) log: Vec<Line>,
+}
+
+impl Once {
+    /// The names of the frames that were converted, sorted: of several under way, any may be the first.
+    pub(crate) fn converted(&self) -> Vec<String> {
+        sorted(self.converted_in_order())
+    }
+
+    /// The same, in the order of the log.
+    pub(crate) fn converted_in_order(&self) -> Vec<String> {
+        frames_that(&self.log, Line::is_converted)
+    }
+
+    /// The names of the frames that were read and found done, sorted.
+    pub(crate) fn found_done(&self) -> Vec<String> {
+        sorted(frames_that(&self.log, Line::is_found_done))
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_status(&self, status: i32) {
+        assert_eq!(self.status, Some(status), "{}", told(&self.log));
+    }
+}
+
+fn sorted(mut names: Vec<String>) -> Vec<String> {
+    names.sort();
+    names
+}
+
+fn frames_that(log: &[Line], is_it: impl Fn(&Line) -> bool) -> Vec<String> {
+    log.iter().filter(|line| is_it(line)).map(Line::frame_name).collect()
+}
+
+/// A line of the log.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    pub(crate) level: String,
+    pub(crate) message: String,
+    /// The frame that it is about.
+    pub(crate) frame: Option<PathBuf>,
+    /// All of it.
+    pub(crate) fields: Value,
+}
+
+impl Line {
+    pub(crate) fn is_converted(&self) -> bool {
+        self.message == "converted"
+    }
+
+    pub(crate) fn is_found_done(&self) -> bool {
+        self.message == "was done already"
+    }
+
+    /// Whether it tells of something that is wrong.
+    pub(crate) fn is_complaint(&self) -> bool {
+        matches!(&*self.level, "WARN" | "ERROR")
+    }
+
+    /// Whether it is about the frame of this name.
+    pub(crate) fn is_about(&self, name: &str) -> bool {
+        self.frame.as_ref().is_some_and(|frame| frame.ends_with(name))
+    }
+
+    fn frame_name(&self) -> String {
+        self.frame.as_deref().and_then(Path::file_name).unwrap_or_default().to_string_lossy().into_owned()
+    }
+}
+
+fn line(text: &str) -> Line {
+    // What is told before the log is begun is plain text.
+    let fields: Value = serde_json::from_str(text).unwrap_or_else(|_| Value::String(text.to_owned()));
+    let field = |name: &str| fields[name].as_str().map(str::to_owned);
+    Line {
+        level: field("level").unwrap_or_default(),
+        message: field("message").unwrap_or_else(|| text.to_owned()),
+        frame: field("frame").map(PathBuf::from),
+        fields,
+    }
+}
+
+/// A log as it is shown when a test fails.
+pub(crate) fn told(log: &[Line]) -> String {
+    log.iter().fold(String::new(), |text, line| text + &line.fields.to_string() + "\n")
+}
+
+/// What the daemon has told so far.
+#[derive(Default)]
+struct Log {
+    state: Mutex<LogState>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct LogState {
+    lines: Vec<Line>,
+    /// What the service manager was told.
+    notices: Vec<String>,
+    has_ended: bool,
+}
+
+impl Log {
+    fn listen(&self, stderr: ChildStderr) {
+        for text in BufReader::new(stderr).lines() {
+            self.lock().lines.push(line(&text.expect("text")));
+            self.changed.notify_all();
+        }
+        self.lock().has_ended = true;
+        self.changed.notify_all();
+    }
+
+    /// A service manager that does not listen holds up everything.
+    fn listen_for_notices(&self, socket: &UnixDatagram) {
+        let mut buffer = [0; 4096];
+        while !self.lock().has_ended {
+            // Nothing yet, else.
+            if let Ok(length) = socket.recv(&mut buffer) {
+                let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
+                self.lock().notices.extend(text.lines().map(str::to_owned));
+                self.changed.notify_all();
+            }
+        }
+    }
+
+    /// Waits until something is found in the state; `None` if that does not come. Patience begins anew
+    /// with every line of the log.
+    fn await_found<T>(&self, find: impl Fn(&LogState) -> Option<T>) -> Option<T> {
+        let mut state = self.lock();
+        let (mut line_count, mut since) = (state.lines.len(), Instant::now());
+        loop {
+            if let Some(found) = find(&state) {
+                return Some(found);
+            }
+            if line_count < state.lines.len() {
+                (line_count, since) = (state.lines.len(), Instant::now());
+            }
+            let left = PATIENCE.saturating_sub(since.elapsed());
+            if left.is_zero() || state.has_ended {
+                return None;
+            }
+            state = self.changed.wait_timeout(state, left).expect("no panic").0;
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, LogState> {
+        self.state.lock().expect("no panic")
+    }
+}
+
+/// A daemon that runs; it is killed when it is dropped.
+pub(crate) struct Watching {
+    child: Child,
+    log: Arc<Log>,
+    readers: Vec<JoinHandle<()>>,
+    socket_path: PathBuf,
+}
+
+impl Watching {
+    pub(crate) fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Waits until everything was looked at once.
+    #[track_caller]
+    pub(crate) fn await_ready(&self) {
+        self.await_notice("READY=1");
+    }
+
+    /// Waits until the service manager is told this.
+    #[track_caller]
+    pub(crate) fn await_notice(&self, wanted: &str) {
+        let is_there =
+            |state: &LogState| state.notices.iter().any(|notice| notice.starts_with(wanted)).then_some(());
+        let found = self.log.await_found(is_there);
+        assert!(found.is_some(), "no {wanted}:\n{}", self.told());
+    }
+
+    /// Waits for a line of the log.
+    #[track_caller]
+    pub(crate) fn await_line(&self, what: &str, is_it: impl Fn(&Line) -> bool) -> Line {
+        self.await_lines(1, what, is_it).remove(0)
+    }
+
+    /// Waits for so many lines of the log, those before included.
+    #[track_caller]
+    pub(crate) fn await_lines(&self, count: usize, what: &str, is_it: impl Fn(&Line) -> bool) -> Vec<Line> {
+        let found = self.log.await_found(|state| {
+            let found: Vec<&Line> = state.lines.iter().filter(|line| is_it(line)).collect();
+            (count <= found.len()).then(|| found.into_iter().cloned().collect())
+        });
+        found.unwrap_or_else(|| {
+            panic!("{what}: {} of {count} lines:\n{}", self.lines(&is_it).len(), self.told())
+        })
+    }
+
+    /// Waits until this frame is converted, and says how it went.
+    #[track_caller]
+    pub(crate) fn await_converted(&self, name: &str) -> Line {
+        self.await_line(&format!("{name} is converted"), |line| line.is_converted() && line.is_about(name))
+    }
+
+    /// The lines of the log so far that are such.
+    pub(crate) fn lines(&self, is_it: impl Fn(&Line) -> bool) -> Vec<Line> {
+        self.log.lock().lines.iter().filter(|line| is_it(line)).cloned().collect()
+    }
+
+    /// How often this frame was converted so far.
+    pub(crate) fn converted_count(&self, name: &str) -> usize {
+        self.lines(|line| line.is_converted() && line.is_about(name)).len()
+    }
+
+    /// Asserts that nothing was wrong so far.
+    #[track_caller]
+    pub(crate) fn assert_no_complaints(&self) {
+        assert!(self.lines(Line::is_complaint).is_empty(), "{}", self.told());
+    }
+
+    pub(crate) fn told(&self) -> String {
+        told(&self.log.lock().lines)
+    }
+
+    pub(crate) fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child), signal).expect("the daemon runs");
+    }
+
+    /// Whether it runs.
+    pub(crate) fn is_alive(&mut self) -> bool {
+        self.child.try_wait().expect("a status").is_none()
+    }
+
+    /// Kills it, and says what it had told.
+    pub(crate) fn kill(mut self) -> Vec<Line> {
+        self.child.kill().expect("killed");
+        self.end(PATIENCE);
+        std::mem::take(&mut self.log.lock().lines)
+    }
+
+    /// Asks it to end, and waits until it has; that must be in good order.
+    #[track_caller]
+    pub(crate) fn finish(mut self) -> Vec<Line> {
+        self.signal(Signal::TERM);
+        let status = self.await_end();
+        assert_eq!(status.code(), Some(0), "{}", self.told());
+        std::mem::take(&mut self.log.lock().lines)
+    }
+
+    /// Waits until it ends by itself, or by a signal sent before.
+    #[track_caller]
+    pub(crate) fn await_end(&mut self) -> ExitStatus {
+        let status = self.end(PATIENCE);
+        let status = status.unwrap_or_else(|| panic!("it does not end:\n{}", self.told()));
+        assert!(!self.told().contains("panicked"), "{}", self.told());
+        status
+    }
+
+    fn end(&mut self, patience: Duration) -> Option<ExitStatus> {
+        let status = ends(&mut self.child, patience)?;
+        for reader in self.readers.drain(..) {
+            reader.join().expect("no panic");
+        }
+        Some(status)
+    }
+}
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        let _ = fs::remove_file(&self.socket_path);
+    }
+}
+
+fn drain(mut pipe: impl Read + Send + 'static) -> JoinHandle<String> {
+    thread::spawn(move || {
+        let mut text = String::new();
+        pipe.read_to_string(&mut text).expect("text");
+        text
+    })
+}
+
+/// The status of a child that ends within this time.
+fn ends(child: &mut Child, patience: Duration) -> Option<ExitStatus> {
+    let start = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait().expect("a status") {
+            return Some(status);
+        }
+        if start.elapsed() > patience {
+            return None;
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+}

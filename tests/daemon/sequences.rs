@@ -1,0 +1,117 @@
+//! One voxel size for a sequence, whatever the order in which its frames come or are converted.
+
+use std::fs::{FileTimes, OpenOptions};
+use std::time::{Duration, SystemTime};
+
+use crate::scene::{Line, NO_SCANS, Once, Scene, block, contents, moving, ply};
+
+const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
+const QUICK: [&str; 2] = ["--settle", "50ms"];
+
+fn once(scene: &Scene, more: &[&str]) -> Once {
+    let once = scene.once(&[&QUICK[..], &FORMATS, more].concat());
+    once.assert_status(0);
+    once
+}
+
+/// The first frame tells another voxel size than all others. It is gone when the daemon comes again, and
+/// still its voxel size holds.
+#[test]
+fn the_voxel_size_outlives_its_frame_and_the_daemon() {
+    let scene = Scene::new();
+    scene.put_moving(1..=4);
+    let ran = scene.run(&[&["convert", "in", "--out", "all"], &FORMATS[..]].concat());
+    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    let expected = contents(&scene.path("all"));
+    for number in 3..=4 {
+        scene.remove(&format!("in/dam.{number}.ply"));
+    }
+    once(&scene, &[]);
+    scene.remove("in/dam.1.ply");
+    // While nobody watches, and while somebody does.
+    scene.put_moving([3]);
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
+    daemon.await_converted("dam.3.ply");
+    scene.put_moving([4]);
+    daemon.await_converted("dam.4.ply");
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    assert!(contents(&scene.path("out")) == expected);
+}
+
+/// A frame before all others by name, but still being written, decides the voxel size: the others wait.
+#[test]
+fn the_first_frame_is_waited_for() {
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
+    let first = ply(&moving(1));
+    scene.write("in/dam.1.ply", &first[..1000]);
+    scene.put_moving(2..=3);
+    // Another sequence has nothing to do with it; when it is done, the others had their time.
+    scene.put("in/drop.1.ply", ply(&block(5, 0.1, 0.0)));
+    daemon.await_converted("drop.1.ply");
+    assert_eq!(daemon.lines(Line::is_converted).len(), 1, "{}", daemon.told());
+    scene.write("in/dam.1.ply", &first);
+    daemon.await_lines(4, "all are converted", Line::is_converted);
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// The first frames have too few particles to tell: then the first that has enough does.
+#[test]
+fn frames_of_few_particles_wait_for_one_that_tells() {
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
+    for number in 1..=2 {
+        scene.put(&format!("in/dam.{number}.ply"), ply(&block(2, 0.1, 0.0)));
+    }
+    scene.put("in/dam.3.ply", ply(&block(6, 0.12, 0.0)));
+    daemon.await_lines(3, "all are converted", Line::is_converted);
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+    // Where none tells, all fail, and why is told once for each.
+    let scene = Scene::new();
+    scene.put("in/dam.1.ply", ply(&block(2, 0.1, 0.0)));
+    let none = scene.once(&[&QUICK[..], &FORMATS].concat());
+    none.assert_status(2);
+    assert!(none.log.iter().any(|line| line.message.contains("--voxel-size")));
+}
+
+/// The outputs do not depend on which frame is converted first.
+#[test]
+fn the_latest_first_gives_the_same() {
+    let scene = Scene::new();
+    scene.put_moving(1..=12);
+    for number in 1..=12 {
+        let path = scene.path(&format!("in/dam.{number}.ply"));
+        let written = SystemTime::now() - Duration::from_secs(100 - number);
+        let file = OpenOptions::new().write(true).open(path).expect("opened");
+        file.set_times(FileTimes::new().set_modified(written)).expect("changed");
+    }
+    let converted = once(&scene, &["--order", "latest", "--in-flight", "1"]).converted_in_order();
+    scene.assert_as_converted(&FORMATS);
+    // One or two may have been begun before the others were there to choose from.
+    let place = |number: usize| {
+        let name = format!("dam.{number}.ply");
+        converted.iter().position(|other| *other == name).expect("converted")
+    };
+    let latest_first_count = (2..=12).filter(|&number| place(number) < place(number - 1)).count();
+    assert!(latest_first_count >= 7, "{converted:?}");
+}
+
+/// Other choices are another sequence; choosing as before gives what was before.
+#[test]
+fn other_settings_convert_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    once(&scene, &[]);
+    let before = contents(&scene.path("out"));
+    assert_eq!(once(&scene, &["--laplacian-steps", "3"]).converted().len(), 2);
+    assert!(contents(&scene.path("out")) != before);
+    scene.assert_as_converted(&[&FORMATS[..], &["--laplacian-steps", "3"]].concat());
+    assert_eq!(once(&scene, &[]).converted().len(), 2);
+    assert!(contents(&scene.path("out")) == before);
+    // The same by another way: nothing to do.
+    assert!(once(&scene, &["--threads", "1", "--order", "latest"]).converted().is_empty());
+}

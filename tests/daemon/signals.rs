@@ -1,0 +1,189 @@
+//! Asked to end, to hurry, or to read its file again.
+
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+
+use crate::scene::{Line, NO_SCANS, Scene, block, contents, moving, names_in, ply};
+
+const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
+
+/// Minutes of smoothing of a small frame.
+const ENDLESS: [&str; 6] = ["--integrator", "explicit", "--steps", "1000000", "--voxel-size", "0.03"];
+
+/// What is under way when it is asked to end is finished, and nothing else is begun; the rest comes next
+/// time.
+#[test]
+fn frames_under_way_are_finished() {
+    let scene = Scene::new();
+    scene.put_moving(1..=60);
+    let arguments = [&["--settle", "10ms", "--in-flight", "2"], &FORMATS[..]].concat();
+    let daemon = scene.watch(&arguments);
+    daemon.await_lines(2, "some are converted", Line::is_converted);
+    let log = daemon.finish();
+    let mut first: Vec<String> = log.iter().filter(|line| line.is_converted()).map(name).collect();
+    assert!((2..60).contains(&first.len()), "{first:?}");
+    scene.assert_no_temporaries();
+    // All outputs of a frame, or none.
+    assert_eq!(contents(&scene.path("out")).len(), 2 * first.len());
+    let next = scene.once(&arguments);
+    next.assert_status(0);
+    assert!(next.found_done().is_empty());
+    first.extend(next.converted());
+    first.sort();
+    first.dedup();
+    assert_eq!((first.len(), next.converted().len()), (60, 60 - (first.len() - next.converted().len())));
+    scene.assert_as_converted(&FORMATS);
+}
+
+fn name(line: &Line) -> String {
+    line.frame.as_ref().and_then(|path| path.file_name()).expect("a frame").to_string_lossy().into_owned()
+}
+
+/// Waits until the one frame of a daemon is in the pipeline.
+fn await_under_way(scene: &Scene) {
+    crate::scene::await_that("the frame is under way", || {
+        let ran = scene.run(&["status", "--out", "out", "--json"]);
+        ran.out.contains("\"queued\": 1") || ran.out.contains("\"queued\":1")
+    });
+}
+
+#[test]
+fn a_second_signal_ends_at_once() {
+    let scene = Scene::new();
+    for (first, second, status) in [(Signal::TERM, Signal::TERM, 143), (Signal::TERM, Signal::INT, 130)] {
+        scene.put_moving([1]);
+        let mut daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..], &ENDLESS].concat());
+        await_under_way(&scene);
+        daemon.signal(first);
+        daemon.await_line("it is winding up", |line| line.message.contains("finishing the frames under way"));
+        assert!(daemon.is_alive());
+        let start = Instant::now();
+        daemon.signal(second);
+        assert_eq!(daemon.await_end().code(), Some(status), "{}", daemon.told());
+        assert!(start.elapsed() < Duration::from_secs(10), "at once is not {:?}", start.elapsed());
+        assert!(contents(&scene.path("out")).is_empty());
+    }
+    // What was broken off is begun again.
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
+    scene.assert_no_temporaries();
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// Frames under way have so long, and no longer.
+#[test]
+fn the_deadline_for_ending_holds() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let arguments = [&["--settle", "10ms", "--stop-deadline", "300ms"], &FORMATS[..], &ENDLESS].concat();
+    let mut daemon = scene.watch(&arguments);
+    await_under_way(&scene);
+    let start = Instant::now();
+    daemon.signal(Signal::TERM);
+    daemon.await_end();
+    assert!((300..10_000).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
+    assert!(contents(&scene.path("out")).is_empty());
+    scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
+    scene.assert_no_temporaries();
+}
+
+/// Asked to end while it waits: for nothing, for a frame to be complete, for a folder that is not there.
+#[test]
+fn waiting_ends_when_asked() {
+    let scene = Scene::new();
+    let start = Instant::now();
+    scene.watch(&NO_SCANS).finish();
+    scene.write("in/dam.1.ply", &ply(&moving(1))[..1000]);
+    scene.watch(&NO_SCANS).finish();
+    let daemon = scene.start_as(&["watch", "nowhere", "--out", "out", "--log", "json"]);
+    daemon.await_ready();
+    daemon.finish();
+    assert!(start.elapsed() < Duration::from_secs(20), "{:?}", start.elapsed());
+}
+
+/// Everything `watch --once` may end with is what `convert` ends with.
+#[test]
+fn the_exit_status_is_that_of_convert() {
+    let corrupt = "ply\nformat nonsense 1.0\n";
+    let scenes: [(&str, &[&str], i32); 4] = [
+        ("all good", &["good", "good"], 0),
+        ("one bad", &["good", "bad"], 1),
+        ("all bad", &["bad", "bad"], 2),
+        ("none", &[], 2),
+    ];
+    for (case, frames, status) in scenes {
+        let scene = Scene::new();
+        for (index, &frame) in frames.iter().enumerate() {
+            let path = format!("in/dam.{}.ply", index + 1);
+            match frame {
+                "good" => scene.put(&path, ply(&moving(index + 1))),
+                _ => scene.put(&path, corrupt),
+            }
+        }
+        let ran = scene.run(&[&["convert", "in", "--out", "expected"], &FORMATS[..]].concat());
+        assert_eq!(ran.status, Some(status), "{case}: {}", ran.err);
+        scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(status);
+    }
+    let scene = Scene::new();
+    for arguments in [
+        &["watch", "nowhere", "--out", "out", "--once"][..],
+        &["watch", "in", "--out", "out", "--once", "--settel", "1s"],
+        &["watch", "in", "--out", "out", "--once", "--pattern", "[a"],
+        &["watch", "in", "--out", "out", "--once", "--voxel-size", "-1"],
+        &["watch", "--once"],
+    ] {
+        assert_eq!(scene.run(arguments).status, Some(2), "{arguments:?}");
+    }
+}
+
+const CONFIG: &str = "meniscus.toml";
+
+fn config(pattern: &str, formats: &str) -> String {
+    format!(
+        "[daemon]\nlog = \"json\"\nsettle = \"20ms\"\nrescan = \"1h\"\n\n\
+         [[watch]]\ninput = \"in\"\noutput = \"out\"\npattern = \"{pattern}\"\nformats = [\"{formats}\"]\n"
+    )
+}
+
+#[test]
+fn its_file_is_read_again_when_asked() {
+    let scene = Scene::new();
+    scene.write(CONFIG, config("dam.*.ply", "obj"));
+    let daemon = scene.start_as(&["watch", "--config", CONFIG]);
+    daemon.await_ready();
+    scene.put("in/drop.1.ply", ply(&block(6, 0.1, 0.0)));
+    scene.put_moving([1]);
+    daemon.await_converted("dam.1.ply");
+    assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.obj"]);
+
+    // Wrong: it says so, and goes on as before.
+    for (wrong, named) in [
+        (config("dam.*.ply", "obj").replace("pattern", "patern"), "pattern"),
+        (config("dam.*.ply", "nothing"), "nothing"),
+        ("[[watch]".to_owned(), CONFIG),
+    ] {
+        scene.write(CONFIG, wrong);
+        let count = daemon.lines(|line| line.level == "ERROR").len();
+        daemon.signal(Signal::HUP);
+        let told = daemon.await_lines(count + 1, "what is wrong is told", |line| line.level == "ERROR");
+        assert!(told[count].message.contains(named), "{}", told[count].message);
+    }
+    scene.put_moving([2]);
+    daemon.await_converted("dam.2.ply");
+    assert_eq!(names_in(&scene.path("out")), [".meniscus", "dam.1.obj", "dam.2.obj"]);
+
+    scene.write(CONFIG, config("dr*.ply", "ply"));
+    daemon.signal(Signal::HUP);
+    daemon.await_converted("drop.1.ply");
+    scene.put("in/drop.2.ply", ply(&block(6, 0.1, 0.2)));
+    daemon.await_converted("drop.2.ply");
+    scene.put_moving([3]);
+    // What was no frame before may be one now, and one that is done may have other outputs.
+    scene.write(CONFIG, config("d*.ply", "ply"));
+    daemon.signal(Signal::HUP);
+    daemon.await_converted("dam.3.ply");
+    daemon.await_lines(2, "in the new format", |line| line.is_converted() && line.is_about("dam.2.ply"));
+    daemon.finish();
+    let names = ["dam.1.obj", "dam.1.ply", "dam.2.obj", "dam.2.ply", "dam.3.ply", "drop.1.ply", "drop.2.ply"];
+    assert_eq!(names_in(&scene.path("out"))[1..], names);
+}

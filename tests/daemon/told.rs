@@ -1,0 +1,103 @@
+//! What the commands tell of a running and of a stopped daemon.
+
+use serde_json::Value;
+
+use crate::scene::{NO_SCANS, Scene, Watching, await_that, moving, ply};
+
+const FORMATS: [&str; 2] = ["--format", "obj"];
+
+fn status(scene: &Scene) -> Value {
+    let ran = scene.run(&["status", "--out", "out", "--json"]);
+    serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{error}: {}{}", ran.out, ran.err))
+}
+
+fn why(scene: &Scene, within: &str) -> String {
+    let ran = scene.run(&["why", within, "--out", "out"]);
+    assert_eq!(ran.status, Some(0), "{}{}", ran.out, ran.err);
+    ran.out
+}
+
+/// Two good frames, one that is corrupt, and one that is never finished.
+fn scene() -> (Scene, Watching) {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    scene.put("in/dam.3.ply", "ply\nformat nonsense 1.0\n");
+    scene.write("in/dam.4.ply", &ply(&moving(4))[..1000]);
+    let daemon = scene.watch(&[&["--settle", "20ms"], &NO_SCANS[..], &FORMATS].concat());
+    daemon.await_lines(2, "both are converted", |line| line.is_converted());
+    daemon.await_line("one has failed", |line| line.level == "ERROR");
+    (scene, daemon)
+}
+
+#[test]
+fn status_tells_of_running_and_of_stopped_daemons() {
+    let (scene, daemon) = scene();
+    let running = status(&scene);
+    assert_eq!(running["daemon"]["running"], true, "{running}");
+    assert_eq!(running["daemon"]["pid"], daemon.pid(), "{running}");
+    assert_eq!(
+        (&running["counts"]["done"], &running["counts"]["failed"]),
+        (&2.into(), &1.into()),
+        "{running}"
+    );
+    let reason = running["failed"][0]["reason"].as_str().expect("a reason");
+    let text = scene.run(&["status", "--out", "out"]);
+    assert_eq!(text.status, Some(1), "{}", text.err);
+    for told in ["2 ", "dam.3.ply", reason, &daemon.pid().to_string()] {
+        assert!(text.out.contains(told), "{told}: {}", text.out);
+    }
+    daemon.finish();
+    let stopped = status(&scene);
+    assert_eq!(stopped["daemon"]["running"], false, "{stopped}");
+    assert_eq!(stopped["counts"], running["counts"]);
+    assert_eq!(stopped["failed"], running["failed"]);
+    // Killed, it cannot say that it ends; and still nobody takes it for running.
+    let daemon = scene.watch(&FORMATS);
+    await_that("it is told", || status(&scene)["daemon"]["running"] == true);
+    daemon.kill();
+    assert_eq!(status(&scene)["daemon"]["running"], false);
+    let nothing = scene.run(&["status", "--out", "elsewhere"]);
+    assert_eq!((nothing.status, &*nothing.out), (Some(2), ""), "{}", nothing.err);
+}
+
+#[test]
+fn why_tells_of_each_frame() {
+    let (scene, daemon) = scene();
+    let check = || {
+        assert!(why(&scene, "in/dam.1.ply").contains("it is done"), "{}", why(&scene, "in/dam.1.ply"));
+        let failed = why(&scene, "in/dam.3.ply");
+        assert!(failed.contains("failed") && failed.contains("nonsense"), "{failed}");
+        let growing = why(&scene, "in/dam.4.ply");
+        assert!(!growing.contains("it is done"), "{growing}");
+    };
+    check();
+    daemon.finish();
+    check();
+    // Changes that came while nobody watches.
+    scene.put("in/dam.1.ply", ply(&moving(8)[..200]));
+    await_that("it was left alone", || why(&scene, "in/dam.1.ply").contains("written again"));
+    scene.remove("out/dam.2.obj");
+    assert!(why(&scene, "in/dam.2.ply").contains("dam.2.obj"), "{}", why(&scene, "in/dam.2.ply"));
+    scene.put_moving([5]);
+    await_that("it is new", || why(&scene, "in/dam.5.ply").contains("it is new"));
+    // What is no frame, or is not there, is told so as well.
+    for absent in ["in/dam.9.ply", "in"] {
+        let ran = scene.run(&["why", absent, "--out", "out"]);
+        assert!(!ran.out.contains("it is done"), "{}", ran.out);
+        assert!(!format!("{}{}", ran.out, ran.err).is_empty());
+    }
+}
+
+/// Other programs read it: line by line, each an object, and one for each frame.
+#[test]
+fn the_log_tells_of_every_frame() {
+    let (_scene, daemon) = scene();
+    let line = daemon.await_converted("dam.1.ply");
+    assert_eq!(line.fields["particles"], 216);
+    for key in ["read_s", "rasterize_s", "smooth_s", "contour_s", "write_s", "queue"] {
+        assert!(line.fields[key].is_number(), "{key}: {}", line.fields);
+    }
+    assert_eq!(line.level, "INFO");
+    let log = daemon.finish();
+    assert!(log.iter().all(|line| line.fields.is_object()), "{}", crate::scene::told(&log));
+}

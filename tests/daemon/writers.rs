@@ -1,0 +1,211 @@
+//! The ways in which frames come into being.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::os::unix::fs::symlink;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::scene::{Line, NO_SCANS, Scene, Watching, block, by_length, csv, moving, names_in, ply, text_ply};
+
+const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
+
+/// Frames are read soon after they were left alone; no scan happens to find them.
+fn watch(scene: &Scene, more: &[&str]) -> Watching {
+    scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())
+}
+
+/// So many particles were read.
+fn particle_count(line: &Line) -> u64 {
+    line.fields["particles"].as_u64().expect("a number")
+}
+
+#[test]
+fn a_frame_that_is_renamed_into_place_is_not_waited_for() {
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&["--settle", "30s"], &NO_SCANS[..], &FORMATS].concat());
+    let start = Instant::now();
+    scene.put("in/dam.1.ply", ply(&moving(1)));
+    daemon.await_converted("dam.1.ply");
+    // Beside its place, under a name that is hidden.
+    scene.write("in/.dam.2.ply.part", text_ply(&moving(2)));
+    fs::rename(scene.path("in/.dam.2.ply.part"), scene.path("in/dam.2.ply")).expect("renamed");
+    daemon.await_converted("dam.2.ply");
+    // Beside its place, under a name that is none of a frame; and a table, which cannot tell by itself.
+    scene.write("in/dam.3.csv.part", csv(&moving(3)));
+    fs::rename(scene.path("in/dam.3.csv.part"), scene.path("in/dam.3.csv")).expect("renamed");
+    daemon.await_converted("dam.3.csv");
+    assert!(start.elapsed() < Duration::from_secs(25), "it was waited for {:?}", start.elapsed());
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// As some servers for file transfer do it: the only event is that there is a file.
+#[test]
+fn a_frame_that_is_linked_into_place_is_converted() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &[]);
+    scene.write("in/.upload", ply(&moving(1)));
+    fs::hard_link(scene.path("in/.upload"), scene.path("in/dam.1.ply")).expect("linked");
+    scene.remove("in/.upload");
+    daemon.await_converted("dam.1.ply");
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
+#[test]
+fn a_link_to_a_frame_is_a_frame() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &[]);
+    scene.write("elsewhere/cache", ply(&moving(1)));
+    symlink("../elsewhere/cache", scene.path("in/dam.1.ply")).expect("linked");
+    daemon.await_converted("dam.1.ply");
+    // One that leads nowhere, yet: it is no frame, and no reason to complain.
+    symlink("../elsewhere/late", scene.path("in/dam.2.ply")).expect("linked");
+    scene.put_moving([3]);
+    daemon.await_converted("dam.3.ply");
+    daemon.assert_no_complaints();
+    daemon.finish();
+    scene.remove("in/dam.2.ply");
+    scene.assert_as_converted(&FORMATS);
+    assert!(scene.path("in/dam.1.ply").is_symlink());
+}
+
+/// Folders that lead to themselves: each frame by each name that is not endless.
+#[test]
+fn folders_that_lead_to_themselves_end() {
+    let scene = Scene::new();
+    scene.write("in/a/dam.1.ply", ply(&moving(1)));
+    symlink("..", scene.path("in/a/up")).expect("linked");
+    symlink("b", scene.path("in/b")).expect("linked");
+    symlink(scene.path("out"), scene.path("in/results")).expect("linked");
+    let once = scene.once(&[&["--recursive", "--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.1.ply"]);
+    let daemon = watch(&scene, &["--recursive"]);
+    scene.put("in/a/dam.2.ply", ply(&moving(2)));
+    daemon.await_converted("dam.2.ply");
+    symlink("../..", scene.path("in/a/again")).expect("linked");
+    scene.put("in/a/dam.3.ply", ply(&moving(3)));
+    daemon.await_converted("dam.3.ply");
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    assert_eq!(names_in(&scene.path("out")), [".meniscus", "a"]);
+    scene.assert_folder_as_converted("in/a", "out/a", &FORMATS);
+}
+
+/// A header, then a body in parts, each so long after the other that the file looks left alone. What is
+/// there is always all of a file of fewer particles, but the header knows.
+#[test]
+fn a_slow_writer_is_waited_for() {
+    let pause = Duration::from_millis(by_length(250, 1000));
+    let scene = Scene::new();
+    let daemon = watch(&scene, &[]);
+    let binary = ply(&moving(1));
+    let text = text_ply(&moving(2)).into_bytes();
+    let files = [("in/dam.1.ply", &binary), ("in/dam.2.ply", &text)]
+        .map(|(name, bytes)| (File::create(scene.path(name)).expect("created"), bytes));
+    let header_bytes = binary.len() - 12 * 216;
+    for part in 0..6 {
+        for (file, bytes) in &files {
+            let [begin, end] = [part, part + 1].map(|n| header_bytes + (bytes.len() - header_bytes) * n / 6);
+            let begin = if part == 0 { 0 } else { begin };
+            (&*file).write_all(&bytes[begin..end]).expect("written");
+        }
+        // This is what is tested: nothing happens, and no event tells when it is enough.
+        thread::sleep(pause);
+    }
+    drop(files);
+    for name in ["dam.1.ply", "dam.2.ply"] {
+        assert_eq!(particle_count(&daemon.await_converted(name)), 216);
+    }
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// Appends to a file that was closed before.
+fn append(scene: &Scene, within: &str, bytes: &[u8]) {
+    let mut file = OpenOptions::new().append(true).open(scene.path(within)).expect("opened");
+    file.write_all(bytes).expect("written");
+}
+
+/// Closing a file says nothing: it may be opened again.
+#[test]
+fn a_writer_that_closes_and_goes_on_is_waited_for() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &["--unproven", "1s"]);
+    let binary = ply(&moving(1));
+    let table = csv(&moving(2));
+    // A table may end behind any row.
+    let (rows, more_rows) = table.split_at(table.match_indices('\n').nth(100).expect("rows").0 + 1);
+    scene.write("in/dam.1.ply", &binary[..2000]);
+    scene.write("in/dam.2.csv", rows);
+    thread::sleep(Duration::from_millis(400));
+    append(&scene, "in/dam.1.ply", &binary[2000..]);
+    append(&scene, "in/dam.2.csv", more_rows.as_bytes());
+    for name in ["dam.1.ply", "dam.2.csv"] {
+        assert_eq!(particle_count(&daemon.await_converted(name)), 216);
+    }
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// A table that grows after it was taken for complete is converted again, as it is then.
+#[test]
+fn rows_that_come_too_late_are_not_lost() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &["--unproven", "200ms", "--voxel-size", "0.06"]);
+    let table = csv(&moving(2));
+    let (rows, more_rows) = table.split_at(table.match_indices('\n').nth(100).expect("rows").0 + 1);
+    scene.write("in/dam.2.csv", rows);
+    assert_eq!(particle_count(&daemon.await_converted("dam.2.csv")), 100);
+    append(&scene, "in/dam.2.csv", more_rows.as_bytes());
+    let all = daemon.await_lines(2, "converted again", Line::is_converted);
+    assert_eq!(particle_count(&all[1]), 216);
+    daemon.finish();
+    scene.assert_as_converted(&[&FORMATS[..], &["--voxel-size", "0.06"]].concat());
+}
+
+/// A producer dies half-way, and another one begins the frame again.
+#[test]
+fn a_producer_may_be_replaced() {
+    let scene = Scene::new();
+    let daemon = watch(&scene, &[]);
+    let lost = ply(&block(9, 0.1, 0.0));
+    scene.write("in/dam.1.ply", &lost[..4000]);
+    scene.write("in/dam.2.ply", &lost[..4000]);
+    // They are seen, and waited for.
+    thread::sleep(Duration::from_millis(250));
+    scene.remove("in/dam.1.ply");
+    scene.put_moving([1, 2]);
+    for name in ["dam.1.ply", "dam.2.ply"] {
+        assert_eq!(particle_count(&daemon.await_converted(name)), 216);
+    }
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// A file of the right length from the beginning, filled by and by: its format says that it is complete, and
+/// only that it is not left alone says that it is not.
+#[test]
+fn a_file_that_is_filled_in_place_is_waited_for() {
+    let scene = Scene::new();
+    let daemon = scene.watch(&[&["--settle", "600ms"], &NO_SCANS[..], &FORMATS].concat());
+    let bytes = ply(&moving(1));
+    let file = File::create(scene.path("in/dam.1.ply")).expect("created");
+    file.set_len(bytes.len() as u64).expect("long enough");
+    for part in bytes.chunks(bytes.len().div_ceil(8)) {
+        (&file).write_all(part).expect("written");
+        thread::sleep(Duration::from_millis(150));
+    }
+    drop(file);
+    daemon.await_converted("dam.1.ply");
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.converted_count("dam.1.ply"), 1);
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
