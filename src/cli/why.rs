@@ -146,6 +146,7 @@ fn recorded(record: &FrameRecord, now_ms: u64) -> String {
         Standing::Done => "done",
         Standing::Failed => "failed",
         Standing::Retrying => "failed, and is to be tried again",
+        Standing::Refused => "refused, on account of other files",
     };
     format!("{standing}, {}{attempts}", ago(record.at_ms, now_ms))
 }

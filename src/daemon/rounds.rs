@@ -427,7 +427,7 @@ impl<'a> Daemon<'a> {
             _ => None,
         });
         for (id, stamp) in held.collect::<Vec<_>>() {
-            self.fail_for_good(&id, stamp, TOO_SPARSE.to_owned());
+            self.refuse(&id, stamp, TOO_SPARSE.to_owned());
         }
     }
 

@@ -96,6 +96,7 @@ enum WireStanding {
     Done,
     Failed,
     Retrying,
+    Refused,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -214,6 +215,7 @@ impl WireStanding {
             Standing::Done => WireStanding::Done,
             Standing::Failed => WireStanding::Failed,
             Standing::Retrying => WireStanding::Retrying,
+            Standing::Refused => WireStanding::Refused,
         }
     }
 
@@ -223,6 +225,7 @@ impl WireStanding {
             WireStanding::Done => Standing::Done,
             WireStanding::Failed => Standing::Failed,
             WireStanding::Retrying => Standing::Retrying,
+            WireStanding::Refused => Standing::Refused,
         }
     }
 }
@@ -355,7 +358,9 @@ mod tests {
 
     #[test]
     fn frames_come_back() {
-        for standing in [Standing::Queued, Standing::Done, Standing::Failed, Standing::Retrying] {
+        let standings =
+            [Standing::Queued, Standing::Done, Standing::Failed, Standing::Retrying, Standing::Refused];
+        for standing in standings {
             comes_back(&frame("/sim/dam.0001.bgeo", standing));
         }
         let Entry::Frame(input, record) = frame("a b\n", Standing::Queued) else { unreachable!() };

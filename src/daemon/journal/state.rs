@@ -55,6 +55,9 @@ pub enum Standing {
     Failed,
     /// It failed in a way that may pass, and will be attempted again.
     Retrying,
+    /// It cannot be converted on account of other files, which may change without it: it is looked at again
+    /// when the daemon starts.
+    Refused,
 }
 
 /// One file that was made of a frame.
@@ -128,6 +131,7 @@ impl fmt::Display for Standing {
             Standing::Done => "done",
             Standing::Failed => "failed",
             Standing::Retrying => "retrying",
+            Standing::Refused => "refused",
         })
     }
 }
