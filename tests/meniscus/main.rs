@@ -11,4 +11,5 @@ mod random_ball; // 50 000 random particles in a ball come out nearly spherical 
 mod scene; // small frames of particles, and a way to run the command
 mod shapes; // particles to skin, the method with its defaults, and level sets read at a place
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
+mod stream; // frames that come one by one: order, bounds, and what goes wrong on the way
 mod union_of_spheres; // rasterization against what is known of spheres
