@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::grid::{Field, Topology};
@@ -24,11 +23,9 @@ use tempfile::{TempDir, tempdir};
 use crate::scene::{block, names_in, write_ply};
 
 /// A tetrahedron as large as the frame has particles. Panics in `broken_stage` at frames of
-/// [`BROKEN_COUNT`] particles, and counts the frames that are under way.
+/// [`BROKEN_COUNT`] particles.
 struct Quick {
     broken_stage: Option<Stage>,
-    under_way: AtomicUsize,
-    under_way_max: AtomicUsize,
 }
 
 /// How many particles the frame has that the method cannot bear.
@@ -36,7 +33,7 @@ const BROKEN_COUNT: usize = 27;
 
 impl Quick {
     fn new(broken_stage: Option<Stage>) -> Quick {
-        Quick { broken_stage, under_way: AtomicUsize::new(0), under_way_max: AtomicUsize::new(0) }
+        Quick { broken_stage }
     }
 
     fn pass(&self, stage: Stage, count: usize) -> usize {
@@ -54,8 +51,6 @@ impl Method for Quick {
     }
 
     fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
-        let under_way = self.under_way.fetch_add(1, Ordering::Relaxed) + 1;
-        self.under_way_max.fetch_max(under_way, Ordering::Relaxed);
         self.pass(Stage::Rasterize, particles.len())
     }
 
@@ -324,24 +319,6 @@ fn the_bytes_do_not_depend_on_threads_or_neighbours() {
         assert!(*expected.get_or_insert_with(|| found.clone()) == found, "{threads} threads");
     }
     // Neither a host's paths nor a clock: the folders above had different names.
-}
-
-#[test]
-fn a_slow_reader_of_outcomes_holds_frames_back() {
-    let bench = Bench::new(&[2; 40]);
-    let quick = Quick::new(None);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct = conduct(&pool);
-    let mut is_first = true;
-    run(&quick, &bench.frames, &conduct, |_, _| {
-        if std::mem::take(&mut is_first) {
-            // Long enough for all 40 frames to run by, were they not held back.
-            std::thread::sleep(std::time::Duration::from_millis(300));
-        }
-        quick.under_way.fetch_sub(1, Ordering::Relaxed);
-    });
-    let under_way_max = quick.under_way_max.load(Ordering::Relaxed);
-    assert!(under_way_max <= 8, "{under_way_max} frames were under way at once");
 }
 
 #[test]

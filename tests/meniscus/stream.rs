@@ -160,7 +160,7 @@ fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
             }
         },
     );
-    assert_eq!(order, [1, 2, 0]);
+    assert_eq!(order.last(), Some(&0), "{order:?}");
     order.clear();
     run(&method, &bench.frames, &conduct(&pool), |number, _| order.push(number));
     assert_eq!(order, [0, 1, 2]);
