@@ -123,9 +123,12 @@ impl<'a> Daemon<'a> {
             && let Some(root) = self.roots.iter().find(|root| root.unavailable.is_some())
         {
             let why = root.unavailable.clone().unwrap_or_default();
-            return Err(DaemonError::Unavailable { folder: root.watch.input.clone(), why });
+            let folder = root.watch.input.clone();
+            self.note_daemon(&DaemonState::Stopped);
+            return Err(DaemonError::Unavailable { folder, why });
         }
         notices(Notice::Ready);
+        let mut commands = commands.clone();
         loop {
             self.turn(notices);
             if self.config.once && self.is_drained() {
@@ -135,9 +138,10 @@ impl<'a> Daemon<'a> {
                 recv(outcomes) -> outcome => if let Ok((id, frame, outcome)) = outcome { self.finished(&id, &frame, outcome) },
                 recv(measured) -> measured => if let Ok(measured) = measured { self.measured(measured) },
                 recv(self.hints) -> hint => if let Ok(hint) = hint { self.take_hints(hint) },
-                // Whoever could send commands may be gone: then there are none.
-                recv(commands) -> command => if let Ok(command) = command {
-                    return Ok(self.wind_up(command, outcomes, notices));
+                recv(commands) -> command => match command {
+                    Ok(command) => return Ok(self.wind_up(command, outcomes, notices)),
+                    // Whoever could send commands is gone: then there are none.
+                    Err(_) => commands = never(),
                 },
                 default(self.wait()) => {}
             }

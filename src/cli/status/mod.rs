@@ -147,7 +147,9 @@ impl StatusRecord {
         let told = |frames: &[(&PathBuf, &FrameRecord)]| {
             frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
         };
-        let (failed, retrying) = (in_standing(Standing::Failed), in_standing(Standing::Retrying));
+        let retrying = in_standing(Standing::Retrying);
+        let mut failed = in_standing(Standing::Failed);
+        failed.extend(in_standing(Standing::Refused));
         let mut done = in_standing(Standing::Done);
         let counts = Counts {
             done: done.len(),
