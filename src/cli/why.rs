@@ -10,6 +10,7 @@ use crate::daemon::explain::{
     Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
 };
 use crate::daemon::journal::{FrameRecord, PlanRecord, Standing, State};
+use crate::daemon::place::{below, known_path};
 use crate::daemon::selection::{Content, Selection};
 use crate::daemon::{Config, Patience, Watch};
 
@@ -25,7 +26,7 @@ use super::watch::make_plan;
 /// # Errors
 /// When there is neither such a file nor a record of it, or something cannot be read.
 pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
-    let frame = std::path::absolute(&args.file).context("the file has no name")?;
+    let frame = known_path(&args.file).context("the file has no name")?;
     let asked = match &args.config {
         Some(file) => Asked::of_file(file, args)?,
         None => Asked::of_journal(args, &frame)?,
@@ -33,6 +34,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
     // A journal is about one folder of outputs: who reads what it says need not choose among several.
     let output = args.out.as_deref().filter(|_| args.config.is_some());
     let watch = asked.watch_of(&frame, output)?;
+    let frame = below(&watch.input, &frame).unwrap_or(frame);
     let output = &watch.outputs.folder;
     let journal = journal_folder(output, asked.journal.as_deref());
     let state = match asked.state {
@@ -112,13 +114,15 @@ impl Asked {
     /// The watch that the frame belongs to: of those around it, the one that takes its name, or else the
     /// innermost. Only those that write into `output`, where one is given.
     fn watch_of(&self, frame: &Path, output: Option<&Path>) -> Result<&Watch> {
-        let output = output.map(std::path::absolute).transpose().context("--out has no name")?;
+        let output = output.map(known_path).transpose().context("--out has no name")?;
         let is_meant = |watch: &&Watch| {
-            frame.starts_with(&watch.input) && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
+            below(&watch.input, frame).is_some()
+                && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
         };
         let takes = |watch: &Watch| {
             let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
-            selection.is_ok_and(|selection| selection.takes(&watch.input, frame))
+            let frame = below(&watch.input, frame).unwrap_or_else(|| frame.to_owned());
+            selection.is_ok_and(|selection| selection.takes(&watch.input, &frame))
         };
         let around = self.watches.iter().filter(is_meant);
         around.max_by_key(|watch| (takes(watch), watch.input.components().count())).ok_or_else(|| {
