@@ -12,10 +12,12 @@
 //! be would either forget the daemon that was killed, or let a second one in.
 
 use std::fmt;
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
+
+use crate::pipeline::FileStamp;
 
 use super::journal::STATE_FOLDER;
 
@@ -33,7 +35,7 @@ const HOLDER_BYTES_MAX: u64 = 1024;
 #[derive(Debug)]
 pub struct OutputLock {
     /// Closing it gives the lock back.
-    _file: File,
+    file: File,
 }
 
 /// Why there is no lock.
@@ -87,7 +89,17 @@ impl OutputLock {
             // Held all the same; only who holds it cannot be told.
             tracing::warn!(lock = %path.display(), %error, "the lock does not say who holds it");
         }
-        Ok(OutputLock { _file: file })
+        Ok(OutputLock { file })
+    }
+
+    /// Whether what is locked is still that of this folder: it may have been removed, or be hidden by
+    /// another file system.
+    pub fn is_in_place(&self, out_folder: &Path) -> bool {
+        let stamp = |metadata: io::Result<Metadata>| metadata.map(|metadata| FileStamp::of(&metadata).inode);
+        match (stamp(self.file.metadata()), stamp(lock_path(out_folder).metadata())) {
+            (Ok(held), Ok(there)) => held == there,
+            _ => false,
+        }
     }
 
     /// Who holds the lock of a folder of outputs now, in words; `None` where nobody does.

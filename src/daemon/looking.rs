@@ -55,6 +55,7 @@ impl Daemon<'_> {
     pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
         self.set_phase(id, Phase::Settling(candidate));
         self.failed.remove(id);
+        self.refused.remove(id);
         if let Some(frame) = self.frames.get_mut(id) {
             frame.attempt_count = 0;
             self.sequences.get_mut(frame.sequence).sparse.remove(id);
@@ -73,21 +74,24 @@ impl Daemon<'_> {
         self.dirty_sequences.insert(frame.sequence);
         self.frames.remove(id);
         self.failed.remove(id);
-        let claimed = self.claimed_stem(id);
-        if self.claims.get(&claimed) == Some(id) {
-            self.claims.remove(&claimed);
-            self.give_way(&claimed);
-        }
+        self.refused.remove(id);
+        self.give_way(id);
     }
 
-    /// These outputs are nobody's any more: whoever was refused them may have them.
-    fn give_way(&mut self, claimed: &Path) {
-        for id in self.failed.keys().cloned().collect::<Vec<_>>() {
-            if self.claimed_stem(&id) == claimed
-                && let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp())
+    /// The outputs of this frame are nobody's any more: whoever was refused them may have them.
+    pub(super) fn give_way(&mut self, id: &FrameId) {
+        let claimed = self.claimed_stem(id);
+        if self.claims.get(&claimed) != Some(id) {
+            return;
+        }
+        self.claims.remove(&claimed);
+        for rival in self.refused.iter().cloned().collect::<Vec<_>>() {
+            if self.claimed_stem(&rival) == claimed
+                && let Some(stamp) = self.frames.get(&rival).map(|frame| frame.phase.stamp())
             {
-                self.failed.remove(&id);
-                self.ready(&id, stamp);
+                self.refused.remove(&rival);
+                self.failed.remove(&rival);
+                self.ready(&rival, stamp);
             }
         }
     }
@@ -120,8 +124,13 @@ impl Daemon<'_> {
     /// What the journal knows of exactly this file: that its outputs are there, or that it cannot be
     /// converted.
     fn known_phase(&mut self, id: &FrameId, sequence: usize, stamp: &FileStamp) -> Option<Phase> {
+        let wanted = self.output_paths(id);
         let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path)?;
-        let missing = record.outputs.iter().find(|output| !output.is_there()).map(|output| &*output.path);
+        // The record may be of the same file in another root, whose outputs lie elsewhere.
+        let is_recorded = |path: &&PathBuf| record.outputs.iter().any(|output| output.path == **path);
+        let unrecorded = wanted.iter().find(|path| !is_recorded(path));
+        let missing = record.outputs.iter().find(|output| !output.is_there()).map(|output| &output.path);
+        let missing = unrecorded.or(missing).map(|path| &**path);
         match decide(Some(record), stamp, self.sequences.get(sequence).fingerprint(), missing) {
             Decision::Skip(SkipReason::Done) => {
                 // Its outputs are its own, also when another input comes that would have the same.
@@ -141,10 +150,7 @@ impl Daemon<'_> {
             return;
         }
         let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
-        let Some(record) = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path) else {
-            return;
-        };
-        let missing = record.outputs.iter().map(|output| &*output.path).find(|path| !self.listings.has(path));
+        let missing = self.output_paths(id).into_iter().find(|path| !self.listings.has(path));
         if let Some(missing) = missing {
             tracing::info!(frame = %id.path.display(), "{} is gone: converted again", missing.display());
             self.ready(id, stamp);
@@ -252,9 +258,7 @@ impl Daemon<'_> {
             }
             _ => {}
         }
-        let outputs = self.outputs(id);
-        for &format in &outputs.formats {
-            let output = output_path(&outputs.folder, &stem(&id.path), format);
+        for output in self.output_paths(id) {
             if self.listings.has(&output) && matches!(content(&output), Ok(Content::Particles)) {
                 return Err(format!(
                     "its output {} would replace a file of particles: choose another folder or format",
@@ -266,14 +270,24 @@ impl Daemon<'_> {
         Ok(())
     }
 
+    /// The files that a frame becomes.
+    fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
+        let outputs = self.outputs(id);
+        let stem = stem(&id.path);
+        outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
+    }
+
     /// What the outputs of a frame are called, but for their extensions.
     fn claimed_stem(&mut self, id: &FrameId) -> PathBuf {
         self.outputs(id).folder.join(stem(&id.path))
     }
 
     pub(super) fn set_phase(&mut self, id: &FrameId, phase: Phase) {
-        if let Some(frame) = self.frames.get_mut(id) {
-            frame.phase = phase;
+        let Some(frame) = self.frames.get_mut(id) else { return };
+        frame.phase = phase;
+        // Others may have waited for this one, to be measured after it.
+        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown) {
+            self.dirty_sequences.insert(frame.sequence);
         }
     }
 }

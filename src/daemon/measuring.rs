@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::pipeline::natural_order;
+use crate::pipeline::{FileStamp, natural_order};
 
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::Standing;
@@ -31,43 +31,49 @@ impl Daemon<'_> {
 
     /// The complete frames of a sequence that come before all that are still being written, in natural
     /// order; `None` where there is none, or nothing to measure.
-    fn files_to_measure(&self, index: usize) -> Option<Vec<PathBuf>> {
+    fn files_to_measure(&self, index: usize) -> Option<Vec<(PathBuf, FileStamp)>> {
         let sequence = self.sequences.get(index);
         if !matches!(sequence.settings, SequenceSettings::Unknown) {
             return None;
         }
-        let mut members: Vec<(&FrameId, bool)> = self
+        let mut members: Vec<(&FrameId, Option<FileStamp>)> = self
             .frames
             .iter()
             .filter(|(id, frame)| frame.sequence == index && !sequence.sparse.contains(*id))
             .filter_map(|(id, frame)| match frame.phase {
-                Phase::Held(_) => Some((id, true)),
-                Phase::Settling(_) | Phase::Retrying(..) => Some((id, false)),
+                Phase::Held(stamp) => Some((id, Some(stamp))),
+                Phase::Settling(_) | Phase::Retrying(..) => Some((id, None)),
                 _ => None,
             })
             .collect();
         members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
-        let complete = members.into_iter().take_while(|(_, is_complete)| *is_complete);
-        let files: Vec<PathBuf> = complete.map(|(id, _)| id.path.to_path_buf()).collect();
+        let files: Vec<(PathBuf, FileStamp)> =
+            members.into_iter().map_while(|(id, stamp)| Some((id.path.to_path_buf(), stamp?))).collect();
         (!files.is_empty()).then_some(files)
     }
 
     /// A sequence was measured, or could not be.
     pub(super) fn measured(&mut self, measured: Measured) {
         self.measuring_count -= 1;
-        let Measured { sequence: index, record, sparse, unreadable } = measured;
+        let Measured { sequence: index, record, sparse, unreadable, changed } = measured;
         let root = self.sequences.get(index).root;
+        // Of a file that was written again since, this says nothing.
+        let sparse = sparse.iter().filter(|(path, stamp)| self.is_held(&FrameId::new(root, path), stamp));
+        let sparse: Vec<FrameId> = sparse.map(|(path, _)| FrameId::new(root, path)).collect();
         let sequence = self.sequences.get_mut(index);
-        sequence.sparse.extend(sparse.iter().map(|path| FrameId::new(root, path)));
+        sequence.sparse.extend(sparse.iter().cloned());
         sequence.settings = SequenceSettings::new(&self.config.watches[root], record.as_ref());
         if record.is_none() {
             self.tell_of_sparse(index, &sparse);
         }
-        for (path, error) in &unreadable {
+        for (path, stamp, error) in &unreadable {
             let id = FrameId::new(root, path);
-            if let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp()) {
-                self.failed_frame(&id, stamp, error);
+            if self.is_held(&id, stamp) {
+                self.failed_frame(&id, *stamp, error);
             }
+        }
+        if let Some(path) = changed {
+            self.look_again(&FrameId::new(root, &path));
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
@@ -82,19 +88,17 @@ impl Daemon<'_> {
     }
 
     /// Frames wait for another one, which whoever waits for them should know.
-    fn tell_of_sparse(&mut self, index: usize, sparse: &[PathBuf]) {
+    fn tell_of_sparse(&mut self, index: usize, sparse: &[FrameId]) {
         let sequence = self.sequences.get_mut(index);
-        let root = sequence.root;
         if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_told, true) {
             tracing::warn!(
                 sequence = %sequence.key.folder.join(&sequence.key.name).display(),
                 "{TOO_SPARSE_YET}"
             );
         }
-        for path in sparse {
-            let id = FrameId::new(root, path);
-            if let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp()) {
-                self.note(&id, Standing::Queued, stamp, Some(TOO_SPARSE_YET.to_owned()));
+        for id in sparse {
+            if let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) {
+                self.note(id, Standing::Queued, stamp, Some(TOO_SPARSE_YET.to_owned()));
             }
         }
     }
@@ -113,6 +117,11 @@ impl Daemon<'_> {
         for warning in settings.warnings() {
             tracing::warn!(sequence = %sequence.key.name, "{warning}");
         }
+    }
+
+    /// Whether a frame waits for the settings of its sequence, and is still this file.
+    fn is_held(&self, id: &FrameId, stamp: &FileStamp) -> bool {
+        self.frames.get(id).is_some_and(|frame| matches!(&frame.phase, Phase::Held(held) if held == stamp))
     }
 
     /// The frames of a sequence that wait for its settings.

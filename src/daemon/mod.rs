@@ -8,7 +8,8 @@
 //!
 //!   root       a watched folder, there or not     scan, watcher   what is in it, what has changed
 //!   readiness  when a file is complete            sequences       settings, fixed once for each sequence
-//!   frames     how far each frame is              queue           which one is next
+//!   frames     how far each frame is              hints           what was heard, what scans say
+//!   rounds     the loop itself                    queue           which frame is next
 //!   outcomes   what became of it                  retry, room     what is tried again, and when
 //!   journal    what is known after a restart      decision        why a frame is, or is not, converted
 //!   lock       one daemon for one folder          explain         the same, for whoever asks
@@ -25,6 +26,7 @@ mod config;
 pub mod decision;
 pub mod explain;
 mod frames;
+mod hints;
 pub mod journal;
 pub mod lock;
 mod looking;
@@ -132,7 +134,7 @@ pub enum DaemonError {
         /// Why.
         why: String,
     },
-    /// The system refuses to start threads.
+    /// The system refuses to start threads, or one has ended before its time.
     Threads(String),
 }
 
@@ -143,7 +145,7 @@ impl fmt::Display for DaemonError {
             DaemonError::Locked(error) => write!(f, "{error}"),
             DaemonError::Pattern(error) => write!(f, "{error}"),
             DaemonError::Unavailable { folder, why } => write!(f, "{}: {why}", folder.display()),
-            DaemonError::Threads(why) => write!(f, "cannot start the threads: {why}"),
+            DaemonError::Threads(why) => write!(f, "the threads: {why}"),
         }
     }
 }
@@ -170,7 +172,7 @@ pub fn run(
     let (to_loop, outcomes) = bounded(config.in_flight);
     let (to_measure, orders) = unbounded();
     let (to_loop_measured, measured) = unbounded();
-    let daemon = Daemon::open(config, &queue, to_measure)?;
+    let daemon = Daemon::open(config, &queue, to_measure, notices)?;
     let conduct = Conduct {
         pool: &pool,
         on_error: OnError::Continue,
@@ -201,8 +203,9 @@ pub fn run(
         // Frames under way are finished, whatever ends the loop: the scope waits for them. It would wait
         // for ever for the two threads if what they listen to outlived the loop.
         let _closing = Closing(queue);
+        let (outcomes, measured) = (outcomes, measured);
         let mut daemon = daemon;
-        daemon.run(commands, &outcomes, &measured, notices)
+        daemon.run(commands, &outcomes, &measured)
     })
 }
 

@@ -1,9 +1,10 @@
 //! What became of a frame: written down, told, and tried again where that may help.
 
+use std::io;
 use std::path::Path;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, output_path};
+use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, output_path};
 
 use super::frames::{FrameId, Phase};
 use super::journal::{FrameRecord, OutputRecord, Standing};
@@ -52,7 +53,6 @@ impl Daemon<'_> {
             tracing::warn!(frame = %id.path.display(), "the certificate does not hold: see the report of `convert`");
         }
         self.room.was_enough();
-        self.converted_count += 1;
         let outputs = report.outputs.iter().zip(&report.output_bytes);
         let outputs = outputs.map(|(path, &size_bytes)| OutputRecord { path: path.clone(), size_bytes });
         let record = FrameRecord {
@@ -98,9 +98,12 @@ impl Daemon<'_> {
             }
             Remedy::AwaitRoom => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
-                self.room.ran_out(folder, now);
+                match error.is_disk_full() {
+                    true => self.room.ran_out(folder, now),
+                    false => self.room.was_refused(error.to_string(), now),
+                }
                 self.queue.pause(true);
-                tracing::warn!(frame = %id.path.display(), "{error}: paused until there is room");
+                tracing::warn!(frame = %id.path.display(), "{error}: paused until that has changed");
                 self.retry_at(id, stamp, now, &error.to_string());
             }
             Remedy::Retry => self.fail_for_now(id, stamp, error, now),
@@ -117,9 +120,12 @@ impl Daemon<'_> {
                 tracing::warn!(frame = %id.path.display(), attempt = attempt_count, "{error}; again in {wait:?}");
                 self.retry_at(id, stamp, now + wait, &error.to_string());
             }
+            // Not the file's fault: after a restart it is tried again.
             None => {
-                let reason = format!("{error}; given up after {attempt_count} attempts");
-                self.fail_for_good(id, stamp, reason);
+                tracing::error!(frame = %id.path.display(), attempt = attempt_count, "{error}; given up");
+                self.set_phase(id, Phase::Failed(stamp));
+                self.note(id, Standing::Retrying, stamp, Some(error.to_string()));
+                self.failed.insert(id.clone(), error.to_string());
             }
         }
     }
@@ -136,6 +142,8 @@ impl Daemon<'_> {
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Failed, stamp, Some(reason.clone()));
         self.failed.insert(id.clone(), reason);
+        // It will have no outputs: whoever was refused their names may have them.
+        self.give_way(id);
     }
 
     /// Other files keep a frame from being converted. They may change without it, so it is looked at again
@@ -144,6 +152,7 @@ impl Daemon<'_> {
         tracing::error!(frame = %id.path.display(), "{reason}");
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Refused, stamp, Some(reason.clone()));
+        self.refused.insert(id.clone());
         self.failed.insert(id.clone(), reason);
     }
 
@@ -173,13 +182,18 @@ impl Daemon<'_> {
     }
 
     /// What was under way may have been written again meanwhile, or be gone.
-    fn look_again(&mut self, id: &FrameId) {
+    pub(super) fn look_again(&mut self, id: &FrameId) {
         match look(&id.path, self.roots[id.root].trust_clock()) {
             Ok(Some(seen)) => self.sight(id, &seen, false),
             Ok(None) => self.forget(id),
-            // The next scan, or the next attempt, will see.
-            Err(error) => tracing::debug!(frame = %id.path.display(), "cannot be looked at: {error}"),
+            Err(error) => self.cannot_look(id, error),
         }
+    }
+
+    /// A file is there, and the system refuses to say more.
+    pub(super) fn cannot_look(&mut self, id: &FrameId, error: io::Error) {
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
+        self.failed_frame(id, stamp, &FrameError::file(&id.path, Stage::Read, error));
     }
 
     /// Writes a frame's standing into the journal.

@@ -12,7 +12,7 @@ use crate::pipeline::{Cause, FrameError, Stage};
 pub(super) enum Remedy {
     /// The file is gone: forget it.
     Forget,
-    /// There is no room for the outputs: wait for some, then go on.
+    /// Nothing can be written into the folder of the outputs: wait until that has changed, then go on.
     AwaitRoom,
     /// It may pass by itself.
     Retry,
@@ -28,10 +28,26 @@ pub(super) fn remedy(error: &FrameError) -> Remedy {
         Error::Io(refusal) if error.during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
             Remedy::Forget
         }
+        Error::Io(refusal) if error.during == Stage::Write && concerns_all(refusal.kind()) => {
+            Remedy::AwaitRoom
+        }
         Error::Io(_) => Remedy::Retry,
         source if source.is_short() => Remedy::Retry,
         _ => Remedy::GiveUp,
     }
+}
+
+/// Whether what the system refused to write for one frame it would refuse for every other.
+fn concerns_all(kind: io::ErrorKind) -> bool {
+    matches!(
+        kind,
+        io::ErrorKind::ReadOnlyFilesystem
+            | io::ErrorKind::StaleNetworkFileHandle
+            | io::ErrorKind::NotConnected
+            | io::ErrorKind::HostUnreachable
+            | io::ErrorKind::NetworkUnreachable
+            | io::ErrorKind::TimedOut
+    )
 }
 
 /// How long to wait after the `attempt_count`-th failure in a row; `None`: no more.
@@ -70,6 +86,9 @@ mod tests {
         assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), Remedy::Retry);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), Remedy::AwaitRoom);
         assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), Remedy::AwaitRoom);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), Remedy::AwaitRoom);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::StaleNetworkFileHandle)), Remedy::Retry);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::IsADirectory)), Remedy::Retry);
         assert_eq!(after(Stage::Read, Error::invalid("PLY", Place::File, "no")), Remedy::GiveUp);
         assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), Remedy::GiveUp);
         assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), Remedy::GiveUp);

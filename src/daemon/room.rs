@@ -21,6 +21,8 @@ enum Shortage {
     Room(NoRoom),
     /// The folder is not there: its file system is not mounted.
     Folder(PathBuf),
+    /// The system refuses, for another reason than room, and is asked again at this time.
+    Refusal(String, Instant),
 }
 
 /// A lack of room.
@@ -67,6 +69,12 @@ impl Room {
         now + patience
     }
 
+    /// Nothing can be written, for this reason.
+    pub(super) fn was_refused(&mut self, why: String, now: Instant) {
+        self.shortage = Some(Shortage::Refusal(why, now + self.patience));
+        self.patience = (self.patience * 2).min(PATIENCE_MAX);
+    }
+
     /// A frame was written: there is room.
     pub(super) fn was_enough(&mut self) {
         self.patience = PATIENCE_FIRST;
@@ -91,6 +99,9 @@ impl Room {
                 return;
             }
         }
+        if matches!(&self.shortage, Some(Shortage::Refusal(_, at)) if now < *at) {
+            return;
+        }
         let below_floor = |folder: &Path| {
             let free_bytes = free_bytes(folder).unwrap_or(u64::MAX);
             let (wanted_bytes, folder) = (self.floor_bytes, folder.to_owned());
@@ -107,6 +118,7 @@ impl Room {
     /// Why no frame is begun, while none is.
     pub(super) fn shortage(&self) -> Option<String> {
         Some(match self.shortage.as_ref()? {
+            Shortage::Refusal(why, _) => format!("{why}; trying again before long"),
             Shortage::Folder(folder) => format!("{} is not mounted; waiting for it", folder.display()),
             Shortage::Room(NoRoom { folder, wanted_bytes, free_bytes, .. }) => format!(
                 "{} has {} free; waiting for {}",

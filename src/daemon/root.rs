@@ -163,8 +163,18 @@ impl<'a> Root<'a> {
             }
             for folder in &unheard {
                 self.hear(folder, watcher);
+                if self.poll.is_some() {
+                    break;
+                }
             }
         }
+    }
+
+    /// Events were lost, and with them perhaps the word that a folder is another one now: each is asked for
+    /// its events once more.
+    pub(super) fn hear_again(&mut self) {
+        self.heard.clear();
+        self.next_scan = Instant::now();
     }
 
     /// The events of a folder that is gone, or is another one now, are not heard any more.

@@ -10,15 +10,15 @@ use crossbeam::channel::{Receiver, Sender, never, select};
 use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
 
 use super::config::{Config, Watch};
-use super::frames::{FrameId, FrameState, Frames, Phase, Tally};
-use super::journal::{DaemonRecord, DaemonState, Journal, Standing};
+use super::frames::{FrameId, Frames, Phase, Tally};
+use super::journal::{DaemonRecord, DaemonState, Journal};
 use super::lock::host_name;
 use super::outcomes::now_ms;
 use super::queue::Queue;
 use super::rescans::RescanPace;
 use super::room::Room;
 use super::root::Root;
-use super::scan::{Seen, look};
+use super::scan::look;
 use super::sequences::{MeasureOrder, Measured, Sequences};
 use super::stores::{Listings, Presence, Stores};
 use super::watcher::{Hint, Watcher};
@@ -45,12 +45,14 @@ pub(super) struct Daemon<'a> {
     /// No folder of outputs is unmounted: what is not in them is missing.
     pub(super) outputs_are_there: bool,
     pub(super) scan_count: u64,
-    pub(super) converted_count: usize,
     /// Why frames failed.
     pub(super) failed: HashMap<FrameId, String>,
-    watcher: Option<Watcher>,
-    hints: Receiver<Hint>,
-    rescans: RescanPace,
+    /// Of these, those that other files kept from being converted.
+    pub(super) refused: HashSet<FrameId>,
+    pub(super) watcher: Option<Watcher>,
+    pub(super) hints: Receiver<Hint>,
+    pub(super) rescans: RescanPace,
+    notices: &'a mut dyn FnMut(Notice),
     told: Told,
     started_ms: u64,
 }
@@ -61,19 +63,18 @@ struct Told {
     status: String,
     state: DaemonState,
     at: Option<Instant>,
+    pulse_at: Option<Instant>,
 }
 
 /// The loop turns at least so often: whoever watches it knows that it is not stuck.
 const TURN_MAX: Duration = Duration::from_secs(1);
-
-/// So many hints are taken in one turn: equal ones are looked at once.
-const HINTS_PER_TURN: usize = 4096;
 
 impl<'a> Daemon<'a> {
     pub(super) fn open(
         config: &'a Config,
         queue: &'a Queue,
         to_measure: Sender<MeasureOrder>,
+        notices: &'a mut dyn FnMut(Notice),
     ) -> Result<Daemon<'a>, DaemonError> {
         let stores = Stores::open(config)?;
         let folders: Vec<PathBuf> = stores.iter().map(|store| store.folder.clone()).collect();
@@ -97,12 +98,13 @@ impl<'a> Daemon<'a> {
             room: Room::new(config.disk_floor_bytes),
             outputs_are_there: true,
             scan_count: 0,
-            converted_count: 0,
             failed: HashMap::new(),
+            refused: HashSet::new(),
             watcher,
             hints,
             rescans: RescanPace::default(),
-            told: Told { status: String::new(), state: DaemonState::Running, at: None },
+            notices,
+            told: Told { status: String::new(), state: DaemonState::Running, at: None, pulse_at: None },
             started_ms: now_ms(),
         })
     }
@@ -113,10 +115,10 @@ impl<'a> Daemon<'a> {
         commands: &Receiver<Command>,
         outcomes: &Receiver<(FrameId, Frame, Outcome)>,
         measured: &Receiver<Measured>,
-        notices: &mut dyn FnMut(Notice),
     ) -> Result<Summary, DaemonError> {
         self.note_plan();
         self.note_daemon(&DaemonState::Running);
+        self.tell_roots();
         for root in 0..self.roots.len() {
             self.scan_root(root);
         }
@@ -128,19 +130,29 @@ impl<'a> Daemon<'a> {
             self.note_daemon(&DaemonState::Stopped);
             return Err(DaemonError::Unavailable { folder, why });
         }
-        notices(Notice::Ready);
+        (self.notices)(Notice::Ready);
         let mut commands = commands.clone();
         loop {
-            self.turn(notices);
+            self.turn();
             if self.config.once && self.is_drained() {
                 return Ok(self.finish(Ended::Drained));
             }
             select! {
-                recv(outcomes) -> outcome => if let Ok((id, frame, outcome)) = outcome { self.finished(&id, &frame, outcome) },
-                recv(measured) -> measured => if let Ok(measured) = measured { self.measured(measured) },
-                recv(self.hints) -> hint => if let Ok(hint) = hint { self.take_hints(hint) },
+                recv(outcomes) -> outcome => match outcome {
+                    Ok((id, frame, outcome)) => self.finished(&id, &frame, outcome),
+                    Err(_) => return Err(DaemonError::Threads("the pipeline has ended".to_owned())),
+                },
+                recv(measured) -> measured => match measured {
+                    Ok(measured) => self.measured(measured),
+                    Err(_) => return Err(DaemonError::Threads("measuring has ended".to_owned())),
+                },
+                recv(self.hints) -> hint => match hint {
+                    Ok(hint) => self.take_hints(hint),
+                    // Scans will do.
+                    Err(_) => self.hints = never(),
+                },
                 recv(commands) -> command => match command {
-                    Ok(command) => return Ok(self.wind_up(command, outcomes, notices)),
+                    Ok(command) => return Ok(self.wind_up(command, &commands, outcomes)),
                     // Whoever could send commands is gone: then there are none.
                     Err(_) => commands = never(),
                 },
@@ -150,14 +162,16 @@ impl<'a> Daemon<'a> {
     }
 
     /// What is due, whatever happened.
-    fn turn(&mut self, notices: &mut dyn FnMut(Notice)) {
+    fn turn(&mut self) {
         let now = Instant::now();
+        // First: what is not in a folder that is not there is not missing.
+        self.look_for_room(now);
         while let Some(id) = self.frames.next_alarm(now) {
             self.wake(&id, now);
         }
         if self.rescans.is_due(now) {
             tracing::info!("events were lost: everything is looked at");
-            self.roots.iter_mut().for_each(|root| root.next_scan = now);
+            self.roots.iter_mut().for_each(Root::hear_again);
         }
         for root in 0..self.roots.len() {
             if self.roots[root].next_scan <= now && !self.config.once {
@@ -165,8 +179,7 @@ impl<'a> Daemon<'a> {
             }
         }
         self.resolve_sequences();
-        self.look_for_room(now);
-        self.tell(now, notices);
+        self.tell(now);
     }
 
     /// How long there is nothing to do.
@@ -187,135 +200,11 @@ impl<'a> Daemon<'a> {
     }
 
     /// Looks at one file.
-    fn look_at(&mut self, id: &FrameId, renamed: bool) {
+    pub(super) fn look_at(&mut self, id: &FrameId, renamed: bool) {
         match look(&id.path, self.roots[id.root].trust_clock()) {
             Ok(Some(seen)) => self.sight(id, &seen, renamed),
             Ok(None) => self.forget(id),
-            Err(error) => tracing::warn!(frame = %id.path.display(), "cannot be looked at: {error}"),
-        }
-    }
-
-    /// Takes this hint and those that wait behind it.
-    fn take_hints(&mut self, first: Hint) {
-        let mut seen = HashSet::new();
-        let rest: Vec<Hint> = self.hints.try_iter().take(HINTS_PER_TURN).collect();
-        for hint in std::iter::once(first).chain(rest) {
-            if seen.insert(hint.clone()) {
-                self.take_hint(&hint);
-            }
-        }
-    }
-
-    fn take_hint(&mut self, hint: &Hint) {
-        match hint {
-            Hint::Rescan => self.rescans.ask(Instant::now()),
-            Hint::Changed(path) => self.take_file_hint(path, false),
-            Hint::Renamed(path) => self.take_file_hint(path, true),
-            Hint::Folder(path) => self.take_folder_hint(path),
-        }
-    }
-
-    fn take_file_hint(&mut self, path: &Path, renamed: bool) {
-        for root in 0..self.roots.len() {
-            let Root { path: root_path, selection, .. } = &self.roots[root];
-            if !path.starts_with(root_path) {
-                continue;
-            }
-            if path == root_path {
-                self.scan_root(root);
-            } else if selection.takes(root_path, path) {
-                self.look_at(&FrameId::new(root, path), renamed);
-            } else {
-                self.take_sentinel_hint(root, path);
-            }
-        }
-    }
-
-    /// A file that is no frame may be what some frame waits for.
-    fn take_sentinel_hint(&mut self, root: usize, path: &Path) {
-        if !self.may_be_sentinel(root, path) {
-            return;
-        }
-        let is_waiting = |id: &FrameId, frame: &FrameState| {
-            matches!(frame.phase, Phase::Settling(_))
-                && id.root == root
-                && id.path.parent() == path.parent()
-                && self.sentinel_path(id) == path
-        };
-        let waiting: Vec<FrameId> = self
-            .frames
-            .iter()
-            .filter(|(id, frame)| is_waiting(id, frame))
-            .map(|(id, _)| id.clone())
-            .collect();
-        for id in waiting {
-            self.advance(&id);
-        }
-    }
-
-    fn take_folder_hint(&mut self, folder: &Path) {
-        for index in 0..self.roots.len() {
-            let root = &mut self.roots[index];
-            if root.path.starts_with(folder) {
-                root.next_scan = Instant::now();
-            } else if folder.starts_with(&root.path) && root.watch.recursive {
-                // What was heard before was another folder of that name.
-                root.forget_folder(folder, &mut self.watcher);
-                match root.hear_and_scan(folder, &mut self.watcher) {
-                    Ok(found) => self.sight_all(index, found.files),
-                    // Gone, or moved elsewhere: the scan finds out what is left.
-                    Err(_) => self.roots[index].next_scan = Instant::now(),
-                }
-            }
-        }
-    }
-
-    /// Looks at everything in a root, and forgets what is not there any more.
-    fn scan_root(&mut self, index: usize) {
-        self.scan_count += 1;
-        let found = match self.roots[index].scan(&mut self.watcher) {
-            Ok(found) => found,
-            Err(why) => return self.lose_root(index, why),
-        };
-        if self.roots[index].unavailable.take().is_some() {
-            tracing::info!(folder = %self.roots[index].path.display(), "is there again");
-        }
-        for (path, error) in &found.problems {
-            tracing::warn!(path = %path.display(), "cannot be looked into: {error}");
-        }
-        self.sight_all(index, found.files);
-        let count = self.scan_count;
-        // Nothing is known of what lies where the scan could not look.
-        let is_hidden = |id: &FrameId| found.problems.iter().any(|(path, _)| id.path.starts_with(path));
-        let is_gone = |id: &FrameId, frame: &FrameState| {
-            id.root == index && frame.scan_count != count && !is_hidden(id)
-        };
-        let gone: Vec<FrameId> =
-            self.frames.iter().filter(|(id, frame)| is_gone(id, frame)).map(|(id, _)| id.clone()).collect();
-        for id in gone {
-            self.forget(&id);
-        }
-    }
-
-    /// Takes in what a scan found.
-    fn sight_all(&mut self, root: usize, mut files: Vec<(PathBuf, Seen)>) {
-        let frames = &self.stores.of_watch(root).journal.state().frames;
-        let is_done = |path: &Path| frames.get(path).is_some_and(|record| record.standing == Standing::Done);
-        // What has its outputs keeps them, whatever else would like to have them.
-        files.sort_by_cached_key(|(path, _)| (!is_done(path), path.clone()));
-        self.listings.begin();
-        for (path, seen) in &files {
-            self.sight(&FrameId::new(root, path), seen, false);
-        }
-        self.listings.end();
-    }
-
-    /// A root that is gone, or came up empty: nothing is forgotten, and it is waited for.
-    fn lose_root(&mut self, index: usize, why: String) {
-        let root = &mut self.roots[index];
-        if root.unavailable.as_ref() != Some(&why) {
-            tracing::warn!(folder = %root.path.display(), "unavailable: {why}; waiting for it");
-            root.unavailable = Some(why);
+            Err(error) => self.cannot_look(id, error),
         }
     }
 
@@ -339,32 +228,33 @@ impl<'a> Daemon<'a> {
         let mut absent = None;
         for store in self.stores.iter_mut() {
             match store.presence() {
-                Presence::There => {}
+                Presence::There => continue,
                 Presence::Elsewhere => absent = Some(store.folder.clone()),
                 Presence::Removed => match store.make_again() {
                     Ok(()) => {
-                        tracing::warn!(folder = %store.folder.display(), "was removed, and is made again");
+                        tracing::warn!(folder = %store.folder.display(), "was gone, and is taken again");
+                        // What was in it may be gone as well.
+                        self.roots.iter_mut().for_each(|root| root.next_scan = Instant::now());
                     }
-                    Err(error) => {
-                        tracing::warn!(folder = %store.folder.display(), "was removed: {error}");
-                        absent = Some(store.folder.clone());
-                    }
+                    // Told once, as why nothing is begun.
+                    Err(_) => absent = Some(store.folder.clone()),
                 },
             }
+            store.set_there(absent.is_none());
         }
         absent
     }
 
     /// Tells how things stand, where that has changed, and that it is not stuck.
-    fn tell(&mut self, now: Instant, notices: &mut dyn FnMut(Notice)) {
+    fn tell(&mut self, now: Instant) {
         if self.told.at.is_some_and(|at| now.duration_since(at) < TURN_MAX) {
             return;
         }
         self.told.at = Some(now);
-        notices(Notice::Alive);
+        (self.notices)(Notice::Alive);
         let status = self.status();
         if status != self.told.status {
-            notices(Notice::Status(status.clone()));
+            (self.notices)(Notice::Status(status.clone()));
             self.told.status = status;
         }
         let state = self.room.shortage().map_or(DaemonState::Running, DaemonState::Paused);
@@ -436,39 +326,68 @@ impl<'a> Daemon<'a> {
         }
     }
 
-    /// Finishes what is under way.
+    /// Finishes what is under way. Who is asked to reload may be asked to end meanwhile.
     fn wind_up(
         &mut self,
         command: Command,
+        commands: &Receiver<Command>,
         outcomes: &Receiver<(FrameId, Frame, Outcome)>,
-        notices: &mut dyn FnMut(Notice),
     ) -> Summary {
-        notices(Notice::Stopping);
-        tracing::info!("finishing the frames under way");
+        let (mut command, mut commands) = (command, commands.clone());
+        (self.notices)(Notice::Stopping);
         self.queue.close();
-        let overdue_at = Instant::now() + self.config.stop_deadline;
-        let mut is_overdue = false;
-        // The channel closes when the last frame under way is finished.
+        let mut overdue_at = Some(Instant::now() + self.config.stop_deadline);
         loop {
-            let until_overdue = overdue_at.saturating_duration_since(Instant::now());
-            let wait = if is_overdue { TURN_MAX } else { until_overdue.min(TURN_MAX) };
-            match outcomes.recv_timeout(wait) {
-                Ok((id, frame, outcome)) => self.finished(&id, &frame, outcome),
-                Err(error) if error.is_disconnected() => break,
-                Err(_) => {}
+            let until_overdue = overdue_at.map(|at| at.saturating_duration_since(Instant::now()));
+            select! {
+                recv(outcomes) -> outcome => match outcome {
+                    Ok((id, frame, outcome)) => self.finished(&id, &frame, outcome),
+                    // The last frame under way is finished.
+                    Err(_) => break,
+                },
+                recv(commands) -> another => match another {
+                    Ok(Command::Finish) if command == Command::Reload => {
+                        command = Command::Finish;
+                        (self.notices)(Notice::Stopping);
+                        overdue_at = Some(Instant::now() + self.config.stop_deadline);
+                    }
+                    Ok(_) => {}
+                    Err(_) => commands = never(),
+                },
+                default(until_overdue.map_or(TURN_MAX, |wait| wait.min(TURN_MAX))) => {}
             }
-            notices(Notice::Alive);
-            if !is_overdue && overdue_at <= Instant::now() {
-                is_overdue = true;
+            (self.notices)(Notice::Alive);
+            if overdue_at.is_some_and(|at| at <= Instant::now()) {
+                overdue_at = None;
                 tracing::warn!("frames under way are not finished within {:?}", self.config.stop_deadline);
                 self.note_daemon(&DaemonState::Stopped);
-                notices(Notice::Overdue);
+                (self.notices)(Notice::Overdue);
             }
         }
         self.finish(match command {
             Command::Finish => Ended::Finish,
             Command::Reload => Ended::Reload,
         })
+    }
+
+    /// Which folders are watched, how, and into what.
+    fn tell_roots(&self) {
+        for root in &self.roots {
+            tracing::info!(
+                folder = %root.path.display(),
+                outputs = %root.watch.outputs.folder.display(),
+                version = env!("CARGO_PKG_VERSION"),
+                "watching"
+            );
+        }
+    }
+
+    /// Tells that it is not stuck, for it is at something that takes long.
+    pub(super) fn pulse(&mut self) {
+        if self.told.pulse_at.is_none_or(|at| at.elapsed() >= TURN_MAX) {
+            self.told.pulse_at = Some(Instant::now());
+            (self.notices)(Notice::Alive);
+        }
     }
 
     /// Writes down what the daemon was asked for, for whoever asks the journal.

@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use twox_hash::XxHash3_64;
 
-use crate::pipeline::{FrameError, FrameFile, automatic_voxel_size, settings_fingerprint};
+use crate::pipeline::{FileStamp, FrameError, FrameFile, automatic_voxel_size, settings_fingerprint};
 use crate::settings::Settings;
 
 use super::config::Watch;
@@ -131,8 +131,8 @@ pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Opt
 pub(super) struct MeasureOrder {
     /// Which sequence.
     pub(super) sequence: usize,
-    /// Its complete frames, in natural order.
-    pub(super) files: Vec<PathBuf>,
+    /// Its complete frames, in natural order, and what they were when they were found complete.
+    pub(super) files: Vec<(PathBuf, FileStamp)>,
 }
 
 /// What came of it.
@@ -143,17 +143,29 @@ pub(super) struct Measured {
     /// The voxel size and where it is from, if one of the files tells.
     pub(super) record: Option<SequenceRecord>,
     /// Files with too few particles.
-    pub(super) sparse: Vec<PathBuf>,
+    pub(super) sparse: Vec<(PathBuf, FileStamp)>,
     /// Files that cannot be read.
-    pub(super) unreadable: Vec<(PathBuf, FrameError)>,
+    pub(super) unreadable: Vec<(PathBuf, FileStamp, FrameError)>,
+    /// A file that was written again meanwhile: with it, nothing is known.
+    pub(super) changed: Option<PathBuf>,
 }
 
 /// Looks at the files one by one until the spacing is known.
 pub(super) fn measure(order: MeasureOrder) -> Measured {
-    let mut measured =
-        Measured { sequence: order.sequence, record: None, sparse: Vec::new(), unreadable: Vec::new() };
-    for path in order.files {
-        match automatic_voxel_size([&*path]) {
+    let mut measured = Measured {
+        sequence: order.sequence,
+        record: None,
+        sparse: Vec::new(),
+        unreadable: Vec::new(),
+        changed: None,
+    };
+    for (path, stamp) in order.files {
+        let found = automatic_voxel_size([&*path]);
+        if FileStamp::of_path(&path).ok() != Some(stamp) {
+            measured.changed = Some(path);
+            break;
+        }
+        match found {
             Ok(automatic) => {
                 measured.record = Some(SequenceRecord {
                     voxel_size: automatic.voxel_size,
@@ -163,8 +175,8 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
                 break;
             }
             Err(none) => match none.unreadable {
-                Some(error) => measured.unreadable.push((path, error)),
-                None => measured.sparse.push(path),
+                Some(error) => measured.unreadable.push((path, stamp, error)),
+                None => measured.sparse.push((path, stamp)),
             },
         }
     }

@@ -5,6 +5,7 @@ use std::ffi::OsString;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use crate::pipeline::sweep_temporaries;
 
@@ -20,9 +21,13 @@ pub(super) struct Store {
     /// Absolute.
     pub(super) folder: PathBuf,
     pub(super) journal: Journal,
-    /// What was to be written last could not be.
-    is_journal_stuck: bool,
-    locks: Vec<OutputLock>,
+    /// When the journal could not be written, if it could not the last time.
+    journal_stuck_at: Option<Instant>,
+    /// Nothing is written into what is in its place.
+    is_there: bool,
+    lock: OutputLock,
+    /// That of a journal that lies elsewhere: it, too, is written by one daemon only.
+    _journal_lock: Option<OutputLock>,
     /// Which file system it was on when it was opened.
     identity: RootIdentity,
 }
@@ -91,9 +96,7 @@ impl Stores {
         for (index, store) in self.all.iter_mut().enumerate() {
             let of_store = watches.iter().zip(&self.of_watch).filter(|(_, of)| **of == index);
             let watches = of_store.map(|(watch, _)| watch.clone()).collect();
-            if let Err(error) = store.journal.note_plan(PlanRecord { watches, patience }) {
-                tracing::warn!(folder = %store.folder.display(), "cannot write the journal: {error}");
-            }
+            store.write_down(|journal| journal.note_plan(PlanRecord { watches, patience }));
         }
     }
 }
@@ -108,76 +111,104 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 
 impl Store {
     fn open(folder: PathBuf, journal: Option<&Path>) -> Result<Store, DaemonError> {
-        let mut locks = vec![OutputLock::take(&folder).map_err(DaemonError::Locked)?];
-        let journal_folder = match journal {
-            None => folder.join(STATE_FOLDER),
-            Some(elsewhere) => {
-                // A journal, too, is written by one daemon only.
-                locks.push(OutputLock::take(elsewhere).map_err(DaemonError::Locked)?);
-                elsewhere.to_owned()
-            }
+        let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
+        let journal_folder = journal.map_or_else(|| folder.join(STATE_FOLDER), Path::to_owned);
+        let is_elsewhere = journal_folder.canonicalize().is_ok_and(|journal| !journal.starts_with(&folder));
+        let journal_lock = match is_elsewhere || !journal_folder.exists() {
+            true => Some(OutputLock::take(&journal_folder).map_err(DaemonError::Locked)?),
+            false => None,
         };
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
         let identity = RootIdentity::of(&folder).map_err(failed)?;
         let journal = Journal::open(&journal_folder).map_err(failed)?;
         match sweep(&folder) {
-            Ok(0) => {}
-            Ok(count) => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
-            Err(error) => {
-                tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
-            }
+            0 => {}
+            count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
         }
-        Ok(Store { folder, journal, is_journal_stuck: false, locks, identity })
+        Ok(Store {
+            folder,
+            journal,
+            journal_stuck_at: None,
+            is_there: true,
+            lock,
+            _journal_lock: journal_lock,
+            identity,
+        })
     }
 
     /// Whether the folder is still there. What was in a folder whose file system was unmounted will come
     /// back with it; what was removed is gone.
     pub(super) fn presence(&self) -> Presence {
-        let there = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
-        match there {
-            Some(identity) if identity != self.identity => Presence::Elsewhere,
-            _ if self.folder.join(STATE_FOLDER).is_dir() => Presence::There,
-            _ => Presence::Removed,
+        if self.lock.is_in_place(&self.folder) {
+            return Presence::There;
+        }
+        let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
+        let is_back = self.folder.join(STATE_FOLDER).is_dir();
+        match nearest == Some(self.identity) || is_back {
+            true => Presence::Removed,
+            false => Presence::Elsewhere,
         }
     }
 
-    /// Makes the folder again that somebody removed.
+    /// Makes the folder ours again that somebody removed, or that came back.
     ///
     /// # Errors
     /// When the system refuses, or somebody else has the folder now.
     pub(super) fn make_again(&mut self) -> Result<(), LockError> {
-        self.locks[0] = OutputLock::take(&self.folder)?;
+        self.lock = OutputLock::take(&self.folder)?;
+        if let Ok(identity) = RootIdentity::of(&self.folder) {
+            self.identity = identity;
+        }
         Ok(())
+    }
+
+    /// Whether anything may be written into it.
+    pub(super) fn set_there(&mut self, is_there: bool) {
+        self.is_there = is_there;
     }
 
     /// Writes something down. A journal that cannot be written costs work after a restart and nothing
     /// else; it is told once, not for every line, and once more when it can be written again.
     pub(super) fn write_down(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
+        let is_too_soon = self.journal_stuck_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
+        self.journal.hold(!self.is_there || is_too_soon);
         let written = write(&mut self.journal);
-        let was_stuck = std::mem::replace(&mut self.is_journal_stuck, written.is_err());
-        match written {
-            Err(error) if !was_stuck => {
-                tracing::warn!(folder = %self.folder.display(), "cannot write the journal: {error}");
+        if !self.is_there || is_too_soon {
+            return;
+        }
+        match (written, self.journal_stuck_at) {
+            (Ok(()), None) => {}
+            (Ok(()), Some(_)) => {
+                tracing::info!(folder = %self.folder.display(), "the journal is written again");
+                self.journal_stuck_at = None;
             }
-            Ok(()) if was_stuck => {
-                tracing::info!(folder = %self.folder.display(), "the journal is written again")
+            (Err(error), stuck_at) => {
+                if stuck_at.is_none() {
+                    tracing::warn!(folder = %self.folder.display(), "cannot write the journal: {error}");
+                }
+                self.journal_stuck_at = Some(Instant::now());
             }
-            _ => {}
         }
     }
 }
 
-/// Removes the temporaries of a folder and all below it that nobody is writing.
-fn sweep(folder: &Path) -> io::Result<usize> {
-    let mut swept = sweep_temporaries(folder)?;
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        // Links are not followed: what they lead to is not ours to sweep.
-        if entry.file_type()?.is_dir() && !entry.file_name().as_encoded_bytes().starts_with(b".") {
-            swept += sweep(&entry.path())?;
-        }
+/// How soon a journal that could not be written is tried again.
+const JOURNAL_RETRY: Duration = Duration::from_secs(1);
+
+/// Removes the temporaries of a folder and all below it that nobody is writing; how many there were. A
+/// folder that cannot be looked into keeps its own.
+fn sweep(folder: &Path) -> usize {
+    let cannot = |error| {
+        tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
+    };
+    let mut count = sweep_temporaries(folder).map_err(cannot).unwrap_or(0);
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    // Links are not followed: what they lead to is not ours to sweep.
+    let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
+    for inner in folders.filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b".")) {
+        count += sweep(&inner.path());
     }
-    Ok(swept)
+    count
 }
 
 /// Whether files are there. During a scan, when thousands of outputs are asked for, each folder is

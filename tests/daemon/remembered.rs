@@ -115,3 +115,60 @@ fn what_convert_made_is_done() {
     assert_eq!(next.converted(), ["dam.3.ply"]);
     assert_eq!(next.found_done(), ["dam.1.ply", "dam.2.ply"]);
 }
+
+/// Frames with too few particles to measure their spacing wait for one that has enough, over restarts, too.
+#[test]
+fn sparse_frames_are_converted_when_another_tells_the_spacing() {
+    let scene = Scene::new();
+    scene.write("in/dam.1.ply", ply(&moving(1)[..5]));
+    let once = scene.once(&["--settle", "10ms"]);
+    once.assert_status(2);
+    assert!(once.log.iter().any(|line| line.message.contains("--voxel-size")));
+    scene.put_moving([2]);
+    let once = scene.once(&["--settle", "10ms"]);
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.1.ply", "dam.2.ply"]);
+}
+
+/// What was refused on account of another file is converted when that is gone.
+#[test]
+fn a_refusal_ends_with_its_reason() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    scene.once(&["--settle", "10ms"]).assert_status(0);
+    scene.write("in/dam.1.csv", crate::scene::csv(&moving(3)));
+    let arguments = ["--settle", "10ms", "--unproven", "20ms"];
+    scene.once(&arguments).assert_status(1);
+    scene.remove("in/dam.1.ply");
+    let once = scene.once(&arguments);
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.1.csv"]);
+}
+
+/// A folder that is missing ends the run, also while frames of another are under way.
+#[test]
+fn a_missing_folder_ends_the_run() {
+    let scene = Scene::new();
+    scene.put_moving(1..=12);
+    let arguments =
+        ["watch", "in", "nowhere", "--out", "out", "--once", "--in-flight", "1", "--settle", "1ms"];
+    let ran = scene.run(&arguments);
+    assert_eq!(ran.status, Some(2), "{}", ran.err);
+    assert!(ran.err.contains("nowhere"), "{}", ran.err);
+}
+
+/// A path through other folders, or through links, names the same frames.
+#[test]
+fn a_frame_is_known_by_any_of_its_paths() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    scene.once(&["--settle", "10ms"]).assert_status(0);
+    std::os::unix::fs::symlink(".", scene.path("here")).expect("linked");
+    for input in ["in/../in", "here/in", "./here/here/in"] {
+        let ran = scene.run(&["watch", input, "--out", "out", "--once", "--log", "json"]);
+        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        assert!(!ran.err.contains("\"converted\"") && !ran.err.contains("done already"), "{}", ran.err);
+        let why = scene.run(&["why", &format!("{input}/dam.1.ply"), "--out", "out"]);
+        assert!(why.out.contains("as recorded"), "{}", why.out);
+    }
+}

@@ -56,7 +56,7 @@ fn a_second_signal_ends_at_once() {
         let mut daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..], &ENDLESS].concat());
         await_under_way(&scene);
         daemon.signal(first);
-        daemon.await_line("it is winding up", |line| line.message.contains("finishing the frames under way"));
+        daemon.await_line("it is winding up", |line| line.message.contains("asked to end"));
         assert!(daemon.is_alive());
         let start = Instant::now();
         daemon.signal(second);

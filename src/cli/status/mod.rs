@@ -151,8 +151,11 @@ impl Holder {
 impl StatusRecord {
     fn new(output: &Path, journal: &Path, state: &State, holder: Holder) -> StatusRecord {
         let in_standing = |standing| {
-            let mut frames: Vec<_> =
-                state.frames.iter().filter(|(_, frame)| frame.standing == standing).collect();
+            let mut frames: Vec<_> = state
+                .frames
+                .iter()
+                .filter(|(input, frame)| frame.standing == standing && !is_gone(input, frame))
+                .collect();
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
         };
@@ -185,6 +188,13 @@ impl StatusRecord {
             damaged_lines: state.damaged_line_count,
         }
     }
+}
+
+/// Whether nothing will come of a frame any more: its file was removed from its folder.
+fn is_gone(input: &Path, frame: &FrameRecord) -> bool {
+    // A folder that is not there may come back with all that was in it.
+    let is_removed = || !input.exists() && input.parent().is_some_and(Path::exists);
+    frame.standing != Standing::Done && is_removed()
 }
 
 impl DaemonStatus {

@@ -91,7 +91,10 @@ fn conclude(once: bool, summary: &Summary) -> Verdict {
     for failure in failed {
         error!("failed: {failure}");
     }
-    let why = if *ended == Ended::Drained { "everything is done" } else { "asked to end" };
+    if *ended == Ended::Drained && done_count + failed.len() + left_count == 0 {
+        warn!("there are no frames to convert");
+    }
+    let why = if *ended == Ended::Drained { "nothing is left to do" } else { "asked to end" };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
     if !once {
         return Verdict::Done;

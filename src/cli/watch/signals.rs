@@ -22,6 +22,7 @@ pub(super) fn listen(control: Arc<Control>) -> Result<()> {
             if signal == SIGHUP {
                 control.reload();
             } else if control.finish() {
+                tracing::warn!("asked to end a second time: what is not whole is left for the next time");
                 crate::pipeline::stop_writing();
                 // As shells count it: 130 for Ctrl-C.
                 std::process::exit(128 + signal);

@@ -80,6 +80,8 @@ pub struct Journal {
     line_count: usize,
     /// From how many lines on it is worth a fresh file.
     compacted_from_lines: usize,
+    /// Nothing is written for now.
+    is_held: bool,
 }
 
 impl Journal {
@@ -111,6 +113,7 @@ impl Journal {
             whole_bytes,
             line_count,
             compacted_from_lines: COMPACTED_LINES_MIN,
+            is_held: false,
         };
         match journal.write_pending() {
             Err(error) if is_disk_full(&error) => {
@@ -139,6 +142,12 @@ impl Journal {
     /// All that is remembered, also what could not be written yet.
     pub fn state(&self) -> &State {
         &self.state
+    }
+
+    /// Holds back what is to be written, while that is known to be in vain or wrong; it is remembered, and
+    /// written with the first record after.
+    pub fn hold(&mut self, is_held: bool) {
+        self.is_held = is_held;
     }
 
     /// Remembers what became of a frame.
@@ -192,6 +201,9 @@ impl Journal {
 
     fn note(&mut self, key: Key) -> io::Result<()> {
         self.pending.insert(key);
+        if self.is_held {
+            return Ok(());
+        }
         self.write_pending()?;
         self.compact();
         Ok(())
