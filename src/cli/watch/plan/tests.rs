@@ -128,7 +128,8 @@ fn one_output_does_not_stand_for_several() {
 
 #[test]
 fn a_journal_is_about_one_folder_of_outputs() {
-    let block = |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
+    let block =
+        |input: &str, output: &str| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n");
     let bench = Bench::new(&(block("a", "o") + &block("b", "p")));
     bench.refused(&["--journal", "j"], &["the journal", "one folder of outputs", "run a daemon for each"]);
     assert!(bench.plan(&["--journal", "j", "c", "--out", "o"]).is_ok());
