@@ -3,5 +3,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    meniscus::cli::give_memory_back();
     meniscus::cli::run(std::env::args_os())
 }

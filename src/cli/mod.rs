@@ -3,6 +3,7 @@
 //!
 //! Flags end here: the layers below see [`crate::settings::Settings`] and frames only.
 
+mod allocator;
 mod args;
 mod choices;
 mod clock;
@@ -24,6 +25,8 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
+
+pub use allocator::give_memory_back;
 
 use args::{Command, Typed};
 use console::Console;

@@ -14,6 +14,7 @@
 //! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
 
 mod budget;
+mod crew;
 mod frame;
 mod memory;
 mod method;

@@ -20,7 +20,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Instant;
 
@@ -33,12 +33,13 @@ use crate::settings::Settings;
 use crate::skin::Surface;
 
 use super::budget::{Budget, Reservation};
+use super::crew::{Crew, Tasks};
 use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
 use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::provenance::is_done;
 use super::reading::{parse_particles, read_unchanged};
-use super::writing::{Written, write_surface};
+use super::writing::{Written, encode, write_files};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,14 +114,27 @@ pub fn stream<M: Method, K: Send>(
     method: &M,
     next: impl FnMut() -> Option<(K, Frame)> + Send,
     conduct: &Conduct<'_>,
-    mut finished: impl FnMut(K, Frame, Outcome),
+    finished: impl FnMut(K, Frame, Outcome),
 ) {
     let lane_count = match conduct.on_error {
         OnError::Stop => 1,
         OnError::Continue => conduct.pool.current_num_threads().min(conduct.in_flight).max(1),
     };
-    let line = &Line::new(method, conduct, lane_count);
-    let (room, no_room) = bounded(conduct.in_flight.max(1));
+    let tasks = Tasks::default();
+    conduct.pool.in_place_scope(|scope| {
+        let line = Line::new(method, conduct, Crew::new(scope, &tasks), lane_count);
+        drive(&line, lane_count, next, finished);
+    });
+}
+
+/// Starts the threads of the stages, and tells what they make of the frames.
+fn drive<M: Method, K: Send>(
+    line: &Line<'_, '_, '_, M>,
+    lane_count: usize,
+    next: impl FnMut() -> Option<(K, Frame)> + Send,
+    mut finished: impl FnMut(K, Frame, Outcome),
+) {
+    let (room, no_room) = bounded(line.conduct.in_flight.max(1));
     let (done, outcomes) = bounded(1);
     let (to_rasterize, to_rasterize_from) = bounded(0);
     let (to_smooth, to_smooth_from) = bounded(0);
@@ -152,9 +166,10 @@ pub fn stream<M: Method, K: Send>(
 }
 
 /// What all stages share.
-struct Line<'a, M> {
-    method: &'a M,
-    conduct: &'a Conduct<'a>,
+struct Line<'a, 'scope, 'env, M> {
+    method: &'env M,
+    conduct: &'env Conduct<'env>,
+    crew: Crew<'a, 'scope, 'env>,
     budget: Budget,
     seats: Seats,
     /// Whoever holds it is the one that waits for a frame, a seat and memory.
@@ -203,11 +218,17 @@ struct Ended<K> {
     outcome: Outcome,
 }
 
-impl<'a, M: Method> Line<'a, M> {
-    fn new(method: &'a M, conduct: &'a Conduct<'a>, lane_count: usize) -> Line<'a, M> {
+impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
+    fn new(
+        method: &'env M,
+        conduct: &'env Conduct<'env>,
+        crew: Crew<'a, 'scope, 'env>,
+        lane_count: usize,
+    ) -> Line<'a, 'scope, 'env, M> {
         Line {
             method,
             conduct,
+            crew,
             budget: Budget::new(conduct.memory_bytes),
             seats: Seats::new(lane_count),
             door: Mutex::new(()),
@@ -247,7 +268,7 @@ impl<'a, M: Method> Line<'a, M> {
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
         let mut memory = self.budget.hold(file_bytes.saturating_mul(READING_MEMORY));
         let start = Instant::now();
-        let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(frame));
+        let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
         memory.resize(read.particles.len() as u64 * PARTICLE_BYTES);
         let read_seconds = start.elapsed().as_secs_f64();
@@ -255,7 +276,7 @@ impl<'a, M: Method> Line<'a, M> {
     }
 
     /// The particles of a frame, and the notes on them.
-    fn particles_of(&self, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
+    fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let unchanged = read_unchanged(&frame.input).map_err(Outcome::Failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
@@ -263,9 +284,10 @@ impl<'a, M: Method> Line<'a, M> {
             return Err(Outcome::AlreadyDone(input));
         }
         // Parsing is work for the pool; waiting for the disk before it is not.
-        self.conduct.pool.install(|| {
+        let (method, frame) = (self.method, frame.clone());
+        self.crew.run(number, move || {
             let read = parse_particles(&frame.input, &bytes).map_err(Outcome::Failed)?;
-            let memory_bytes = self.method.memory_bytes(&read.particles, &frame.settings);
+            let memory_bytes = method.memory_bytes(&read.particles, &frame.settings);
             Ok((Read { particles: read.particles, memory_bytes }, input, read.notes))
         })
     }
@@ -276,9 +298,10 @@ impl<'a, M: Method> Line<'a, M> {
         to: &Sender<Parcel<'l, K, M::Rasterized>>,
         ended: &Sender<Ended<K>>,
     ) {
-        let work = |read: Read, settings: &Settings| self.method.rasterize(&read.particles, settings);
+        let method = self.method;
+        let work = move |read: Read, settings: &Settings| method.rasterize(&read.particles, settings);
         while let Some(Parcel { label, known, content }) = self.admit(from) {
-            let computed = self.compute(Stage::Rasterize, &label.frame, content, work);
+            let computed = self.compute(Stage::Rasterize, &label, content, work);
             if !self.pass(label, known, computed, to, ended) {
                 return;
             }
@@ -302,9 +325,10 @@ impl<'a, M: Method> Line<'a, M> {
         to: &Sender<Parcel<'l, K, M::Smoothed>>,
         ended: &Sender<Ended<K>>,
     ) {
-        let work = |rasterized, settings: &Settings| self.method.smooth(rasterized, settings);
+        let method = self.method;
+        let work = move |rasterized, settings: &Settings| method.smooth(rasterized, settings);
         for Parcel { label, known, content } in from {
-            let computed = self.compute(Stage::Smooth, &label.frame, content, work);
+            let computed = self.compute(Stage::Smooth, &label, content, work);
             if !self.pass(label, known, computed, to, ended) {
                 return;
             }
@@ -317,9 +341,10 @@ impl<'a, M: Method> Line<'a, M> {
         to: &Sender<Parcel<'l, K, Surface>>,
         ended: &Sender<Ended<K>>,
     ) {
-        let work = |smoothed, settings: &Settings| self.method.contour(smoothed, settings);
+        let method = self.method;
+        let work = move |smoothed, settings: &Settings| method.contour(smoothed, settings);
         for Parcel { label, mut known, content } in from {
-            let computed = self.compute(Stage::Contour, &label.frame, content, work);
+            let computed = self.compute(Stage::Contour, &label, content, work);
             if let Ok(surface) = &computed {
                 known.seat = None;
                 known.memory.resize(surface.size_bytes().saturating_mul(WRITING_MEMORY));
@@ -331,15 +356,16 @@ impl<'a, M: Method> Line<'a, M> {
     }
 
     /// A stage of the method.
-    fn compute<A: Send, B: Send>(
+    fn compute<K, A: Send + 'env, B: Send + 'env>(
         &self,
         stage: Stage,
-        frame: &Frame,
+        label: &Label<K>,
         content: A,
-        work: impl FnOnce(A, &Settings) -> B + Send,
+        work: impl FnOnce(A, &Settings) -> B + Send + 'env,
     ) -> Result<B, FrameError> {
-        FrameError::catch(&frame.input, stage, || {
-            self.conduct.pool.install(|| work(content, &frame.settings))
+        let settings = Arc::clone(&label.frame.settings);
+        FrameError::catch(&label.frame.input, stage, || {
+            self.crew.run(label.number, move || work(content, &settings))
         })
     }
 
@@ -365,7 +391,7 @@ impl<'a, M: Method> Line<'a, M> {
             let outcome = if self.is_stopped_before(label.number) {
                 Outcome::NotStarted
             } else {
-                self.write_one(&label.frame, known, content)
+                self.write_one(&label, known, content)
             };
             if ended.send(self.end(label, outcome)).is_err() {
                 return;
@@ -373,15 +399,20 @@ impl<'a, M: Method> Line<'a, M> {
         }
     }
 
-    fn write_one(&self, frame: &Frame, known: Known<'_>, surface: Surface) -> Outcome {
+    fn write_one<K>(&self, label: &Label<K>, known: Known<'_>, surface: Surface) -> Outcome {
         let start = Instant::now();
-        let written = FrameError::catch(&frame.input, Stage::Write, || {
-            write_surface(&surface, frame, known.input.hash, self.conduct.pool)
-        });
+        let frame = &label.frame;
+        let input_hash = known.input.hash;
+        let surface = Arc::new(surface);
+        let encoded = |format| {
+            let (surface, frame) = (Arc::clone(&surface), frame.clone());
+            self.crew.run(label.number, move || encode(&surface, &frame, input_hash, format))
+        };
+        let written = FrameError::catch(&frame.input, Stage::Write, || write_files(frame, encoded));
         match written.flatten() {
             Ok(Written { paths, sizes_bytes }) => Outcome::Converted(Box::new(FrameReport {
                 input: known.input,
-                skin: surface.report,
+                skin: surface.report.clone(),
                 read_seconds: known.read_seconds,
                 write_seconds: start.elapsed().as_secs_f64(),
                 peak_memory_bytes: peak_memory_bytes(),

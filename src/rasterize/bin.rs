@@ -76,7 +76,7 @@ impl ParticleBins {
 }
 
 /// The leaf that a particle lies in, and its position relative to that, in voxels.
-fn place(particles: &Particles, index: usize, lattice: &Lattice) -> Option<(IVec3, Vec3)> {
+pub(super) fn place(particles: &Particles, index: usize, lattice: &Lattice) -> Option<(IVec3, Vec3)> {
     let position = lattice.index_from_world(particles.position(index))?;
     let edge = f64::from(LEAF_EDGE);
     let origin = (position / edge).floor() * edge;

@@ -13,6 +13,7 @@
 //! swept from them. So the zero sets of the bounds are those of the spheres themselves.
 
 mod bin;
+mod footprint;
 mod sphere;
 
 use std::sync::Arc;
@@ -21,6 +22,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 pub use bin::ParticleBins;
+pub use footprint::{Footprint, footprint};
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, voxel_in_leaf};
 use crate::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};

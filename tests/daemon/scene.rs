@@ -22,7 +22,9 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// Longer than anything takes that is waited for, on a busy machine.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
+fn patience() -> Duration {
+    Duration::from_secs(by_length(120, 1800))
+}
 
 /// Settings that find changes by events alone: no scan happens to come by.
 pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
@@ -133,7 +135,7 @@ impl Scene {
             self.command(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("a start");
         let [out, err] =
             [drain(child.stdout.take().expect("piped")), drain(child.stderr.take().expect("piped"))];
-        let status = ends(&mut child, PATIENCE);
+        let status = ends(&mut child, patience());
         if status.is_none() {
             child.kill().expect("killed");
         }
@@ -245,7 +247,7 @@ pub(crate) fn names_in(folder: &Path) -> Vec<String> {
 pub(crate) fn await_that(what: &str, mut is_so: impl FnMut() -> bool) {
     let start = Instant::now();
     while !is_so() {
-        assert!(start.elapsed() < PATIENCE, "{what}: not within {PATIENCE:?}");
+        assert!(start.elapsed() < patience(), "{what}: not within {:?}", patience());
         thread::sleep(Duration::from_millis(5));
     }
 }
@@ -399,7 +401,7 @@ impl Log {
             if line_count < state.lines.len() {
                 (line_count, since) = (state.lines.len(), Instant::now());
             }
-            let left = PATIENCE.saturating_sub(since.elapsed());
+            let left = patience().saturating_sub(since.elapsed());
             if left.is_zero() || state.has_ended {
                 return None;
             }
@@ -496,7 +498,7 @@ impl Watching {
     /// Kills it, and says what it had told.
     pub(crate) fn kill(mut self) -> Vec<Line> {
         self.child.kill().expect("killed");
-        self.end(PATIENCE);
+        self.end(patience());
         std::mem::take(&mut self.log.lock().lines)
     }
 
@@ -512,7 +514,7 @@ impl Watching {
     /// Waits until it ends by itself, or by a signal sent before.
     #[track_caller]
     pub(crate) fn await_end(&mut self) -> ExitStatus {
-        let status = self.end(PATIENCE);
+        let status = self.end(patience());
         let status = status.unwrap_or_else(|| panic!("it does not end:\n{}", self.told()));
         assert!(!self.told().contains("panicked"), "{}", self.told());
         status

@@ -1,0 +1,109 @@
+//! What the process takes while many frames are under way, against what it was allowed. A test binary of its
+//! own: the most memory that a process ever had is one number for all that it did.
+
+#![cfg(target_os = "linux")]
+
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::Path;
+use std::sync::Arc;
+
+use meniscus::pipeline::{
+    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, run,
+};
+use meniscus::settings::{Choices, Settings};
+use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
+use tempfile::tempdir;
+
+/// More may be taken than was allowed, as a part of it: for the program itself, and for what the allocator
+/// keeps.
+const EXCESS_MAX: f64 = 0.1;
+
+/// Two of these frames take more than that, though one does not.
+#[test]
+fn the_budget_holds() {
+    let taken = taken_by_frames(6, 128 << 20, Some(1));
+    // What is allowed is used, too.
+    assert!(taken > 0.5, "only {taken:.2} of what was allowed");
+}
+
+/// A quarter of an hour.
+#[test]
+#[ignore = "long"]
+fn the_budget_holds_for_200_frames() {
+    taken_by_frames(200, 1 << 30, None);
+}
+
+/// Converts blocks of 250 047 particles, and spray that takes about as much memory, in turns. Returns what was
+/// taken, as a part of what was allowed: not more than that.
+fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -> f64 {
+    // As the program does first of all.
+    meniscus::cli::give_memory_back();
+    let folder = tempdir().expect("a folder");
+    // What a frame takes does not depend on the number of steps.
+    let choices = Choices { laplacian_steps: steps, steps, ..Choices::default() };
+    let settings = Arc::new(Settings::resolve(0.05, &choices).expect("valid"));
+    let outputs = Arc::new(OutputOptions {
+        folder: folder.path().join("out"),
+        formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
+        up: gltf::UpAxis::Y,
+        vdb_half: false,
+        vdb_compression: vdb::Compression::Blosc,
+    });
+    let inputs = [("block.bgeo", block(63)), ("spray.bgeo", spray(20_000))];
+    let inputs = inputs.map(|(name, positions)| {
+        let path = folder.path().join(name);
+        write(&path, positions);
+        path
+    });
+    let frames: Vec<Frame> = (0..frame_count)
+        .map(|number| Frame {
+            input: inputs[number % inputs.len()].clone(),
+            stem: number.to_string(),
+            settings: settings.clone(),
+            outputs: outputs.clone(),
+        })
+        .collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+    let conduct =
+        Conduct { pool: &pool, on_error: OnError::Continue, skip_done: false, in_flight: 8, memory_bytes };
+    run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
+        assert!(matches!(outcome, Outcome::Converted(_)), "frame {index}: {outcome:?}");
+    });
+    let taken = peak_bytes() as f64 / memory_bytes as f64;
+    assert!(taken < 1.0 + EXCESS_MAX, "{taken:.2} of what was allowed");
+    taken
+}
+
+fn block(edge_count: usize) -> Vec<[f32; 3]> {
+    let place = |index: usize| {
+        [index / edge_count.pow(2), index / edge_count % edge_count, index % edge_count]
+            .map(|i| i as f32 * 0.1)
+    };
+    (0..edge_count.pow(3)).map(place).collect()
+}
+
+/// Particles so far apart that each is a drop or nearly so.
+fn spray(count: usize) -> Vec<[f32; 3]> {
+    let extent = 0.2 * (count as f32).cbrt();
+    let mut state = 1u64;
+    let mut along = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1 << 24) as f32 * extent
+    };
+    (0..count).map(|_| [along(), along(), along()]).collect()
+}
+
+fn write(path: &Path, positions: Vec<[f32; 3]>) {
+    let frame = ParticleFrame { positions: Positions::F32(positions), ..ParticleFrame::default() };
+    let file = File::create(path).expect("created");
+    bgeo::write(&frame, &mut BufWriter::new(file)).expect("written");
+}
+
+/// The most memory that this process ever had.
+fn peak_bytes() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").expect("readable");
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).expect("a peak");
+    let kibibytes: u64 = peak.trim().trim_end_matches(" kB").parse().expect("a number");
+    kibibytes << 10
+}
