@@ -36,9 +36,9 @@ pub struct SkinReport {
 
 /// Wall-clock seconds in each stage of the method.
 ///
-/// When several frames are under way in one pool of threads, a stage that waits for its own tasks
-/// may run another frame's meanwhile, and their seconds count here, too. Only of a frame that runs
-/// alone is this the cost.
+/// When several frames are under way in one pool of threads, each has fewer of them than it would have
+/// alone, and a stage that waits for a part of its work may wait for another frame's stage, too. Only of
+/// a frame that runs alone is this the cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StageSeconds {
     /// Particles to level sets.

@@ -68,6 +68,8 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
     let leaves = rasterize::footprint(particles, &lattice(settings), radii(settings));
     let [reached, surface, area] =
         [leaves.reached_count, leaves.surface_count, leaves.area_voxels].map(|count| count as f64);
+    // Fields that there are at once; and bytes of the mesh, of what measures it and of what makes it, for
+    // each face of a voxel that the surface is as large as. Measured on blocks, sheets and spray.
     let smoothing_fields = match settings.integrator {
         Integrator::Fast | Integrator::Explicit => 7.2,
         Integrator::Implicit => 9.2,
@@ -78,14 +80,16 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
     };
     let field_bytes = size_of::<Leaf>() as f64;
     let stages = [
+        // Distances to particles, while they are collected; and then with the first surface and its bounds.
         3.2 * field_bytes * reached,
         field_bytes * (reached + 7.4 * surface),
         field_bytes * smoothing_fields * surface,
         field_bytes * 4.0 * surface + mesh_bytes * area,
     ];
-    let sorting_bytes = 100.0 * particles.len() as f64;
-    let sorted_bytes = 36.0 * particles.len() as f64;
-    (stages.into_iter().fold(0.0, f64::max) + sorted_bytes).max(sorting_bytes) as u64
+    let stages_bytes = stages.into_iter().fold(0.0, f64::max);
+    // The particles as they were read and as they are sorted are there all the while; sorting takes more.
+    let [beside_bytes, sorting_bytes] = [36.0, 100.0].map(|bytes| bytes * particles.len() as f64);
+    (stages_bytes + beside_bytes).max(sorting_bytes) as u64
 }
 
 /// The first stage: particles to level sets.

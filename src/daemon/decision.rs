@@ -56,6 +56,8 @@ pub enum ConvertReason {
     WasUnderWay,
     /// It failed in a way that may pass.
     Retry,
+    /// Other files kept it from being converted, and may not any more.
+    WasRefused,
 }
 
 /// Decides about a frame by its record, its stamp, and the fingerprint of the settings it would be
@@ -71,6 +73,7 @@ pub fn decide(
     let skip_reason = match record.standing {
         Standing::Queued => return Decision::Convert(ConvertReason::WasUnderWay),
         Standing::Retrying => return Decision::Convert(ConvertReason::Retry),
+        Standing::Refused => return Decision::Convert(ConvertReason::WasRefused),
         Standing::Done => SkipReason::Done,
         Standing::Failed => SkipReason::FailedUnchanged,
     };
@@ -100,6 +103,7 @@ pub fn decide_by_content(record: &FrameRecord, hash: u128) -> Decision {
         Standing::Failed => Decision::Skip(SkipReason::FailedUnchanged),
         Standing::Queued => Decision::Convert(ConvertReason::WasUnderWay),
         Standing::Retrying => Decision::Convert(ConvertReason::Retry),
+        Standing::Refused => Decision::Convert(ConvertReason::WasRefused),
     }
 }
 
@@ -141,6 +145,7 @@ impl fmt::Display for ConvertReason {
                 f.write_str("it was waiting or under way when it was last recorded")
             }
             ConvertReason::Retry => f.write_str("it failed in a way that may pass"),
+            ConvertReason::WasRefused => f.write_str("other files kept it from that, and may not any more"),
         }
     }
 }
@@ -242,6 +247,7 @@ mod tests {
         for now in [ALIKE(), touched(), moved(), longer(), other_settings(), output_gone()] {
             check(Standing::Queued, &now, &Decision::Convert(ConvertReason::WasUnderWay));
             check(Standing::Retrying, &now, &Decision::Convert(ConvertReason::Retry));
+            check(Standing::Refused, &now, &Decision::Convert(ConvertReason::WasRefused));
         }
     }
 
@@ -261,6 +267,7 @@ mod tests {
             (Standing::Failed, Decision::Skip(SkipReason::FailedUnchanged)),
             (Standing::Queued, Decision::Convert(ConvertReason::WasUnderWay)),
             (Standing::Retrying, Decision::Convert(ConvertReason::Retry)),
+            (Standing::Refused, Decision::Convert(ConvertReason::WasRefused)),
         ];
         for (standing, same) in cases {
             assert_eq!(decide_by_content(&record(standing), HASH), same);

@@ -138,17 +138,12 @@ impl Daemon<'_> {
         self.failed.insert(id.clone(), reason);
     }
 
-    /// The outputs of a frame would be another's. That may change without the frame: the journal does not
-    /// keep it from being looked at after a restart.
+    /// Other files keep a frame from being converted. They may change without it, so it is looked at again
+    /// after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
         tracing::error!(frame = %id.path.display(), "{reason}");
         self.set_phase(id, Phase::Failed(stamp));
-        let record = FrameRecord {
-            reason: Some(reason.clone()),
-            settings: String::new(),
-            ..self.record(id, Standing::Failed, stamp)
-        };
-        self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
+        self.note(id, Standing::Refused, stamp, Some(reason.clone()));
         self.failed.insert(id.clone(), reason);
     }
 

@@ -9,7 +9,7 @@ use crossbeam::channel::{Receiver, Sender, never, select};
 
 use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
 
-use super::config::Config;
+use super::config::{Config, Watch};
 use super::frames::{FrameId, FrameState, Frames, Phase, Tally};
 use super::journal::{DaemonRecord, DaemonState, Journal, Standing};
 use super::lock::host_name;
@@ -115,6 +115,7 @@ impl<'a> Daemon<'a> {
         measured: &Receiver<Measured>,
         notices: &mut dyn FnMut(Notice),
     ) -> Result<Summary, DaemonError> {
+        self.note_plan();
         self.note_daemon(&DaemonState::Running);
         for root in 0..self.roots.len() {
             self.scan_root(root);
@@ -123,9 +124,12 @@ impl<'a> Daemon<'a> {
             && let Some(root) = self.roots.iter().find(|root| root.unavailable.is_some())
         {
             let why = root.unavailable.clone().unwrap_or_default();
-            return Err(DaemonError::Unavailable { folder: root.watch.input.clone(), why });
+            let folder = root.watch.input.clone();
+            self.note_daemon(&DaemonState::Stopped);
+            return Err(DaemonError::Unavailable { folder, why });
         }
         notices(Notice::Ready);
+        let mut commands = commands.clone();
         loop {
             self.turn(notices);
             if self.config.once && self.is_drained() {
@@ -135,9 +139,10 @@ impl<'a> Daemon<'a> {
                 recv(outcomes) -> outcome => if let Ok((id, frame, outcome)) = outcome { self.finished(&id, &frame, outcome) },
                 recv(measured) -> measured => if let Ok(measured) = measured { self.measured(measured) },
                 recv(self.hints) -> hint => if let Ok(hint) = hint { self.take_hints(hint) },
-                // Whoever could send commands may be gone: then there are none.
-                recv(commands) -> command => if let Ok(command) = command {
-                    return Ok(self.wind_up(command, outcomes, notices));
+                recv(commands) -> command => match command {
+                    Ok(command) => return Ok(self.wind_up(command, outcomes, notices)),
+                    // Whoever could send commands is gone: then there are none.
+                    Err(_) => commands = never(),
                 },
                 default(self.wait()) => {}
             }
@@ -427,7 +432,7 @@ impl<'a> Daemon<'a> {
             _ => None,
         });
         for (id, stamp) in held.collect::<Vec<_>>() {
-            self.fail_for_good(&id, stamp, TOO_SPARSE.to_owned());
+            self.refuse(&id, stamp, TOO_SPARSE.to_owned());
         }
     }
 
@@ -464,6 +469,13 @@ impl<'a> Daemon<'a> {
             Command::Finish => Ended::Finish,
             Command::Reload => Ended::Reload,
         })
+    }
+
+    /// Writes down what the daemon was asked for, for whoever asks the journal.
+    fn note_plan(&mut self) {
+        let of_root = |root: &Root| Watch { input: root.path.clone(), ..root.watch.clone() };
+        let watches: Vec<Watch> = self.roots.iter().map(of_root).collect();
+        self.stores.note_plan(&watches, self.config.patience);
     }
 
     /// Writes down what the daemon is doing, for whoever asks the journal.

@@ -4,9 +4,16 @@
 //!   source      which files are frames, in which order, of which sequence
 //!   voxel_size  the voxel size of a sequence, where nobody gave one
 //!   outputs     which files will be written, and that none of them is an input
-//!   stages      read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, a thread each
-//!   reading     bytes to particles           writing     surfaces to bytes
-//!   sink        whole files or none          provenance  what made them
+//!   frame       what is to be done, and what came of it
+//!
+//!   stages      read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, several frames side by side
+//!   crew        whose turn it is to compute           budget   who may take how much memory
+//!   method      the three stages in the middle        memory   how much there is
+//!
+//!   reading     bytes to particles, of a file that     stamp     what tells one that was written again
+//!               nobody writes meanwhile
+//!   writing     surfaces to bytes                      provenance  what made them
+//!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   record      what was measured, as JSON
 //! ```
 //!

@@ -115,9 +115,9 @@ struct ConvergenceRecord {
     reached: bool,
 }
 
-/// Wall-clock seconds. Frames overlap: a stage that waits for its threads may do other frames' work
-/// meanwhile, and what is here can add up to more than the run took. Time by itself is that of a run
-/// of one frame.
+/// Wall-clock seconds. Frames overlap: with several of them each has a thread to itself where one alone
+/// has all, and what is here adds up to more than the run took. Time by itself is that of a run of one
+/// frame.
 #[derive(Clone, Copy, Debug, Serialize)]
 struct SecondsRecord {
     read: f64,

@@ -158,8 +158,9 @@ class Daemon:
         for line in self.log.read_text().splitlines():
             entry = json.loads(line)
             fields = {**entry, **entry.get("fields", {})}
-            if "frame" in fields and "seconds" in fields:
-                seconds[Path(fields["frame"]).stem] = fields["seconds"]
+            stages = [value for name, value in fields.items() if name.endswith("_s")]
+            if "frame" in fields and stages:
+                seconds[Path(fields["frame"]).stem] = sum(stages)
         return seconds
 
 

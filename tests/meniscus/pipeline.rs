@@ -3,7 +3,6 @@
 use std::fs;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::grid::{Field, Topology};
@@ -11,8 +10,8 @@ use meniscus::level_set::NarrowBand;
 use meniscus::mesh::Mesh;
 use meniscus::particles::Particles;
 use meniscus::pipeline::{
-    Cause, Conduct, Frame, LevelSetSkinning, Method, OnError, Outcome, OutputFormat, OutputOptions, Stage,
-    run,
+    Cause, Conduct, FileStamp, Frame, LevelSetSkinning, Method, OnError, Outcome, OutputFormat,
+    OutputOptions, Stage, run,
 };
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
@@ -24,11 +23,9 @@ use tempfile::{TempDir, tempdir};
 use crate::scene::{block, names_in, write_ply};
 
 /// A tetrahedron as large as the frame has particles. Panics in `broken_stage` at frames of
-/// [`BROKEN_COUNT`] particles, and counts the frames that are under way.
+/// [`BROKEN_COUNT`] particles.
 struct Quick {
     broken_stage: Option<Stage>,
-    under_way: AtomicUsize,
-    under_way_max: AtomicUsize,
 }
 
 /// How many particles the frame has that the method cannot bear.
@@ -36,7 +33,7 @@ const BROKEN_COUNT: usize = 27;
 
 impl Quick {
     fn new(broken_stage: Option<Stage>) -> Quick {
-        Quick { broken_stage, under_way: AtomicUsize::new(0), under_way_max: AtomicUsize::new(0) }
+        Quick { broken_stage }
     }
 
     fn pass(&self, stage: Stage, count: usize) -> usize {
@@ -54,8 +51,6 @@ impl Method for Quick {
     }
 
     fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
-        let under_way = self.under_way.fetch_add(1, Ordering::Relaxed) + 1;
-        self.under_way_max.fetch_max(under_way, Ordering::Relaxed);
         self.pass(Stage::Rasterize, particles.len())
     }
 
@@ -64,30 +59,35 @@ impl Method for Quick {
     }
 
     fn contour(&self, count: usize, settings: &Settings) -> Surface {
-        let size = self.pass(Stage::Contour, count) as f32 * settings.voxel_size as f32;
-        let mesh = Mesh {
-            positions: [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z].map(|corner| corner * size).to_vec(),
-            normals: vec![-Vec3::ONE.normalize(), Vec3::X, Vec3::Y, Vec3::Z],
-            triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
-            origin: DVec3::ZERO,
-        };
-        let topology = Arc::new(Topology::new(vec![IVec3::ZERO]));
-        let mut phi = Field::splat(1, 6.0);
-        phi.leaves[0].values[0] = -1.0;
-        let band = NarrowBand { topology, phi, half_width: 6.0 };
-        Surface { band, mesh, report: SkinReport { particle_count: count, ..SkinReport::default() } }
+        tetrahedron(self.pass(Stage::Contour, count), settings)
     }
 }
 
+/// The surface of a frame of so many particles.
+pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> Surface {
+    let size = count as f32 * settings.voxel_size as f32;
+    let mesh = Mesh {
+        positions: [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z].map(|corner| corner * size).to_vec(),
+        normals: vec![-Vec3::ONE.normalize(), Vec3::X, Vec3::Y, Vec3::Z],
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        origin: DVec3::ZERO,
+    };
+    let topology = Arc::new(Topology::new(vec![IVec3::ZERO]));
+    let mut phi = Field::splat(1, 6.0);
+    phi.leaves[0].values[0] = -1.0;
+    let band = NarrowBand { topology, phi, half_width: 6.0 };
+    Surface { band, mesh, report: SkinReport { particle_count: count, ..SkinReport::default() } }
+}
+
 /// A folder with frames, and what it takes to run them.
-struct Bench {
-    folder: TempDir,
-    frames: Vec<Frame>,
+pub(crate) struct Bench {
+    pub(crate) folder: TempDir,
+    pub(crate) frames: Vec<Frame>,
 }
 
 impl Bench {
     /// A frame of `edge_count`³ particles for each; 0 is a frame that is no frame at all.
-    fn new(edge_counts: &[usize]) -> Bench {
+    pub(crate) fn new(edge_counts: &[usize]) -> Bench {
         let folder = tempdir().expect("a folder");
         let settings = Arc::new(Settings::resolve(0.05, &Choices::default()).expect("valid"));
         let outputs = Arc::new(OutputOptions {
@@ -111,7 +111,7 @@ impl Bench {
         Bench { folder, frames }
     }
 
-    fn out(&self) -> PathBuf {
+    pub(crate) fn out(&self) -> PathBuf {
         self.folder.path().join("out")
     }
 
@@ -153,7 +153,7 @@ impl Bench {
     }
 
     /// The numbers of the frames that have all outputs, none of the others having any.
-    fn written(&self) -> Vec<usize> {
+    pub(crate) fn written(&self) -> Vec<usize> {
         let names = names_in(&self.out());
         let count = |number: usize| names.iter().filter(|n| n.starts_with(&format!("f.{number}."))).count();
         let written: Vec<usize> = (0..self.frames.len()).filter(|&number| count(number) == 4).collect();
@@ -163,12 +163,12 @@ impl Bench {
 }
 
 /// How frames are converted where it does not matter.
-fn conduct(pool: &ThreadPool) -> Conduct<'_> {
+pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
     Conduct { pool, on_error: OnError::Continue, skip_done: false, in_flight: 5, memory_bytes: 1 << 30 }
 }
 
 /// One letter for each outcome.
-fn letters(outcomes: &[Outcome]) -> String {
+pub(crate) fn letters(outcomes: &[Outcome]) -> String {
     let letter = |outcome: &Outcome| match outcome {
         Outcome::Converted(_) => 'c',
         Outcome::AlreadyDone(_) => 'd',
@@ -189,6 +189,13 @@ fn frames_are_converted_in_order() {
     let Outcome::Converted(report) = &outcomes[1] else { panic!("not converted") };
     assert_eq!(report.skin.particle_count, 27);
     assert_eq!(report.outputs[0], bench.out().join("f.1.glb"));
+    let size_bytes = |path: &PathBuf| fs::metadata(path).expect("there").len();
+    assert_eq!(report.output_bytes, report.outputs.iter().map(size_bytes).collect::<Vec<_>>());
+    assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
+    // What is done already is told to be of the same file, by its content and its stamp.
+    let again = bench.run_with(&quick, OnError::Continue, true, 2);
+    let Outcome::AlreadyDone(input) = &again[1] else { panic!("not done already") };
+    assert_eq!((input, report.input.hash != 0), (&report.input, true));
     assert!(!cfg!(target_os = "linux") || report.peak_memory_bytes.is_some_and(|bytes| bytes > 1 << 20));
 }
 
@@ -312,24 +319,6 @@ fn the_bytes_do_not_depend_on_threads_or_neighbours() {
         assert!(*expected.get_or_insert_with(|| found.clone()) == found, "{threads} threads");
     }
     // Neither a host's paths nor a clock: the folders above had different names.
-}
-
-#[test]
-fn a_slow_reader_of_outcomes_holds_frames_back() {
-    let bench = Bench::new(&[2; 40]);
-    let quick = Quick::new(None);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct = conduct(&pool);
-    let mut is_first = true;
-    run(&quick, &bench.frames, &conduct, |_, _| {
-        if std::mem::take(&mut is_first) {
-            // Long enough for all 40 frames to run by, were they not held back.
-            std::thread::sleep(std::time::Duration::from_millis(300));
-        }
-        quick.under_way.fetch_sub(1, Ordering::Relaxed);
-    });
-    let under_way_max = quick.under_way_max.load(Ordering::Relaxed);
-    assert!(under_way_max <= 8, "{under_way_max} frames were under way at once");
 }
 
 #[test]

@@ -1,0 +1,334 @@
+//! Frames that come one by one: when they are asked for, what runs beside what, and what is told when.
+
+use std::collections::HashSet;
+use std::fs::{self, File};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex, mpsc};
+use std::thread;
+use std::time::{Duration, SystemTime};
+
+use meniscus::particles::Particles;
+use meniscus::pipeline::{
+    Conduct, Frame, FrameError, Method, Outcome, Stage, default_in_flight, is_own_output, run, stream,
+};
+use meniscus::settings::Settings;
+use meniscus::skin::Surface;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+
+use crate::pipeline::{Bench, conduct, letters, tetrahedron};
+use crate::scene::names_in;
+
+/// A quick method that says which stage it does, of a frame of how many particles, and takes a mebibyte for
+/// each of them.
+struct Told<H>(H);
+
+impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
+    type Rasterized = usize;
+    type Smoothed = usize;
+
+    fn memory_bytes(&self, particles: &Particles, _settings: &Settings) -> u64 {
+        (particles.len() as u64) << 20
+    }
+
+    fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
+        self.0(Stage::Rasterize, particles.len());
+        particles.len()
+    }
+
+    fn smooth(&self, count: usize, _settings: &Settings) -> usize {
+        self.0(Stage::Smooth, count);
+        count
+    }
+
+    fn contour(&self, count: usize, settings: &Settings) -> Surface {
+        self.0(Stage::Contour, count);
+        tetrahedron(count, settings)
+    }
+}
+
+/// Something that threads wait for: with a limit, so that a test fails and does not hang.
+#[derive(Default)]
+struct Signal {
+    is_given: Mutex<bool>,
+    changed: Condvar,
+}
+
+impl Signal {
+    fn give(&self) {
+        *self.is_given.lock().expect("nobody panics with it") = true;
+        self.changed.notify_all();
+    }
+
+    fn wait(&self) {
+        let given = self.is_given.lock().expect("nobody panics with it");
+        let limit = Duration::from_secs(60);
+        let (given, _) = self.changed.wait_timeout_while(given, limit, |given| !*given).expect("as above");
+        assert!(*given, "waited in vain");
+    }
+}
+
+fn pool(threads: usize) -> ThreadPool {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+}
+
+/// The frames of a bench by their numbers.
+fn numbered(bench: &Bench) -> impl Iterator<Item = (usize, Frame)> + Send + use<> {
+    bench.frames.clone().into_iter().enumerate()
+}
+
+#[test]
+fn a_source_may_wait_for_what_came_of_earlier_frames() {
+    let bench = Bench::new(&[2, 2, 2, 2]);
+    let (finished, told) = mpsc::channel();
+    let mut frames = numbered(&bench);
+    let mut outcomes = Vec::new();
+    let next = move || {
+        let (number, frame) = frames.next()?;
+        // All that were asked for before are through.
+        for _ in 0..number.min(1) {
+            told.recv_timeout(Duration::from_secs(60)).expect("the frame before is finished");
+        }
+        Some((number, frame))
+    };
+    stream(&Told(|_, _| ()), next, &conduct(&pool(2)), |number, frame, outcome| {
+        assert_eq!(frame.stem, format!("f.{number}"));
+        outcomes.push(outcome);
+        let _ = finished.send(());
+    });
+    assert_eq!(letters(&outcomes), "cccc");
+    assert_eq!(bench.written(), [0, 1, 2, 3]);
+}
+
+#[test]
+fn frames_are_asked_for_only_when_there_is_room() {
+    for in_flight in [1, 2, 3, 7] {
+        let bench = Bench::new(&[2; 20]);
+        let pool = pool(2);
+        let (asked, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let full = Signal::default();
+        let mut frames = numbered(&bench);
+        let mut under_way_max = 0;
+        let next = || {
+            let under_way = asked.fetch_add(1, Ordering::SeqCst) - ended.load(Ordering::SeqCst);
+            assert!(under_way < in_flight, "{under_way} frames are under way");
+            under_way_max = under_way_max.max(under_way + 1);
+            if under_way + 1 == in_flight.min(3) {
+                full.give();
+            }
+            frames.next()
+        };
+        // So many are sure to come, though none has ended: one is in each lane, one is read.
+        let method = Told(|stage, _| {
+            if stage == Stage::Rasterize {
+                full.wait()
+            }
+        });
+        let conduct = Conduct { in_flight, ..conduct(&pool) };
+        let mut count = 0;
+        stream(&method, next, &conduct, |_, _, _| {
+            count += 1;
+            ended.fetch_add(1, Ordering::SeqCst);
+        });
+        assert_eq!(count, 20);
+        assert!(under_way_max >= in_flight.min(3), "{under_way_max} of {in_flight}");
+    }
+    assert!(default_in_flight(1) > 1 && default_in_flight(16) > 16);
+}
+
+#[test]
+fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
+    let bench = Bench::new(&[3, 2, 2]);
+    let pool = pool(2);
+    let others_ended = Signal::default();
+    let method = Told(|stage, count| {
+        if stage == Stage::Smooth && count == 27 {
+            others_ended.wait();
+        }
+    });
+    let mut frames = numbered(&bench);
+    let mut order = Vec::new();
+    stream(
+        &method,
+        || frames.next(),
+        &conduct(&pool),
+        |number, _, _| {
+            order.push(number);
+            if order.len() == 2 {
+                others_ended.give();
+            }
+        },
+    );
+    assert_eq!(order.last(), Some(&0), "{order:?}");
+    order.clear();
+    run(&method, &bench.frames, &conduct(&pool), |number, _| order.push(number));
+    assert_eq!(order, [0, 1, 2]);
+}
+
+/// What runs together, by the mebibytes that each frame takes: as many as it has particles.
+#[derive(Default)]
+struct Together {
+    running: Mutex<Vec<usize>>,
+    /// Sums, and how many frames they are of.
+    seen: Mutex<HashSet<(usize, usize)>>,
+}
+
+impl Together {
+    fn note(&self, stage: Stage, count: usize) {
+        let mut running = self.running.lock().expect("nobody panics with it");
+        match stage {
+            Stage::Rasterize => {
+                running.push(count);
+                let now = (running.iter().sum(), running.len());
+                self.seen.lock().expect("nobody panics with it").insert(now);
+            }
+            Stage::Contour => {
+                let place = running.iter().position(|&other| other == count).expect("it was rasterized");
+                running.swap_remove(place);
+            }
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn what_runs_together_keeps_within_the_budget() {
+    // 8, 27, 64 and 125 MiB, in an order in which small ones wait behind large ones.
+    let edges = [5, 2, 2, 4, 3, 3, 2, 5, 4, 4, 2, 3, 2, 2, 4, 2, 3, 3, 3, 5];
+    let bench = Bench::new(&edges);
+    let pool = pool(4);
+    let conduct = Conduct { memory_bytes: 100 << 20, in_flight: 8, ..conduct(&pool) };
+    let together = Together::default();
+    let two = Signal::default();
+    let method = Told(|stage, count| {
+        together.note(stage, count);
+        let is_beside = together.running.lock().expect("nobody panics with it").len() > 1;
+        if is_beside {
+            two.give();
+        } else if stage == Stage::Smooth && count == 8 {
+            // The second and the third fit beside each other, and must come to be.
+            two.wait();
+        }
+    });
+    let mut outcomes = Vec::new();
+    run(&method, &bench.frames, &conduct, |_, outcome| outcomes.push(outcome));
+    assert_eq!(letters(&outcomes), "c".repeat(edges.len()));
+    let seen = together.seen.lock().expect("nobody panics with it");
+    for &(sum, count) in &*seen {
+        assert!(sum <= 100 || count == 1, "{count} frames of {sum} MiB together: {seen:?}");
+    }
+    assert!(seen.contains(&(125, 1)), "{seen:?}");
+}
+
+#[test]
+fn a_file_that_is_written_while_it_is_read_is_told_and_can_be_read_later() {
+    let bench = Bench::new(&[60]);
+    let frame = bench.frames[0].clone();
+    let is_over = AtomicBool::new(false);
+    let mut letters_told = String::new();
+    thread::scope(|scope| {
+        let writer = scope.spawn(|| {
+            let file = File::options().write(true).open(&frame.input).expect("there");
+            for second in 0.. {
+                let time = SystemTime::UNIX_EPOCH + Duration::from_secs(second);
+                file.set_modified(time).expect("set");
+                if is_over.load(Ordering::SeqCst) {
+                    return;
+                }
+            }
+        });
+        let mut writer = Some(writer);
+        let mut is_last = false;
+        let next = || {
+            if is_last {
+                return None;
+            }
+            // Once it was found out, the file is left alone.
+            if is_over.load(Ordering::SeqCst) {
+                is_last = true;
+                if let Some(writer) = writer.take() {
+                    writer.join().expect("the writer ends");
+                }
+            }
+            Some(((), frame.clone()))
+        };
+        let pool = pool(2);
+        let conduct = Conduct { in_flight: 1, ..conduct(&pool) };
+        stream(&Told(|_, _| ()), next, &conduct, |(), _, outcome| {
+            if matches!(outcome, Outcome::Changed) {
+                is_over.store(true, Ordering::SeqCst);
+            }
+            letters_told += &letters(&[outcome]);
+        });
+    });
+    // Now and then the machine has no time for the writer while the file is read.
+    assert!(letters_told.trim_start_matches('c').starts_with("xc"), "{letters_told}");
+}
+
+#[test]
+fn loops_of_many_frames_and_of_two_streams_in_one_pool_all_end() {
+    for threads in [1, 2, 3] {
+        let pool = pool(threads);
+        let benches = [Bench::new(&[2; 40]), Bench::new(&[3; 40])];
+        // Loops whose pieces wait for pieces of their own.
+        let method = Told(|_, count| {
+            let sum: usize = (0..64usize)
+                .into_par_iter()
+                .map(|i| (0..64usize).into_par_iter().map(|j| (i * j) % count).sum::<usize>())
+                .sum();
+            assert!(sum > 0);
+        });
+        thread::scope(|scope| {
+            for bench in &benches {
+                scope.spawn(|| {
+                    let mut outcomes = Vec::new();
+                    run(&method, &bench.frames, &conduct(&pool), |_, outcome| outcomes.push(outcome));
+                    assert_eq!(letters(&outcomes), "c".repeat(40));
+                });
+            }
+        });
+    }
+}
+
+#[test]
+fn a_caller_that_panics_ends_it() {
+    let bench = Bench::new(&[2; 20]);
+    let pool = pool(2);
+    let mut frames = numbered(&bench);
+    let ended = catch_unwind(AssertUnwindSafe(|| {
+        stream(&Told(|_, _| ()), || frames.next(), &conduct(&pool), |_, _, _| panic!("a broken caller"));
+    }));
+    assert!(ended.is_err());
+    assert!(names_in(&bench.out()).iter().all(|name| !name.contains("tmp")));
+}
+
+#[test]
+fn a_full_disk_is_told_from_other_failures() {
+    let error = |during, code| {
+        FrameError::file("f.glb".as_ref(), during, std::io::Error::from_raw_os_error(code)).is_disk_full()
+    };
+    // ENOSPC, EDQUOT; EIO, EACCES.
+    let expected = if cfg!(target_os = "linux") { [true, true, false, false] } else { return };
+    assert_eq!([28, 122, 5, 13].map(|code| error(Stage::Write, code)), expected);
+    assert!(!error(Stage::Read, 28));
+}
+
+#[test]
+fn outputs_are_known_for_our_own_and_frames_are_not() {
+    let bench = Bench::new(&[2]);
+    run(&Told(|_, _| ()), &bench.frames, &conduct(&pool(1)), |_, _| ());
+    let names = names_in(&bench.out());
+    assert_eq!(names.len(), 4);
+    for name in names {
+        let path = bench.out().join(&name);
+        assert!(is_own_output(&path), "{name}");
+        // A copy that lost its end is ours still.
+        let bytes = fs::read(&path).expect("readable");
+        fs::write(&path, &bytes[..bytes.len() / 2 + 500.min(bytes.len() / 2)]).expect("written");
+        assert!(is_own_output(&path), "{name}");
+    }
+    assert!(!is_own_output(&bench.frames[0].input));
+    assert!(!is_own_output(&bench.out().join("missing.ply")));
+    assert!(!is_own_output(&bench.out()));
+}
