@@ -1,4 +1,6 @@
 //! `meniscus why`: why a frame was converted, or was not.
+//!
+//! By what the daemon was asked for: a file says it, or else the journal.
 
 use std::path::{Path, PathBuf};
 
@@ -7,9 +9,10 @@ use anyhow::{Context, Result, anyhow, bail};
 use crate::daemon::explain::{
     Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
 };
-use crate::daemon::journal::{FrameRecord, Standing};
+use crate::daemon::journal::{FrameRecord, PlanRecord, Standing, State};
+use crate::daemon::place::{below, known_path};
 use crate::daemon::selection::{Content, Selection};
-use crate::daemon::{Config, Watch};
+use crate::daemon::{Config, Patience, Watch};
 
 use super::Verdict;
 use super::args::{WatchArgs, WhyArgs};
@@ -23,30 +26,41 @@ use super::watch::make_plan;
 /// # Errors
 /// When there is neither such a file nor a record of it, or something cannot be read.
 pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
-    let frame = std::path::absolute(&args.file).context("the file has no name")?;
-    let config = config(args, &frame)?;
-    let watch = watch_of(&frame, args, &config)?;
+    let frame = known_path(&args.file).context("the file has no name")?;
+    let asked = match &args.config {
+        Some(file) => Asked::of_file(file, args)?,
+        None => Asked::of_journal(args, &frame)?,
+    };
+    // A journal is about one folder of outputs: who reads what it says need not choose among several.
+    let output = args.out.as_deref().filter(|_| args.config.is_some());
+    let watch = asked.watch_of(&frame, output)?;
+    let frame = below(&watch.input, &frame).unwrap_or(frame);
     let output = &watch.outputs.folder;
-    let journal = journal_folder(output, args.journal.as_deref().or(config.journal.as_deref()));
-    let state = read_journal(&journal)?;
+    let journal = journal_folder(output, asked.journal.as_deref());
+    let state = match asked.state {
+        Some(ref state) => state,
+        None => &read_journal(&journal)?,
+    };
     let record = state.frames.get(&frame);
     if record.is_none() && !frame.exists() {
         bail!("{}: no such file, and nothing is recorded of it in {}", frame.display(), journal.display());
     }
     let output_folders: Vec<PathBuf> =
-        config.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
-    // Without the daemon's file, nobody knows what it was asked for.
-    let settings = args.config.as_ref().and_then(|_| remembered_fingerprint(watch, &frame, &state));
+        asked.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
+    let settings = remembered_fingerprint(watch, &frame, state).filter(|_| asked.is_known);
     let explanation = explain(&Question {
         frame: &frame,
         watch,
         output_folders: &output_folders,
-        patience: &config.patience,
+        patience: &asked.patience,
         record,
         settings: settings.as_deref(),
     })
     .with_context(|| frame.display().to_string())?;
-    console.say(text(&frame, record, &explanation, now_ms()));
+    console.say(text(&frame, record, &explanation, asked.is_known, now_ms()));
+    if !asked.is_known {
+        console.say(UNKNOWN);
+    }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
     if is_to_come && matches!(Holder::of(output)?, Holder::Nobody) {
         console.say(format_args!("No daemon is at work in {}.", output.display()));
@@ -54,38 +68,77 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
     Ok(Verdict::Done)
 }
 
-/// The daemon's configuration: from its file, or what it is by default for the folder of the frame.
-fn config(args: &WhyArgs, frame: &Path) -> Result<Config> {
-    let watch_args = match &args.config {
-        Some(_) => WatchArgs { config: args.config.clone(), ..WatchArgs::default() },
-        None => WatchArgs {
-            inputs: vec![frame.parent().unwrap_or(frame).to_owned()],
-            out: args.out.clone(),
-            ..WatchArgs::default()
-        },
-    };
-    Ok(make_plan(&watch_args)?.config)
+const UNKNOWN: &str = "The journal does not say what the daemon was asked for: this is by its defaults. \
+                       --config tells its file.";
+
+/// What the daemon was asked for.
+struct Asked {
+    watches: Vec<Watch>,
+    patience: Patience,
+    /// The folder of its journal, where that is not beside the outputs.
+    journal: Option<PathBuf>,
+    /// The journal, where it was read to know the rest.
+    state: Option<State>,
+    /// Whether it is known, and not supposed.
+    is_known: bool,
 }
 
-/// The watch that the frame belongs to: of those around it, the one that takes its name, or else the
-/// innermost.
-fn watch_of<'a>(frame: &Path, args: &WhyArgs, config: &'a Config) -> Result<&'a Watch> {
-    let output = args.out.as_deref().map(std::path::absolute).transpose().context("--out has no name")?;
-    let is_meant = |watch: &&Watch| {
-        frame.starts_with(&watch.input) && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
-    };
-    let takes = |watch: &Watch| {
-        let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
-        selection.is_ok_and(|selection| selection.takes(&watch.input, frame))
-    };
-    let around = config.watches.iter().filter(is_meant);
-    around.max_by_key(|watch| (takes(watch), watch.input.components().count())).ok_or_else(|| {
-        anyhow!("{}: in none of the folders that are watched for these outputs", frame.display())
-    })
+impl Asked {
+    /// What a file asks for, whatever the journal says.
+    fn of_file(file: &Path, args: &WhyArgs) -> Result<Asked> {
+        let watch_args = WatchArgs { config: Some(file.to_owned()), ..WatchArgs::default() };
+        let Config { watches, patience, journal, .. } = make_plan(&watch_args)?.config;
+        let journal = args.journal.clone().or(journal);
+        Ok(Asked { watches, patience, journal, state: None, is_known: true })
+    }
+
+    /// What the journal says, or else what a daemon does by default in the folder of the frame.
+    fn of_journal(args: &WhyArgs, frame: &Path) -> Result<Asked> {
+        let output = args.out.as_deref().context("give --out, or --config")?;
+        let journal = journal_folder(output, args.journal.as_deref());
+        let mut state = read_journal(&journal)?;
+        let plan = state.plan.take();
+        let is_known = plan.is_some();
+        let PlanRecord { watches, patience } = match plan {
+            Some(plan) => plan,
+            None => {
+                let inputs = vec![frame.parent().unwrap_or(frame).to_owned()];
+                let watch_args = WatchArgs { inputs, out: Some(output.to_owned()), ..WatchArgs::default() };
+                let Config { watches, patience, .. } = make_plan(&watch_args)?.config;
+                PlanRecord { watches, patience }
+            }
+        };
+        Ok(Asked { watches, patience, journal: Some(journal), state: Some(state), is_known })
+    }
+
+    /// The watch that the frame belongs to: of those around it, the one that takes its name, or else the
+    /// innermost. Only those that write into `output`, where one is given.
+    fn watch_of(&self, frame: &Path, output: Option<&Path>) -> Result<&Watch> {
+        let output = output.map(known_path).transpose().context("--out has no name")?;
+        let is_meant = |watch: &&Watch| {
+            below(&watch.input, frame).is_some()
+                && output.as_ref().is_none_or(|out| *out == watch.outputs.folder)
+        };
+        let takes = |watch: &Watch| {
+            let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
+            let frame = below(&watch.input, frame).unwrap_or_else(|| frame.to_owned());
+            selection.is_ok_and(|selection| selection.takes(&watch.input, &frame))
+        };
+        let around = self.watches.iter().filter(is_meant);
+        around.max_by_key(|watch| (takes(watch), watch.input.components().count())).ok_or_else(|| {
+            anyhow!("{}: in none of the folders that are watched for these outputs", frame.display())
+        })
+    }
 }
 
 /// Everything, in lines.
-fn text(frame: &Path, record: Option<&FrameRecord>, explanation: &Explanation, now_ms: u64) -> String {
+fn text(
+    frame: &Path,
+    record: Option<&FrameRecord>,
+    explanation: &Explanation,
+    is_known: bool,
+    now_ms: u64,
+) -> String {
     let Explanation { is_taken, file, settings_hold, output_missing, verdict } = explanation;
     let mut lines = vec![frame.display().to_string()];
     let mut line = |name: &str, what: &str| lines.push(format!("  {name:<9} {what}"));
@@ -120,6 +173,7 @@ fn text(frame: &Path, record: Option<&FrameRecord>, explanation: &Explanation, n
             line(
                 "settings",
                 match settings_hold {
+                    None if is_known => "not compared: that needs a voxel size that is known",
                     None => "not compared: that needs --config, and a voxel size that is known",
                     Some(true) => "as recorded",
                     Some(false) => "not as recorded",

@@ -36,7 +36,7 @@ pub struct Config {
 }
 
 /// One folder to watch, and what becomes of the frames in it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Watch {
     /// The folder. It need not be there yet.
     pub input: PathBuf,
@@ -66,7 +66,7 @@ pub enum Order {
 }
 
 /// How long a file must be left alone before it is read.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Patience {
     /// One that its own format says is complete, or whose reader would find out.
     pub settle: Duration,

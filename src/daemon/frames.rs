@@ -52,14 +52,14 @@ pub(super) struct FrameState {
     pub(super) attempt_count: u32,
     /// The scan that saw it last.
     pub(super) scan_count: u64,
-    /// Some alarm is set for it.
-    has_alarm: bool,
+    /// When it asked to be looked at.
+    alarm_at: Option<Instant>,
 }
 
 impl FrameState {
     /// Whether it is not complete, and time alone does not help: it waits for another file.
     pub(super) fn is_stuck(&self) -> bool {
-        matches!(self.phase, Phase::Settling(_)) && !self.has_alarm
+        matches!(self.phase, Phase::Settling(_)) && self.alarm_at.is_none()
     }
 }
 
@@ -127,7 +127,7 @@ impl Frames {
             phase: Phase::Settling(candidate),
             attempt_count: 0,
             scan_count,
-            has_alarm: false,
+            alarm_at: None,
         };
         self.all.insert(id.clone(), state);
     }
@@ -140,12 +140,12 @@ impl Frames {
         self.all.iter()
     }
 
-    /// Has [`Frames::next_alarm`] name the frame at this time; one alarm for each is enough.
+    /// Has [`Frames::next_alarm`] name the frame at this time, unless it will be named before.
     pub(super) fn set_alarm(&mut self, id: &FrameId, at: Instant) {
         if let Some(frame) = self.all.get_mut(id)
-            && !frame.has_alarm
+            && frame.alarm_at.is_none_or(|earlier| at < earlier)
         {
-            frame.has_alarm = true;
+            frame.alarm_at = Some(at);
             self.alarms.push(Reverse((at, id.clone())));
         }
     }
@@ -160,9 +160,11 @@ impl Frames {
         if self.alarm_at()? > now {
             return None;
         }
-        let Reverse((_, id)) = self.alarms.pop()?;
-        if let Some(frame) = self.all.get_mut(&id) {
-            frame.has_alarm = false;
+        let Reverse((at, id)) = self.alarms.pop()?;
+        if let Some(frame) = self.all.get_mut(&id)
+            && frame.alarm_at == Some(at)
+        {
+            frame.alarm_at = None;
         }
         Some(id)
     }

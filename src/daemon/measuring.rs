@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use crate::pipeline::natural_order;
 
 use super::frames::{FrameId, FrameState, Phase};
+use super::journal::Standing;
 use super::rounds::Daemon;
 use super::sequences::{MeasureOrder, Measured, SequenceSettings};
 
@@ -59,6 +60,9 @@ impl Daemon<'_> {
         let sequence = self.sequences.get_mut(index);
         sequence.sparse.extend(sparse.iter().map(|path| FrameId::new(root, path)));
         sequence.settings = SequenceSettings::new(&self.config.watches[root], record.as_ref());
+        if record.is_none() {
+            self.tell_of_sparse(index, &sparse);
+        }
         for (path, error) in &unreadable {
             let id = FrameId::new(root, path);
             if let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp()) {
@@ -77,16 +81,34 @@ impl Daemon<'_> {
         self.dirty_sequences.insert(index);
     }
 
+    /// Frames wait for another one, which whoever waits for them should know.
+    fn tell_of_sparse(&mut self, index: usize, sparse: &[PathBuf]) {
+        let sequence = self.sequences.get_mut(index);
+        let root = sequence.root;
+        if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_told, true) {
+            tracing::warn!(
+                sequence = %sequence.key.folder.join(&sequence.key.name).display(),
+                "{TOO_SPARSE_YET}"
+            );
+        }
+        for path in sparse {
+            let id = FrameId::new(root, path);
+            if let Some(stamp) = self.frames.get(&id).map(|frame| frame.phase.stamp()) {
+                self.note(&id, Standing::Queued, stamp, Some(TOO_SPARSE_YET.to_owned()));
+            }
+        }
+    }
+
     fn tell_settings(&self, index: usize) {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return };
         tracing::info!(
             sequence = %sequence.key.folder.join(&sequence.key.name).display(),
-            voxel_size = settings.voxel_size,
-            radius_min = settings.radius_min,
-            radius_init = settings.radius_init,
-            radius_max = settings.radius_max,
-            "settings are fixed"
+            voxel_size = six_digits(settings.voxel_size),
+            radius_min = six_digits(settings.radius_min),
+            radius_init = six_digits(settings.radius_init),
+            radius_max = six_digits(settings.radius_max),
+            "measured the voxel size, for all frames of the sequence"
         );
         for warning in settings.warnings() {
             tracing::warn!(sequence = %sequence.key.name, "{warning}");
@@ -99,4 +121,13 @@ impl Daemon<'_> {
             |frame: &FrameState| frame.sequence == sequence && matches!(frame.phase, Phase::Held(_));
         self.frames.iter().filter(|(_, frame)| is_held(frame)).map(|(id, _)| id.clone()).collect()
     }
+}
+
+/// Why frames wait.
+const TOO_SPARSE_YET: &str = "no frame of its sequence has had the 33 distinct particles yet that it takes to \
+                              measure their spacing: waiting for one; --voxel-size would do instead";
+
+/// Six significant digits: as many as anybody reads.
+fn six_digits(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
 }

@@ -31,6 +31,7 @@ mod looking;
 mod measuring;
 pub mod mounts;
 mod outcomes;
+pub mod place;
 mod queue;
 pub mod readiness;
 mod rescans;

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 use super::config::{Config, Patience, Poll, Watch};
 use super::mounts::{RootIdentity, network_file_system};
+use super::place::known_path;
 use super::scan::{Scan, scan};
 use super::selection::{PatternError, Selection};
 use super::watcher::{WatchError, Watcher};
@@ -66,7 +67,7 @@ impl<'a> Root<'a> {
         config: &Config,
         excluded: Vec<PathBuf>,
     ) -> Result<Root<'a>, PatternError> {
-        let path = std::path::absolute(&watch.input).unwrap_or_else(|_| watch.input.clone());
+        let path = known_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
         let poll = match config.poll {
             Poll::Every(interval) => Some(interval),
             Poll::Auto => None,

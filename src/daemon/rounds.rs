@@ -9,7 +9,7 @@ use crossbeam::channel::{Receiver, Sender, never, select};
 
 use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
 
-use super::config::Config;
+use super::config::{Config, Watch};
 use super::frames::{FrameId, FrameState, Frames, Phase, Tally};
 use super::journal::{DaemonRecord, DaemonState, Journal, Standing};
 use super::lock::host_name;
@@ -115,6 +115,7 @@ impl<'a> Daemon<'a> {
         measured: &Receiver<Measured>,
         notices: &mut dyn FnMut(Notice),
     ) -> Result<Summary, DaemonError> {
+        self.note_plan();
         self.note_daemon(&DaemonState::Running);
         for root in 0..self.roots.len() {
             self.scan_root(root);
@@ -468,6 +469,13 @@ impl<'a> Daemon<'a> {
             Command::Finish => Ended::Finish,
             Command::Reload => Ended::Reload,
         })
+    }
+
+    /// Writes down what the daemon was asked for, for whoever asks the journal.
+    fn note_plan(&mut self) {
+        let of_root = |root: &Root| Watch { input: root.path.clone(), ..root.watch.clone() };
+        let watches: Vec<Watch> = self.roots.iter().map(of_root).collect();
+        self.stores.note_plan(&watches, self.config.patience);
     }
 
     /// Writes down what the daemon is doing, for whoever asks the journal.

@@ -42,6 +42,8 @@ pub(super) struct Sequence {
     pub(super) settings: SequenceSettings,
     /// Frames that were looked at and have too few particles to measure the spacing.
     pub(super) sparse: HashSet<FrameId>,
+    /// That its frames wait for one with more particles was told.
+    pub(super) is_told: bool,
 }
 
 impl Sequence {
@@ -84,7 +86,7 @@ impl Sequences {
         let (_, folder, name) = place.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
         let settings = new(&key);
-        self.all.push(Sequence { key, root: id.root, settings, sparse: HashSet::new() });
+        self.all.push(Sequence { key, root: id.root, settings, sparse: HashSet::new(), is_told: false });
         self.index_of.insert(place, self.all.len() - 1);
         self.all.len() - 1
     }

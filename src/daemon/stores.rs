@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use crate::pipeline::sweep_temporaries;
 
 use super::DaemonError;
-use super::config::Config;
-use super::journal::{Journal, STATE_FOLDER};
+use super::config::{Config, Patience, Watch};
+use super::journal::{Journal, PlanRecord, STATE_FOLDER};
 use super::lock::{LockError, OutputLock};
 use super::mounts::RootIdentity;
 
@@ -84,6 +84,17 @@ impl Stores {
 
     pub(super) fn iter_mut(&mut self) -> impl Iterator<Item = &mut Store> {
         self.all.iter_mut()
+    }
+
+    /// Writes down, beside each folder of outputs, which of the `watches` write into it.
+    pub(super) fn note_plan(&mut self, watches: &[Watch], patience: Patience) {
+        for (index, store) in self.all.iter_mut().enumerate() {
+            let of_store = watches.iter().zip(&self.of_watch).filter(|(_, of)| **of == index);
+            let watches = of_store.map(|(watch, _)| watch.clone()).collect();
+            if let Err(error) = store.journal.note_plan(PlanRecord { watches, patience }) {
+                tracing::warn!(folder = %store.folder.display(), "cannot write the journal: {error}");
+            }
+        }
     }
 }
 

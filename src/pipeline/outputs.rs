@@ -44,7 +44,7 @@ impl OutputFormat {
 }
 
 /// What is written of each frame, and where.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OutputOptions {
     /// The folder of all outputs. It is made where it is missing.
     pub folder: PathBuf,

@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use meniscus::daemon::Watch;
 use meniscus::daemon::journal::{FrameRecord, Journal, OutputRecord, Standing};
 use meniscus::daemon::lock::OutputLock;
 use meniscus::pipeline::FileStamp;
@@ -130,7 +131,8 @@ fn why_tells_everything_that_decides() {
     };
     let typed = ["--out", "out"];
     // It was written just now: whether it has settled is a matter of half a second.
-    tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It "]);
+    let unknown = "The journal does not say what the daemon was asked for";
+    tells("in/dam.1.ply", &typed, &["journal   nothing", "content   particles", "It ", unknown]);
     tells("in/notes.md", &typed, &["not one of a frame", "It is not converted because its name"]);
 
     fs::create_dir(&out).expect("made");
@@ -160,5 +162,74 @@ fn why_tells_everything_that_decides() {
         let ran = why(frame, options);
         assert_eq!(ran.status, 2);
         assert!(ran.err.contains(words), "{}", ran.err);
+    }
+}
+
+#[test]
+fn the_journal_says_what_the_daemon_was_asked_for() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 1);
+    fs::write(path.join("in/dam.1.ok"), "").expect("written");
+    fs::copy(path.join("in/dam.1.ply"), path.join("in/spray.1.ply")).expect("copied");
+    let asked = ["--pattern", "dam.*.ply", "--radius-ratio", "1.5", "--sentinel", "{stem}.ok"];
+    let ran = meniscus(path, &[&["watch", "in", "--out", "out", "--once"], &asked[..]].concat());
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let tells = |frame: &str, words: &[&str]| {
+        let ran = meniscus(path, &["why", frame, "--out", "out"]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        for word in words {
+            assert!(ran.out.contains(word), "{} does not say {word}", ran.out);
+        }
+        assert!(!ran.out.contains("does not say what the daemon was asked for"), "{}", ran.out);
+    };
+    tells("in/dam.1.ply", &["name      one of a frame", "settings  as recorded", "because it is done"]);
+    tells("in/spray.1.ply", &["name      not one of a frame", "It is not converted because its name"]);
+    write_sequence(&path.join("in"), 2, 2);
+    tells("in/dam.2.ply", &["It is not converted yet because its sentinel", "No daemon is at work"]);
+    let elsewhere = meniscus(path, &["why", "out/dam.1.glb", "--out", "out"]);
+    assert!(elsewhere.err.contains("in none of the folders that are watched"), "{}", elsewhere.err);
+    let status = meniscus(path, &["status", "--out", "out"]);
+    let watched =
+        format!("{}, only dam.*.ply, each when its {{stem}}.ok is there", path.join("in").display());
+    assert!(status.out.contains(&watched), "{}", status.out);
+
+    // As if it had been started again with other settings.
+    let ask = |change: &dyn Fn(&mut Watch)| {
+        let mut journal = Journal::open(&path.join("out/.meniscus")).expect("a journal");
+        let mut plan = journal.state().plan.clone().expect("a plan");
+        change(&mut plan.watches[0]);
+        journal.note_plan(plan).expect("noted");
+    };
+    ask(&|watch| watch.choices.radius_ratio = Some(1.25));
+    tells("in/dam.1.ply", &["settings  not compared: that needs a voxel size that is known"]);
+    ask(&|watch| watch.voxel_size = Some(0.05));
+    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings are others"]);
+    // The file wins.
+    fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
+    let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
+    assert!(spray.out.contains("name      one of a frame"), "{}", spray.out);
+}
+
+#[test]
+fn each_journal_says_what_is_watched_for_its_own_outputs() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    let blocks = [("water", "out"), ("spray", "out"), ("dust", "other")]
+        .map(|(input, output)| format!("[[watch]]\ninput = \"{input}\"\noutput = \"{output}\"\n"));
+    fs::write(path.join("meniscus.toml"), blocks.concat()).expect("written");
+    for input in ["water", "spray", "dust"] {
+        fs::create_dir(path.join(input)).expect("made");
+    }
+    let ran = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
+    assert!(ran.err.contains("everything is done"), "{}", ran.err);
+    for (output, inputs) in [("out", &["water", "spray"][..]), ("other", &["dust"])] {
+        let status = meniscus(path, &["status", "--out", output, "--json"]);
+        let json: serde_json::Value = serde_json::from_str(&status.out).expect("JSON");
+        let watched: Vec<_> =
+            json["watches"].as_array().expect("a list").iter().map(|watch| watch["input"].clone()).collect();
+        let expected: Vec<_> = inputs.iter().map(|input| serde_json::json!(path.join(input))).collect();
+        assert_eq!(watched, expected);
     }
 }

@@ -34,7 +34,7 @@ pub(in crate::cli) struct WhyArgs {
     #[arg(long, value_name = "DIR")]
     pub(in crate::cli) journal: Option<PathBuf>,
 
-    /// The daemon's file: with it the settings are compared, too
+    /// The daemon's file; without it, its journal says what it was asked for
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) config: Option<PathBuf>,
 }
@@ -54,6 +54,8 @@ JSON: an object with
                      paused_because  why, where it is paused
                      pid, host, started_ms, at_ms
                                      of the daemon that was last there; at_ms: in this state since
+  watches          the folders that are, or were last, watched for these results, each with input,
+                   pattern, recursive, sentinel and formats; null where the journal does not say
   counts           how many frames are done, queued, retrying, failed
   failed, retrying, last_done
                    frames, each with input, outputs, attempts and at_ms, and where they are known

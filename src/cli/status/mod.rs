@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
+use crate::daemon::Watch;
 use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State};
 use crate::daemon::lock::{LockError, OutputLock};
 use crate::pipeline::natural_order;
@@ -28,6 +29,8 @@ struct StatusRecord {
     journal: PathBuf,
     /// Null where none is known.
     daemon: Option<DaemonStatus>,
+    /// Null where the journal does not say.
+    watches: Option<Vec<WatchStatus>>,
     counts: Counts,
     /// In natural order.
     failed: Vec<FrameStatus>,
@@ -52,6 +55,15 @@ struct DaemonStatus {
     started_ms: Option<u64>,
     /// Since when it is in this state.
     at_ms: Option<u64>,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct WatchStatus {
+    input: PathBuf,
+    pattern: Option<String>,
+    recursive: bool,
+    sentinel: Option<String>,
+    formats: Vec<&'static str>,
 }
 
 #[derive(Debug, Default, PartialEq, Serialize)]
@@ -165,6 +177,7 @@ impl StatusRecord {
             output: output.to_owned(),
             journal: journal.to_owned(),
             daemon: DaemonStatus::new(state, holder),
+            watches: state.plan.as_ref().map(|plan| plan.watches.iter().map(WatchStatus::new).collect()),
             counts,
             failed: told(&failed),
             retrying: told(&retrying),
@@ -203,6 +216,18 @@ impl DaemonStatus {
             started_ms: record.map(|record| record.started_ms),
             at_ms: record.map(|record| record.at_ms),
         })
+    }
+}
+
+impl WatchStatus {
+    fn new(watch: &Watch) -> WatchStatus {
+        WatchStatus {
+            input: watch.input.clone(),
+            pattern: watch.pattern.clone(),
+            recursive: watch.recursive,
+            sentinel: watch.sentinel.clone(),
+            formats: watch.outputs.formats.iter().map(|format| format.extension()).collect(),
+        }
     }
 }
 

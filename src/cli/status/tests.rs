@@ -1,6 +1,10 @@
 use super::*;
-use crate::daemon::journal::{DaemonRecord, OutputRecord};
-use crate::pipeline::FileStamp;
+use crate::daemon::Patience;
+use crate::daemon::journal::{DaemonRecord, OutputRecord, PlanRecord};
+use crate::pipeline::{FileStamp, OutputFormat, OutputOptions};
+use crate::settings::Choices;
+
+use std::time::Duration;
 
 fn frame(standing: Standing, at_ms: u64) -> FrameRecord {
     FrameRecord {
@@ -41,6 +45,31 @@ fn state() -> State {
     state
 }
 
+/// A folder that is watched with every condition there is, and with none.
+fn plan() -> PlanRecord {
+    let watch = Watch {
+        input: "/sim".into(),
+        pattern: Some("dam.*".into()),
+        recursive: true,
+        sentinel: Some("{name}.ok".into()),
+        outputs: OutputOptions {
+            folder: "/out".into(),
+            formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
+            up: meniscus_formats::gltf::UpAxis::Y,
+            vdb_half: false,
+            vdb_compression: meniscus_formats::vdb::Compression::Blosc,
+        },
+        voxel_size: None,
+        choices: Choices::default(),
+    };
+    let bare = Watch { pattern: None, recursive: false, sentinel: None, ..watch.clone() };
+    let time = Duration::ZERO;
+    PlanRecord {
+        watches: vec![watch, bare],
+        patience: Patience { settle: time, unproven: time, stalled: time },
+    }
+}
+
 fn record(state: &State, holder: Holder) -> StatusRecord {
     StatusRecord::new(Path::new("/out"), Path::new("/out/.meniscus"), state, holder)
 }
@@ -69,6 +98,10 @@ fn text_tells_what_json_tells() {
     assert_eq!(lines[23], "  and 5 more: --json has them all");
     assert_eq!(lines[25], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
     assert_eq!(lines[27], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
+    let planned = record(&State { plan: Some(plan()), ..state() }, Holder::Nobody).text(64_000);
+    let watched: Vec<&str> = planned.lines().skip(2).take(3).collect();
+    let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok is there, as glb, vdb";
+    assert_eq!(watched, ["watched:", all, "  /sim, as glb, vdb"]);
     let damaged = State { damaged_line_count: 2, ..state() };
     assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
 }
@@ -103,21 +136,24 @@ fn whether_a_daemon_runs_is_asked_of_the_lock() {
 
 #[test]
 fn json_has_the_documented_fields() {
-    let record = record(&state(), Holder::Daemon("pid 12 on render-04".into()));
+    let state = State { plan: Some(plan()), ..state() };
+    let record = record(&state, Holder::Daemon("pid 12 on render-04".into()));
     let json = serde_json::to_value(&record).expect("JSON");
     let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();
-    assert_eq!(keys.len(), 8);
+    assert_eq!(keys.len(), 9);
     let help = <crate::cli::args::Typed as clap::CommandFactory>::command()
         .find_subcommand_mut("status")
         .expect("the command")
         .render_long_help()
         .to_string();
     let lists = ["daemon", "counts"].map(|key| json[key].as_object().expect("an object"));
-    let frames = ["failed", "last_done"].map(|key| json[key][0].as_object().expect("an object"));
+    let frames = ["failed", "last_done", "watches"].map(|key| json[key][0].as_object().expect("an object"));
     for key in keys.into_iter().chain(lists.into_iter().chain(frames).flat_map(|object| object.keys())) {
         assert!(help.contains(key.as_str()), "the help does not explain {key}");
     }
     assert_eq!(json["counts"]["failed"], 25);
+    assert_eq!(json["watches"][0]["formats"], serde_json::json!(["glb", "vdb"]));
+    assert_eq!(json["watches"][1]["pattern"], serde_json::Value::Null);
     assert_eq!(json["failed"].as_array().map(Vec::len), Some(25));
     assert_eq!(json["daemon"]["running"], true);
 }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use crate::cli::clock::ago;
 use crate::cli::wording::{counted, significant};
 
-use super::{Counts, DaemonStatus, FrameStatus, StatusRecord};
+use super::{Counts, DaemonStatus, FrameStatus, StatusRecord, WatchStatus};
 
 /// More than so many are counted and not told: `--json` has all.
 const TOLD_MAX: usize = 20;
@@ -22,6 +22,12 @@ impl StatusRecord {
             "{}: {daemon}\n{done} done, {queued} queued, {retrying} to retry, {failed} failed",
             self.output.display()
         );
+        if let Some(watches) = &self.watches {
+            text += "\nwatched:";
+            for watch in watches {
+                text += &format!("\n  {}", watch.text());
+            }
+        }
         let lists = [("failed", &self.failed), ("to retry", &self.retrying), ("done last", &self.last_done)];
         for (title, frames) in lists.into_iter().filter(|(_, frames)| !frames.is_empty()) {
             text += &format!("\n{title}:");
@@ -60,6 +66,22 @@ impl DaemonStatus {
             }
             (state, _) => format!("{state} ({who})"),
         }
+    }
+}
+
+impl WatchStatus {
+    fn text(&self) -> String {
+        let mut text = self.input.display().to_string();
+        if self.recursive {
+            text += " and its sub-folders";
+        }
+        if let Some(pattern) = &self.pattern {
+            text += &format!(", only {pattern}");
+        }
+        if let Some(sentinel) = &self.sentinel {
+            text += &format!(", each when its {sentinel} is there");
+        }
+        text + ", as " + &self.formats.join(", ")
     }
 }
 

@@ -27,6 +27,7 @@ use twox_hash::XxHash3_64;
 
 use crate::pipeline::FileStamp;
 
+use super::plan::WirePlan;
 use super::state::{
     DaemonRecord, DaemonState, Entry, EntryRef, FrameRecord, OutputRecord, SequenceKey, SequenceRecord,
     Standing,
@@ -65,6 +66,7 @@ enum WireEntry {
     Frame(WireFrame),
     Sequence(WireSequence),
     Daemon(WireDaemon),
+    Plan(WirePlan),
 }
 
 #[derive(Serialize, Deserialize)]
@@ -136,7 +138,7 @@ enum WireState {
 
 #[derive(Serialize, Deserialize)]
 #[serde(untagged)]
-enum WirePath {
+pub(super) enum WirePath {
     Text(String),
     Units(Vec<u16>),
 }
@@ -147,6 +149,7 @@ impl From<EntryRef<'_>> for WireEntry {
             EntryRef::Frame(input, record) => WireEntry::Frame(WireFrame::of(input, record)),
             EntryRef::Sequence(key, record) => WireEntry::Sequence(WireSequence::of(key, record)),
             EntryRef::Daemon(record) => WireEntry::Daemon(WireDaemon::of(record)),
+            EntryRef::Plan(record) => WireEntry::Plan(WirePlan::of(record)),
         }
     }
 }
@@ -157,6 +160,7 @@ impl WireEntry {
             WireEntry::Frame(frame) => frame.into_entry(),
             WireEntry::Sequence(sequence) => sequence.into_entry(),
             WireEntry::Daemon(daemon) => Some(daemon.into_entry()),
+            WireEntry::Plan(plan) => plan.into_record().map(Entry::Plan),
         }
     }
 }
@@ -282,14 +286,14 @@ impl WireDaemon {
 }
 
 impl WirePath {
-    fn of(path: &Path) -> WirePath {
+    pub(super) fn of(path: &Path) -> WirePath {
         match path.to_str() {
             Some(text) => WirePath::Text(text.to_owned()),
             None => WirePath::Units(units(path)),
         }
     }
 
-    fn into_path(self) -> Option<PathBuf> {
+    pub(super) fn into_path(self) -> Option<PathBuf> {
         match self {
             WirePath::Text(text) => Some(PathBuf::from(text)),
             WirePath::Units(units) => from_units(&units).map(PathBuf::from),
@@ -333,6 +337,7 @@ mod tests {
             Entry::Frame(input, record) => EntryRef::Frame(input, record),
             Entry::Sequence(key, record) => EntryRef::Sequence(key, record),
             Entry::Daemon(record) => EntryRef::Daemon(record),
+            Entry::Plan(record) => EntryRef::Plan(record),
         };
         push_line(&mut line, entry_ref).expect("a line");
         let end = line.iter().position(|&byte| byte == b'\n').expect("an end");

@@ -7,8 +7,8 @@
 //!   c2609b1ea0f347d8 {"frame":{"input":"/sim/dam.00                                     torn: cut off
 //! ```
 //!
-//! It says which frames are done, so that they are not converted again, which failed and why, and
-//! which settings a sequence was given. The last record of a frame holds.
+//! It says which frames are done, so that they are not converted again, which failed and why, which
+//! settings a sequence was given, and what the daemon was asked for. The last record of a frame holds.
 //!
 //! **Losing it only costs work.** Outputs are on the disk before they have their names, and say
 //! themselves what they were made from; without a journal, frames are read again and found done.
@@ -27,6 +27,7 @@
 //! One daemon writes a journal: the lock of the outputs sees to that. Anybody may read it meanwhile.
 
 mod line;
+mod plan;
 mod state;
 #[cfg(test)]
 mod tests;
@@ -42,7 +43,8 @@ use line::{parse_line, push_line};
 use state::{Entry, Key};
 
 pub use state::{
-    DaemonRecord, DaemonState, FrameRecord, OutputRecord, SequenceKey, SequenceRecord, Standing, State,
+    DaemonRecord, DaemonState, FrameRecord, OutputRecord, PlanRecord, SequenceKey, SequenceRecord, Standing,
+    State,
 };
 
 /// The folder, in that of the outputs, of what the daemon keeps for itself.
@@ -89,7 +91,7 @@ impl Journal {
         fs::create_dir_all(folder)?;
         let path = folder.join(FILE_NAME);
         let loaded = match load(&path)? {
-            Found::Journal(loaded) => loaded,
+            Found::Journal(loaded) => *loaded,
             Found::OtherVersion => {
                 set_aside(&path)?;
                 Loaded::default()
@@ -165,6 +167,15 @@ impl Journal {
     pub fn note_daemon(&mut self, record: DaemonRecord) -> io::Result<()> {
         self.state.take(Entry::Daemon(record));
         self.note(Key::Daemon)
+    }
+
+    /// Remembers what the daemon was asked for.
+    ///
+    /// # Errors
+    /// As those of [`Journal::note_frame`].
+    pub fn note_plan(&mut self, record: PlanRecord) -> io::Result<()> {
+        self.state.take(Entry::Plan(record));
+        self.note(Key::Plan)
     }
 
     /// Writes what is pending and waits until all of it is on the disk: for the end of a run.
@@ -275,7 +286,7 @@ impl Journal {
 
 /// What there is under the name of a journal.
 enum Found {
-    Journal(Loaded),
+    Journal(Box<Loaded>),
     OtherVersion,
 }
 
@@ -293,14 +304,14 @@ struct Loaded {
 fn load(path: &Path) -> io::Result<Found> {
     match File::open(path) {
         Ok(file) => parse(BufReader::new(file)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Found::Journal(Loaded::default())),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Found::Journal(Box::default())),
         Err(error) => Err(error),
     }
 }
 
 /// Reads a journal, whole lines only.
 fn parse(mut reader: impl BufRead) -> io::Result<Found> {
-    let mut loaded = Loaded::default();
+    let mut loaded = Box::<Loaded>::default();
     let mut line = Vec::new();
     reader.read_until(b'\n', &mut line)?;
     if line != VERSION_LINE {

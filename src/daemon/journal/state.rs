@@ -1,9 +1,11 @@
-//! What the journal knows: the last record of each frame, each sequence, and the daemon itself.
+//! What the journal knows: the last record of each frame, each sequence, and the daemon itself, and what it
+//! was asked for.
 
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use crate::daemon::config::{Patience, Watch};
 use crate::pipeline::FileStamp;
 
 /// All that is remembered.
@@ -15,6 +17,8 @@ pub struct State {
     pub sequences: HashMap<SequenceKey, SequenceRecord>,
     /// The daemon that wrote last. That it says "running" is no proof that it is.
     pub daemon: Option<DaemonRecord>,
+    /// What it was asked for.
+    pub plan: Option<PlanRecord>,
     /// Lines of the journal that could not be read, and were passed over.
     pub damaged_line_count: usize,
 }
@@ -113,6 +117,16 @@ pub struct DaemonRecord {
     pub at_ms: u64,
 }
 
+/// What a daemon was asked for, as far as it concerns the outputs that the journal is about. Apart from
+/// [`DaemonRecord`], so that it is written once in a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlanRecord {
+    /// The folders that are watched for these outputs.
+    pub watches: Vec<Watch>,
+    /// How long files must be left alone.
+    pub patience: Patience,
+}
+
 /// What a daemon is doing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum DaemonState {
@@ -152,6 +166,7 @@ pub(super) enum Key {
     Frame(PathBuf),
     Sequence(SequenceKey),
     Daemon,
+    Plan,
 }
 
 /// One record, as a line holds it.
@@ -160,6 +175,7 @@ pub(super) enum Entry {
     Frame(PathBuf, FrameRecord),
     Sequence(SequenceKey, SequenceRecord),
     Daemon(DaemonRecord),
+    Plan(PlanRecord),
 }
 
 /// One record, where it lies in the state.
@@ -168,6 +184,7 @@ pub(super) enum EntryRef<'a> {
     Frame(&'a Path, &'a FrameRecord),
     Sequence(&'a SequenceKey, &'a SequenceRecord),
     Daemon(&'a DaemonRecord),
+    Plan(&'a PlanRecord),
 }
 
 impl State {
@@ -181,6 +198,7 @@ impl State {
                 self.sequences.insert(key, record);
             }
             Entry::Daemon(record) => self.daemon = Some(record),
+            Entry::Plan(record) => self.plan = Some(record),
         }
     }
 
@@ -190,6 +208,7 @@ impl State {
             Key::Frame(input) => self.frames.get(input).map(|record| EntryRef::Frame(input, record)),
             Key::Sequence(key) => self.sequences.get(key).map(|record| EntryRef::Sequence(key, record)),
             Key::Daemon => self.daemon.as_ref().map(EntryRef::Daemon),
+            Key::Plan => self.plan.as_ref().map(EntryRef::Plan),
         }
     }
 
@@ -197,11 +216,13 @@ impl State {
     pub(super) fn entries(&self) -> impl Iterator<Item = EntryRef<'_>> {
         let frames = self.frames.iter().map(|(input, record)| EntryRef::Frame(input, record));
         let sequences = self.sequences.iter().map(|(key, record)| EntryRef::Sequence(key, record));
-        frames.chain(sequences).chain(self.daemon.as_ref().map(EntryRef::Daemon))
+        let plan = self.plan.as_ref().map(EntryRef::Plan);
+        frames.chain(sequences).chain(plan).chain(self.daemon.as_ref().map(EntryRef::Daemon))
     }
 
     /// How many records there are.
     pub(super) fn entry_count(&self) -> usize {
-        self.frames.len() + self.sequences.len() + usize::from(self.daemon.is_some())
+        let of_daemon = usize::from(self.daemon.is_some()) + usize::from(self.plan.is_some());
+        self.frames.len() + self.sequences.len() + of_daemon
     }
 }

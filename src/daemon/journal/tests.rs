@@ -1,6 +1,9 @@
 //! The journal as it is found after crashes, full disks, and by other programs.
 
 use std::io::{Seek, SeekFrom};
+use std::time::Duration;
+
+use crate::daemon::config::Patience;
 
 use super::*;
 
@@ -46,11 +49,19 @@ fn daemon_record(state: DaemonState) -> DaemonRecord {
     DaemonRecord { pid: 12, host: "render-04".to_owned(), started_ms: 1, state, at_ms: 2 }
 }
 
+fn plan_record() -> PlanRecord {
+    let patience =
+        Patience { settle: Duration::from_millis(500), unproven: Duration::ZERO, stalled: Duration::MAX };
+    PlanRecord { watches: Vec::new(), patience }
+}
+
 /// Some of everything, and the states there were on the way, the empty one first.
 fn write_some(folder: &Path) -> Vec<State> {
     let mut journal = open(folder);
     let mut states = vec![journal.state().clone()];
     let mut remember = |journal: &Journal| states.push(journal.state().clone());
+    journal.note_plan(plan_record()).expect("noted");
+    remember(&journal);
     journal.note_daemon(daemon_record(DaemonState::Running)).expect("noted");
     remember(&journal);
     let (key, record) = sequence();
@@ -154,6 +165,7 @@ fn check_was_written(state: &State, states: &[State]) {
     for (key, record) in &state.sequences {
         assert!(states.iter().any(|state| state.sequences.get(key) == Some(record)), "{record:?}");
     }
+    assert!(states.iter().any(|earlier| earlier.plan == state.plan), "{:?}", state.plan);
     assert!(states.iter().any(|earlier| earlier.daemon == state.daemon), "{:?}", state.daemon);
 }
 

@@ -20,6 +20,7 @@ use anyhow::{Context, Result, anyhow, bail};
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 use crate::cli::choices::{choices, ignored, output_options};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::daemon::place::known_path;
 use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
 use crate::pipeline::{default_in_flight, default_memory_bytes};
@@ -231,10 +232,9 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
     Ok(Patience { settle, unproven, stalled })
 }
 
-/// From the root: a daemon may be started again from another folder, and its journal must know
-/// the frames.
+/// The same from wherever the daemon is started: its journal must know the frames.
 fn absolute(path: &Path) -> Result<PathBuf> {
-    std::path::absolute(path).with_context(|| format!("`{}` is no path", path.display()))
+    known_path(path).with_context(|| format!("`{}` is no path", path.display()))
 }
 
 const SETTLE: Duration = Duration::from_millis(500);

@@ -1,0 +1,325 @@
+//! What a daemon was asked for, in its line.
+//!
+//! As in all lines, names and structs are their own, and numbers that results depend on are text: what
+//! `why` compares must be the settings to the last bit.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use meniscus_formats::gltf::UpAxis;
+use meniscus_formats::vdb::Compression;
+
+use crate::daemon::config::{Patience, Watch};
+use crate::pipeline::{OutputFormat, OutputOptions};
+use crate::settings::{Choices, Contouring, Integrator};
+
+use super::line::WirePath;
+use super::state::PlanRecord;
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct WirePlan {
+    watches: Vec<WireWatch>,
+    settle: Duration,
+    unproven: Duration,
+    stalled: Duration,
+}
+
+#[derive(Serialize, Deserialize)]
+struct WireWatch {
+    input: WirePath,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pattern: Option<String>,
+    recursive: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sentinel: Option<String>,
+    outputs: WireOutputs,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    voxel_size: Option<String>,
+    choices: WireChoices,
+}
+
+#[derive(Serialize, Deserialize)]
+struct WireOutputs {
+    folder: WirePath,
+    formats: Vec<WireFormat>,
+    up: WireUp,
+    vdb_half: bool,
+    vdb_compression: WireCompression,
+}
+
+#[derive(Serialize, Deserialize)]
+struct WireChoices {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    radius_min: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    radius_ratio: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    radius_init: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    integrator: Option<WireIntegrator>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    laplacian_steps: Option<u32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    steps: Option<u32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    step_size: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    redistance_every: Option<u32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    cg_tolerance: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    contouring: Option<WireContouring>,
+}
+
+/// The lines' own form of an enum, and the ways there and back.
+macro_rules! wire_enum {
+    ($wire:ident of $kind:ident: $($variant:ident),+) => {
+        #[derive(Clone, Copy, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        enum $wire {
+            $($variant),+
+        }
+
+        impl From<$kind> for $wire {
+            fn from(value: $kind) -> $wire {
+                match value {
+                    $($kind::$variant => $wire::$variant),+
+                }
+            }
+        }
+
+        impl From<$wire> for $kind {
+            fn from(value: $wire) -> $kind {
+                match value {
+                    $($wire::$variant => $kind::$variant),+
+                }
+            }
+        }
+    };
+}
+
+wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply);
+wire_enum!(WireUp of UpAxis: Y, Z);
+wire_enum!(WireCompression of Compression: None, ActiveMask, Blosc);
+wire_enum!(WireIntegrator of Integrator: Fast, Implicit, Explicit);
+wire_enum!(WireContouring of Contouring: Dual, Tetrahedra);
+
+impl WirePlan {
+    pub(super) fn of(record: &PlanRecord) -> WirePlan {
+        let Patience { settle, unproven, stalled } = record.patience;
+        WirePlan { watches: record.watches.iter().map(WireWatch::of).collect(), settle, unproven, stalled }
+    }
+
+    pub(super) fn into_record(self) -> Option<PlanRecord> {
+        let WirePlan { watches, settle, unproven, stalled } = self;
+        let watches = watches.into_iter().map(WireWatch::into_watch).collect::<Option<_>>()?;
+        Some(PlanRecord { watches, patience: Patience { settle, unproven, stalled } })
+    }
+}
+
+impl WireWatch {
+    fn of(watch: &Watch) -> WireWatch {
+        let Watch { input, pattern, recursive, sentinel, outputs, voxel_size, choices } = watch;
+        WireWatch {
+            input: WirePath::of(input),
+            pattern: pattern.clone(),
+            recursive: *recursive,
+            sentinel: sentinel.clone(),
+            outputs: WireOutputs::of(outputs),
+            voxel_size: text(*voxel_size),
+            choices: WireChoices::of(choices),
+        }
+    }
+
+    fn into_watch(self) -> Option<Watch> {
+        Some(Watch {
+            input: self.input.into_path()?,
+            pattern: self.pattern,
+            recursive: self.recursive,
+            sentinel: self.sentinel,
+            outputs: self.outputs.into_options()?,
+            voxel_size: number(self.voxel_size)?,
+            choices: self.choices.into_choices()?,
+        })
+    }
+}
+
+impl WireOutputs {
+    fn of(options: &OutputOptions) -> WireOutputs {
+        let OutputOptions { folder, formats, up, vdb_half, vdb_compression } = options;
+        WireOutputs {
+            folder: WirePath::of(folder),
+            formats: formats.iter().map(|&format| format.into()).collect(),
+            up: (*up).into(),
+            vdb_half: *vdb_half,
+            vdb_compression: (*vdb_compression).into(),
+        }
+    }
+
+    fn into_options(self) -> Option<OutputOptions> {
+        Some(OutputOptions {
+            folder: self.folder.into_path()?,
+            formats: self.formats.into_iter().map(Into::into).collect(),
+            up: self.up.into(),
+            vdb_half: self.vdb_half,
+            vdb_compression: self.vdb_compression.into(),
+        })
+    }
+}
+
+impl WireChoices {
+    fn of(choices: &Choices) -> WireChoices {
+        let Choices {
+            radius_min,
+            radius_ratio,
+            radius_init,
+            integrator,
+            laplacian_steps,
+            steps,
+            step_size,
+            redistance_every,
+            cg_tolerance,
+            contouring,
+        } = *choices;
+        WireChoices {
+            radius_min: text(radius_min),
+            radius_ratio: text(radius_ratio),
+            radius_init: text(radius_init),
+            integrator: integrator.map(Into::into),
+            laplacian_steps,
+            steps,
+            step_size: text(step_size),
+            redistance_every,
+            cg_tolerance: text(cg_tolerance),
+            contouring: contouring.map(Into::into),
+        }
+    }
+
+    fn into_choices(self) -> Option<Choices> {
+        Some(Choices {
+            radius_min: number(self.radius_min)?,
+            radius_ratio: number(self.radius_ratio)?,
+            radius_init: number(self.radius_init)?,
+            integrator: self.integrator.map(Into::into),
+            laplacian_steps: self.laplacian_steps,
+            steps: self.steps,
+            step_size: number(self.step_size)?,
+            redistance_every: self.redistance_every,
+            cg_tolerance: number(self.cg_tolerance)?,
+            contouring: self.contouring.map(Into::into),
+        })
+    }
+}
+
+/// The shortest text that reads back as this number.
+fn text(number: Option<f64>) -> Option<String> {
+    number.map(|number| number.to_string())
+}
+
+/// The number of a text; `None` where it is none.
+fn number(text: Option<String>) -> Option<Option<f64>> {
+    text.map(|text| text.parse()).transpose().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::line::{parse_line, push_line};
+    use super::super::state::{Entry, EntryRef};
+    use super::*;
+
+    #[track_caller]
+    fn comes_back(watch: Watch) {
+        let patience = Patience {
+            settle: Duration::ZERO,
+            unproven: Duration::from_nanos(2_000_000_001),
+            stalled: Duration::MAX,
+        };
+        let plan = PlanRecord { watches: vec![watch], patience };
+        let mut line = Vec::new();
+        push_line(&mut line, EntryRef::Plan(&plan)).expect("a line");
+        assert_eq!(parse_line(line.strip_suffix(b"\n").expect("an end")), Some(Entry::Plan(plan)));
+    }
+
+    fn bare() -> Watch {
+        Watch {
+            input: "/sim".into(),
+            pattern: None,
+            recursive: false,
+            sentinel: None,
+            outputs: OutputOptions {
+                folder: "/out".into(),
+                formats: Vec::new(),
+                up: UpAxis::Y,
+                vdb_half: false,
+                vdb_compression: Compression::None,
+            },
+            voxel_size: None,
+            choices: Choices::default(),
+        }
+    }
+
+    #[test]
+    fn plans_come_back_to_the_last_bit() {
+        comes_back(bare());
+        comes_back(Watch {
+            pattern: Some("*/dam.\"é\".*\n".to_owned()),
+            recursive: true,
+            sentinel: Some("{stem}.ok".to_owned()),
+            outputs: OutputOptions {
+                formats: OutputFormat::ALL.to_vec(),
+                up: UpAxis::Z,
+                vdb_half: true,
+                ..bare().outputs
+            },
+            voxel_size: Some(0.1_f64.next_up()),
+            choices: Choices {
+                radius_min: Some(1.0 / 3.0),
+                radius_ratio: Some(1.5),
+                radius_init: Some(f64::MIN_POSITIVE / 3.0),
+                integrator: None,
+                laplacian_steps: Some(0),
+                steps: Some(u32::MAX),
+                step_size: Some(1e-300),
+                redistance_every: Some(7),
+                cg_tolerance: Some(1e-4_f64.next_down()),
+                contouring: None,
+            },
+            ..bare()
+        });
+    }
+
+    #[test]
+    fn every_choice_among_several_comes_back() {
+        for vdb_compression in [Compression::None, Compression::ActiveMask, Compression::Blosc] {
+            comes_back(Watch { outputs: OutputOptions { vdb_compression, ..bare().outputs }, ..bare() });
+        }
+        for format in OutputFormat::ALL {
+            comes_back(Watch {
+                outputs: OutputOptions { formats: vec![format], ..bare().outputs },
+                ..bare()
+            });
+        }
+        for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit] {
+            for contouring in [Contouring::Dual, Contouring::Tetrahedra] {
+                let choices = Choices {
+                    integrator: Some(integrator),
+                    contouring: Some(contouring),
+                    ..Choices::default()
+                };
+                comes_back(Watch { choices, ..bare() });
+            }
+        }
+    }
+
+    #[test]
+    fn a_number_that_is_none_makes_no_plan() {
+        let plan = PlanRecord {
+            watches: vec![Watch { voxel_size: Some(0.1), ..bare() }],
+            patience: Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO },
+        };
+        let mut wire = WirePlan::of(&plan);
+        wire.watches[0].voxel_size = Some("wide".to_owned());
+        assert_eq!(wire.into_record(), None);
+    }
+}
