@@ -2,7 +2,8 @@
 
 use std::fs::{self, File, FileTimes, OpenOptions};
 use std::io::Write;
-use std::time::{Duration, Instant, SystemTime};
+use std::thread;
+use std::time::{Duration, SystemTime};
 
 use crate::scene::{Line, NO_SCANS, Scene, Watching, await_that, block, by_length, moving, ply, text_ply};
 
@@ -59,22 +60,23 @@ fn touch(scene: &Scene, within: &str) {
     file.set_times(FileTimes::new().set_modified(SystemTime::now())).expect("touched");
 }
 
-/// A large frame is written again and again, in place, in the same length and so quickly that it is read
-/// meanwhile. Whatever was read, in the end the outputs are those of what is there.
+/// A large frame is written again and again, in place and in the same length, until that has been noticed a
+/// few times while it was read. Whatever was read, in the end the outputs are those of what is there.
 #[test]
 fn a_frame_that_is_overwritten_while_it_is_read_is_read_again() {
-    let duration = Duration::from_millis(by_length(1500, 15_000));
+    let noticed_count = by_length(2, 100);
     let arguments = ["--format", "obj", "--voxel-size", "0.4"];
     let scene = Scene::new();
-    let versions = [0.0, 0.25, 0.5].map(|shift| text_ply_of_one_length(&block(36, 0.1, shift)));
+    let versions = [0.0, 0.25, 0.5].map(|shift| text_ply_of_one_length(&block(30, 0.1, shift)));
     assert!(versions.iter().all(|version| version.len() == versions[0].len()));
     let daemon = scene.watch(&[&["--settle", "1ms"], &NO_SCANS[..], &arguments].concat());
-    let start = Instant::now();
+    let is_notice = |line: &Line| line.message.contains("was written while it was read");
     let mut write_count = 0;
-    while start.elapsed() < duration {
+    await_that("it is noticed", || {
         overwrite(&scene, "in/dam.1.ply", &versions[write_count % 2]);
         write_count += 1;
-    }
+        noticed_count <= daemon.lines(is_notice).len()
+    });
     overwrite(&scene, "in/dam.1.ply", &versions[2]);
     let _ = fs::remove_dir_all(scene.path("expected"));
     let ran = scene.run(&[&["convert", "in", "--out", "expected"], &arguments[..]].concat());
@@ -95,8 +97,10 @@ fn a_frame_that_is_overwritten_while_it_is_read_is_read_again() {
 fn overwrite(scene: &Scene, within: &str, bytes: &[u8]) {
     let options = OpenOptions::new().write(true).create(true).truncate(false).clone();
     let mut file: File = options.open(scene.path(within)).expect("opened");
-    for part in bytes.chunks(1 << 16) {
+    for part in bytes.chunks(1 << 15) {
         file.write_all(part).expect("written");
+        // So that it is read meanwhile, and not before or after.
+        thread::sleep(Duration::from_micros(300));
     }
 }
 

@@ -10,9 +10,9 @@ use crate::scene::{Line, NO_SCANS, Scene, Watching, block, by_length, csv, movin
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
-/// Frames are read soon after they were left alone; no scan happens to find them.
+/// Frames are read soon after they were left alone; no scan happens to find them, and none is given up.
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
-    scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())
+    scene.watch(&[&["--settle", "100ms", "--stalled", "1h"], &NO_SCANS[..], &FORMATS, more].concat())
 }
 
 /// So many particles were read.
