@@ -96,6 +96,7 @@ impl Daemon<'_> {
 
     /// Looks at everything in a root, and forgets what is not there any more.
     pub(super) fn scan_root(&mut self, index: usize) {
+        let started = Instant::now();
         self.scan_count += 1;
         let found = match self.roots[index].scan(&mut self.watcher) {
             Ok(found) => found,
@@ -119,6 +120,7 @@ impl Daemon<'_> {
         for id in gone {
             self.forget(&id);
         }
+        self.roots[index].was_scanned(started.elapsed());
     }
 
     /// Takes in what a scan found.

@@ -110,7 +110,6 @@ impl<'a> Root<'a> {
     /// # Errors
     /// Why the folder is unavailable.
     pub(super) fn scan(&mut self, watcher: &mut Option<Watcher>) -> Result<Scan, String> {
-        let started = Instant::now();
         let identity = RootIdentity::of(&self.path).ok();
         if self.identity != identity {
             // Events of a file system that was unmounted just stop: those of the new one must be asked for.
@@ -118,7 +117,6 @@ impl<'a> Root<'a> {
             self.identity = identity;
         }
         let found = self.hear_and_scan(&self.path.clone(), watcher);
-        let cost = started.elapsed();
         let found = found.map_err(|error| error.to_string()).and_then(|found| {
             if self.had_frames && found.files.is_empty() {
                 // An empty mount point looks like a folder from which all was deleted; either way
@@ -128,17 +126,19 @@ impl<'a> Root<'a> {
             Ok(found)
         });
         match &found {
-            Ok(found) => {
-                self.had_frames |= !found.files.is_empty();
-                self.next_scan = started + self.interval(cost);
-            }
+            Ok(found) => self.had_frames |= !found.files.is_empty(),
             Err(_) => {
                 // What was heard was heard of a folder that is gone.
                 self.stop_hearing(watcher);
-                self.next_scan = started + UNAVAILABLE_RETRY;
+                self.next_scan = Instant::now() + UNAVAILABLE_RETRY;
             }
         }
         found
+    }
+
+    /// A scan, and all that came of it, has taken this long: when to look again.
+    pub(super) fn was_scanned(&mut self, cost: Duration) {
+        self.next_scan = Instant::now() + self.interval(cost);
     }
 
     /// Everything in one folder of it, and from now on its events are heard.
