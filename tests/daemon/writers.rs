@@ -125,25 +125,6 @@ fn a_slow_writer_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// A file that was found incomplete is looked at again when it changes, and not when it would be given up.
-#[test]
-fn a_pause_of_the_writer_costs_no_more_than_itself() {
-    let scene = Scene::new();
-    let daemon = watch(&scene, &["--stalled", "10m"]);
-    let bytes = ply(&moving(1));
-    let mut file = File::create(scene.path("in/dam.1.ply")).expect("created");
-    file.write_all(&bytes[..bytes.len() / 2]).expect("written");
-    // Long enough for it to settle, and to be found incomplete.
-    thread::sleep(Duration::from_millis(600));
-    file.write_all(&bytes[bytes.len() / 2..]).expect("written");
-    drop(file);
-    let complete = Instant::now();
-    daemon.await_converted("dam.1.ply");
-    assert!(complete.elapsed() < Duration::from_secs(60), "{:?}", complete.elapsed());
-    daemon.finish();
-    scene.assert_as_converted(&FORMATS);
-}
-
 /// Appends to a file that was closed before.
 fn append(scene: &Scene, within: &str, bytes: &[u8]) {
     let mut file = OpenOptions::new().append(true).open(scene.path(within)).expect("opened");
