@@ -125,7 +125,7 @@ impl Daemon<'_> {
         match decide(Some(record), stamp, self.sequences.get(sequence).fingerprint(), missing) {
             Decision::Skip(SkipReason::Done) => {
                 // Its outputs are its own, also when another input comes that would have the same.
-                self.claim(id).is_ok().then_some(Phase::Done(*stamp))
+                self.claim_own(id).is_ok().then_some(Phase::Done(*stamp))
             }
             Decision::Skip(SkipReason::FailedUnchanged) => {
                 self.failed.insert(id.clone(), record.reason.clone().unwrap_or_default());
@@ -239,19 +239,7 @@ impl Daemon<'_> {
     /// # Errors
     /// When another input has them already, or when one of them would replace a file of particles.
     fn claim(&mut self, id: &FrameId) -> Result<(), String> {
-        let claimed = self.claimed_stem(id);
-        match self.claims.get(&claimed) {
-            Some(owner) if owner == id => return Ok(()),
-            Some(owner) if self.frames.get(owner).is_some() => {
-                return Err(format!(
-                    "{} and {} would both become {}.*; the first of them has it",
-                    owner.path.display(),
-                    id.path.display(),
-                    claimed.display(),
-                ));
-            }
-            _ => {}
-        }
+        let claimed = self.free_stem(id)?;
         let outputs = self.outputs(id);
         for &format in &outputs.formats {
             let output = output_path(&outputs.folder, &stem(&id.path), format);
@@ -266,7 +254,33 @@ impl Daemon<'_> {
         Ok(())
     }
 
-    /// What the outputs of a frame are called, but for their extensions.
+    /// The same for outputs that are known to be the frame's own: they are not looked into, for there may
+    /// be a hundred thousand of them.
+    ///
+    /// # Errors
+    /// Who else has them.
+    fn claim_own(&mut self, id: &FrameId) -> Result<(), String> {
+        let claimed = self.free_stem(id)?;
+        self.claims.insert(claimed, id.clone());
+        Ok(())
+    }
+
+    /// What a frame's outputs are called, where no other frame's are called so.
+    fn free_stem(&mut self, id: &FrameId) -> Result<PathBuf, String> {
+        let claimed = self.claimed_stem(id);
+        let other =
+            self.claims.get(&claimed).filter(|&owner| owner != id && self.frames.get(owner).is_some());
+        match other {
+            None => Ok(claimed),
+            Some(owner) => Err(format!(
+                "{} and {} would both become {}.*; the first of them has it",
+                owner.path.display(),
+                id.path.display(),
+                claimed.display(),
+            )),
+        }
+    }
+
     fn claimed_stem(&mut self, id: &FrameId) -> PathBuf {
         self.outputs(id).folder.join(stem(&id.path))
     }
