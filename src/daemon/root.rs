@@ -51,9 +51,8 @@ const NETWORK_SETTLE_MIN: Duration = Duration::from_secs(4);
 /// How soon a folder that is not there is looked for again.
 const UNAVAILABLE_RETRY: Duration = Duration::from_secs(1);
 
-/// Regular scans take at most one part in so many of a core; to find that nothing has changed takes
-/// about as long again, and a bit more.
-const SCAN_SHARE: u32 = 500;
+/// Regular scans take at most one part in so many of a core.
+const SCAN_SHARE: u32 = 200;
 
 /// The same of scans in place of events, which somebody waits for.
 const POLL_SHARE: u32 = 10;
