@@ -27,13 +27,6 @@ fn the_budget_holds() {
     assert!(taken > 0.5, "only {taken:.2} of what was allowed");
 }
 
-/// A quarter of an hour.
-#[test]
-#[ignore = "long"]
-fn the_budget_holds_for_200_frames() {
-    taken_by_frames(200, 1 << 30, None);
-}
-
 /// Converts blocks of 250 047 particles, and spray that takes about as much memory, in turns. Returns what was
 /// taken, as a part of what was allowed: not more than that.
 fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) -> f64 {

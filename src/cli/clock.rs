@@ -1,12 +1,6 @@
 //! Moments in words.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
-
-/// Milliseconds since 1970.
-pub(super) fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
-}
+use std::time::Duration;
 
 /// How long ago, in the two largest units that say something.
 pub(super) fn ago(at_ms: u64, now_ms: u64) -> String {

@@ -9,14 +9,14 @@ use anyhow::{Context, Result, anyhow, bail};
 use crate::daemon::explain::{
     Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
 };
-use crate::daemon::journal::{FrameRecord, PlanRecord, Standing, State};
+use crate::daemon::journal::{FrameRecord, PlanRecord, Standing, State, now_ms};
 use crate::daemon::place::{below, known_path};
 use crate::daemon::selection::{Content, Selection};
 use crate::daemon::{Config, Patience, Watch};
 
 use super::Verdict;
 use super::args::{WatchArgs, WhyArgs};
-use super::clock::{ago, now_ms};
+use super::clock::ago;
 use super::console::Console;
 use super::status::{Holder, journal_folder, read_journal};
 use super::watch::make_plan;

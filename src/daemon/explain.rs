@@ -9,23 +9,20 @@
 //! all can be told. Nothing is written, and a running daemon is not disturbed.
 
 use std::fmt;
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use meniscus_formats::{Completeness, completeness};
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::{FileStamp, read_file};
+use crate::pipeline::read_file;
 
 use super::config::{Patience, Watch};
 use super::decision::{Decision, SkipReason, decide, decide_by_content};
+use super::evidence::{completeness_of, sentinel_of};
 use super::journal::FrameRecord;
 use super::mounts::network_file_system;
-use super::readiness::{
-    Candidate, DEFAULT_SENTINEL, Readiness, Sentinel, WaitReason, sentinel_counts, sentinel_path,
-};
+use super::readiness::{Candidate, Readiness, WaitReason};
 use super::scan::{Seen, look};
 use super::selection::{Content, PatternError, Selection, content};
 
@@ -148,7 +145,7 @@ fn facts(
     let readiness = Candidate::new(now, seen, false).readiness(
         now,
         patience,
-        sentinel(watch, frame, &seen.stamp),
+        sentinel_of(watch, frame, &seen.stamp),
         || completeness_of(frame),
     );
     let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
@@ -178,20 +175,6 @@ fn facts(
 fn trust_clock(path: &Path) -> bool {
     let folder = path.parent().unwrap_or(path);
     network_file_system(folder).is_ok_and(|network| network.is_none())
-}
-
-fn sentinel(watch: &Watch, frame: &Path, stamp: &FileStamp) -> Sentinel {
-    let pattern = watch.sentinel.as_deref().unwrap_or(DEFAULT_SENTINEL);
-    let proof = FileStamp::of_path(&sentinel_path(frame, pattern));
-    let there = proof.is_ok_and(|proof| sentinel_counts(&proof, stamp));
-    if watch.sentinel.is_some() { Sentinel::Wanted { there } } else { Sentinel::Optional { there } }
-}
-
-/// What the format says; where the file cannot be read, reading it will say why.
-fn completeness_of(path: &Path) -> Completeness {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let look = || completeness(&mut File::open(path)?, &name);
-    look().unwrap_or(Completeness::Unproven)
 }
 
 fn hash_of(path: &Path) -> io::Result<u128> {
@@ -245,7 +228,9 @@ impl std::error::Error for ExplainError {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::FileStamp;
     use std::fs;
+    use std::fs::File;
     use std::time::{Duration, SystemTime};
 
     use tempfile::TempDir;

@@ -7,6 +7,7 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use super::evidence::{may_be_sentinel, path_of_sentinel};
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::Standing;
 use super::root::Root;
@@ -57,14 +58,14 @@ impl Daemon<'_> {
 
     /// A file may be what some frame waits for.
     fn take_sentinel_hint(&mut self, root: usize, path: &Path) {
-        if !self.may_be_sentinel(root, path) {
+        if !may_be_sentinel(&self.config.watches[root], path) {
             return;
         }
         let is_waiting = |id: &FrameId, frame: &FrameState| {
             matches!(frame.phase, Phase::Settling(_))
                 && id.root == root
                 && id.path.parent() == path.parent()
-                && self.sentinel_path(id) == path
+                && path_of_sentinel(&self.config.watches[root], &id.path) == path
         };
         let waiting: Vec<FrameId> = self
             .frames

@@ -9,20 +9,18 @@
 //!     └ seen before, and unchanged
 //! ```
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
-
-use meniscus_formats::completeness::{Completeness, completeness};
 
 use crate::pipeline::{FileStamp, Frame, FrameFile, OutputOptions, output_path};
 use crate::settings::Settings;
 
 use super::decision::{Decision, SkipReason, decide};
+use super::evidence::{completeness_of, sentinel_of};
 use super::frames::{FrameId, Phase};
 use super::journal::Standing;
-use super::readiness::{Candidate, DEFAULT_SENTINEL, Readiness, Sentinel, sentinel_counts, sentinel_path};
+use super::readiness::{Candidate, Readiness};
 use super::rounds::Daemon;
 use super::scan::Seen;
 use super::selection::{Content, content};
@@ -105,7 +103,7 @@ impl Daemon<'_> {
             return self.set_phase(id, phase);
         }
         let Some(Phase::Settling(candidate)) = self.frames.get(id).map(|frame| &frame.phase) else { return };
-        let sentinel = self.sentinel(id, &stamp);
+        let sentinel = sentinel_of(&self.config.watches[id.root], &id.path, &stamp);
         let patience = self.roots[id.root].patience(self.config);
         let looked = || completeness_of(&id.path);
         match candidate.readiness(Instant::now(), &patience, sentinel, looked) {
@@ -155,32 +153,6 @@ impl Daemon<'_> {
             tracing::info!(frame = %id.path.display(), "{} is gone: converted again", missing.display());
             self.ready(id, stamp);
         }
-    }
-
-    fn sentinel(&self, id: &FrameId, stamp: &FileStamp) -> Sentinel {
-        let proof = FileStamp::of_path(&self.sentinel_path(id));
-        // One that was left of an earlier version of the frame proves nothing.
-        let there = proof.is_ok_and(|proof| sentinel_counts(&proof, stamp));
-        match self.config.watches[id.root].sentinel {
-            Some(_) => Sentinel::Wanted { there },
-            None => Sentinel::Optional { there },
-        }
-    }
-
-    /// The file that says that a frame is complete.
-    pub(super) fn sentinel_path(&self, id: &FrameId) -> PathBuf {
-        sentinel_path(&id.path, self.sentinel_pattern(id.root))
-    }
-
-    /// Whether some frame's sentinel could have this name.
-    pub(super) fn may_be_sentinel(&self, root: usize, path: &Path) -> bool {
-        let pattern = self.sentinel_pattern(root);
-        let end = pattern.rsplit('}').next().unwrap_or(pattern);
-        path.as_os_str().as_encoded_bytes().ends_with(end.as_bytes())
-    }
-
-    fn sentinel_pattern(&self, root: usize) -> &str {
-        self.config.watches[root].sentinel.as_deref().unwrap_or(DEFAULT_SENTINEL)
     }
 
     /// A file is complete.
@@ -308,11 +280,4 @@ impl Daemon<'_> {
 
 fn stem(path: &Path) -> String {
     FrameFile::new(path.to_owned()).stem()
-}
-
-/// What the format says; where the file cannot be read, reading it will say why.
-fn completeness_of(path: &Path) -> Completeness {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let look = || completeness(&mut File::open(path)?, &name);
-    look().unwrap_or(Completeness::Unproven)
 }

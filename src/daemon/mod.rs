@@ -24,6 +24,7 @@
 
 mod config;
 pub mod decision;
+mod evidence;
 pub mod explain;
 mod frames;
 mod hints;

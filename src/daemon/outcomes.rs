@@ -2,12 +2,12 @@
 
 use std::io;
 use std::path::Path;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::Instant;
 
 use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, output_path};
 
 use super::frames::{FrameId, Phase};
-use super::journal::{FrameRecord, OutputRecord, Standing};
+use super::journal::{FrameRecord, OutputRecord, Standing, now_ms};
 use super::readiness::Candidate;
 use super::retry::{Remedy, backoff, remedy};
 use super::rounds::Daemon;
@@ -223,16 +223,6 @@ impl Daemon<'_> {
             seconds: None,
         }
     }
-}
-
-/// Milliseconds since 1970.
-pub(super) fn now_ms() -> u64 {
-    // A clock before 1970 is as good as none.
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .ok()
-        .and_then(|t| u64::try_from(t.as_millis()).ok())
-        .unwrap_or(0)
 }
 
 /// Seconds to the millisecond: more digits are noise in a log.

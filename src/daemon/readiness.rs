@@ -406,6 +406,10 @@ mod tests {
                 (600, Ask(NONE, Complete, Until(900, WaitReason::Changing))),
             ],
         );
+    }
+
+    #[test]
+    fn whatever_shows_a_change_is_one() {
         check(
             "replaced by another file of the same size and time",
             &[

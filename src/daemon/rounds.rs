@@ -10,10 +10,10 @@ use crossbeam::channel::{Receiver, Sender, never, select};
 use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
 
 use super::config::{Config, Watch};
+use super::evidence::path_of_sentinel;
 use super::frames::{FrameId, Frames, Phase, Tally};
-use super::journal::{DaemonRecord, DaemonState, Journal};
+use super::journal::{DaemonRecord, DaemonState, Journal, now_ms};
 use super::lock::host_name;
-use super::outcomes::now_ms;
 use super::queue::Queue;
 use super::rescans::RescanPace;
 use super::room::Room;
@@ -309,7 +309,7 @@ impl<'a> Daemon<'a> {
         let stuck = self.frames.iter().filter(|(_, frame)| frame.is_stuck());
         stuck
             .map(|(id, frame)| {
-                let sentinel = self.sentinel_path(id);
+                let sentinel = path_of_sentinel(&self.config.watches[id.root], &id.path);
                 tracing::warn!(frame = %id.path.display(), "left: there is no newer {}", sentinel.display());
                 frame.sequence
             })

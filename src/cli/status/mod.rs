@@ -13,13 +13,12 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 
 use crate::daemon::Watch;
-use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State};
+use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
 use crate::daemon::lock::{LockError, OutputLock};
 use crate::pipeline::natural_order;
 
 use super::Verdict;
 use super::args::StatusArgs;
-use super::clock::now_ms;
 use super::console::Console;
 
 /// What there is to tell of a folder of outputs.

@@ -36,6 +36,7 @@ use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::pipeline::FileStamp;
 
@@ -49,6 +50,13 @@ pub use state::{
 
 /// The folder, in that of the outputs, of what the daemon keeps for itself.
 pub const STATE_FOLDER: &str = ".meniscus";
+
+/// The time of a record: milliseconds since 1970.
+pub fn now_ms() -> u64 {
+    // A clock before 1970 is as good as none.
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
 
 /// The journal in its folder.
 const FILE_NAME: &str = "journal";

@@ -344,21 +344,3 @@ fn a_reader_goes_on_while_it_is_made_shorter() {
     };
     assert_eq!(loaded.state, before);
 }
-
-#[test]
-#[ignore = "a measurement: run it by itself, in release"]
-fn fifty_thousand_frames_load_in_half_a_second() {
-    let folder = folder();
-    let mut journal = open(folder.path());
-    let begun = std::time::Instant::now();
-    for number in 0..50_000 {
-        journal.note_frame(&input(number), frame_record(Standing::Done, 1)).expect("noted");
-    }
-    let written = begun.elapsed();
-    let begun = std::time::Instant::now();
-    let state = Journal::read(folder.path()).expect("a journal");
-    let loaded = begun.elapsed();
-    assert_eq!(state.frames.len(), 50_000);
-    assert!(loaded.as_secs_f64() < 0.5, "loaded in {loaded:?}, written in {written:?}");
-    assert!(written.as_secs_f64() < 5.0, "loaded in {loaded:?}, written in {written:?}");
-}
