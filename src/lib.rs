@@ -38,3 +38,5 @@ pub mod grid;
 pub mod mesh;
 pub mod particles;
 pub mod space;
+
+pub mod simd;
