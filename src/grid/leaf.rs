@@ -27,13 +27,13 @@ impl Leaf {
     }
 
     /// Row `x·8 + y`: the 8 values along z.
-    #[inline]
+    #[inline(always)]
     pub fn row(&self, row: usize) -> &Row {
         &self.values.as_chunks::<8>().0[row]
     }
 
     /// Row `x·8 + y`, to change.
-    #[inline]
+    #[inline(always)]
     pub fn row_mut(&mut self, row: usize) -> &mut Row {
         &mut self.values.as_chunks_mut::<8>().0[row]
     }

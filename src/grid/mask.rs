@@ -38,8 +38,16 @@ impl LeafMask {
     }
 
     /// The 8 bits of row (x, y), bit z for voxel z; `row` is `x·8 + y`.
+    #[inline(always)]
     pub fn row(&self, row: usize) -> u8 {
-        (self.words[row >> 3] >> ((row & 7) * 8)) as u8
+        (self.words[(row >> 3) & 7] >> ((row & 7) * 8)) as u8
+    }
+
+    /// Sets the 8 bits of row (x, y).
+    #[inline(always)]
+    pub fn set_row(&mut self, row: usize, bits: u8) {
+        let (word, shift) = (&mut self.words[(row >> 3) & 7], (row & 7) * 8);
+        *word = *word & !(0xff << shift) | u64::from(bits) << shift;
     }
 
     /// The rows that hold a voxel: bit `x·8 + y`.

@@ -11,6 +11,7 @@
 
 use super::leaf::{Leaf, Row};
 use super::topology::{Direction, NO_LEAF};
+use crate::simd::Lanes;
 
 /// Rows in a leaf; row `x·8 + y` starts at value `row·8`.
 pub const ROW_COUNT: usize = 64;
@@ -113,6 +114,196 @@ impl<'a> Neighborhood<'a> {
             let (x, y, z) = (xp[z] - xm[z], yp[z] - ym[z], zp[z] - zm[z]);
             0.5 * (x * x + y * y + z * z).sqrt()
         })
+    }
+}
+
+/// The eight rows of one x of a leaf, with the rows and values around them.
+///
+/// What [`Neighborhood`] finds for each row, found once for eight, and read into registers: the inner
+/// loops of the smoother are made of this. What a loop does not use of it costs nothing.
+#[derive(Clone, Copy)]
+pub struct Slab<'a> {
+    rows: &'a Rows,
+    /// The slabs at x − 1, x + 1, x − 2 and x + 2.
+    across_x: [&'a Rows; 4],
+    /// The slabs before and after along y, if they are stored.
+    beyond_y: [Option<&'a Rows>; 2],
+    /// The slabs before and after along z, and the place in their rows that is next to this one.
+    beyond_z: [(&'a Rows, usize); 2],
+}
+
+/// The rows of one x.
+type Rows = [Row; 8];
+
+/// A row and the rows shifted along one axis by −1, +1, and by −2, +2.
+type Shifted<V> = [V; 2];
+
+impl<'a> Slab<'a> {
+    /// The row itself.
+    #[inline(always)]
+    pub fn row<V: Lanes>(&self, y: usize) -> V {
+        V::load(&self.rows[y & 7])
+    }
+
+    /// The rows at x − 1 and x + 1.
+    #[inline(always)]
+    pub fn along_x<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        [V::load(&self.across_x[0][y & 7]), V::load(&self.across_x[1][y & 7])]
+    }
+
+    /// The rows at x − 2 and x + 2.
+    #[inline(always)]
+    pub fn second_along_x<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        [V::load(&self.across_x[2][y & 7]), V::load(&self.across_x[3][y & 7])]
+    }
+
+    /// The rows at y − 1 and y + 1.
+    #[inline(always)]
+    pub fn along_y<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        let [before, after] = self.across_y(y, 1);
+        [V::load(before), V::load(after)]
+    }
+
+    /// The rows at y − 2 and y + 2.
+    #[inline(always)]
+    pub fn second_along_y<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        let [before, after] = self.across_y(y, 2);
+        [V::load(before), V::load(after)]
+    }
+
+    #[inline(always)]
+    fn across_y(&self, y: usize, step: usize) -> [&'a Row; 2] {
+        let (y, own) = (y & 7, &self.rows[y & 7]);
+        let before = if y >= step { Some(self.rows) } else { self.beyond_y[0] };
+        let after = if y + step < 8 { Some(self.rows) } else { self.beyond_y[1] };
+        [
+            before.map_or(own, |rows| &rows[(y + 8 - step) & 7]),
+            after.map_or(own, |rows| &rows[(y + step) & 7]),
+        ]
+    }
+
+    /// The values at z − 1 and z + 1.
+    #[inline(always)]
+    pub fn along_z<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        let [before, after] = self.beyond_z.map(|(rows, z)| rows[y & 7][z & 7]);
+        let row = self.row::<V>(y);
+        [row.shift_up(before), row.shift_down(after)]
+    }
+
+    /// The values at z − 2 and z + 2, from those at z − 1 and z + 1.
+    #[inline(always)]
+    pub fn second_along_z<V: Lanes>(&self, y: usize, [before, after]: Shifted<V>) -> Shifted<V> {
+        let [(first, from), (last, to)] = self.beyond_z;
+        // One farther into the neighbour; where there is none, these are the ends of the row itself.
+        let (first, last) = (first[y & 7][from.saturating_sub(1) & 7], last[y & 7][(to + 1).min(7)]);
+        [before.shift_up(first), after.shift_down(last)]
+    }
+
+    /// The 7-point Laplacian of row `y`, voxel units.
+    #[inline(always)]
+    pub fn laplacian<V: Lanes>(&self, y: usize) -> V {
+        let [xm, xp] = self.along_x::<V>(y);
+        let [ym, yp] = self.along_y::<V>(y);
+        let [zm, zp] = self.along_z::<V>(y);
+        let sum = xm.add(xp).add(ym.add(yp)).add(zm.add(zp));
+        sum.sub(V::splat(6.0).mul(self.row(y)))
+    }
+
+    /// |∇| of row `y` by central differences, voxel units.
+    #[inline(always)]
+    pub fn gradient_norm<V: Lanes>(&self, y: usize) -> V {
+        let ([xm, xp], [ym, yp], [zm, zp]) =
+            (self.along_x::<V>(y), self.along_y::<V>(y), self.along_z::<V>(y));
+        let (x, y, z) = (xp.sub(xm), yp.sub(ym), zp.sub(zm));
+        V::splat(0.5).mul(x.mul(x).add(y.mul(y)).add(z.mul(z)).sqrt())
+    }
+}
+
+impl<'a> Neighborhood<'a> {
+    /// A leaf and the leaves beyond its faces, where they are stored.
+    #[inline(always)]
+    pub fn of(center: &'a Leaf, faces: [Option<&'a Leaf>; 6]) -> Neighborhood<'a> {
+        Neighborhood { center, faces }
+    }
+
+    /// The rows of one x.
+    #[inline(always)]
+    pub fn slab(&self, x: usize) -> Slab<'a> {
+        let x = x & 7;
+        let rows = rows_of(self.center, x);
+        let face = |direction: Direction| self.faces[direction as usize];
+        let across = |step: usize| {
+            let before = if x >= step { Some(self.center) } else { face(Direction::XMinus) };
+            let after = if x + step < 8 { Some(self.center) } else { face(Direction::XPlus) };
+            [
+                before.map_or(rows, |leaf| rows_of(leaf, x + 8 - step)),
+                after.map_or(rows, |leaf| rows_of(leaf, x + step)),
+            ]
+        };
+        let ([xm, xp], [xm2, xp2]) = (across(1), across(2));
+        Slab {
+            rows,
+            across_x: [xm, xp, xm2, xp2],
+            beyond_y: [Direction::YMinus, Direction::YPlus]
+                .map(|direction| face(direction).map(|leaf| rows_of(leaf, x))),
+            beyond_z: [
+                face(Direction::ZMinus).map_or((rows, 0), |leaf| (rows_of(leaf, x), 7)),
+                face(Direction::ZPlus).map_or((rows, 7), |leaf| (rows_of(leaf, x), 0)),
+            ],
+        }
+    }
+}
+
+/// The rows of an x, given modulo 8.
+#[inline(always)]
+fn rows_of(leaf: &Leaf, x: usize) -> &Rows {
+    let rows: &[Row; ROW_COUNT] = bytemuck::cast_ref(&leaf.values);
+    &rows.as_chunks::<8>().0[x & 7]
+}
+
+/// The slabs that hold one of these rows (bit `x·8 + y`), and which of their rows: x, and a bit for each y.
+#[inline(always)]
+pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, Bits)> {
+    SlabsIn { rows, x: 0 }
+}
+
+/// Iterators are written out here: a kernel is compiled for a wider processor only where all of it is inlined.
+struct SlabsIn {
+    rows: u64,
+    x: usize,
+}
+
+impl Iterator for SlabsIn {
+    type Item = (usize, Bits);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, Bits)> {
+        while self.x < 8 {
+            let (x, bits) = (self.x, (self.rows >> (8 * self.x)) as u8);
+            self.x += 1;
+            if bits != 0 {
+                return Some((x, Bits(bits)));
+            }
+        }
+        None
+    }
+}
+
+/// The set bits of a byte, in order.
+#[derive(Clone, Copy, Debug)]
+pub struct Bits(pub u8);
+
+impl Iterator for Bits {
+    type Item = usize;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<usize> {
+        if self.0 == 0 {
+            return None;
+        }
+        let bit = self.0.trailing_zeros() as usize;
+        self.0 &= self.0 - 1;
+        Some(bit)
     }
 }
 

@@ -48,7 +48,8 @@
 use rayon::prelude::*;
 
 use super::NarrowBand;
-use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, Neighborhood, ROW_COUNT, Row, Topology};
+use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, Neighborhood, Slab, Topology, slabs_in};
+use crate::simd::{self, Kernel, Lanes};
 
 /// In place of a distance: nothing has reached this voxel yet.
 pub const UNREACHED: f32 = f32::INFINITY;
@@ -97,8 +98,13 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
         let leaves = next.leaves.par_iter_mut().zip(&mut changed_next).zip(fixed).enumerate();
         leaves.for_each(|(leaf, ((next, changed_next), fixed))| {
             let rows = dependent_rows(&changed, &neighbors[leaf], leaf);
+            if rows == 0 {
+                *changed_next = 0;
+                return;
+            }
             let around = Neighborhood::new(&distance.leaves, neighbors, leaf);
-            *changed_next = sweep_rows(&around, fixed, rows, sweeps.second_order_within, next);
+            let second_order_within = sweeps.second_order_within;
+            *changed_next = simd::dispatch(Sweep { around: &around, fixed, rows, second_order_within, next });
         });
         std::mem::swap(distance, &mut next);
         std::mem::swap(&mut changed, &mut changed_next);
@@ -113,37 +119,53 @@ fn pin(band: &NarrowBand) -> (Field, Vec<LeafMask>) {
     let mut pinned = vec![LeafMask::EMPTY; leaf_count];
     distance.leaves.par_iter_mut().zip(&mut pinned).enumerate().for_each(|(leaf, (distance, pinned))| {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
-        for row in 0..ROW_COUNT {
-            for (z, known) in pin_row(&around, row).into_iter().enumerate() {
-                let sign = if around.row(row)[z] < 0.0 { -1.0 } else { 1.0 };
-                distance.values[row * 8 + z] = sign * known.unwrap_or(UNREACHED);
-                if known.is_some() {
-                    pinned.insert(row * 8 + z);
-                }
-            }
-        }
+        simd::dispatch(Pin { around: &around, distance, pinned });
     });
     (distance, pinned)
 }
 
-/// The unsigned distances of a row's voxels that can be told from φ around them.
-fn pin_row(around: &Neighborhood, row: usize) -> [Option<f32>; 8] {
-    let c = around.row(row);
-    let [xm, xp, ym, yp] = around.side_rows(row);
-    let [zm, zp] = around.shifted_rows(row);
-    let slopes = around.gradient_norm(row);
-    std::array::from_fn(|z| {
-        let inside = c[z] < 0.0;
-        let around = [xm[z], xp[z], ym[z], yp[z], zm[z], zp[z]];
-        let beside = around.iter().any(|&n| (n < 0.0) != inside);
-        // No voxel is farther from the zero set than a neighbour and one; a neighbour across it counts as
-        // on it. So nothing jumps where a neighbour's value passes through zero.
-        let side = if inside { -1.0 } else { 1.0 };
-        let nearest = around.iter().fold(f32::INFINITY, |nearest, &n| nearest.min((side * n).max(0.0)));
-        // Not 0 / 0: a zero in a flat place is the zero set.
-        let distance = if c[z] == 0.0 { 0.0 } else { (c[z].abs() / slopes[z]).min(1.0 + nearest) };
-        beside.then_some(distance)
-    })
+/// Pins the voxels of a leaf.
+struct Pin<'a> {
+    around: &'a Neighborhood<'a>,
+    distance: &'a mut Leaf,
+    pinned: &'a mut LeafMask,
+}
+
+impl Kernel for Pin<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for x in 0..8 {
+            let slab = self.around.slab(x);
+            for y in 0..8 {
+                let row = x * 8 + y;
+                let (distance, beside) = pin_row::<V>(&slab, y);
+                distance.store(self.distance.row_mut(row));
+                self.pinned.set_row(row, beside);
+            }
+        }
+    }
+}
+
+/// The signed distances of a row's voxels that can be told from φ around them, and the bits of these.
+#[inline(always)]
+fn pin_row<V: Lanes>(slab: &Slab, y: usize) -> (V, u8) {
+    let (zero, one) = (V::splat(0.0), V::splat(1.0));
+    let c = slab.row::<V>(y);
+    let inside = V::bits(c.lt(zero));
+    let side = V::select(c.lt(zero), V::splat(-1.0), one);
+    // No voxel is farther from the zero set than a neighbour and one; a neighbour across it counts as
+    // on it. So nothing jumps where a neighbour's value passes through zero.
+    let (mut beside, mut nearest) = (0, V::splat(f32::INFINITY));
+    for [before, after] in [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)] {
+        beside |= (V::bits(before.lt(zero)) ^ inside) | (V::bits(after.lt(zero)) ^ inside);
+        nearest = nearest.min(side.mul(before).max(zero)).min(side.mul(after).max(zero));
+    }
+    let distance = c.abs().div(slab.gradient_norm(y)).min(one.add(nearest));
+    // Not 0 / 0: a zero in a flat place is the zero set.
+    let distance = V::select(c.ne(zero), distance, zero);
+    (V::select(V::mask(beside), distance, V::splat(UNREACHED)).mul(side), beside)
 }
 
 /// The rows of a leaf that changed, or have a changed row within two voxels along an axis.
@@ -167,137 +189,116 @@ fn dependent_rows(changed: &[u64], neighbors: &[u32; 6], leaf: usize) -> u64 {
     own | along_x | along_y | from_x | from_y | zm | zp
 }
 
-/// Updates the voxels of these rows that are not fixed. Returns the rows that changed.
-fn sweep_rows(
-    around: &Neighborhood,
-    fixed: &LeafMask,
+/// Updates the voxels of some rows of a leaf that are not fixed. Returns the rows that changed.
+struct Sweep<'a> {
+    around: &'a Neighborhood<'a>,
+    fixed: &'a LeafMask,
     rows: u64,
     second_order_within: f32,
-    next: &mut Leaf,
-) -> u64 {
-    let mut changed = 0;
-    let mut batch = Batch::default();
-    let mut rows = (0..ROW_COUNT).filter(|&row| rows >> row & 1 == 1 && fixed.row(row) != u8::MAX);
-    loop {
-        batch.row_count = 0;
-        rows.by_ref().take(BATCH_ROWS).for_each(|row| batch.gather(around, row));
-        if batch.row_count == 0 {
-            return changed;
+    next: &'a mut Leaf,
+}
+
+impl Kernel for Sweep<'_> {
+    type Output = u64;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> u64 {
+        let mut changed = 0;
+        for (x, ys) in slabs_in(self.rows) {
+            let slab = self.around.slab(x);
+            for y in ys {
+                let row = x * 8 + y;
+                let fixed = self.fixed.row(row);
+                let old = slab.row::<V>(y);
+                let updated = V::select(V::mask(fixed), old, upwind::<V>(&slab, y, self.second_order_within));
+                updated.store(self.next.row_mut(row));
+                changed |= u64::from(V::bits(updated.ne(old)) != 0) << row;
+            }
         }
-        let solved = batch.solve(second_order_within);
-        for (&row, upwind) in batch.rows[..batch.row_count].iter().zip(solved.as_chunks::<8>().0) {
-            let (old, fixed) = (around.row(row), fixed.row(row));
-            let updated: Row = std::array::from_fn(|z| if fixed >> z & 1 == 1 { old[z] } else { upwind[z] });
-            changed |= u64::from(updated != *old) << row;
-            next.values[row * 8..row * 8 + 8].copy_from_slice(&updated);
-        }
+        changed
     }
 }
 
-/// Rows that are solved together: loops this long are what compilers turn into vector code.
-const BATCH_ROWS: usize = 8;
-
-/// The values of some rows.
-type Lanes = [f32; BATCH_ROWS * 8];
-
-/// Some rows and their surroundings.
-struct Batch {
-    rows: [usize; BATCH_ROWS],
-    row_count: usize,
-    center: Lanes,
-    /// On each axis the voxels at −2, −1, +1 and +2.
-    around: [[Lanes; 4]; 3],
-}
-
-impl Default for Batch {
-    fn default() -> Batch {
-        let zero = [0.0; BATCH_ROWS * 8];
-        Batch { rows: [0; BATCH_ROWS], row_count: 0, center: zero, around: [[zero; 4]; 3] }
-    }
-}
-
-impl Batch {
-    /// Adds a row.
-    fn gather(&mut self, around: &Neighborhood, row: usize) {
-        let [xm, xp, ym, yp] = around.side_rows(row);
-        let [xm2, xp2, ym2, yp2] = around.second_side_rows(row);
-        let [zm, zp] = around.shifted_rows(row);
-        let [zm2, zp2] = around.twice_shifted_rows(row);
-        let axes = [[xm2, xm, xp, xp2], [ym2, ym, yp, yp2], [&zm2, &zm, &zp, &zp2]];
-        let lanes = self.row_count * 8..self.row_count * 8 + 8;
-        self.center[lanes.clone()].copy_from_slice(around.row(row));
-        for (to, from) in self.around.as_flattened_mut().iter_mut().zip(axes.as_flattened()) {
-            to[lanes.clone()].copy_from_slice(*from);
-        }
-        self.rows[self.row_count] = row;
-        self.row_count += 1;
-    }
-
-    /// The upwind solution of |∇d| = 1 at each voxel.
-    fn solve(&self, second_order_within: f32) -> Lanes {
-        let mut solved = self.center;
-        for (i, solved) in solved.iter_mut().enumerate() {
-            // On the side of the surface that the voxel is on, distances are positive.
-            let side = 1f32.copysign(*solved);
-            let slope = |[low2, low, high, high2]: &[Lanes; 4]| {
-                OneSided::new([low2, low, high, high2].map(|lanes| side * lanes[i]), second_order_within)
-            };
-            let (x, y, z) = (slope(&self.around[0]), slope(&self.around[1]), slope(&self.around[2]));
-            let (x, y) = ordered(x, y);
-            let (y, z) = ordered(y, z);
-            let (x, y) = ordered(x, y);
-            *solved = side * solve_upwind([x, y, z]);
-        }
-        solved
-    }
+/// The upwind solution of |∇d| = 1 at each voxel of a row.
+#[inline(always)]
+fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
+    // On the side of the surface that the voxel is on, distances are positive.
+    let side = V::splat(1.0).copysign(slab.row(y));
+    let near = [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)];
+    let second = [slab.second_along_x::<V>(y), slab.second_along_y(y), slab.second_along_z(y, near[2])];
+    let within = V::splat(second_order_within);
+    let x = OneSided::new(side, near[0], second[0], within);
+    let y = OneSided::new(side, near[1], second[1], within);
+    let z = OneSided::new(side, near[2], second[2], within);
+    let (x, y) = ordered(x, y);
+    let (y, z) = ordered(y, z);
+    let (x, y) = ordered(x, y);
+    side.mul(solve_upwind([x, y, z]))
 }
 
 /// Along one axis the square of the slope at d is `weight` · (d − `from`)².
 #[derive(Clone, Copy)]
-struct OneSided {
-    from: f32,
-    weight: f32,
+struct OneSided<V> {
+    from: V,
+    weight: V,
 }
 
-impl OneSided {
-    /// The difference towards the nearer of the neighbours at −2, −1, +1 and +2: of second order where
-    /// that is wanted and the values fall on beyond it.
-    #[inline]
-    fn new([low2, low, high, high2]: [f32; 4], second_order_within: f32) -> OneSided {
+impl<V: Lanes> OneSided<V> {
+    /// The difference towards the nearer of the neighbours at −1 and +1: of second order, with that at −2
+    /// or +2, where that is wanted and the values fall on beyond it.
+    #[inline(always)]
+    fn new(side: V, [low, high]: [V; 2], [low2, high2]: [V; 2], second_order_within: V) -> OneSided<V> {
+        let (low, high) = (side.mul(low), side.mul(high));
         let near = low.min(high);
-        let far = if high < low { high2 } else { low2 };
-        let is_second = far <= near && near < second_order_within;
+        let far = V::select(high.lt(low), side.mul(high2), side.mul(low2));
+        let falls_on = V::not(near.lt(far));
+        let is_second = V::both(falls_on, near.lt(second_order_within));
+        let extrapolated = V::splat(4.0).mul(near).sub(far).mul(V::splat(1.0 / 3.0));
         OneSided {
-            from: if is_second { (4.0 * near - far) * (1.0 / 3.0) } else { near },
-            weight: if is_second { 2.25 } else { 1.0 },
+            from: V::select(is_second, extrapolated, near),
+            weight: V::select(is_second, V::splat(2.25), V::splat(1.0)),
+        }
+    }
+}
+
+impl<V: Lanes> OneSided<V> {
+    #[inline(always)]
+    fn select(mask: V::Mask, then: OneSided<V>, otherwise: OneSided<V>) -> OneSided<V> {
+        OneSided {
+            from: V::select(mask, then.from, otherwise.from),
+            weight: V::select(mask, then.weight, otherwise.weight),
         }
     }
 }
 
 /// The two in the order of `from`.
-#[inline]
-fn ordered(a: OneSided, b: OneSided) -> (OneSided, OneSided) {
-    let swap = b.from < a.from;
-    let (from_low, from_high) = (a.from.min(b.from), a.from.max(b.from));
-    let (weight_low, weight_high) = if swap { (b.weight, a.weight) } else { (a.weight, b.weight) };
-    (OneSided { from: from_low, weight: weight_low }, OneSided { from: from_high, weight: weight_high })
+#[inline(always)]
+fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V>) {
+    let swap = b.from.lt(a.from);
+    (OneSided::select(swap, b, a), OneSided::select(swap, a, b))
 }
 
 /// The d at which the squares of the slopes add to one, with as many axes as lie upwind of it; they
 /// come in the order of `from`.
-#[inline]
-fn solve_upwind([a, b, c]: [OneSided; 3]) -> f32 {
+#[inline(always)]
+fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
     // Relative to the nearest, so that nothing large is squared.
-    let (b_rel, c_rel) = (b.from - a.from, c.from - a.from);
-    let one = a.from + 1.0 / a.weight.sqrt();
-    let (weight, sum) = (a.weight + b.weight, b.weight * b_rel);
-    let squares = sum * b_rel - 1.0;
-    let two = a.from + (sum + (sum * sum - weight * squares).max(0.0).sqrt()) / weight;
-    let (weight, sum, squares) =
-        (weight + c.weight, sum + c.weight * c_rel, squares + c.weight * c_rel * c_rel);
-    let three = a.from + (sum + (sum * sum - weight * squares).max(0.0).sqrt()) / weight;
-    let more = if two <= c.from { two } else { three };
-    if one <= b.from { one } else { more }
+    let (b_rel, c_rel) = (b.from.sub(a.from), c.from.sub(a.from));
+    // The square root of a weight: 1 or 3/2.
+    let one = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
+    let (weight, sum) = (a.weight.add(b.weight), b.weight.mul(b_rel));
+    let squares = sum.mul(b_rel).sub(V::splat(1.0));
+    let two = root(weight, sum, squares);
+    let three =
+        root(weight.add(c.weight), sum.add(c.weight.mul(c_rel)), squares.add(c.weight.mul(c_rel).mul(c_rel)));
+    let more = V::select(c_rel.lt(two), three, two);
+    a.from.add(V::select(b_rel.lt(one), more, one))
+}
+
+/// The greater root of `weight`·d² − 2·`sum`·d + `squares`, or the place of its least value.
+#[inline(always)]
+fn root<V: Lanes>(weight: V, sum: V, squares: V) -> V {
+    sum.add(sum.mul(sum).sub(weight.mul(squares)).max(V::splat(0.0)).sqrt()).div(weight)
 }
 
 #[cfg(test)]

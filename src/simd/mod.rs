@@ -1,13 +1,12 @@
 //! The processor's widest vectors, chosen when the program runs.
 //!
-//! A kernel is written once, in plain Rust over rows of eight values, and compiled once for each
-//! [`Level`]. The levels differ in the width of the registers and in nothing else: no multiplication is
-//! fused with an addition on any of them (Rust never does so by itself), and every sum has one order.
-//! So a frame has the same bytes on every processor, and the baseline is the scalar twin that the tests
-//! hold the others to.
+//! A kernel is written once, over rows of eight values ([`Lanes`]), and compiled once for each
+//! [`Level`]. The levels differ in the instructions and in nothing else: no multiplication is fused with an
+//! addition on any of them, and every sum has one order. So a frame has the same bytes on every
+//! processor, and the baseline is the plain twin that the tests hold the others to.
 //!
 //! ```text
-//!   dispatch(kernel) ──┬─ Avx512    16 values an instruction, masks in registers of their own
+//!   dispatch(kernel) ──┬─ Avx512     8 values an instruction, twice as many registers
 //!                      ├─ Avx2       8
 //!                      └─ Baseline   4 on x86-64 (SSE2) and on aarch64 (NEON)
 //! ```
@@ -15,7 +14,14 @@
 //! This is the only module with unsafe code: calling a function that was compiled for more than the
 //! baseline is safe only after the processor was asked.
 
+mod lanes;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
 use std::sync::OnceLock;
+
+pub use lanes::Lanes;
+use lanes::Portable;
 
 /// Which instructions kernels may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -100,8 +106,8 @@ pub trait Kernel {
     /// What it returns.
     type Output;
 
-    /// Does the work.
-    fn run(self) -> Self::Output;
+    /// Does the work, on rows in registers where `V` is of use.
+    fn run<V: Lanes>(self) -> Self::Output;
 }
 
 /// Runs a kernel at [`Level::current`].
@@ -127,48 +133,63 @@ pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
         }
     }
     let _ = level;
-    kernel.run()
-}
-
-#[cfg(target_arch = "x86_64")]
-mod x86 {
-    use super::Kernel;
-
-    #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
-    pub(super) fn run_avx2<K: Kernel>(kernel: K) -> K::Output {
-        kernel.run()
-    }
-
-    #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,bmi1,bmi2,lzcnt,popcnt,f16c")]
-    pub(super) fn run_avx512<K: Kernel>(kernel: K) -> K::Output {
-        kernel.run()
-    }
+    kernel.run::<Portable>()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    struct Sum<'a>(&'a [f32]);
+    /// Every operation of a row, on values that do and do not compare.
+    struct Everything([[f32; 8]; 3]);
 
-    impl Kernel for Sum<'_> {
-        type Output = [f32; 8];
+    impl Kernel for Everything {
+        type Output = Vec<u32>;
 
         #[inline(always)]
-        fn run(self) -> [f32; 8] {
-            self.0.as_chunks::<8>().0.iter().fold([0.0; 8], |sum, row| {
-                // A product and a sum that would round differently if they were one operation.
-                std::array::from_fn(|z| sum[z] * 0.999_999 + row[z] * row[z])
-            })
+        fn run<V: Lanes>(self) -> Vec<u32> {
+            let [a, b, c] = [V::load(&self.0[0]), V::load(&self.0[1]), V::load(&self.0[2])];
+            let (less, differs) = (a.lt(b), a.ne(c));
+            let rows = [
+                a.mul(b).add(c),
+                a.sub(b),
+                a.div(b),
+                a.abs().sqrt(),
+                a.copysign(c),
+                a.min(b),
+                a.max(b),
+                V::select(less, a, b),
+                V::select(V::both(less, differs), b, c),
+                V::select(V::not(less), b, c),
+                V::select(V::mask(0b1011_0010), a, V::splat(4.0)),
+                a.shift_up(9.0),
+                a.shift_down(-9.0),
+            ];
+            let mut stored = [0.0; 8];
+            let mut all = vec![u32::from(V::bits(less)), u32::from(V::bits(differs))];
+            for row in rows {
+                row.store(&mut stored);
+                // Which of several numbers that are not one it is, nobody promises.
+                all.extend(stored.map(|value| if value.is_nan() { u32::MAX } else { value.to_bits() }));
+            }
+            all
         }
     }
 
     #[test]
     fn every_level_gives_the_same_bits() {
-        let values: Vec<f32> = (0..4096).map(|i| (i as f32 * 0.7).sin() * 1.7).collect();
-        let baseline = Sum(&values).run().map(f32::to_bits);
-        for level in Level::ALL {
-            assert_eq!(dispatch_at(level, Sum(&values)).map(f32::to_bits), baseline, "{level:?}");
+        let wave = |scale: f32| std::array::from_fn(|k| (k as f32 * scale).sin() * 1.7);
+        let odd = [f32::NAN, f32::INFINITY, -0.0, 0.0, -f32::INFINITY, f32::MIN_POSITIVE, 1.0, -1.0];
+        for rows in [
+            [wave(0.7), wave(1.3), wave(2.9)],
+            [odd, wave(0.7), odd],
+            [wave(0.7), odd, wave(0.7)],
+            [[0.0; 8], [-0.0; 8], odd],
+        ] {
+            let baseline = Everything(rows).run::<Portable>();
+            for level in Level::ALL {
+                assert_eq!(dispatch_at(level, Everything(rows)), baseline, "{level:?} {rows:?}");
+            }
         }
     }
 }

@@ -10,8 +10,9 @@
 
 use rayon::prelude::*;
 
-use crate::grid::{Direction, LeafMask, NO_LEAF};
+use crate::grid::{Direction, Leaf, LeafMask, NO_LEAF, ROW_COUNT};
 use crate::level_set::NarrowBand;
+use crate::simd::{self, Kernel, Lanes};
 
 /// The free voxels of a step, and the rows where the inner Laplacian is needed.
 pub(super) struct Band {
@@ -26,12 +27,8 @@ pub(super) struct Band {
 impl Band {
     /// The band of the voxels with |φ| ≤ `width` voxels.
     pub(super) fn new(band: &NarrowBand, width: f32) -> Band {
-        let free: Vec<LeafMask> = band
-            .phi
-            .leaves
-            .par_iter()
-            .map(|leaf| LeafMask::from_fn(|offset| leaf.values[offset].abs() <= width))
-            .collect();
+        let free: Vec<LeafMask> =
+            band.phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width })).collect();
         let neighbors = band.topology.neighbors();
         let laplacian_rows =
             (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
@@ -49,6 +46,31 @@ impl Band {
     pub(super) fn free_count(&self) -> usize {
         self.free.par_iter().map(|mask| mask.count() as usize).sum()
     }
+}
+
+/// The voxels of a leaf with |φ| ≤ `width`.
+struct Near<'a> {
+    leaf: &'a Leaf,
+    width: f32,
+}
+
+impl Kernel for Near<'_> {
+    type Output = LeafMask;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> LeafMask {
+        let mut mask = LeafMask::EMPTY;
+        for row in 0..ROW_COUNT {
+            mask.set_row(row, near_bits(V::load(self.leaf.row(row)), self.width));
+        }
+        mask
+    }
+}
+
+/// The bits of a row's voxels with |φ| ≤ `width`.
+#[inline(always)]
+pub(super) fn near_bits<V: Lanes>(phi: V, width: f32) -> u8 {
+    !V::bits(V::splat(width).lt(phi.abs()))
 }
 
 /// The rows of a leaf that hold a free voxel or a face neighbour of one.

@@ -25,13 +25,17 @@
 //! This work is based on:
 //! Boris Polyak. Some methods of speeding up the convergence of iteration methods. 1964
 
+use std::cell::RefCell;
+
 use rayon::prelude::*;
 
 use super::Scratch;
 use super::band::Band;
-use super::biharmonic::{EIGENVALUE_MAX, inner_laplacian, rows_in};
-use crate::grid::{Field, Neighborhood};
+use super::biharmonic::EIGENVALUE_MAX;
+use super::cluster::Cluster;
+use crate::grid::{Field, Leaf, Neighborhood, Topology, slabs_in};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::simd::{self, Kernel, Lanes};
 
 /// Passes in units of √L: the error that a pass leaves is 1 − 2/√L, so this leaves e⁻³.
 const PASSES_PER_ROOT: f32 = 1.5;
@@ -57,30 +61,48 @@ pub(super) fn step(
         beta: ((root - 1.0) / (root + 1.0)) * ((root - 1.0) / (root + 1.0)),
     };
     let topology = band.topology.clone();
+    let clusters = Cluster::all(&topology, region);
     let start = band.phi.clone();
     let previous = &mut scratch.values;
     previous.leaves.copy_from_slice(&start.leaves);
     for _ in 0..iterations {
-        inner_laplacian(&topology, region, &band.phi, &mut scratch.laplacian);
-        let fields = Fields { start: &start, current: &band.phi, laplacian: &scratch.laplacian, bounds };
-        previous.leaves.par_iter_mut().enumerate().for_each(|(leaf, previous)| {
-            let around = Neighborhood::new(&fields.laplacian.leaves, topology.neighbors(), leaf);
-            for row in rows_in(region.free_rows[leaf]) {
-                momentum.advance_row(&fields, &around, region, leaf, row, previous.row_mut(row));
-            }
+        let fields = Fields { topology: &topology, region, start: &start, current: &band.phi, bounds };
+        pieces(&clusters, &mut previous.leaves).into_par_iter().for_each(|(cluster, previous)| {
+            SCRATCH.with_borrow_mut(|laplacians| {
+                simd::dispatch(Pass { fields: &fields, momentum: &momentum, cluster, laplacians, previous });
+            });
         });
         std::mem::swap(&mut band.phi, previous);
     }
 }
 
+thread_local! {
+    /// The inner Laplacians of a cluster and its halo.
+    static SCRATCH: RefCell<Vec<Leaf>> = const { RefCell::new(Vec::new()) };
+}
+
+/// Each cluster with its own leaves of a field.
+fn pieces<'a>(clusters: &'a [Cluster], leaves: &'a mut [Leaf]) -> Vec<(&'a Cluster, &'a mut [Leaf])> {
+    let (mut rest, mut passed) = (leaves, 0);
+    clusters
+        .iter()
+        .map(|cluster| {
+            let (_, from_start) = std::mem::take(&mut rest).split_at_mut(cluster.leaves.start - passed);
+            let (own, after) = from_start.split_at_mut(cluster.leaves.len());
+            (rest, passed) = (after, cluster.leaves.end);
+            (cluster, own)
+        })
+        .collect()
+}
+
 /// What a pass reads.
 struct Fields<'a> {
+    topology: &'a Topology,
+    region: &'a Band,
     /// φ at the start of the step.
     start: &'a Field,
     /// x.
     current: &'a Field,
-    /// ∇²x.
-    laplacian: &'a Field,
     bounds: &'a Bounds,
 }
 
@@ -91,29 +113,72 @@ struct Momentum {
     beta: f32,
 }
 
-impl Momentum {
-    /// Overwrites a row of x⁻ by x⁺ at its free voxels.
-    #[inline]
-    fn advance_row(
-        &self,
-        fields: &Fields,
-        around: &Neighborhood,
-        region: &Band,
-        leaf: usize,
-        row: usize,
-        previous: &mut [f32; 8],
-    ) {
-        let biharmonic = around.laplacian(row);
-        let free = region.free[leaf].row(row);
-        let start = fields.start.leaves[leaf].row(row);
-        let current = fields.current.leaves[leaf].row(row);
-        let lower = fields.bounds.lower.leaves[leaf].row(row);
-        let upper = fields.bounds.upper.leaves[leaf].row(row);
-        for z in 0..8 {
-            let gradient = (current[z] - start[z]) + self.step_size * biharmonic[z];
-            let moved = current[z] - self.alpha * gradient + self.beta * (current[z] - previous[z]);
-            let clamped = moved.max(lower[z]).min(upper[z]);
-            previous[z] = if free >> z & 1 == 1 { clamped } else { previous[z] };
+/// A pass over a cluster.
+struct Pass<'a> {
+    fields: &'a Fields<'a>,
+    momentum: &'a Momentum,
+    cluster: &'a Cluster,
+    laplacians: &'a mut Vec<Leaf>,
+    /// x⁻ of the cluster's leaves, to become x⁺.
+    previous: &'a mut [Leaf],
+}
+
+impl Kernel for Pass<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let Pass { fields, momentum, cluster, laplacians, previous } = self;
+        let count = cluster.leaves.len() + cluster.halo.len();
+        if laplacians.len() < count {
+            laplacians.resize(count, Leaf::splat(0.0));
         }
+        let own = cluster.leaves.clone().map(|leaf| (leaf, fields.region.laplacian_rows[leaf]));
+        let halo = cluster.halo.iter().map(|&(leaf, rows)| (leaf as usize, rows));
+        for ((leaf, rows), laplacian) in own.chain(halo).zip(laplacians.iter_mut()) {
+            let around = Neighborhood::new(&fields.current.leaves, fields.topology.neighbors(), leaf);
+            for (x, ys) in slabs_in(rows) {
+                let slab = around.slab(x);
+                for y in ys {
+                    slab.laplacian::<V>(y).store(laplacian.row_mut(x * 8 + y));
+                }
+            }
+        }
+        for ((leaf, neighbors), previous) in cluster.leaves.clone().zip(&cluster.neighbors).zip(previous) {
+            let rows = fields.region.free_rows[leaf];
+            if rows == 0 {
+                continue;
+            }
+            let place = leaf - cluster.leaves.start;
+            let around =
+                Neighborhood::of(&laplacians[place], neighbors.map(|place| laplacians.get(place as usize)));
+            let (start, current) = (&fields.start.leaves[leaf], &fields.current.leaves[leaf]);
+            let (lower, upper) = (&fields.bounds.lower.leaves[leaf], &fields.bounds.upper.leaves[leaf]);
+            let free = &fields.region.free[leaf];
+            for (x, ys) in slabs_in(rows) {
+                let slab = around.slab(x);
+                for y in ys {
+                    let row = x * 8 + y;
+                    let previous = previous.row_mut(row);
+                    let values = [V::load(start.row(row)), V::load(current.row(row)), V::load(previous)];
+                    let bounds = [V::load(lower.row(row)), V::load(upper.row(row))];
+                    momentum
+                        .advance(slab.laplacian(y), values, bounds, V::mask(free.row(row)))
+                        .store(previous);
+                }
+            }
+        }
+    }
+}
+
+impl Momentum {
+    /// x⁺ of a row: x⁻ where it is not free.
+    #[inline(always)]
+    fn advance<V: Lanes>(&self, biharmonic: V, values: [V; 3], bounds: [V; 2], free: V::Mask) -> V {
+        let ([start, current, previous], [lower, upper]) = (values, bounds);
+        let gradient = current.sub(start).add(V::splat(self.step_size).mul(biharmonic));
+        let inertia = V::splat(self.beta).mul(current.sub(previous));
+        let moved = current.sub(V::splat(self.alpha).mul(gradient)).add(inertia);
+        V::select(free, moved.max(lower).min(upper), previous)
     }
 }

@@ -5,10 +5,10 @@
 
 use rayon::prelude::*;
 
-use super::band::Band;
-use super::biharmonic::rows_in;
-use crate::grid::Neighborhood;
+use super::band::near_bits;
+use crate::grid::{Leaf, Neighborhood};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::simd::{self, Kernel, Lanes};
 
 /// Voxels with |φ| up to this are changed (Alg. 1, line 6).
 const BAND_WIDTH: f32 = 4.0;
@@ -18,21 +18,44 @@ pub(super) fn smooth_laplacian(band: &mut NarrowBand, bounds: &Bounds, step_coun
     let topology = band.topology.clone();
     let mut next = band.phi.clone();
     for _ in 0..step_count {
-        let region = Band::new(band, BAND_WIDTH);
         next.leaves.par_iter_mut().enumerate().for_each(|(leaf, next)| {
             let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
-            *next = band.phi.leaves[leaf];
-            for row in rows_in(region.free_rows[leaf]) {
-                let (laplacian, slope) = (around.laplacian(row), around.gradient_norm(row));
-                let (lower, upper) = (bounds.lower.leaves[leaf].row(row), bounds.upper.leaves[leaf].row(row));
-                let free = region.free[leaf].row(row);
-                let next = next.row_mut(row);
-                for z in 0..8 {
-                    let moved = (next[z] + step_size * laplacian[z] * slope[z]).max(lower[z]).min(upper[z]);
-                    next[z] = if free >> z & 1 == 1 { moved } else { next[z] };
-                }
-            }
+            let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
+            simd::dispatch(Step { around: &around, bounds, step_size, next });
         });
         std::mem::swap(&mut band.phi, &mut next);
+    }
+}
+
+/// A step of one leaf.
+struct Step<'a> {
+    around: &'a Neighborhood<'a>,
+    bounds: [&'a Leaf; 2],
+    step_size: f32,
+    next: &'a mut Leaf,
+}
+
+impl Kernel for Step<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let [lower, upper] = self.bounds;
+        let step_size = V::splat(self.step_size);
+        for x in 0..8 {
+            let slab = self.around.slab(x);
+            for y in 0..8 {
+                let row = x * 8 + y;
+                let phi = slab.row::<V>(y);
+                let near = near_bits(phi, BAND_WIDTH);
+                if near == 0 {
+                    phi.store(self.next.row_mut(row));
+                    continue;
+                }
+                let change = step_size.mul(slab.laplacian(y)).mul(slab.gradient_norm(y));
+                let bounded = phi.add(change).max(V::load(lower.row(row))).min(V::load(upper.row(row)));
+                V::select(V::mask(near), bounded, phi).store(self.next.row_mut(row));
+            }
+        }
     }
 }

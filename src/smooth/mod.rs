@@ -12,6 +12,7 @@
 
 mod band;
 mod biharmonic;
+mod cluster;
 mod conjugate_gradient;
 mod explicit;
 mod heavy_ball;

@@ -1,0 +1,196 @@
+//! Eight values that move together: a row of a leaf in a register.
+//!
+//! Every operation is that of IEEE 754 on each value by itself, so whichever type a kernel runs on, it
+//! computes the same bits. Where the instruction sets differ, in what `max` makes of a number that is
+//! not one, the [portable type](Portable) says what is meant.
+
+/// Eight 32-bit values.
+pub trait Lanes: Copy {
+    /// One truth for each value.
+    type Mask: Copy;
+
+    /// The values of a row.
+    fn load(row: &[f32; 8]) -> Self;
+
+    /// One value eight times.
+    fn splat(value: f32) -> Self;
+
+    /// Writes the values into a row.
+    fn store(self, row: &mut [f32; 8]);
+
+    /// Sum.
+    fn add(self, other: Self) -> Self;
+
+    /// Difference.
+    fn sub(self, other: Self) -> Self;
+
+    /// Product.
+    fn mul(self, other: Self) -> Self;
+
+    /// Quotient.
+    fn div(self, other: Self) -> Self;
+
+    /// Square root.
+    fn sqrt(self) -> Self;
+
+    /// Absolute value.
+    fn abs(self) -> Self;
+
+    /// The values with the signs of `sign`'s.
+    fn copysign(self, sign: Self) -> Self;
+
+    /// The lesser of each two; `other` where they do not compare.
+    fn min(self, other: Self) -> Self;
+
+    /// The greater of each two; `other` where they do not compare.
+    fn max(self, other: Self) -> Self;
+
+    /// Where a value is less than the other.
+    fn lt(self, other: Self) -> Self::Mask;
+
+    /// Where a value is not the other, or one of them is no number.
+    fn ne(self, other: Self) -> Self::Mask;
+
+    /// The mask whose bit k is for value k.
+    fn mask(bits: u8) -> Self::Mask;
+
+    /// The mask as bits.
+    fn bits(mask: Self::Mask) -> u8;
+
+    /// Where both hold.
+    fn both(one: Self::Mask, other: Self::Mask) -> Self::Mask;
+
+    /// Where it does not hold.
+    fn not(mask: Self::Mask) -> Self::Mask;
+
+    /// `then` where the mask holds, and `otherwise` elsewhere.
+    fn select(mask: Self::Mask, then: Self, otherwise: Self) -> Self;
+
+    /// Each value's neighbour before it; that of the first is `first`.
+    fn shift_up(self, first: f32) -> Self;
+
+    /// Each value's neighbour after it; that of the last is `last`.
+    fn shift_down(self, last: f32) -> Self;
+}
+
+/// What every processor can do.
+#[derive(Clone, Copy)]
+pub(super) struct Portable([f32; 8]);
+
+impl Portable {
+    #[inline(always)]
+    fn map(self, other: Portable, f: impl Fn(f32, f32) -> f32) -> Portable {
+        Portable(std::array::from_fn(|k| f(self.0[k], other.0[k])))
+    }
+}
+
+impl Lanes for Portable {
+    type Mask = [bool; 8];
+
+    #[inline(always)]
+    fn load(row: &[f32; 8]) -> Portable {
+        Portable(*row)
+    }
+
+    #[inline(always)]
+    fn splat(value: f32) -> Portable {
+        Portable([value; 8])
+    }
+
+    #[inline(always)]
+    fn store(self, row: &mut [f32; 8]) {
+        *row = self.0;
+    }
+
+    #[inline(always)]
+    fn add(self, other: Portable) -> Portable {
+        self.map(other, |a, b| a + b)
+    }
+
+    #[inline(always)]
+    fn sub(self, other: Portable) -> Portable {
+        self.map(other, |a, b| a - b)
+    }
+
+    #[inline(always)]
+    fn mul(self, other: Portable) -> Portable {
+        self.map(other, |a, b| a * b)
+    }
+
+    #[inline(always)]
+    fn div(self, other: Portable) -> Portable {
+        self.map(other, |a, b| a / b)
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Portable {
+        Portable(self.0.map(f32::sqrt))
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Portable {
+        Portable(self.0.map(f32::abs))
+    }
+
+    #[inline(always)]
+    fn copysign(self, sign: Portable) -> Portable {
+        self.map(sign, f32::copysign)
+    }
+
+    #[inline(always)]
+    fn min(self, other: Portable) -> Portable {
+        self.map(other, |a, b| if a < b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn max(self, other: Portable) -> Portable {
+        self.map(other, |a, b| if a > b { a } else { b })
+    }
+
+    #[inline(always)]
+    fn lt(self, other: Portable) -> [bool; 8] {
+        std::array::from_fn(|k| self.0[k] < other.0[k])
+    }
+
+    #[inline(always)]
+    fn ne(self, other: Portable) -> [bool; 8] {
+        std::array::from_fn(|k| self.0[k] != other.0[k])
+    }
+
+    #[inline(always)]
+    fn mask(bits: u8) -> [bool; 8] {
+        std::array::from_fn(|k| bits >> k & 1 == 1)
+    }
+
+    #[inline(always)]
+    fn bits(mask: [bool; 8]) -> u8 {
+        (0..8).fold(0, |bits, k| bits | u8::from(mask[k]) << k)
+    }
+
+    #[inline(always)]
+    fn both(one: [bool; 8], other: [bool; 8]) -> [bool; 8] {
+        std::array::from_fn(|k| one[k] & other[k])
+    }
+
+    #[inline(always)]
+    fn not(mask: [bool; 8]) -> [bool; 8] {
+        mask.map(|holds| !holds)
+    }
+
+    #[inline(always)]
+    fn select(mask: [bool; 8], then: Portable, otherwise: Portable) -> Portable {
+        Portable(std::array::from_fn(|k| if mask[k] { then.0[k] } else { otherwise.0[k] }))
+    }
+
+    #[inline(always)]
+    fn shift_up(self, first: f32) -> Portable {
+        let c = self.0;
+        Portable([first, c[0], c[1], c[2], c[3], c[4], c[5], c[6]])
+    }
+
+    #[inline(always)]
+    fn shift_down(self, last: f32) -> Portable {
+        let c = self.0;
+        Portable([c[1], c[2], c[3], c[4], c[5], c[6], c[7], last])
+    }
+}
