@@ -114,6 +114,7 @@ pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
+    report.moved_count = smoothed.moved_count;
     report.reach_voxels =
         smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
     report.convergence = smoothed.convergence;

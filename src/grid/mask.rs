@@ -7,6 +7,10 @@ pub struct LeafMask {
     pub words: [u64; 8],
 }
 
+/// The first voxel of every row, and the last.
+const Z_FIRST: u64 = 0x0101_0101_0101_0101;
+const Z_LAST: u64 = Z_FIRST << 7;
+
 impl LeafMask {
     /// No voxel.
     pub const EMPTY: LeafMask = LeafMask { words: [0; 8] };
@@ -60,6 +64,30 @@ impl LeafMask {
         (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
     }
 
+    /// For each voxel whether its neighbour before it along an axis is in, and whether that after it is;
+    /// `before` and `after` are the masks of the leaves beyond the two faces.
+    pub fn shifted(&self, axis: usize, before: &LeafMask, after: &LeafMask) -> [LeafMask; 2] {
+        let (own, before, after) = (&self.words, &before.words, &after.words);
+        // A step in z is a bit, in y a byte, in x a word; what falls out at an end comes in from the next leaf.
+        let words = |shift: &dyn Fn(usize) -> u64| LeafMask { words: std::array::from_fn(shift) };
+        match axis {
+            0 => [
+                words(&|x| if x > 0 { own[x - 1] } else { before[7] }),
+                words(&|x| if x < 7 { own[x + 1] } else { after[0] }),
+            ],
+            1 => [words(&|x| own[x] << 8 | before[x] >> 56), words(&|x| own[x] >> 8 | after[x] << 56)],
+            _ => [
+                words(&|x| own[x] << 1 & !Z_FIRST | before[x] >> 7 & Z_FIRST),
+                words(&|x| own[x] >> 1 & !Z_LAST | after[x] << 7 & Z_LAST),
+            ],
+        }
+    }
+
+    /// The voxels that are in both.
+    pub fn and(&self, other: &LeafMask) -> LeafMask {
+        LeafMask { words: std::array::from_fn(|x| self.words[x] & other.words[x]) }
+    }
+
     /// Whether no voxel is in.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]
@@ -82,5 +110,25 @@ impl LeafMask {
                 })
             })
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::{offset_in_leaf, voxel_in_leaf};
+    use glam::IVec3;
+
+    #[test]
+    fn shifts_bring_in_the_voxels_of_the_leaves_beside() {
+        // Some pattern that repeats nowhere within two leaves.
+        let is_in = |voxel: IVec3| (voxel.x * 37 + voxel.y * 101 + voxel.z * 11).rem_euclid(7) < 3;
+        let mask = |origin: IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
+        for axis in 0..3 {
+            let step = IVec3::AXES[axis];
+            let shifted = mask(IVec3::ZERO).shifted(axis, &mask(step * -8), &mask(step * 8));
+            assert_eq!(shifted, [mask(-step), mask(step)]);
+        }
+        assert!(mask(IVec3::ZERO).contains(offset_in_leaf(IVec3::ZERO)));
     }
 }

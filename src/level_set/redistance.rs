@@ -74,12 +74,20 @@ impl Sweeps {
 /// Replaces every φ in the band by the distance to its zero set, keeping the sign. Values farther
 /// than `band.half_width`, and voxels that the sweeps do not reach, become ± half width.
 pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
-    let (mut distance, pinned) = pin(band);
-    extend(&band.topology, &mut distance, &pinned, sweeps);
+    redistance_in(band, sweeps, &mut Field::splat(band.topology.len(), 0.0));
+}
+
+/// The same in memory of the caller: `scratch` is a field of the band's topology, and what is in it before and
+/// after does not matter.
+pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
+    let pinned = pin(band, scratch);
+    std::mem::swap(&mut band.phi, scratch);
+    scratch.leaves.copy_from_slice(&band.phi.leaves);
+    sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps);
     let half_width = band.half_width;
-    band.phi.leaves.par_iter_mut().zip(&distance.leaves).for_each(|(phi, distance)| {
-        for (phi, &distance) in phi.values.iter_mut().zip(&distance.values) {
-            *phi = distance.clamp(-half_width, half_width);
+    band.phi.leaves.par_iter_mut().for_each(|phi| {
+        for phi in &mut phi.values {
+            *phi = phi.clamp(-half_width, half_width);
         }
     });
 }
@@ -88,8 +96,13 @@ pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
 /// are not fixed start at plus or minus [`UNREACHED`], by their side of the surface. A sweep reads values
 /// up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
-    let neighbors = topology.neighbors();
     let mut next = distance.clone();
+    sweep_outward(topology, [distance, &mut next], fixed, sweeps);
+}
+
+/// Sweeps from one field to the other, which are equal at first, and back. The result is in the first.
+fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
+    let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, those where something is known. Where
     // nothing changed that a row depends on, another sweep would give the same values again.
     let mut changed: Vec<u64> = fixed.par_iter().map(LeafMask::occupied_rows).collect();
@@ -106,22 +119,21 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
             let second_order_within = sweeps.second_order_within;
             *changed_next = simd::dispatch(Sweep { around: &around, fixed, rows, second_order_within, next });
         });
-        std::mem::swap(distance, &mut next);
+        std::mem::swap(distance, next);
         std::mem::swap(&mut changed, &mut changed_next);
     }
 }
 
-/// Signed distances of the voxels near the zero set, and which these are; the others have the sign only.
-fn pin(band: &NarrowBand) -> (Field, Vec<LeafMask>) {
+/// Signed distances of the voxels near the zero set, written into `distance`, where the others get the sign
+/// only. Returns which voxels these are.
+fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let neighbors = band.topology.neighbors();
-    let leaf_count = band.topology.len();
-    let mut distance = Field::splat(leaf_count, UNREACHED);
-    let mut pinned = vec![LeafMask::EMPTY; leaf_count];
+    let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
     distance.leaves.par_iter_mut().zip(&mut pinned).enumerate().for_each(|(leaf, (distance, pinned))| {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
         simd::dispatch(Pin { around: &around, distance, pinned });
     });
-    (distance, pinned)
+    pinned
 }
 
 /// Pins the voxels of a leaf.

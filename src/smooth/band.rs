@@ -10,7 +10,7 @@
 
 use rayon::prelude::*;
 
-use crate::grid::{Direction, Leaf, LeafMask, NO_LEAF, ROW_COUNT};
+use crate::grid::{Direction, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::NarrowBand;
 use crate::simd::{self, Kernel, Lanes};
 
@@ -29,11 +29,21 @@ impl Band {
     pub(super) fn new(band: &NarrowBand, width: f32) -> Band {
         let free: Vec<LeafMask> =
             band.phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width })).collect();
-        let neighbors = band.topology.neighbors();
+        Band::of(&band.topology, free)
+    }
+
+    fn of(topology: &Topology, free: Vec<LeafMask>) -> Band {
+        let neighbors = topology.neighbors();
         let laplacian_rows =
             (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
         let free_rows = free.par_iter().map(LeafMask::occupied_rows).collect();
         Band { free, free_rows, laplacian_rows }
+    }
+
+    /// The part of the band in these leaves.
+    pub(super) fn only(self, topology: &Topology, is_in: &[bool]) -> Band {
+        let masks = self.free.into_par_iter().zip(is_in);
+        Band::of(topology, masks.map(|(free, &is_in)| if is_in { free } else { LeafMask::EMPTY }).collect())
     }
 
     /// Makes `free_rows` follow `free` after voxels were taken out. `laplacian_rows` may stay: rows too
@@ -93,7 +103,7 @@ fn dilated_rows(free: &[LeafMask], neighbors: &[u32; 6], leaf: usize) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::{Field, Topology};
+    use crate::grid::Field;
     use glam::IVec3;
     use std::sync::Arc;
 

@@ -20,8 +20,8 @@ pub(super) fn step(
     scratch: &mut Scratch,
 ) -> f32 {
     let topology = band.topology.clone();
-    inner_laplacian(&topology, region, &band.phi, &mut scratch.laplacian);
-    let (phi, laplacian, next) = (&band.phi, &scratch.laplacian, &mut scratch.values);
+    inner_laplacian(&topology, region, &band.phi, &mut scratch.first);
+    let (phi, laplacian, next) = (&band.phi, &scratch.first, &mut scratch.second);
     let advance = |(leaf, next): (usize, &mut crate::grid::Leaf)| {
         *next = phi.leaves[leaf];
         let around = Neighborhood::new(&laplacian.leaves, topology.neighbors(), leaf);
@@ -42,6 +42,6 @@ pub(super) fn step(
     };
     // The greatest of several numbers does not depend on their order.
     let moved_max = next.leaves.par_iter_mut().enumerate().map(advance).reduce(|| 0.0, f32::max);
-    std::mem::swap(&mut band.phi, &mut scratch.values);
+    std::mem::swap(&mut band.phi, &mut scratch.second);
     moved_max
 }

@@ -55,16 +55,16 @@ pub(super) fn step(
     scratch: &mut Scratch,
 ) -> Convergence {
     let mut solver = Solver::new(band, region, step_size);
-    let first = solver.restart(band, &mut scratch.laplacian);
+    let first = solver.restart(band, &mut scratch.first);
     let mut convergence = Convergence { reached: first == 0.0, ..Convergence::default() };
     let (mut restart, mut residual) = (first, first);
     while !convergence.reached && convergence.iterations < ITERATIONS_MAX {
         convergence.iterations += 1;
-        match solver.iterate(band, bounds, residual, &mut scratch.laplacian) {
+        match solver.iterate(band, bounds, residual, &mut scratch.first) {
             Outcome::Advanced { residual: now } => residual = now,
             Outcome::MetBounds => {
                 convergence.restarts += 1;
-                restart = solver.restart(band, &mut scratch.laplacian);
+                restart = solver.restart(band, &mut scratch.first);
                 residual = restart;
             }
         }

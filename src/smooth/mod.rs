@@ -18,6 +18,7 @@ mod explicit;
 mod heavy_ball;
 mod implicit;
 mod laplacian;
+mod thickness;
 
 pub use biharmonic::EIGENVALUE_MAX;
 pub use implicit::Convergence;
@@ -25,8 +26,9 @@ pub use implicit::Convergence;
 use rayon::prelude::*;
 
 use crate::grid::Field;
-use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance};
+use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance, redistance_in};
 use band::Band;
+use heavy_ball::{Course, HeavyBall};
 
 /// How the constrained smoothing is integrated in fictitious time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,8 +63,10 @@ pub struct Config {
 pub struct SmoothReport {
     /// Unknowns of the first step: voxels with |φ| ≤ 3 voxels.
     pub free_voxel_count: usize,
-    /// Applications of the biharmonic operator.
+    /// Applications of the biharmonic operator, where there were most.
     pub pass_count: usize,
+    /// How often a free voxel was moved: free voxels times passes, where all have the same number.
+    pub moved_count: u64,
     /// How far a change of φ_0 or the bounds can reach, in voxels; `None` for `Implicit`, whose
     /// dot products couple every voxel to every other.
     pub reach_voxels: Option<u32>,
@@ -90,53 +94,65 @@ const IMPLICIT_SECOND_ORDER_WITHIN: f32 = 1.2;
 /// A redistancing reads the neighbours of what it pins, and in a sweep the second neighbours too.
 const REDISTANCE_REACH: u32 = 2 * REDISTANCE_SWEEPS + 1;
 
-/// Fields that every step needs and none keeps.
+/// Two fields, of which each integrator makes what it needs.
 struct Scratch {
-    laplacian: Field,
-    values: Field,
+    first: Field,
+    second: Field,
+}
+
+impl Scratch {
+    fn new(leaf_count: usize) -> Scratch {
+        let zero = || Field::splat(leaf_count, 0.0);
+        Scratch { first: zero(), second: zero() }
+    }
 }
 
 /// Smooths `band` within `bounds`.
 pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> SmoothReport {
     laplacian::smooth_laplacian(band, bounds, config.laplacian_steps, LAPLACIAN_STEP_SIZE);
-    let leaf_count = band.topology.len();
-    let mut scratch = Scratch { laplacian: Field::splat(leaf_count, 0.0), values: band.phi.clone() };
+    let mut scratch = Scratch::new(band.topology.len());
     let mut report = SmoothReport::default();
     let mut reach = config.laplacian_steps;
     if config.laplacian_steps == 0 {
         // Something has to take the grain off what the first step holds fixed: noise there costs a
         // sphere of radius 20 one per cent of its volume.
-        redistance(band, Sweeps::accurate(REDISTANCE_SWEEPS));
+        redistance_in(band, Sweeps::accurate(REDISTANCE_SWEEPS), &mut scratch.second);
         bounds.clamp(&mut band.phi);
         reach = REDISTANCE_REACH;
     }
     for step in 1..=config.steps {
         let region = Band::new(band, FREE_WIDTH);
+        let free_count = region.free_count();
         if step == 1 {
-            report.free_voxel_count = region.free_count();
+            report.free_voxel_count = free_count;
         }
         match config.integrator {
             Integrator::Fast => {
-                let iterations = heavy_ball::iteration_count(config.step_size);
-                heavy_ball::step(band, bounds, &region, config.step_size, iterations, &mut scratch);
-                report.pass_count += iterations as usize;
-                reach = reach.saturating_add(2 * iterations);
+                let course = Course::new(config.step_size, step == config.steps);
+                let Scratch { first: start, second: previous } = &mut scratch;
+                report.moved_count +=
+                    HeavyBall { band, bounds, start, previous, course }.step(region, step == 1);
+                report.pass_count += course.passes_max() as usize;
+                reach = reach.saturating_add(course.reach());
             }
             Integrator::Explicit => {
                 let moved = explicit::step(band, bounds, &region, config.step_size, &mut scratch);
                 report.cfl_exceeded_count += usize::from(moved > 1.0);
                 report.pass_count += 1;
+                report.moved_count += free_count as u64;
                 reach = reach.saturating_add(2);
             }
             Integrator::Implicit => {
                 let solved =
                     implicit::step(band, bounds, region, config.step_size, config.cg_tolerance, &mut scratch);
-                report.pass_count += solved.iterations + solved.restarts + 1;
+                let pass_count = solved.iterations + solved.restarts + 1;
+                report.pass_count += pass_count;
+                report.moved_count += (pass_count * free_count) as u64;
                 report.convergence = Some(solved.and(report.convergence));
             }
         }
         if step % config.redistance_every == 0 || step == config.steps {
-            redistance(band, sweeps_after(config.integrator));
+            redistance_in(band, sweeps_after(config.integrator), &mut scratch.second);
             bounds.clamp(&mut band.phi);
             reach = reach.saturating_add(REDISTANCE_REACH);
         }
