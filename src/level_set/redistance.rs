@@ -294,23 +294,24 @@ fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V
 /// come in the order of `from`.
 #[inline(always)]
 fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
-    // Relative to the nearest, so that nothing large is squared.
+    // Relative to the nearest, so that nothing large is squared. The squares of the slopes add to one where
+    // weight·d² − 2·sum·d + squares = 0, the greater root.
     let (b_rel, c_rel) = (b.from.sub(a.from), c.from.sub(a.from));
-    // The square root of a weight: 1 or 3/2.
-    let one = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
+    let zero = V::splat(0.0);
+    // With the first axis only, d is the root of 1/weight: 1 or 2/3.
+    let first = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
+    let is_more = b_rel.lt(first);
     let (weight, sum) = (a.weight.add(b.weight), b.weight.mul(b_rel));
     let squares = sum.mul(b_rel).sub(V::splat(1.0));
-    let two = root(weight, sum, squares);
-    let three =
-        root(weight.add(c.weight), sum.add(c.weight.mul(c_rel)), squares.add(c.weight.mul(c_rel).mul(c_rel)));
-    let more = V::select(c_rel.lt(two), three, two);
-    a.from.add(V::select(b_rel.lt(one), more, one))
-}
-
-/// The greater root of `weight`·d² − 2·`sum`·d + `squares`, or the place of its least value.
-#[inline(always)]
-fn root<V: Lanes>(weight: V, sum: V, squares: V) -> V {
-    sum.add(sum.mul(sum).sub(weight.mul(squares)).max(V::splat(0.0)).sqrt()).div(weight)
+    // Beyond the third value lies the root with the first two, where the squares at that value are less than one.
+    let at_c = weight.mul(c_rel).sub(sum).sub(sum).mul(c_rel).add(squares);
+    let is_three = at_c.lt(zero);
+    let product = c.weight.mul(c_rel);
+    let weight = V::select(is_three, weight.add(c.weight), weight);
+    let sum = V::select(is_three, sum.add(product), sum);
+    let squares = V::select(is_three, squares.add(product.mul(c_rel)), squares);
+    let root = sum.mul(sum).sub(weight.mul(squares)).max(zero).sqrt();
+    a.from.add(V::select(is_more, sum.add(root).div(weight), first))
 }
 
 #[cfg(test)]
