@@ -15,7 +15,7 @@ pub struct SkinReport {
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
     pub free_voxel_count: usize,
-    /// Passes of the biharmonic operator, where there were most.
+    /// Passes of the biharmonic operator: at most so many over a voxel.
     pub pass_count: usize,
     /// How often a free voxel was moved: free voxels times passes, where all have the same number.
     pub moved_count: u64,

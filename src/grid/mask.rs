@@ -7,9 +7,8 @@ pub struct LeafMask {
     pub words: [u64; 8],
 }
 
-/// The first voxel of every row, and the last.
-const Z_FIRST: u64 = 0x0101_0101_0101_0101;
-const Z_LAST: u64 = Z_FIRST << 7;
+/// The first voxel of every row of a word.
+const FIRST_OF_ROWS: u64 = 0x0101_0101_0101_0101;
 
 impl LeafMask {
     /// No voxel.
@@ -64,23 +63,41 @@ impl LeafMask {
         (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
     }
 
-    /// For each voxel whether its neighbour before it along an axis is in, and whether that after it is;
-    /// `before` and `after` are the masks of the leaves beyond the two faces.
-    pub fn shifted(&self, axis: usize, before: &LeafMask, after: &LeafMask) -> [LeafMask; 2] {
+    /// For each voxel whether the voxel so many `steps` (1 to 7) before it along an axis is in, and whether
+    /// that after it is; `before` and `after` are the masks of the leaves beyond the two faces.
+    pub fn shifted(&self, axis: usize, steps: usize, before: &LeafMask, after: &LeafMask) -> [LeafMask; 2] {
+        debug_assert!((1..=7).contains(&steps));
         let (own, before, after) = (&self.words, &before.words, &after.words);
-        // A step in z is a bit, in y a byte, in x a word; what falls out at an end comes in from the next leaf.
         let words = |shift: &dyn Fn(usize) -> u64| LeafMask { words: std::array::from_fn(shift) };
+        // A step in z is a bit, in y a byte, in x a word; what falls out at an end comes in from the next leaf.
         match axis {
             0 => [
-                words(&|x| if x > 0 { own[x - 1] } else { before[7] }),
-                words(&|x| if x < 7 { own[x + 1] } else { after[0] }),
+                words(&|x| if x >= steps { own[x - steps] } else { before[x + 8 - steps] }),
+                words(&|x| if x + steps < 8 { own[x + steps] } else { after[x + steps - 8] }),
             ],
-            1 => [words(&|x| own[x] << 8 | before[x] >> 56), words(&|x| own[x] >> 8 | after[x] << 56)],
-            _ => [
-                words(&|x| own[x] << 1 & !Z_FIRST | before[x] >> 7 & Z_FIRST),
-                words(&|x| own[x] >> 1 & !Z_LAST | after[x] << 7 & Z_LAST),
-            ],
+            1 => {
+                let (bits, rest) = (8 * steps, 64 - 8 * steps);
+                [
+                    words(&|x| own[x] << bits | before[x] >> rest),
+                    words(&|x| own[x] >> bits | after[x] << rest),
+                ]
+            }
+            _ => {
+                // In each byte the bits that come in from before, and those that come in from after.
+                let low = FIRST_OF_ROWS * ((1 << steps) - 1);
+                let high = low << (8 - steps);
+                let rest = 8 - steps;
+                [
+                    words(&|x| own[x] << steps & !low | before[x] >> rest & low),
+                    words(&|x| own[x] >> steps & !high | after[x] << rest & high),
+                ]
+            }
         }
+    }
+
+    /// The voxels that are in either.
+    pub fn or(&self, other: &LeafMask) -> LeafMask {
+        LeafMask { words: std::array::from_fn(|x| self.words[x] | other.words[x]) }
     }
 
     /// The voxels that are in both.
@@ -124,10 +141,11 @@ mod tests {
         // Some pattern that repeats nowhere within two leaves.
         let is_in = |voxel: IVec3| (voxel.x * 37 + voxel.y * 101 + voxel.z * 11).rem_euclid(7) < 3;
         let mask = |origin: IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
-        for axis in 0..3 {
-            let step = IVec3::AXES[axis];
-            let shifted = mask(IVec3::ZERO).shifted(axis, &mask(step * -8), &mask(step * 8));
-            assert_eq!(shifted, [mask(-step), mask(step)]);
+        for (axis, steps) in (0..3).flat_map(|axis| (1..8).map(move |steps| (axis, steps))) {
+            let leaf = IVec3::AXES[axis] * 8;
+            let shift = IVec3::AXES[axis] * steps;
+            let shifted = mask(IVec3::ZERO).shifted(axis, steps as usize, &mask(-leaf), &mask(leaf));
+            assert_eq!(shifted, [mask(-shift), mask(shift)], "axis {axis}, {steps} steps");
         }
         assert!(mask(IVec3::ZERO).contains(offset_in_leaf(IVec3::ZERO)));
     }

@@ -23,8 +23,8 @@
 //!
 //! ```text
 //!                 passes of a step        of the last          at the default Δt of 20 h⁴
-//!   thin leaves     √(L/l)                 1.5 √(L/l)           31, 47
-//!   thick ones      √L                     1.5 √L               54, 81
+//!   thin            √(L/l)                 1.5 √(L/l)           31, 47
+//!   thick           √L                     1.5 √L               54, 81
 //! ```
 //!
 //! The last step has more because nothing comes after it to take away what it leaves. Each step but the first
@@ -40,18 +40,19 @@
 //! Boris Polyak. Some methods of speeding up the convergence of iteration methods. 1964
 
 use std::cell::RefCell;
+use std::ops::Range;
 
 use rayon::prelude::*;
 
 use super::band::Band;
-use super::biharmonic::EIGENVALUE_MAX;
+use super::biharmonic::{EIGENVALUE_MAX, Laplacian};
 use super::cluster::Cluster;
-use super::thickness::{THICKNESS_REACH, thick_leaves};
+use super::thickness::thick;
 use crate::grid::{Field, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, slabs_in};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::simd::{self, Kernel, Lanes};
 
-/// What a step of 1 h⁴ adds to the least eigenvalue in thin leaves: (4.73/8.4)⁴, of a plate 8.4 voxels wide that is
+/// What a step of 1 h⁴ adds to the least eigenvalue where the region is thin: (4.73/8.4)⁴, of a plate 8.4 voxels wide that is
 /// clamped on both sides.
 const STIFFNESS_THIN: f32 = 0.1;
 
@@ -70,9 +71,9 @@ const EXPECTED_CHANGE_MAX: f32 = 1.0;
 pub(super) struct Course {
     step_size: f32,
     alpha: f32,
-    /// Of thin leaves and of thick ones.
+    /// Where the region is thin, and where it is thick.
     beta: [f32; 2],
-    /// Passes of thin leaves and of thick ones.
+    /// Passes where the region is thin, and where it is thick.
     passes: [u32; 2],
 }
 
@@ -86,7 +87,7 @@ impl Course {
         let per_root = PASSES_PER_ROOT[usize::from(is_last)];
         Course {
             step_size,
-            // The lesser of the two serves both: leaves of either kind lie side by side.
+            // The lesser of the two serves both: they lie side by side.
             alpha: 4.0 / (root + least[0].sqrt()).powi(2),
             beta,
             passes: least.map(|least| (per_root * (greatest / least).sqrt()).ceil() as u32),
@@ -96,11 +97,6 @@ impl Course {
     /// Passes where there are most.
     pub(super) fn passes_max(&self) -> u32 {
         self.passes[1]
-    }
-
-    /// How far a change can reach in a step, in voxels.
-    pub(super) fn reach(&self) -> u32 {
-        2 * self.passes_max() + THICKNESS_REACH
     }
 }
 
@@ -113,24 +109,31 @@ pub(super) struct HeavyBall<'a> {
     /// x⁻.
     pub(super) previous: &'a mut Field,
     pub(super) course: Course,
+    /// For each leaf whether its voxels are counted; `None` for all.
+    pub(super) own: Option<&'a [bool]>,
 }
 
 impl HeavyBall<'_> {
-    /// Takes an implicit step. Returns how often a free voxel was moved, all voxels together.
-    pub(super) fn step(&mut self, region: Band, is_first: bool) -> u64 {
+    /// Some passes of an implicit step, whose free voxels `region` holds. Returns how often a free voxel
+    /// was moved, all voxels together.
+    pub(super) fn passes(&mut self, region: Band, is_first_step: bool, passes: Range<u32>) -> u64 {
         let topology = self.band.topology.clone();
-        let is_thick = thick_leaves(&topology, &region.free);
-        let [thin_passes, thick_passes] = self.course.passes;
-        self.set_out(&region, if is_first { 0.0 } else { EXPECTED_REPETITION });
-        let moved_count = self.pass(&region, &is_thick, thin_passes);
-        if !is_thick.contains(&true) {
+        let thick = thick(&topology, &region.free);
+        if passes.start == 0 {
+            self.set_out(&region, if is_first_step { 0.0 } else { EXPECTED_REPETITION });
+        }
+        let [thin_end, thick_end] = self.course.passes;
+        let count_until = |end: u32| passes.end.min(end).saturating_sub(passes.start);
+        let together = count_until(thin_end);
+        let moved_count = self.pass(&region, &thick, together);
+        let alone = count_until(thick_end) - together;
+        if alone == 0 || thick.par_iter().all(LeafMask::is_empty) {
             return moved_count;
         }
         // What is not moved any more must be the same wherever it is read.
-        let thin = self.previous.leaves.par_iter_mut().zip(&self.band.phi.leaves).zip(&is_thick);
-        thin.filter(|&(_, &is_thick)| !is_thick).for_each(|((previous, phi), _)| *previous = *phi);
-        let region = region.only(&topology, &is_thick);
-        moved_count + self.pass(&region, &is_thick, thick_passes - thin_passes)
+        let fields = self.previous.leaves.par_iter_mut().zip(&self.band.phi.leaves).zip(&thick);
+        fields.for_each(|((previous, phi), thick)| simd::dispatch(Settle { previous, phi, thick }));
+        moved_count + self.pass(&Band::of(&topology, thick.clone()), &thick, alone)
     }
 
     /// Makes x and x⁻ where the flow is expected to go, and the band's φ the start.
@@ -146,12 +149,15 @@ impl HeavyBall<'_> {
     }
 
     /// So many passes over the region. Afterwards the band's φ is x. Returns how often a voxel was moved.
-    fn pass(&mut self, region: &Band, is_thick: &[bool], count: u32) -> u64 {
+    fn pass(&mut self, region: &Band, thick: &[LeafMask], count: u32) -> u64 {
+        if count == 0 {
+            return 0;
+        }
         let topology = self.band.topology.clone();
         let clusters = Cluster::all(&topology, region);
         for _ in 0..count {
             let (start, current, bounds) = (&*self.start, &self.band.phi, self.bounds);
-            let fields = Fields { topology: &topology, region, is_thick, start, current, bounds };
+            let fields = Fields { topology: &topology, region, thick, start, current, bounds };
             let course = &self.course;
             pieces(&clusters, &mut self.previous.leaves).into_par_iter().for_each(|(cluster, previous)| {
                 SCRATCH.with_borrow_mut(|laplacians| {
@@ -160,7 +166,7 @@ impl HeavyBall<'_> {
             });
             std::mem::swap(&mut self.band.phi, self.previous);
         }
-        region.free_count() as u64 * u64::from(count)
+        region.free_count(self.own) * u64::from(count)
     }
 }
 
@@ -216,12 +222,31 @@ fn pieces<'a>(clusters: &'a [Cluster], leaves: &'a mut [Leaf]) -> Vec<(&'a Clust
 struct Fields<'a> {
     topology: &'a Topology,
     region: &'a Band,
-    is_thick: &'a [bool],
+    thick: &'a [LeafMask],
     /// φ at the start of the step.
     start: &'a Field,
     /// x.
     current: &'a Field,
     bounds: &'a Bounds,
+}
+
+/// Where voxels are not thick, makes x⁻ equal to x.
+struct Settle<'a> {
+    previous: &'a mut Leaf,
+    phi: &'a Leaf,
+    thick: &'a LeafMask,
+}
+
+impl Kernel for Settle<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for row in 0..ROW_COUNT {
+            let (previous, phi) = (V::load(self.previous.row(row)), V::load(self.phi.row(row)));
+            V::select(V::mask(self.thick.row(row)), previous, phi).store(self.previous.row_mut(row));
+        }
+    }
 }
 
 /// A pass over a cluster.
@@ -248,12 +273,7 @@ impl Kernel for Pass<'_> {
         let halo = cluster.halo.iter().map(|&(leaf, rows)| (leaf as usize, rows));
         for ((leaf, rows), laplacian) in own.chain(halo).zip(laplacians.iter_mut()) {
             let around = Neighborhood::new(&fields.current.leaves, fields.topology.neighbors(), leaf);
-            for (x, ys) in slabs_in(rows) {
-                let slab = around.slab(x);
-                for y in ys {
-                    slab.laplacian::<V>(y).store(laplacian.row_mut(x * 8 + y));
-                }
-            }
+            Laplacian { around: &around, rows, laplacian }.run::<V>();
         }
         for ((leaf, neighbors), previous) in cluster.leaves.clone().zip(&cluster.neighbors).zip(previous) {
             let rows = fields.region.free_rows[leaf];
@@ -266,7 +286,8 @@ impl Kernel for Pass<'_> {
             let (start, current) = (&fields.start.leaves[leaf], &fields.current.leaves[leaf]);
             let (lower, upper) = (&fields.bounds.lower.leaves[leaf], &fields.bounds.upper.leaves[leaf]);
             let free = &fields.region.free[leaf];
-            let beta = course.beta[usize::from(fields.is_thick[leaf])];
+            let thick = &fields.thick[leaf];
+            let [beta_thin, beta_thick] = course.beta.map(V::splat);
             for (x, ys) in slabs_in(rows) {
                 let slab = around.slab(x);
                 for y in ys {
@@ -274,6 +295,7 @@ impl Kernel for Pass<'_> {
                     let previous = previous.row_mut(row);
                     let values = [V::load(start.row(row)), V::load(current.row(row)), V::load(previous)];
                     let bounds = [V::load(lower.row(row)), V::load(upper.row(row))];
+                    let beta = V::select(V::mask(thick.row(row)), beta_thick, beta_thin);
                     let moved = course.advance(beta, slab.laplacian(y), values, bounds);
                     V::select(V::mask(free.row(row)), moved, values[2]).store(previous);
                 }
@@ -287,13 +309,13 @@ impl Course {
     #[inline(always)]
     fn advance<V: Lanes>(
         &self,
-        beta: f32,
+        beta: V,
         biharmonic: V,
         [start, current, previous]: [V; 3],
         [lower, upper]: [V; 2],
     ) -> V {
         let gradient = current.sub(start).add(V::splat(self.step_size).mul(biharmonic));
-        let inertia = V::splat(beta).mul(current.sub(previous));
+        let inertia = beta.mul(current.sub(previous));
         let moved = current.sub(V::splat(self.alpha).mul(gradient)).add(inertia);
         moved.max(lower).min(upper)
     }

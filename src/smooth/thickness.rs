@@ -14,46 +14,58 @@
 //! ```
 //!
 //! Deep voxels are those that four erosions leave, by turns with a cross and with a cube, which together come
-//! close to a ball.
+//! close to a ball. What is around them counts as thick. All of it is told voxel by voxel: where leaves begin and
+//! end has no part in it.
 
 use rayon::prelude::*;
 
-use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology};
+use crate::grid::{LeafMask, NO_LEAF, Topology};
 
-/// How far from a voxel of a leaf the voxels are, at most, that decide whether the leaf is thick: across the
-/// leaf and the one beside it, and as far as the erosions reach.
-pub(super) const THICKNESS_REACH: u32 = 2 * LEAF_EDGE as u32 + 4;
+/// Voxels so far from a deep one along each axis count as thick: deep ones are more than four from anything held.
+const AROUND_DEEP: usize = 6;
 
-/// For each leaf whether it, or a leaf beyond one of its faces, holds a deep voxel.
-pub(super) fn thick_leaves(topology: &Topology, free: &[LeafMask]) -> Vec<bool> {
+/// How far the voxels are, at most, that decide whether a voxel is thick.
+pub(super) const THICKNESS_REACH: u32 = AROUND_DEEP as u32 + 4;
+
+/// The free voxels that are thick.
+pub(super) fn thick(topology: &Topology, free: &[LeafMask]) -> Vec<LeafMask> {
     let mut left = free.to_vec();
-    for _ in 0..2 {
-        left = eroded(topology, &left, &[0, 1, 2]);
-        for axis in 0..3 {
-            left = eroded(topology, &left, &[axis]);
-        }
+    for axes in [&[0, 1, 2][..], &[0], &[1], &[2], &[0, 1, 2], &[0], &[1], &[2]] {
+        left = with_neighbors(topology, &left, axes, 1, LeafMask::and);
     }
-    let is_deep = |leaf: u32| leaf != NO_LEAF && !left[leaf as usize].is_empty();
-    let neighbors = topology.neighbors().par_iter().enumerate();
-    neighbors.map(|(leaf, faces)| is_deep(leaf as u32) || faces.iter().any(|&face| is_deep(face))).collect()
+    if left.par_iter().all(LeafMask::is_empty) {
+        return left;
+    }
+    for axis in 0..3 {
+        left = with_neighbors(topology, &left, &[axis], AROUND_DEEP, LeafMask::or);
+    }
+    left.par_iter().zip(free).map(|(near_deep, free)| near_deep.and(free)).collect()
 }
 
-/// The voxels whose neighbours along these axes are in the masks, too.
-fn eroded(topology: &Topology, masks: &[LeafMask], axes: &[usize]) -> Vec<LeafMask> {
-    let erode = |(leaf, mask): (usize, &LeafMask)| {
-        if mask.is_empty() {
-            return *mask;
-        }
-        let face = |face: usize| match topology.neighbors()[leaf][face] {
+/// Each mask joined with itself shifted along these axes, both ways and by up to so many steps.
+fn with_neighbors(
+    topology: &Topology,
+    masks: &[LeafMask],
+    axes: &[usize],
+    steps: usize,
+    join: impl Fn(&LeafMask, &LeafMask) -> LeafMask + Sync,
+) -> Vec<LeafMask> {
+    let joined = |(leaf, mask): (usize, &LeafMask)| {
+        let beyond = |face: usize| match topology.neighbors()[leaf][face] {
             NO_LEAF => LeafMask::EMPTY,
             neighbor => masks[neighbor as usize],
         };
-        axes.iter().fold(*mask, |left, &axis| {
-            let [before, after] = mask.shifted(axis, &face(2 * axis), &face(2 * axis + 1));
-            left.and(&before).and(&after)
-        })
+        let mut all = *mask;
+        for &axis in axes {
+            let (before, after) = (beyond(2 * axis), beyond(2 * axis + 1));
+            for steps in 1..=steps {
+                let [one, other] = mask.shifted(axis, steps, &before, &after);
+                all = join(&join(&all, &one), &other);
+            }
+        }
+        all
     };
-    masks.par_iter().enumerate().map(erode).collect()
+    masks.par_iter().enumerate().map(joined).collect()
 }
 
 #[cfg(test)]
@@ -61,7 +73,7 @@ mod tests {
     use super::*;
     use glam::IVec3;
 
-    /// Which leaves of a block of 4³ are thick where the free voxels are those that satisfy `is_free`.
+    /// How many voxels of a block of 4³ leaves are thick where the free ones are those that satisfy `is_free`.
     fn thick_count(is_free: impl Fn(IVec3) -> bool) -> usize {
         let origins = (0..64).map(|leaf| IVec3::new(leaf >> 4, leaf >> 2 & 3, leaf & 3) * 8).collect();
         let topology = Topology::new(origins);
@@ -70,7 +82,7 @@ mod tests {
             .iter()
             .map(|&origin| LeafMask::from_fn(|offset| is_free(origin + crate::grid::voxel_in_leaf(offset))))
             .collect();
-        thick_leaves(&topology, &free).into_iter().filter(|&thick| thick).count()
+        thick(&topology, &free).iter().map(|mask| mask.count() as usize).sum()
     }
 
     #[test]
