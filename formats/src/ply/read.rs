@@ -32,23 +32,23 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
     })?;
     let columns = element.columns();
     let Some(position) = columns.position else { return Err(no_position(element)) };
-    let mut rows = rows_of(bytes, header, element)?;
+    let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
     check_limit(count, limits)?;
 
     let mut frame = empty_frame(element, &columns, position, count);
-    let mut targets = targets(element, &columns, position, &mut frame);
-    match header.encoding.endian() {
-        None => ascii::read(&mut rows, element, count, &mut targets)?,
-        Some(endian) => {
-            let (offsets, stride) = binary::scalar_offsets(element);
-            if element.has_list() {
-                let records = binary::without_lists(&mut rows, element, count)?;
-                binary::gather(&records, stride, &offsets, endian, &mut targets);
-            } else if let Rows::Binary(cursor) = &mut rows {
-                let records = cursor.take(count * stride, &element.name)?;
-                binary::gather(records, stride, &offsets, endian, &mut targets);
-            }
+    let targets = targets(element, &columns, position, &mut frame);
+    let (offsets, stride) = binary::scalar_offsets(element);
+    match rows {
+        Rows::Ascii(lines) => ascii::read(lines, element, count, targets)?,
+        Rows::Binary(cursor) if element.has_list() => {
+            let endian = cursor.endian();
+            let records = binary::without_lists(&mut Rows::Binary(cursor), element, count)?;
+            binary::gather(&records, stride, &offsets, endian, targets);
+        }
+        Rows::Binary(mut cursor) => {
+            let records = cursor.take(count * stride, &element.name)?;
+            binary::gather(records, stride, &offsets, cursor.endian(), targets);
         }
     }
     for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
@@ -73,6 +73,26 @@ pub(super) enum Slots<'a> {
     U8(&'a mut [u8]),
     I32(&'a mut [i32]),
     I64(&'a mut [i64]),
+}
+
+impl<'a> Target<'a> {
+    /// Cuts off the room for the first `count` records.
+    pub(super) fn take_front(&mut self, count: usize) -> Target<'a> {
+        fn take<'a, T>(slots: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+            let (front, rest) = std::mem::take(slots).split_at_mut(count);
+            *slots = rest;
+            front
+        }
+        let count = count * self.columns.len();
+        let slots = match &mut self.slots {
+            Slots::F32(slots) => Slots::F32(take(slots, count)),
+            Slots::F64(slots) => Slots::F64(take(slots, count)),
+            Slots::U8(slots) => Slots::U8(take(slots, count)),
+            Slots::I32(slots) => Slots::I32(take(slots, count)),
+            Slots::I64(slots) => Slots::I64(take(slots, count)),
+        };
+        Target { columns: self.columns.clone(), slots }
+    }
 }
 
 fn no_position(element: &Element) -> Error {
