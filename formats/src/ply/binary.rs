@@ -46,7 +46,14 @@ pub(super) fn gather(
     parts.into_par_iter().for_each(gather_part);
 }
 
-fn gather_part(records: &[u8], stride: usize, offsets: &[usize], endian: Endian, targets: &mut [Target<'_>]) {
+/// [`gather`] by the present thread.
+pub(super) fn gather_part(
+    records: &[u8],
+    stride: usize,
+    offsets: &[usize],
+    endian: Endian,
+    targets: &mut [Target<'_>],
+) {
     let block_records = (BLOCK_BYTES / stride).max(1);
     for (index, records) in records.chunks(block_records * stride).enumerate() {
         let block = Block { records, stride, first: index * block_records };

@@ -18,20 +18,13 @@ use super::{FORMAT, ascii, binary};
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
     let mut frame = read_vertices(bytes, &header, limits)?;
-    let faces = header.elements.iter().find(|element| element.name.eq_ignore_ascii_case("face"));
-    if let Some(faces) = faces.filter(|faces| faces.count > 0) {
-        frame.notes.push(format!("the file also has {} faces: only its vertices are read", faces.count));
-    }
+    frame.notes.extend(note_on_faces(&header));
     Ok(frame)
 }
 
 /// The vertices of the file with this header.
 pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> Result<ParticleFrame> {
-    let element = header.vertex_element().ok_or_else(|| {
-        Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
-    })?;
-    let columns = element.columns();
-    let Some(position) = columns.position else { return Err(no_position(element)) };
+    let Vertices { element, columns, position } = vertices(header)?;
     let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
     check_limit(count, limits)?;
@@ -56,6 +49,24 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
     }
     frame.notes = notes(element, &columns);
     Ok(frame)
+}
+
+/// The element that holds the particles.
+pub(super) struct Vertices<'a> {
+    pub(super) element: &'a Element,
+    pub(super) columns: Columns,
+    /// The properties that are the position.
+    pub(super) position: [usize; 3],
+}
+
+/// Finds the particles in the header.
+pub(super) fn vertices(header: &Header) -> Result<Vertices<'_>> {
+    let element = header.vertex_element().ok_or_else(|| {
+        Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
+    })?;
+    let columns = element.columns();
+    let position = columns.position.ok_or_else(|| no_position(element))?;
+    Ok(Vertices { element, columns, position })
 }
 
 /// Where values go.
@@ -108,13 +119,7 @@ fn no_position(element: &Element) -> Error {
 
 /// A frame with room for all values. `count` was compared with the bytes that remain.
 fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
-    let fits_f32 = position.iter().all(|&column| {
-        matches!(
-            scalar_of(element, column),
-            Scalar::F32 | Scalar::I8 | Scalar::U8 | Scalar::I16 | Scalar::U16
-        )
-    });
-    let positions = match fits_f32 {
+    let positions = match fits_f32(position.map(|column| scalar_of(element, column))) {
         true => Positions::F32(vec![[0.0; 3]; count]),
         false => Positions::F64(vec![[0.0; 3]; count]),
     };
@@ -125,6 +130,12 @@ fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count
         values: empty_values(scalar_of(element, group.columns[0]), count * group.arity()),
     });
     ParticleFrame { positions, attributes: attributes.collect(), notes: Vec::new() }
+}
+
+/// Whether 32-bit reals hold all values of these types.
+pub(super) fn fits_f32(scalars: [Scalar; 3]) -> bool {
+    use Scalar::{F32, I8, I16, U8, U16};
+    scalars.iter().all(|scalar| matches!(scalar, F32 | I8 | U8 | I16 | U16))
 }
 
 fn empty_values(scalar: Scalar, length: usize) -> Values {
@@ -138,7 +149,7 @@ fn empty_values(scalar: Scalar, length: usize) -> Values {
 }
 
 /// The type of a property that is known to be no list.
-fn scalar_of(element: &Element, property: usize) -> Scalar {
+pub(super) fn scalar_of(element: &Element, property: usize) -> Scalar {
     match element.properties[property].kind {
         PropertyType::Scalar(scalar) => scalar,
         PropertyType::List { item, .. } => item,
@@ -175,7 +186,15 @@ fn targets<'a>(
     targets
 }
 
-fn notes(element: &Element, columns: &Columns) -> Vec<String> {
+/// That a mesh is taken for particles.
+pub(super) fn note_on_faces(header: &Header) -> Option<String> {
+    let mut faces = header.elements.iter().filter(|element| element.name.eq_ignore_ascii_case("face"));
+    let faces = faces.next().filter(|faces| faces.count > 0)?;
+    Some(format!("the file also has {} faces: only its vertices are read", faces.count))
+}
+
+/// What a user should know of how the vertices are read.
+pub(super) fn notes(element: &Element, columns: &Columns) -> Vec<String> {
     let mut notes = Vec::new();
     if !element.name.eq_ignore_ascii_case("vertex") {
         notes.push(format!("no element is called `vertex`: particles are taken from `{}`", element.name));
