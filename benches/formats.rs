@@ -24,9 +24,10 @@ use std::thread;
 use std::time::Instant;
 
 use meniscus_formats::{
-    Attribute, LevelSetView, Limits, MeshView, ParticleFrame, Positions, Role, Values, bgeo, gltf, obj, ply,
-    read_particles, vdb,
+    Attribute, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, ParticleFrame, Positions,
+    Role, Values, bgeo, gltf, obj, ply, read_particles, vdb,
 };
+use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use twox_hash::XxHash3_128;
 
@@ -47,10 +48,12 @@ struct Row<'a> {
     name: &'a str,
     /// Bytes that count.
     size_bytes: usize,
-    /// The least that the project promises: MB a second, and on how many cores.
-    promise: Option<(f64, Cores)>,
+    promise: Promise,
     work: Box<dyn FnMut() + Send + 'a>,
 }
+
+/// The least that the project promises, if anything: MB a second, and on how many cores.
+type Promise = Option<(f64, Cores)>;
 
 #[derive(Clone, Copy)]
 enum Cores {
@@ -103,6 +106,20 @@ fn reading_rows(pools: &[ThreadPool; 2]) -> bool {
             measure(Row { name, size_bytes: bytes.len(), promise: *promise, work: Box::new(read) }, pools);
     }
     let bytes = &files[0].2;
+    let read = || {
+        let batches =
+            ParticleBatches::open(&bytes[..], "f.ply", &Limits::default(), 1 << 20).expect("a good file");
+        let batches = batches.expect("of fixed records");
+        let indices = (0..batches.batch_count()).into_par_iter();
+        let read = |batch: &mut ParticleBatch, index| {
+            batches.read_batch(index, batch).expect("a good file");
+            black_box(&batch.positions);
+        };
+        indices.for_each_init(ParticleBatch::default, read);
+    };
+    let promise = Some((1000.0, Cores::All));
+    let row = Row { name: "read .ply in batches", size_bytes: bytes.len(), promise, work: Box::new(read) };
+    is_kept &= measure(row, pools);
     let hash = || {
         black_box(XxHash3_128::oneshot(bytes));
     };
@@ -116,7 +133,7 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
     let mesh = mesh.view();
     let mut is_kept = true;
     type WriteMesh<'a> = &'a (dyn Fn(&mut Vec<u8>) + Sync);
-    let writers: [(&str, Option<(f64, Cores)>, WriteMesh); 4] = [
+    let writers: [(&str, Promise, WriteMesh); 4] = [
         ("write .glb", Some((500.0, Cores::All)), &|out| {
             gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out).expect("written");
         }),
