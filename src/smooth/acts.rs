@@ -261,12 +261,9 @@ impl Tally {
 impl SmoothReport {
     /// The report of a smoothing of which nothing is done yet.
     pub fn new(config: &Config) -> SmoothReport {
-        let whole = acts(config, u32::MAX);
-        let reach = whole.iter().map(|act| act.reach_voxels());
-        SmoothReport {
-            reach_voxels: reach.fold(Some(0u32), |sum, reach| Some(sum?.saturating_add(reach?))),
-            ..SmoothReport::default()
-        }
+        let mut whole = acts(config, u32::MAX).into_iter();
+        let reach_voxels = whole.try_fold(0u32, |sum, act| Some(sum.saturating_add(act.reach_voxels()?)));
+        SmoothReport { reach_voxels, ..SmoothReport::default() }
     }
 
     /// Adds what an act took, all parts of the frame together.
