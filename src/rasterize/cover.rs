@@ -177,8 +177,7 @@ mod tests {
                 let cover = Cover { around: around.each_ref(), balls: balls.each_ref() };
                 assert_eq!(dispatch_at(level, cover), [expected, LeafMask::EMPTY], "{radius}, {level:?}");
             }
-            let covered = expected.count();
-            assert_eq!(covered > 0 && covered < 512, radius >= 1.0 && radius < 60.0, "{radius}: {covered}");
+            assert_eq!(expected != LeafMask::EMPTY, radius >= 1.0, "{radius}");
         }
     }
 

@@ -30,6 +30,8 @@ mod occupancy;
 mod region;
 mod signed_distance;
 mod sphere;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 
