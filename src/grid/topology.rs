@@ -37,10 +37,12 @@ pub struct Topology {
 impl Topology {
     /// The topology of the leaves with these origins: multiples of 8, in any order, duplicates
     /// allowed.
-    pub fn new(mut origins: Vec<IVec3>) -> Topology {
+    pub fn new(origins: Vec<IVec3>) -> Topology {
         debug_assert!(origins.iter().all(|origin| origin.rem_euclid(IVec3::splat(LEAF_EDGE)) == IVec3::ZERO));
-        origins.par_sort_unstable_by_key(|&origin| tree_order(origin));
-        origins.dedup();
+        let mut places: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
+        places.par_sort_unstable();
+        places.dedup();
+        let origins: Vec<IVec3> = places.into_par_iter().map(origin_at).collect();
         assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
@@ -86,8 +88,8 @@ impl Topology {
     }
 }
 
-/// Unit steps through the six faces.
-const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
+/// Unit steps through the six faces, in the order of [`Direction`].
+pub const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
 
 /// The order of an OpenVDB tree's depth-first walk, as one number: root child (4096 voxels), lower
 /// internal node (128), leaf, each in lexicographic order of x, y, z.
@@ -99,6 +101,16 @@ fn tree_order(origin: IVec3) -> u128 {
         part(x) << (2 * bits) | part(y) << bits | part(z)
     };
     digits(12, 20) << 27 | digits(7, 5) << 12 | digits(3, 4)
+}
+
+/// The origin at a place in that order.
+fn origin_at(place: u128) -> IVec3 {
+    let axis = |axis: u32| {
+        let digits =
+            |shift: u32, bits: u32| (place >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
+        (digits(27, 20) << 12 | digits(12, 5) << 7 | digits(0, 4) << 3) ^ 0x8000_0000
+    };
+    IVec3::new(axis(0) as i32, axis(1) as i32, axis(2) as i32)
 }
 
 #[cfg(test)]
