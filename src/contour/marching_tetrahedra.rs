@@ -90,12 +90,12 @@ impl Patch {
         let neighborhood = Neighborhood::new(&band.topology, leaf);
         let rows = SignRows::new(&neighborhood, inside_masks);
         // An edge belongs to its first voxel's leaf even if all cells around it belong to others.
-        if (1..8).all(|end| rows.crossed_to(end).next().is_none()) {
+        if (1..8).all(|end| rows.crossed_to(end).is_empty()) {
             return None;
         }
         let mut crossed = Box::new([0; LEAF_VOXELS]);
         for end in 1..8 {
-            rows.crossed_to(end).for_each(|voxel| crossed[offset_in_leaf(voxel)] |= 1 << end);
+            rows.crossed_to(end).iter().for_each(|offset| crossed[offset] |= 1 << end);
         }
         let block = Block::new(&neighborhood, &band.phi, band.half_width);
         let origin = band.topology.origins()[leaf];
@@ -155,7 +155,7 @@ impl Surface<'_> {
     /// The triangles in a leaf's cells.
     fn triangles(&self, patch: &Patch) -> Vec<[u32; 3]> {
         let mut triangles = Vec::with_capacity(800);
-        patch.rows.crossed_cells().for_each(|cell| {
+        patch.rows.crossed_cells().iter().map(voxel_in_leaf).for_each(|cell| {
             let signs = patch.rows.cell_signs(cell) as usize;
             for (path, cases) in KUHN_PATHS.iter().zip(&self.cases) {
                 let case = (0..4).map(|k| (signs >> path[k] & 1) << k).sum::<usize>();

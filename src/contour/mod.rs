@@ -23,6 +23,8 @@ mod dual_contouring;
 mod marching_tetrahedra;
 mod neighborhood;
 mod normals;
+mod quads;
+mod ring;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;

@@ -1,5 +1,7 @@
 //! One bit per voxel of a leaf.
 
+use super::leaf::Leaf;
+
 /// 512 bits: word x, byte y of the word, bit z of the byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LeafMask {
@@ -11,11 +13,32 @@ impl LeafMask {
     /// No voxel.
     pub const EMPTY: LeafMask = LeafMask { words: [0; 8] };
 
+    /// Every voxel.
+    pub const FULL: LeafMask = LeafMask { words: [u64::MAX; 8] };
+
     /// The mask of the voxels whose place in the leaf satisfies `test`.
     pub fn from_fn(test: impl Fn(usize) -> bool) -> LeafMask {
         let mut mask = LeafMask::EMPTY;
         for offset in 0..512 {
             mask.words[offset >> 6] |= u64::from(test(offset)) << (offset & 63);
+        }
+        mask
+    }
+
+    /// The mask of the voxels whose value is below zero. Zero of either sign is not.
+    #[inline(always)]
+    pub fn where_negative(leaf: &Leaf) -> LeafMask {
+        let mut mask = LeafMask::EMPTY;
+        for (x, word) in mask.words.iter_mut().enumerate() {
+            // Whole rows at a time, so the bits come with y and z swapped: byte z, bit y.
+            let mut columns = [0u32; 8];
+            for y in 0..8 {
+                let row = leaf.row(x * 8 + y);
+                for z in 0..8 {
+                    columns[z] |= u32::from(row[z] < 0.0) << y;
+                }
+            }
+            *word = transposed(u64::from_le_bytes(columns.map(|column| column as u8)));
         }
         mask
     }
@@ -74,5 +97,33 @@ impl LeafMask {
                 })
             })
         })
+    }
+}
+
+/// Eight bytes with bit j of byte i at bit i of byte j: blocks of 1, 2 and 4 bits change places.
+#[inline(always)]
+fn transposed(bytes: u64) -> u64 {
+    let swap = |bytes: u64, distance: u32, below: u64| {
+        let differ = (bytes ^ bytes >> distance) & below;
+        bytes ^ differ ^ differ << distance
+    };
+    let pairs = swap(bytes, 7, 0x00aa_00aa_00aa_00aa);
+    let fours = swap(pairs, 14, 0x0000_cccc_0000_cccc);
+    swap(fours, 28, 0x0000_0000_f0f0_f0f0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signs_become_bits_in_their_place() {
+        let mut leaf = Leaf::splat(0.0);
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];
+        }
+        let expected = LeafMask::from_fn(|offset| leaf.values[offset] < 0.0);
+        assert_eq!(LeafMask::where_negative(&leaf), expected);
+        assert!(!expected.is_empty());
     }
 }
