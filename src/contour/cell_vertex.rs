@@ -128,16 +128,14 @@ impl VertexBatch {
         for _ in 0..PROJECTION_STEPS {
             project(&samples, &mut points);
         }
-        let mut found = [[Vec3::ZERO; 3]; LANES];
-        for (lane, found) in found.iter_mut().enumerate() {
-            let local = Vec3::new(points[0][lane], points[1][lane], points[2][lane]);
-            let cell = IVec3::new(self.cells[0][lane], self.cells[1][lane], self.cells[2][lane]);
-            let gradient = Vec3::from_array([1, 2, 3].map(|value| interpolate(&samples, value, lane, local)));
-            *found = [local, placement.position(cell, local), unit_or_zero(gradient)];
-        }
+        let normals = unit_gradients(&samples, &points);
+        let positions = self.positions(placement, &points);
+        let at = |columns: &[Column; 3], lane: usize| Vec3::new(columns[0][lane], columns[1][lane], columns[2][lane]);
         let outputs = vertices.locals.iter_mut().zip(vertices.positions).zip(vertices.normals);
-        for (((local, position), normal), found) in outputs.zip(found) {
-            [*local, *position, *normal] = found;
+        for (lane, ((local, position), normal)) in outputs.enumerate().take(self.count) {
+            *local = at(&points, lane);
+            *position = at(&positions, lane);
+            *normal = at(&normals, lane);
         }
         self.count = 0;
     }
@@ -190,6 +188,32 @@ impl VertexBatch {
         }
         points
     }
+
+    /// The positions in the mesh of points in the cells.
+    #[inline(always)]
+    fn positions(&self, placement: &Placement, points: &[Column; 3]) -> [Column; 3] {
+        let mut positions = [[0.0; LANES]; 3];
+        for lane in 0..LANES {
+            let cell = IVec3::new(self.cells[0][lane], self.cells[1][lane], self.cells[2][lane]);
+            let point = Vec3::new(points[0][lane], points[1][lane], points[2][lane]);
+            [positions[0][lane], positions[1][lane], positions[2][lane]] =
+                placement.position(cell, point).to_array();
+        }
+        positions
+    }
+}
+
+/// The directions of ∇φ at points of the cells, or zero where it has none.
+#[inline(always)]
+fn unit_gradients(samples: &Samples, points: &[Column; 3]) -> [Column; 3] {
+    let mut normals = [[0.0; LANES]; 3];
+    for lane in 0..LANES {
+        let point = Vec3::new(points[0][lane], points[1][lane], points[2][lane]);
+        let value = |value: usize| interpolate(samples, value, lane, point);
+        [normals[0][lane], normals[1][lane], normals[2][lane]] =
+            unit_or_zero(Vec3::new(value(1), value(2), value(3))).to_array();
+    }
+    normals
 }
 
 /// At each corner `4x + 2y + z` of a cell φ, its gradient and its three second differences.

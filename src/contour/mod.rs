@@ -94,6 +94,7 @@ impl Placement {
     }
 
     /// The mesh position of a point given relative to a cell; rounded once.
+    #[inline(always)]
     fn position(&self, cell: IVec3, local: Vec3) -> Vec3 {
         (((cell - self.origin_index).as_dvec3() + local.as_dvec3()) * self.voxel_size).as_vec3()
     }

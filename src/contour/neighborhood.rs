@@ -119,19 +119,23 @@ impl SignRows {
         let mut inside = [[0; 10]; 10];
         let mut stored = [[0; 3]; 3];
         for column in 0..9 {
-            let leaves = [0, 1, 2].map(|z| neighborhood.leaves[column * 3 + z]);
-            stored[column / 3][column % 3] = join_row(leaves.map(|leaf| if leaf == NO_LEAF { 0 } else { 0xff }));
-            let masks = leaves.map(|leaf| inside_masks.get(leaf as usize).unwrap_or(&LeafMask::EMPTY));
             let [x, y] = [spans(1)[column / 3], spans(1)[column % 3]];
+            let leaf = |z: usize| neighborhood.leaves[column * 3 + z];
+            let is_stored = |z: usize| if leaf(z) == NO_LEAF { 0 } else { 0xff };
+            stored[column / 3][column % 3] = join_row([is_stored(0), is_stored(1), is_stored(2)]);
+            let mask = |z: usize| inside_masks.get(leaf(z) as usize).unwrap_or(&LeafMask::EMPTY);
+            let masks = [mask(0), mask(1), mask(2)];
             for i in 0..x.count {
-                let words = masks.map(|mask| mask.words[x.first_voxel + i].to_le_bytes());
+                let bytes = |z: usize| masks[z].words[x.first_voxel + i].to_le_bytes();
+                let [before, here, after] = [bytes(0), bytes(1), bytes(2)];
                 let rows = &mut inside[x.start + i];
                 if y.count == 8 {
                     for j in 0..8 {
-                        rows[1 + j] = join_row([words[0][j], words[1][j], words[2][j]]);
+                        rows[1 + j] = join_row([before[j], here[j], after[j]]);
                     }
                 } else {
-                    rows[y.start] = join_row(words.map(|bytes| bytes[y.first_voxel]));
+                    let j = y.first_voxel;
+                    rows[y.start] = join_row([before[j], here[j], after[j]]);
                 }
             }
         }
@@ -270,10 +274,10 @@ impl Block {
         let mut block = Block { values: [beyond; BLOCK_STEP[0] * BLOCK_EDGE] };
         for column in 0..9 {
             let rows = [spans(2)[column / 3], spans(2)[column % 3]];
-            let [before, here, after] = [0, 1, 2].map(|z| neighborhood.leaves[column * 3 + z] as usize);
-            block.copy::<1>(rows, 0, phi.leaves.get(before), 7);
-            block.copy::<8>(rows, 1, phi.leaves.get(here), 0);
-            block.copy::<2>(rows, 9, phi.leaves.get(after), 0);
+            let leaf = |z: usize| phi.leaves.get(neighborhood.leaves[column * 3 + z] as usize);
+            block.copy::<1>(rows, 0, leaf(0), 7);
+            block.copy::<8>(rows, 1, leaf(1), 0);
+            block.copy::<2>(rows, 9, leaf(2), 0);
         }
         block
     }

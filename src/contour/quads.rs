@@ -232,38 +232,57 @@ impl QuadBatch {
     #[inline(always)]
     fn cut(&mut self, positions: &[Vec3], output: &mut Output) {
         let choices = self.choose();
-        for (lane, &(is_second, is_safe)) in choices[..self.count].iter().enumerate() {
+        for (lane, &choice) in choices[..self.count].iter().enumerate() {
             let corners = self.corners[lane];
-            let choice = if is_safe { is_second } else { is_second_larger(corners, self.axis, positions) };
-            for triangle in CUTS[usize::from(choice)] {
-                output.push(triangle.map(|k| corners[k]), self.is_start_inside[lane]);
+            let is_second = match choice {
+                FIRST => false,
+                SECOND => true,
+                _ => is_second_larger(corners, self.axis, positions),
+            };
+            for [a, b, c] in CUTS[usize::from(is_second)] {
+                output.push([corners[a], corners[b], corners[c]], self.is_start_inside[lane]);
             }
         }
         self.count = 0;
     }
 
-    /// For each quad whether the second cut is the better one, and whether rounding cannot flip its triangles.
+    /// For each quad the cut that is [`FIRST`] or [`SECOND`] in shape, or [`UNSAFE`].
     #[inline(always)]
-    fn choose(&self) -> [(bool, bool); LANES] {
-        let mut choices = [(false, false); LANES];
-        let (right, up) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
-        for (lane, choice) in choices.iter_mut().enumerate() {
-            let quad: [Vec3; 4] =
-                std::array::from_fn(|k| Vec3::from_array([0, 1, 2].map(|axis| self.points[k][axis][lane])));
-            let [p, q, r, s] = quad;
+    fn choose(&self) -> [u32; LANES] {
+        let mut choices = [UNSAFE; LANES];
+        let [p, q, r, s] = &self.points;
+        let point = |corner: &[[f32; LANES]; 3], lane: usize| {
+            Vec3::new(corner[0][lane], corner[1][lane], corner[2][lane])
+        };
+        for lane in 0..LANES {
+            let (p, q, r, s) = (point(p, lane), point(q, lane), point(r, lane), point(s, lane));
             let along_pr = shape(p, q, r).min(shape(r, s, p));
             let along_qs = shape(q, r, s).min(shape(s, p, q));
-            let is_second = along_qs > CLEARLY_BETTER * along_pr;
-            let seen = |k: usize| {
-                [f64::from(self.points[k][right][lane]), f64::from(self.points[k][up][lane])]
-            };
-            let areas = CUTS.map(|cut| cut.map(|[a, b, c]| doubled_area(seen(a), seen(b), seen(c))));
-            let is_safe = areas.map(|[one, other]| (one > SAFE_AREA) & (other > SAFE_AREA));
-            *choice = (is_second, if is_second { is_safe[1] } else { is_safe[0] });
+            choices[lane] = if along_qs > CLEARLY_BETTER * along_pr { SECOND } else { FIRST };
+        }
+        let (right, up) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
+        let seen = |corner: &[[f32; LANES]; 3], lane: usize| {
+            [f64::from(corner[right][lane]), f64::from(corner[up][lane])]
+        };
+        for lane in 0..LANES {
+            let (p, q, r, s) = (seen(p, lane), seen(q, lane), seen(r, lane), seen(s, lane));
+            let first_is_safe = (doubled_area(p, q, r) > SAFE_AREA) & (doubled_area(r, s, p) > SAFE_AREA);
+            let second_is_safe = (doubled_area(q, r, s) > SAFE_AREA) & (doubled_area(s, p, q) > SAFE_AREA);
+            let is_safe = if choices[lane] == SECOND { second_is_safe } else { first_is_safe };
+            choices[lane] = if is_safe { choices[lane] } else { UNSAFE };
         }
         choices
     }
 }
+
+/// The first of [`CUTS`].
+const FIRST: u32 = 0;
+
+/// The second of [`CUTS`].
+const SECOND: u32 = 1;
+
+/// A cut that rounding might flip.
+const UNSAFE: u32 = 2;
 
 /// Whether the least triangle of the second cut is larger than that of the first, for rounded positions, as seen
 /// along an axis.
