@@ -15,19 +15,22 @@ use rayon::prelude::*;
 
 use super::distances::{nearest_first, nearest_particle};
 use super::particle_checks::Part;
-use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
+use crate::grid::{LEAF_EDGE, LeafMask, negative_masks, offset_in_leaf};
 use crate::simd::{Kernel, dispatch};
 
 /// How many particles of a part have φ ≥ 0, interpolated trilinearly.
 pub(super) fn particles_outside(part: &Part) -> usize {
+    let signs = negative_masks(&part.band.phi);
     let origins = part.bins.topology.origins().par_iter().enumerate();
     let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
-    owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, leaf, origin })).sum()
+    owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, signs: &signs, leaf, origin })).sum()
 }
 
 /// Counts the particles of a leaf that are outside.
 struct LeafParticles<'a> {
     part: &'a Part<'a>,
+    /// For each leaf of the band the voxels inside.
+    signs: &'a [LeafMask],
     leaf: usize,
     origin: IVec3,
 }
@@ -56,41 +59,34 @@ impl LeafParticles<'_> {
     /// The leaf's cells that have all corners inside.
     #[inline(always)]
     fn inside_cells(&self) -> LeafMask {
-        let around = self.leaves_after();
         let beyond = if self.part.radii.init > SURE_RADIUS { LeafMask::FULL } else { LeafMask::EMPTY };
-        let mask = |place: usize| match around[place] {
-            Some(leaf) => LeafMask::where_negative(&self.part.band.phi.leaves[leaf]),
-            None => beyond,
-        };
+        let topology = &self.part.band.topology;
+        let mut masks = [beyond; 8];
+        for (place, mask) in masks.iter_mut().enumerate() {
+            if let Some(leaf) = topology.find(self.origin + corner(place) * LEAF_EDGE) {
+                *mask = self.signs[leaf];
+            }
+        }
         // Along z, then y, then x; of the leaves after, just their nearest voxels count.
-        let along_z = |place: usize| {
-            let (mut here, after) = (mask(place), mask(place + 1));
-            here.words.iter_mut().zip(after.words).for_each(|(word, after)| {
+        for place in [0, 2, 4, 6] {
+            let after = masks[place + 1].words;
+            masks[place].words.iter_mut().zip(after).for_each(|(word, after)| {
                 *word &= *word >> 1 & !LAST_Z | after << 7 & LAST_Z;
             });
-            here
-        };
-        let along_y = |place: usize| {
-            let (mut here, after) = (along_z(place), along_z(place + 2));
-            here.words.iter_mut().zip(after.words).for_each(|(word, after)| *word &= *word >> 8 | after << 56);
-            here
-        };
-        let (mut cells, after) = (along_y(0), along_y(4));
+        }
+        for place in [0, 4] {
+            let after = masks[place + 2].words;
+            masks[place]
+                .words
+                .iter_mut()
+                .zip(after)
+                .for_each(|(word, after)| *word &= *word >> 8 | after << 56);
+        }
+        let [mut cells, .., after, _, _, _] = masks;
         for x in 0..8 {
             cells.words[x] &= if x < 7 { cells.words[x + 1] } else { after.words[0] };
         }
         cells
-    }
-
-    /// The band's leaf here, and those that its cells reach into: at `4x + 2y + z` the one so many leaves on.
-    #[inline(always)]
-    fn leaves_after(&self) -> [Option<usize>; 8] {
-        let topology = &self.part.band.topology;
-        let mut leaves = [None; 8];
-        for (place, leaf) in leaves.iter_mut().enumerate() {
-            *leaf = topology.find(self.origin + corner(place) * LEAF_EDGE);
-        }
-        leaves
     }
 }
 

@@ -8,7 +8,7 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::particle_checks::{ParticleChecks, Part};
+use super::particle_checks::{Part, ParticleChecks};
 use crate::grid::LEAF_EDGE;
 use crate::rasterize::ParticleBins;
 use crate::simd::{Kernel, dispatch};
@@ -115,7 +115,8 @@ impl NearLeaves {
     fn find(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
         self.origin = origin;
         self.leaves.clear();
-        let found = steps.iter().filter_map(|&step| Some((step.as_vec3(), bins.topology.find(origin + step)?)));
+        let found =
+            steps.iter().filter_map(|&step| Some((step.as_vec3(), bins.topology.find(origin + step)?)));
         self.leaves.extend(found);
     }
 
@@ -154,9 +155,9 @@ fn squared_gap(points: &[Column; 3]) -> f32 {
     let gap = |axis: usize| {
         let column = &points[axis];
         let (mut least, mut most) = (column[0], column[0]);
-        for lane in 1..LANES {
-            least = if column[lane] < least { column[lane] } else { least };
-            most = if column[lane] > most { column[lane] } else { most };
+        for &value in column {
+            least = if value < least { value } else { least };
+            most = if value > most { value } else { most };
         }
         (least - LEAF_EDGE as f32).max(-most).max(0.0)
     };

@@ -17,7 +17,7 @@ mod particle_checks;
 
 use rayon::prelude::*;
 
-pub use particle_checks::{ParticleChecks, Part};
+pub use particle_checks::{Part, ParticleChecks};
 
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::{Mesh, MeshMeasures};

@@ -85,12 +85,7 @@ impl VertexBatch {
     #[inline(always)]
     pub(super) fn new() -> VertexBatch {
         let zeros = [0.0; LANES];
-        VertexBatch {
-            count: 0,
-            cells: [[0; LANES]; 3],
-            edges: [0; LANES],
-            stencil: [zeros; STENCIL_COUNT],
-        }
+        VertexBatch { count: 0, cells: [[0; LANES]; 3], edges: [0; LANES], stencil: [zeros; STENCIL_COUNT] }
     }
 
     /// How many vertices wait.
@@ -130,7 +125,9 @@ impl VertexBatch {
         }
         let normals = unit_gradients(&samples, &points);
         let positions = self.positions(placement, &points);
-        let at = |columns: &[Column; 3], lane: usize| Vec3::new(columns[0][lane], columns[1][lane], columns[2][lane]);
+        let at = |columns: &[Column; 3], lane: usize| {
+            Vec3::new(columns[0][lane], columns[1][lane], columns[2][lane])
+        };
         let outputs = vertices.locals.iter_mut().zip(vertices.positions).zip(vertices.normals);
         for (lane, ((local, position), normal)) in outputs.enumerate().take(self.count) {
             *local = at(&points, lane);
@@ -256,8 +253,9 @@ fn nearest_point(sums: [f32; PLANE_SUMS]) -> Vec3 {
 /// Moves points along ∇φ towards the zero set of the curved interpolant.
 #[inline(always)]
 fn project(samples: &Samples, points: &mut [Column; 3]) {
+    let [x, y, z] = points;
     for lane in 0..LANES {
-        let point = Vec3::new(points[0][lane], points[1][lane], points[2][lane]);
+        let point = Vec3::new(x[lane], y[lane], z[lane]);
         let value = |value: usize| interpolate(samples, value, lane, point);
         let gradient = Vec3::new(value(1), value(2), value(3));
         let bulge = point * (1.0 - point) * Vec3::new(value(4), value(5), value(6));
@@ -265,7 +263,7 @@ fn project(samples: &Samples, points: &mut [Column; 3]) {
         // Below a slope of one half the step would be a leap: thin sheets and noise.
         let step = gradient * (-phi / gradient.length_squared().max(0.25));
         let moved = clamp_to_cell(point + step.clamp_length_max(PROJECTION_LIMIT));
-        [points[0][lane], points[1][lane], points[2][lane]] = moved.to_array();
+        [x[lane], y[lane], z[lane]] = moved.to_array();
     }
 }
 

@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use super::neighborhood::{Block, Neighborhood};
 use crate::grid::LEAF_EDGE;
 use crate::level_set::NarrowBand;
-use crate::mesh::{Mesh, for_each_batch};
+use crate::mesh::{self, Mesh, TriangleBatch};
 use crate::simd::{Kernel, dispatch};
 use crate::space::Lattice;
 
@@ -35,7 +35,8 @@ const PIECE: usize = 4096;
 pub fn bending_energy(band: &NarrowBand, lattice: &Lattice, mesh: &Mesh) -> f64 {
     let curvatures = mean_curvatures(band, lattice, mesh);
     let pieces = mesh.triangles.par_chunks(PIECE);
-    let pieces = pieces.map(|triangles| dispatch(TriangleEnergies { mesh, curvatures: &curvatures, triangles }));
+    let pieces =
+        pieces.map(|triangles| dispatch(TriangleEnergies { mesh, curvatures: &curvatures, triangles }));
     let sums: Vec<f64> = pieces.collect();
     sums.iter().sum::<f64>() / lattice.voxel_size.powi(2)
 }
@@ -53,12 +54,13 @@ impl Kernel for TriangleEnergies<'_> {
     #[inline(always)]
     fn run(self) -> f64 {
         let mut sum = 0.0;
-        for_each_batch(&self.mesh.positions, self.triangles, |batch, triangles| {
-            for (&[a, b, c], area) in triangles.iter().zip(batch.areas()) {
-                let square = |vertex: u32| f64::from(self.curvatures[vertex as usize]).powi(2);
-                sum += area * (square(a) + square(b) + square(c)) / 3.0;
+        for triangles in self.triangles.chunks(mesh::LANES) {
+            let areas = TriangleBatch::new(&self.mesh.positions, triangles).areas();
+            for (triangle, area) in triangles.iter().zip(areas) {
+                let square = |corner: usize| f64::from(self.curvatures[triangle[corner] as usize]).powi(2);
+                sum += area * (square(0) + square(1) + square(2)) / 3.0;
             }
-        });
+        }
         sum
     }
 }
@@ -92,20 +94,20 @@ impl Kernel for VertexCurvatures<'_> {
         let origin = mesh.origin / lattice.voxel_size;
         let mut batch = CurvatureBatch::new();
         // A mesh lists its vertices leaf by leaf, so the last block mostly serves again.
-        let mut last: Option<(IVec3, Block)> = None;
+        let mut block = Block::new(band.half_width);
+        let mut block_origin = None;
         for (vertex, position) in positions.iter().enumerate() {
             let index = origin + position.as_dvec3() / lattice.voxel_size;
             let floor = index.floor();
             let cell = floor.as_ivec3();
             let voxel = cell & IVec3::splat(LEAF_EDGE - 1);
             let leaf_origin = cell - voxel;
-            if last.as_ref().is_none_or(|(last_origin, _)| *last_origin != leaf_origin) {
+            if block_origin != Some(leaf_origin) {
                 let Some(leaf) = band.topology.find(leaf_origin) else { continue };
-                let neighborhood = Neighborhood::new(&band.topology, leaf);
-                last = Some((leaf_origin, Block::new(&neighborhood, &band.phi, band.half_width)));
+                block.fill(&Neighborhood::new(&band.topology, leaf), &band.phi);
+                block_origin = Some(leaf_origin);
             }
-            let Some((_, block)) = &last else { continue };
-            batch.push(block, voxel, (index - floor).as_vec3(), vertex);
+            batch.push(&block, voxel, (index - floor).as_vec3(), vertex);
             if batch.count == LANES {
                 batch.find(curvatures);
             }
@@ -145,8 +147,8 @@ impl CurvatureBatch {
         for x in 0..4 {
             for y in 0..4 {
                 let values: [f32; 4] = block.phi_along(Block::index(cell + IVec3::new(x - 1, y - 1, -1)));
-                for z in 0..4 {
-                    self.phi[(x * 16 + y * 4) as usize + z][self.count] = values[z];
+                for (z, value) in values.into_iter().enumerate() {
+                    self.phi[(x * 16 + y * 4) as usize + z][self.count] = value;
                 }
             }
         }

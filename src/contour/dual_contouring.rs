@@ -52,11 +52,11 @@ use rayon::prelude::*;
 use super::Placement;
 use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
-use super::neighborhood::{Block, Neighborhood, SignRows, inside_masks};
+use super::neighborhood::{Block, Neighborhood, SignRows};
 use super::normals::unit_or_zero;
 use super::quads::Quads;
 use super::ring::{Ring, joined_segments, segment_key};
-use crate::grid::{LeafMask, voxel_in_leaf};
+use crate::grid::{LeafMask, negative_masks, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::simd::{Kernel, dispatch};
@@ -76,7 +76,8 @@ pub(super) fn dual_contour(band: &NarrowBand, placement: &Placement) -> Mesh {
         },
     );
     let mut triangles = bytemuck::zeroed_vec(plan.triangle_count);
-    let quads = Quads { plan: &plan, on_faces: plan.vertices_on_faces(), locals: &locals, positions: &positions };
+    let quads =
+        Quads { plan: &plan, on_faces: plan.vertices_on_faces(), locals: &locals, positions: &positions };
     let places = plan.split(&mut triangles, |patch| usize::from(patch.triangle_count));
     places.into_par_iter().zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(|(triangles, patches)| {
         dispatch(PatchTriangles { quads: &quads, patches, triangles });
@@ -164,7 +165,7 @@ pub(super) struct Plan {
 
 impl Plan {
     fn new(band: &NarrowBand) -> Plan {
-        let inside_masks = inside_masks(&band.phi);
+        let inside_masks = negative_masks(&band.phi);
         let patch = |leaf: usize| {
             let neighborhood = Neighborhood::new(&band.topology, leaf);
             let may_have_surface = neighborhood.may_have_surface(&inside_masks);
@@ -199,7 +200,8 @@ impl Plan {
             return;
         }
         let has_any = |&leaf: &u32| {
-            let patch = self.patch_of_leaf.get(leaf as usize).and_then(|&patch| self.patches.get(patch as usize));
+            let patch =
+                self.patch_of_leaf.get(leaf as usize).and_then(|&patch| self.patches.get(patch as usize));
             patch.is_some_and(|patch| patch.on_faces_count > 0)
         };
         let added = |(index, patch): (usize, &Patch)| {
@@ -247,7 +249,9 @@ fn joined_rings(rows: &SignRows) -> impl Iterator<Item = (IVec3, Ring)> + '_ {
         let edges: Vec<usize> = rows.crossed_edges(axis).iter().collect();
         edges.into_iter().map(move |offset| (voxel_in_leaf(offset), axis))
     });
-    edges.map(|(start, axis)| (start, Ring::new(rows, start, axis))).filter(|(_, ring)| ring.joined_sides != 0)
+    edges
+        .map(|(start, axis)| (start, Ring::new(rows, start, axis)))
+        .filter(|(_, ring)| ring.joined_sides != 0)
 }
 
 /// Makes a patch.
@@ -280,10 +284,11 @@ impl Kernel for PatchVertices<'_> {
     #[inline(always)]
     fn run(mut self) {
         let mut batch = VertexBatch::new();
+        let mut block = Block::new(self.band.half_width);
         let mut done = 0;
         for patch in self.patches {
             let rows = SignRows::new(&patch.neighborhood, &self.plan.inside_masks);
-            let block = Block::new(&patch.neighborhood, &self.band.phi, self.band.half_width);
+            block.fill(&patch.neighborhood, &self.band.phi);
             let origin = self.band.topology.origins()[patch.leaf as usize];
             for offset in rows.crossed_cells().iter() {
                 let cell = voxel_in_leaf(offset);
@@ -322,7 +327,13 @@ impl PatchVertices<'_> {
     }
 
     /// Adds the vertices that a patch has on faces and edges, and returns the place after them.
-    fn add_on_faces_and_edges(&mut self, patch: &Patch, rows: &SignRows, block: &Block, first: usize) -> usize {
+    fn add_on_faces_and_edges(
+        &mut self,
+        patch: &Patch,
+        rows: &SignRows,
+        block: &Block,
+        first: usize,
+    ) -> usize {
         let origin = self.band.topology.origins()[patch.leaf as usize];
         let mut place = first;
         let mut add = |cell: IVec3, samples: &CellSamples, local: Vec3| {

@@ -30,10 +30,10 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows, inside_masks};
+use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows};
 use super::normals::unit_or_zero;
 use super::{Placement, concatenate, prefix_sums};
-use crate::grid::{LEAF_VOXELS, LeafMask, offset_in_leaf, voxel_in_leaf};
+use crate::grid::{LEAF_VOXELS, LeafMask, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 
@@ -43,7 +43,7 @@ const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
 /// The surface of φ = 0 in the tetrahedra. A normal is zero where φ does not give one.
 pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh {
-    let masks = inside_masks(&band.phi);
+    let masks = negative_masks(&band.phi);
     let patches: Vec<Patch> = (0..band.topology.len())
         .into_par_iter()
         .filter_map(|leaf| Patch::new(band, placement, &masks, leaf))
@@ -97,7 +97,8 @@ impl Patch {
         for end in 1..8 {
             rows.crossed_to(end).iter().for_each(|offset| crossed[offset] |= 1 << end);
         }
-        let block = Block::new(&neighborhood, &band.phi, band.half_width);
+        let mut block = Block::new(band.half_width);
+        block.fill(&neighborhood, &band.phi);
         let origin = band.topology.origins()[leaf];
         let mut first_at_voxel = Box::new([0; LEAF_VOXELS]);
         let (mut positions, mut normals) = (Vec::with_capacity(400), Vec::with_capacity(400));

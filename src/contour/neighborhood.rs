@@ -18,10 +18,8 @@
 //! stored corners say: beyond the leaves φ is not known.
 
 use glam::{IVec3, Vec3};
-use rayon::prelude::*;
 
 use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, Topology};
-use crate::simd::{Kernel, dispatch};
 
 /// A leaf and the 26 around it: indices, or [`NO_LEAF`].
 #[derive(Clone, Copy, Debug)]
@@ -52,7 +50,8 @@ impl Neighborhood {
     pub(super) fn may_have_surface(&self, inside_masks: &[LeafMask]) -> bool {
         let own = inside_masks[self.leaves[13] as usize];
         let is_uniform = own == LeafMask::EMPTY || own == LeafMask::FULL;
-        let differs = |slot: usize| inside_masks.get(self.leaves[slot] as usize).is_some_and(|mask| *mask != own);
+        let differs =
+            |slot: usize| inside_masks.get(self.leaves[slot] as usize).is_some_and(|mask| *mask != own);
         !is_uniform || SLOTS_AFTER.into_iter().any(differs)
     }
 }
@@ -80,26 +79,6 @@ fn spans(after: usize) -> [Span; 3] {
         Span { start: 9, count: after, first_voxel: 0 },
     ]
 }
-
-/// For each leaf the voxels with φ < 0. Zero is outside.
-pub(super) fn inside_masks(phi: &Field) -> Vec<LeafMask> {
-    struct Masks<'a>(&'a [Leaf], &'a mut [LeafMask]);
-    impl Kernel for Masks<'_> {
-        type Output = ();
-
-        #[inline(always)]
-        fn run(self) {
-            self.1.iter_mut().zip(self.0).for_each(|(mask, leaf)| *mask = LeafMask::where_negative(leaf));
-        }
-    }
-    let mut masks = vec![LeafMask::EMPTY; phi.leaves.len()];
-    let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(phi.leaves.par_chunks(LEAVES_AT_ONCE));
-    pieces.for_each(|(masks, leaves)| dispatch(Masks(leaves, masks)));
-    masks
-}
-
-/// Leaves in a piece of work.
-const LEAVES_AT_ONCE: usize = 64;
 
 /// Signs of the voxels −1 ..= 8 around a leaf. In a row (x, y) bit z + 1 is voxel z.
 #[derive(Clone, Debug)]
@@ -219,7 +198,9 @@ impl SignRows {
         let (end_x, end_y, end_z) = (end >> 2, end >> 1 & 1, end & 1);
         own_voxels(|x, y| {
             let differ = self.inside[x][y] ^ self.inside[x + end_x][y + end_y] >> end_z;
-            differ & self.stored[1][1] & self.stored[(x + end_x).div_ceil(8)][(y + end_y).div_ceil(8)] >> end_z
+            differ
+                & self.stored[1][1]
+                & self.stored[(x + end_x).div_ceil(8)][(y + end_y).div_ceil(8)] >> end_z
         })
     }
 
@@ -258,39 +239,43 @@ fn own_voxels(bits: impl Fn(usize, usize) -> u16) -> LeafMask {
 
 /// φ of the voxels −1 ..= 9 around a leaf.
 pub(super) struct Block {
-    values: [f32; BLOCK_STEP[0] * BLOCK_EDGE],
+    /// By x; then rows by y, padded to 12.
+    planes: [[[f32; 12]; BLOCK_EDGE]; BLOCK_EDGE],
+    /// What is not stored reads as this.
+    beyond: f32,
 }
 
 /// Voxels along an edge of a block.
 const BLOCK_EDGE: usize = 11;
 
-/// How far apart neighbours along x, y and z are in a block: rows are padded to 12.
+/// How far apart neighbours along x, y and z are in a block.
 pub(super) const BLOCK_STEP: [usize; 3] = [12 * BLOCK_EDGE, 12, 1];
 
 impl Block {
-    /// Copies φ around a leaf. What is not stored reads as `beyond`.
+    /// A block around no leaf.
     #[inline(always)]
-    pub(super) fn new(neighborhood: &Neighborhood, phi: &Field, beyond: f32) -> Block {
-        let mut block = Block { values: [beyond; BLOCK_STEP[0] * BLOCK_EDGE] };
-        for column in 0..9 {
-            let rows = [spans(2)[column / 3], spans(2)[column % 3]];
-            let leaf = |z: usize| phi.leaves.get(neighborhood.leaves[column * 3 + z] as usize);
-            block.copy::<1>(rows, 0, leaf(0), 7);
-            block.copy::<8>(rows, 1, leaf(1), 0);
-            block.copy::<2>(rows, 9, leaf(2), 0);
-        }
-        block
+    pub(super) fn new(beyond: f32) -> Block {
+        Block { planes: [[[beyond; 12]; BLOCK_EDGE]; BLOCK_EDGE], beyond }
     }
 
-    /// Copies so many values, from `first_voxel` on, of each of a leaf's rows in these spans.
+    /// Copies φ around a leaf.
     #[inline(always)]
-    fn copy<const COUNT: usize>(&mut self, [x, y]: [Span; 2], z: usize, leaf: Option<&Leaf>, first_voxel: usize) {
-        let Some(leaf) = leaf else { return };
-        for i in 0..x.count {
-            for j in 0..y.count {
-                let place = (x.start + i) * BLOCK_STEP[0] + (y.start + j) * BLOCK_STEP[1] + z;
-                let row = leaf.row((x.first_voxel + i) * 8 + y.first_voxel + j);
-                self.values[place..place + COUNT].copy_from_slice(&row[first_voxel..first_voxel + COUNT]);
+    pub(super) fn fill(&mut self, neighborhood: &Neighborhood, phi: &Field) {
+        let nothing = Leaf::splat(self.beyond);
+        for column in 0..9 {
+            let [x, y] = [spans(2)[column / 3], spans(2)[column % 3]];
+            let leaf =
+                |z: usize| phi.leaves.get(neighborhood.leaves[column * 3 + z] as usize).unwrap_or(&nothing);
+            let [before, here, after] = [leaf(0), leaf(1), leaf(2)];
+            for i in 0..x.count {
+                let rows = &mut self.planes[x.start + i];
+                for j in 0..y.count {
+                    let row = (x.first_voxel + i) * 8 + y.first_voxel + j;
+                    let place = &mut rows[y.start + j];
+                    place[0] = before.row(row)[7];
+                    place[1..9].copy_from_slice(here.row(row));
+                    place[9..11].copy_from_slice(&after.row(row)[..2]);
+                }
             }
         }
     }
@@ -302,28 +287,34 @@ impl Block {
         at.x as usize * BLOCK_STEP[0] + at.y as usize * BLOCK_STEP[1] + at.z as usize
     }
 
+    #[inline(always)]
+    fn values(&self) -> &[f32] {
+        self.planes.as_flattened().as_flattened()
+    }
+
     /// φ at a place in the block.
     #[inline(always)]
     pub(super) fn phi(&self, index: usize) -> f32 {
-        self.values[index]
+        self.values()[index]
     }
 
     /// φ at `COUNT` places along z, from this one on.
     #[inline(always)]
     pub(super) fn phi_along<const COUNT: usize>(&self, index: usize) -> [f32; COUNT] {
-        std::array::from_fn(|z| self.values[index + z])
+        std::array::from_fn(|z| self.values()[index + z])
     }
 
     /// ∇φ by central differences at a place in the block that has neighbours on all sides.
     #[inline(always)]
     pub(super) fn gradient(&self, index: usize) -> Vec3 {
-        let slope = |step: usize| 0.5 * (self.values[index + step] - self.values[index - step]);
+        let slope = |step: usize| 0.5 * (self.values()[index + step] - self.values()[index - step]);
         Vec3::new(slope(BLOCK_STEP[0]), slope(BLOCK_STEP[1]), slope(BLOCK_STEP[2]))
     }
 
     /// The second difference of φ along `step` (a sum of [`BLOCK_STEP`]s).
     #[inline(always)]
     pub(super) fn second_difference(&self, index: usize, step: usize) -> f32 {
-        (self.values[index + step] - self.values[index]) - (self.values[index] - self.values[index - step])
+        (self.values()[index + step] - self.values()[index])
+            - (self.values()[index] - self.values()[index - step])
     }
 }

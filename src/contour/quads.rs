@@ -254,22 +254,22 @@ impl QuadBatch {
         let point = |corner: &[[f32; LANES]; 3], lane: usize| {
             Vec3::new(corner[0][lane], corner[1][lane], corner[2][lane])
         };
-        for lane in 0..LANES {
+        for (lane, choice) in choices.iter_mut().enumerate() {
             let (p, q, r, s) = (point(p, lane), point(q, lane), point(r, lane), point(s, lane));
             let along_pr = shape(p, q, r).min(shape(r, s, p));
             let along_qs = shape(q, r, s).min(shape(s, p, q));
-            choices[lane] = if along_qs > CLEARLY_BETTER * along_pr { SECOND } else { FIRST };
+            *choice = if along_qs > CLEARLY_BETTER * along_pr { SECOND } else { FIRST };
         }
         let (right, up) = ((self.axis + 1) % 3, (self.axis + 2) % 3);
         let seen = |corner: &[[f32; LANES]; 3], lane: usize| {
             [f64::from(corner[right][lane]), f64::from(corner[up][lane])]
         };
-        for lane in 0..LANES {
+        for (lane, choice) in choices.iter_mut().enumerate() {
             let (p, q, r, s) = (seen(p, lane), seen(q, lane), seen(r, lane), seen(s, lane));
             let first_is_safe = (doubled_area(p, q, r) > SAFE_AREA) & (doubled_area(r, s, p) > SAFE_AREA);
             let second_is_safe = (doubled_area(q, r, s) > SAFE_AREA) & (doubled_area(s, p, q) > SAFE_AREA);
-            let is_safe = if choices[lane] == SECOND { second_is_safe } else { first_is_safe };
-            choices[lane] = if is_safe { choices[lane] } else { UNSAFE };
+            let is_safe = if *choice == SECOND { second_is_safe } else { first_is_safe };
+            *choice = if is_safe { *choice } else { UNSAFE };
         }
         choices
     }

@@ -1,6 +1,9 @@
 //! One bit per voxel of a leaf.
 
-use super::leaf::Leaf;
+use rayon::prelude::*;
+
+use super::leaf::{Field, Leaf};
+use crate::simd::{Kernel, dispatch};
 
 /// 512 bits: word x, byte y of the word, bit z of the byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,24 +24,6 @@ impl LeafMask {
         let mut mask = LeafMask::EMPTY;
         for offset in 0..512 {
             mask.words[offset >> 6] |= u64::from(test(offset)) << (offset & 63);
-        }
-        mask
-    }
-
-    /// The mask of the voxels whose value is below zero. Zero of either sign is not.
-    #[inline(always)]
-    pub fn where_negative(leaf: &Leaf) -> LeafMask {
-        let mut mask = LeafMask::EMPTY;
-        for (x, word) in mask.words.iter_mut().enumerate() {
-            // Whole rows at a time, so the bits come with y and z swapped: byte z, bit y.
-            let mut columns = [0u32; 8];
-            for y in 0..8 {
-                let row = leaf.row(x * 8 + y);
-                for z in 0..8 {
-                    columns[z] |= u32::from(row[z] < 0.0) << y;
-                }
-            }
-            *word = transposed(u64::from_le_bytes(columns.map(|column| column as u8)));
         }
         mask
     }
@@ -100,6 +85,44 @@ impl LeafMask {
     }
 }
 
+/// For each leaf of a field the voxels whose value is below zero. Zero of either sign is not.
+pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
+    let mut masks = vec![LeafMask::EMPTY; field.leaves.len()];
+    let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(field.leaves.par_chunks(LEAVES_AT_ONCE));
+    pieces.for_each(|(masks, leaves)| dispatch(NegativeMasks { masks, leaves }));
+    masks
+}
+
+/// Leaves in a piece of work.
+const LEAVES_AT_ONCE: usize = 64;
+
+/// Finds the masks of some leaves.
+struct NegativeMasks<'a> {
+    masks: &'a mut [LeafMask],
+    leaves: &'a [Leaf],
+}
+
+impl Kernel for NegativeMasks<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        for (mask, leaf) in self.masks.iter_mut().zip(self.leaves) {
+            for (x, word) in mask.words.iter_mut().enumerate() {
+                // Whole rows at a time, so the bits come with y and z swapped: byte z, bit y.
+                let mut columns = [0u32; 8];
+                for y in 0..8 {
+                    let row = leaf.row(x * 8 + y);
+                    for z in 0..8 {
+                        columns[z] |= u32::from(row[z] < 0.0) << y;
+                    }
+                }
+                *word = transposed(u64::from_le_bytes(columns.map(|column| column as u8)));
+            }
+        }
+    }
+}
+
 /// Eight bytes with bit j of byte i at bit i of byte j: blocks of 1, 2 and 4 bits change places.
 #[inline(always)]
 fn transposed(bytes: u64) -> u64 {
@@ -123,7 +146,8 @@ mod tests {
             *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];
         }
         let expected = LeafMask::from_fn(|offset| leaf.values[offset] < 0.0);
-        assert_eq!(LeafMask::where_negative(&leaf), expected);
+        let field = Field { leaves: vec![Leaf::splat(-1.0), leaf] };
+        assert_eq!(negative_masks(&field), [LeafMask::FULL, expected]);
         assert!(!expected.is_empty());
     }
 }

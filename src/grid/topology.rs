@@ -193,7 +193,8 @@ mod tests {
         // Every second, third … leaf of a block: places that can be reached on all, some or no paths.
         for every in 2..7 {
             let places = (0..125).filter(|place| place * place % 11 % every != 0);
-            let origins = places.map(|place| (IVec3::new(place / 25, place / 5 % 5, place % 5) - 2) * LEAF_EDGE);
+            let origins =
+                places.map(|place| (IVec3::new(place / 25, place / 5 % 5, place % 5) - 2) * LEAF_EDGE);
             let topology = Topology::new(origins.collect());
             for (leaf, &origin) in topology.origins().iter().enumerate() {
                 for (slot, index) in topology.neighborhood(leaf).into_iter().enumerate() {

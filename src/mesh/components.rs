@@ -12,19 +12,26 @@ use super::{Mesh, PIECE};
 
 /// Joins the vertices of one piece along the edges that are within it, in `parents`, which then name roots.
 /// Returns how many joints that took.
-pub(super) fn join_piece(parents: &mut [u32], first: u32, triangles: impl Iterator<Item = [u32; 3]>) -> usize {
+pub(super) fn join_piece(
+    parents: &mut [u32],
+    first: u32,
+    triangles: impl Iterator<Item = [u32; 3]>,
+) -> usize {
     let count = parents.len() as u32;
     for (parent, vertex) in parents.iter_mut().zip(0..) {
         *parent = vertex;
     }
     let mut joined_count = 0;
-    for [a, b, c] in triangles.map(|triangle| triangle.map(|vertex| vertex.wrapping_sub(first))) {
+    triangles.for_each(|[a, b, c]| {
+        let [a, b, c] = [a.wrapping_sub(first), b.wrapping_sub(first), c.wrapping_sub(first)];
         for [one, other] in [[a, b], [b, c]] {
-            if one < count && other < count {
+            // Mostly both know their root already.
+            let are_own = one < count && other < count;
+            if are_own && parents[one as usize] != parents[other as usize] {
                 joined_count += usize::from(join(parents, one, other));
             }
         }
-    }
+    });
     for vertex in 0..parents.len() {
         // Roots come before what they are the roots of.
         let root = parents[parents[vertex] as usize];

@@ -42,7 +42,11 @@ impl Touching {
     }
 
     /// The triangles that touch a piece of vertices, in order.
-    pub(super) fn triangles<'a>(&'a self, mesh: &'a Mesh, piece: usize) -> impl Iterator<Item = [u32; 3]> + Clone + 'a {
+    pub(super) fn triangles<'a>(
+        &'a self,
+        mesh: &'a Mesh,
+        piece: usize,
+    ) -> impl Iterator<Item = [u32; 3]> + Clone + 'a {
         let first = self.stretches.partition_point(|stretch| (stretch.vertex_piece as usize) < piece);
         let stretches = self.stretches[first..].iter();
         stretches.take_while(move |stretch| stretch.vertex_piece as usize == piece).flat_map(|stretch| {
@@ -106,20 +110,25 @@ pub(super) struct Corners {
 
 impl Corners {
     /// Puts the corners of the vertices from `first` on in place of those that were there.
-    pub(super) fn collect(&mut self, first: u32, count: usize, triangles: impl Iterator<Item = [u32; 3]> + Clone) {
+    pub(super) fn collect(
+        &mut self,
+        first: u32,
+        count: usize,
+        triangles: impl Iterator<Item = [u32; 3]> + Clone,
+    ) {
         let is_own = |vertex: u32| vertex >= first && vertex - first < PIECE as u32;
         let starts = &mut self.starts;
         starts.clear();
         starts.resize(count + 2, 0);
-        for vertex in triangles.clone().flatten().filter(|&vertex| is_own(vertex)) {
+        triangles.clone().flatten().filter(|&vertex| is_own(vertex)).for_each(|vertex| {
             starts[(vertex - first) as usize + 2] += 1;
-        }
+        });
         for vertex in 2..starts.len() {
             starts[vertex] += starts[vertex - 1];
         }
         // Each start moves up as its corners are put in, and so becomes the next vertex's start.
         self.ends.resize(starts[count + 1] as usize, [0; 2]);
-        for [a, b, c] in triangles {
+        triangles.for_each(|[a, b, c]| {
             for [vertex, next, prev] in [[a, b, c], [b, c, a], [c, a, b]] {
                 if is_own(vertex) {
                     let place = &mut starts[(vertex - first) as usize + 1];
@@ -127,7 +136,7 @@ impl Corners {
                     *place += 1;
                 }
             }
-        }
+        });
     }
 
     /// The corners of a vertex, given from the first one of the piece.

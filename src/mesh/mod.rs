@@ -28,7 +28,7 @@ use rayon::prelude::*;
 
 use crate::simd::{Kernel, dispatch};
 use corners::{Corners, Touching};
-pub(crate) use triangles::for_each_batch;
+pub(crate) use triangles::{LANES, TriangleBatch};
 
 /// A triangle mesh in world units.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -88,7 +88,8 @@ impl Mesh {
     /// Panics if a triangle names a vertex that does not exist.
     pub fn measure(&self) -> MeshMeasures {
         let triangles = self.triangles.par_chunks(PIECE);
-        let triangles = Sums::in_order(triangles.map(|triangles| dispatch(TrianglePiece { mesh: self, triangles })));
+        let triangles =
+            Sums::in_order(triangles.map(|triangles| dispatch(TrianglePiece { mesh: self, triangles })));
         let touching = Touching::new(self);
         let mut parents: Vec<u32> = vec![0; self.positions.len()];
         let pieces = parents.par_chunks_mut(PIECE).enumerate();

@@ -5,44 +5,35 @@ use glam::{DVec3, Vec3};
 use super::{Mesh, Sums};
 
 /// Triangles that are measured at once.
-const LANES: usize = 16;
+pub(crate) const LANES: usize = 16;
 
 /// One value of each triangle.
 pub(crate) type Column = [f64; LANES];
 
-/// The corners of some triangles.
+/// The corners of some triangles, by corner and by axis. Lanes without a triangle hold zeros.
 pub(crate) struct TriangleBatch {
-    /// How many there are. The other lanes hold zeros.
-    count: usize,
-    /// By corner, by axis.
     corners: [[[f32; LANES]; 3]; 3],
-}
-
-/// Calls `measure` for some triangles after the other, with where they start among these and how many they are.
-#[inline(always)]
-pub(crate) fn for_each_batch(
-    positions: &[Vec3],
-    triangles: &[[u32; 3]],
-    mut measure: impl FnMut(&TriangleBatch, &[[u32; 3]]),
-) {
-    for triangles in triangles.chunks(LANES) {
-        let mut batch = TriangleBatch { count: triangles.len(), corners: [[[0.0; LANES]; 3]; 3] };
-        for (lane, triangle) in triangles.iter().enumerate() {
-            for corner in 0..3 {
-                let position = positions[triangle[corner] as usize];
-                for axis in 0..3 {
-                    batch.corners[corner][axis][lane] = position[axis];
-                }
-            }
-        }
-        measure(&batch, triangles);
-    }
 }
 
 /// Triangles lower than this part of their longest edge count as degenerate.
 const LEAST_HEIGHT: f64 = 1e-9;
 
 impl TriangleBatch {
+    /// The corners of up to [`LANES`] triangles.
+    #[inline(always)]
+    pub(crate) fn new(positions: &[Vec3], triangles: &[[u32; 3]]) -> TriangleBatch {
+        let mut corners = [[[0.0; LANES]; 3]; 3];
+        for (lane, triangle) in triangles.iter().enumerate().take(LANES) {
+            for corner in 0..3 {
+                let position = positions[triangle[corner] as usize];
+                for axis in 0..3 {
+                    corners[corner][axis][lane] = position[axis];
+                }
+            }
+        }
+        TriangleBatch { corners }
+    }
+
     #[inline(always)]
     fn corner(&self, corner: usize, lane: usize) -> DVec3 {
         let [x, y, z] = &self.corners[corner];
@@ -89,13 +80,14 @@ impl TriangleBatch {
 #[inline(always)]
 pub(super) fn sum_triangles(mesh: &Mesh, triangles: &[[u32; 3]]) -> Sums {
     let mut sums = Sums::default();
-    for_each_batch(&mesh.positions, triangles, |batch, _| {
+    for triangles in triangles.chunks(LANES) {
+        let batch = TriangleBatch::new(&mesh.positions, triangles);
         let (areas, products, degenerate) = (batch.areas(), batch.products(), batch.degenerate());
-        for lane in 0..batch.count {
+        for lane in 0..triangles.len() {
             sums.area += areas[lane];
             sums.volume += products[lane] / 6.0;
             sums.degenerate_triangle_count += degenerate[lane] as usize;
         }
-    });
+    }
     sums
 }

@@ -67,20 +67,17 @@ impl CornerBatch {
     /// Adds what the corners that wait add to their vertices.
     #[inline(always)]
     fn measure(&mut self, parts: &mut Vec<CornerPart>) {
-        let mut columns = [[0.0; LANES]; 4];
+        let [mut x, mut y, mut z, mut areas] = [[0.0; LANES]; 4];
         let [here, next, prev] = &self.ends;
         let at = |[x, y, z]: &[[f32; LANES]; 3], lane: usize| Vec3::new(x[lane], y[lane], z[lane]).as_dvec3();
         for lane in 0..LANES {
             let here = at(here, lane);
             let (to_next, to_prev) = (at(next, lane) - here, at(prev, lane) - here);
             let (curvature, area) = corner_part(to_next, to_prev);
-            columns[0][lane] = curvature.x;
-            columns[1][lane] = curvature.y;
-            columns[2][lane] = curvature.z;
-            columns[3][lane] = area;
+            [x[lane], y[lane], z[lane]] = curvature.to_array();
+            areas[lane] = area;
         }
-        let [x, y, z, area] = columns;
-        parts.extend((0..self.count).map(|lane| [x[lane], y[lane], z[lane], area[lane]]));
+        parts.extend((0..self.count).map(|lane| [x[lane], y[lane], z[lane], areas[lane]]));
         self.count = 0;
     }
 }
@@ -142,8 +139,8 @@ fn is_plain_ring(corners: &[[u32; 2]]) -> bool {
     // For each corner a bit for each that follows it.
     let mut followers = [0u32; RING_LENGTH_MAX];
     for (followers, corner) in followers.iter_mut().zip(corners) {
-        for place in 0..RING_LENGTH_MAX {
-            *followers |= u32::from(nexts[place] == corner[1]) << place;
+        for (place, &next) in nexts.iter().enumerate() {
+            *followers |= u32::from(next == corner[1]) << place;
         }
     }
     let mut passed = 0;
