@@ -75,3 +75,51 @@ impl ParticleChecks {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+
+    use super::*;
+    use crate::contour::{Contouring, contour};
+    use crate::particles::Particles;
+    use crate::rasterize::rasterize;
+
+    /// Particles in a wavy sheet and a few beside it.
+    fn particles(spacing: f64) -> Particles {
+        let place = |index: usize| {
+            let (x, y, z) = (index / 60, index / 3 % 20, index % 3);
+            [x as f64 * spacing, y as f64 * spacing, z as f64 * spacing + 3.0 * (x as f64 * 0.4).sin()]
+        };
+        Particles::Double((0..1800).map(place).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
+    }
+
+    #[test]
+    fn the_parts_of_a_frame_make_the_whole() {
+        let lattice = Lattice { voxel_size: 1.0 };
+        let made = Radii { min: 1.7, init: 2.6, max: 3.4 };
+        let bins = ParticleBins::new(&particles(1.9), &lattice);
+        let (band, _) = rasterize(&bins, made);
+        let mesh = contour(&band, &lattice, Contouring::Dual);
+        // What was made from these particles holds; from others, and with other radii, nothing does.
+        let others = ParticleBins::new(&particles(2.3), &lattice);
+        let other_radii = Radii { min: 3.0, init: 1.0, max: 2.2 };
+        for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
+            let part = |owned: CoordBox| {
+                ParticleChecks::of(&Part { bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned })
+            };
+            let whole = part(CoordBox::ALL);
+            let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];
+            assert_eq!(counts.map(|count| count == 0), [holds; 3], "{whole:?}");
+            let (low, high) = (IVec3::MIN, IVec3::MAX);
+            let parts = [
+                CoordBox { min: low, max: IVec3::new(15, i32::MAX, i32::MAX) },
+                CoordBox { min: IVec3::new(16, i32::MIN, i32::MIN), max: IVec3::new(i32::MAX, 7, i32::MAX) },
+                CoordBox { min: IVec3::new(16, 8, i32::MIN), max: high },
+            ];
+            let checks = parts.map(part);
+            assert!(checks.iter().all(|checks| checks.vertex_distance_max > 0.0));
+            assert_eq!(checks.into_iter().fold(ParticleChecks::NOTHING, ParticleChecks::and), whole);
+        }
+    }
+}

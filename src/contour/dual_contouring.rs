@@ -49,13 +49,13 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::Placement;
 use super::cell_cycles::cell_cycles;
 use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
 use super::neighborhood::{Block, Neighborhood, SignRows};
 use super::normals::unit_or_zero;
 use super::quads::Quads;
 use super::ring::{Ring, joined_segments, segment_key};
+use super::{Placement, split};
 use crate::grid::{LeafMask, negative_masks, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
@@ -232,13 +232,7 @@ impl Plan {
 
     /// Cuts what belongs to all patches, so many items for each, into the parts of pieces of work.
     fn split<'a, T>(&self, whole: &'a mut [T], count: impl Fn(&Patch) -> usize) -> Vec<&'a mut [T]> {
-        let mut rest = whole;
-        let part = |patches: &[Patch]| {
-            let (part, after) = std::mem::take(&mut rest).split_at_mut(patches.iter().map(&count).sum());
-            rest = after;
-            part
-        };
-        self.patches.chunks(PATCHES_AT_ONCE).map(part).collect()
+        split(whole, self.patches.chunks(PATCHES_AT_ONCE).map(|patches| patches.iter().map(&count).sum()))
     }
 }
 
