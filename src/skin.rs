@@ -74,8 +74,8 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
         Integrator::Implicit => 9.2,
     };
     let mesh_bytes = match settings.contouring {
-        Contouring::Dual => 165.0,
-        Contouring::Tetrahedra => 480.0,
+        Contouring::Dual => 80.0,
+        Contouring::Tetrahedra => 250.0,
     };
     let field_bytes = size_of::<Leaf>() as f64;
     let stages = [

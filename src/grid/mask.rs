@@ -1,7 +1,11 @@
 //! One bit per voxel of a leaf.
 
 use glam::IVec3;
+use rayon::prelude::*;
 
+use super::leaf::{Field, Leaf};
+use super::stencil::ROW_COUNT;
+use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::CoordBox;
 
 /// 512 bits: word x, byte y of the word, bit z of the byte.
@@ -160,6 +164,36 @@ impl LeafMask {
     }
 }
 
+/// For each leaf of a field the voxels whose value is below zero. Zero of either sign is not.
+pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
+    let mut masks = vec![LeafMask::EMPTY; field.leaves.len()];
+    let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(field.leaves.par_chunks(LEAVES_AT_ONCE));
+    pieces.for_each(|(masks, leaves)| dispatch(NegativeMasks { masks, leaves }));
+    masks
+}
+
+/// Leaves in a piece of work.
+const LEAVES_AT_ONCE: usize = 64;
+
+/// Finds the masks of some leaves.
+struct NegativeMasks<'a> {
+    masks: &'a mut [LeafMask],
+    leaves: &'a [Leaf],
+}
+
+impl Kernel for NegativeMasks<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for (mask, leaf) in self.masks.iter_mut().zip(self.leaves) {
+            for row in 0..ROW_COUNT {
+                mask.set_row(row, V::bits(V::load(leaf.row(row)).lt(V::splat(0.0))));
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -216,5 +250,17 @@ mod tests {
             assert_eq!(shifted, [mask(-shift), mask(shift)], "axis {axis}, {steps} steps");
         }
         assert!(mask(IVec3::ZERO).contains(offset_in_leaf(IVec3::ZERO)));
+    }
+
+    #[test]
+    fn signs_become_bits_in_their_place() {
+        let mut leaf = Leaf::splat(0.0);
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];
+        }
+        let expected = LeafMask::from_fn(|offset| leaf.values[offset] < 0.0);
+        let field = Field { leaves: vec![Leaf::splat(-1.0), leaf] };
+        assert_eq!(negative_masks(&field), [LeafMask::FULL, expected]);
+        assert!(!expected.is_empty());
     }
 }
