@@ -42,15 +42,15 @@ pub use bin::ParticleBins;
 pub use footprint::{Footprint, footprint};
 pub use occupancy::Occupancy;
 
-use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, LeafMask, NO_LEAF, Topology};
+use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::particles::ParticleSource;
-use crate::simd;
+use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
 use need::{Need, leaves_of_boxes};
 use region::{EVERYWHERE, Regions, holds};
 use signed_distance::{Below, into_signed_distance, signed_distance};
-use sphere::nearest_distances;
+use sphere::{Eights, nearest_distances};
 
 /// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -148,11 +148,12 @@ fn measure<S: ParticleSource>(
     let need = Need::new(occupancy, radii, regions);
     let bins = ParticleBins::new(source, lattice, occupancy, &need, regions)?;
     let reach = radii.max + EXACT_MARGIN;
+    let eights = Eights::new(&bins);
     let settled = |origin| need.settled(origin);
-    let near = nearest_distances(&bins, &need.near, reach, settled, |_| None);
+    let near = nearest_distances(&eights, &need.near, reach, settled, |_| None);
     let topology = Topology::new(leaves_near_surface(&need, &near, radii, regions));
     let known = |origin| need.near.find(origin).map(|leaf| &near.leaves[leaf]);
-    let nearest = nearest_distances(&bins, &topology, reach, settled, known);
+    let nearest = nearest_distances(&eights, &topology, reach, settled, known);
     Ok(Measured { bins, topology, nearest })
 }
 
@@ -190,8 +191,7 @@ fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized
             && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
-    keep(&mut phi, &kept);
-    keep(&mut nearest, &kept);
+    rayon::join(|| keep(&mut phi, &kept), || keep(&mut nearest, &kept));
     let topology = subset(topology, &kept);
     let mut lower = signed_distance(&topology, &nearest, radii.max, half_width);
     let mut upper = into_signed_distance(&topology, nearest, radii.min, half_width);
@@ -237,13 +237,35 @@ fn sweep_count(half_width: f32) -> u32 {
 /// does not promise, and moves φ between them.
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds) {
     let half_width = band.half_width;
-    let within = |value: f32| value.clamp(-half_width, half_width);
-    let leaves = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
-    band.phi.leaves.par_iter_mut().zip(leaves).for_each(|(phi, (lower, upper))| {
-        for ((phi, lower), upper) in phi.values.iter_mut().zip(&mut lower.values).zip(&mut upper.values) {
-            *upper = within(*upper);
-            *lower = within(*lower).min(*upper);
-            *phi = within(*phi).max(*lower).min(*upper);
-        }
+    let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
+    band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+        simd::dispatch(Finish { half_width, phi, lower, upper });
     });
+}
+
+/// The values of one leaf.
+struct Finish<'a> {
+    half_width: f32,
+    phi: &'a mut Leaf,
+    lower: &'a mut Leaf,
+    upper: &'a mut Leaf,
+}
+
+impl Kernel for Finish<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
+        for row in 0..ROW_COUNT {
+            let (phi, lower, upper) =
+                (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
+            let new_upper = V::load(upper).max(least).min(most);
+            let new_lower = V::load(lower).max(least).min(most).min(new_upper);
+            let new_phi = V::load(phi).max(least).min(most).max(new_lower).min(new_upper);
+            new_upper.store(upper);
+            new_lower.store(lower);
+            new_phi.store(phi);
+        }
+    }
 }
