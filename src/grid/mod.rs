@@ -26,4 +26,3 @@ pub use leaf::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Row, offset_in_leaf, voxel_i
 pub use mask::{LeafMask, negative_masks};
 pub use stencil::{Bits, Neighborhood, ROW_COUNT, Slab, slabs_in};
 pub use topology::{Direction, FACE_STEPS, NO_LEAF, Topology};
-pub use topology::{Direction, FACE_STEPS, NO_LEAF, Topology};

@@ -21,10 +21,14 @@ use crate::particles::ParticleSource;
 use crate::space::Lattice;
 
 /// Numbers of leaves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
-    /// Leaves within the half width of the band from the surface.
-    pub surface_count: usize,
+    /// Leaves within the half width of the band from the surface: their origins, in no order.
+    pub surface: Vec<IVec3>,
+    /// Leaves that hold particles.
+    pub occupied_count: usize,
+    /// Particles.
+    pub particle_count: usize,
     /// Area of the surface, in faces of voxels.
     pub area_voxels: usize,
 }
@@ -40,7 +44,7 @@ pub fn footprint<S: ParticleSource>(
 ) -> Result<Footprint, S::Error> {
     let near = Reach::new(radii.init + radii.half_width());
     let cells = Cells::new(radii.init);
-    let look = |batch: usize| -> Result<Vec<(IVec3, Occupied)>, S::Error> {
+    let look = |batch: usize| -> Result<(usize, Vec<(IVec3, Occupied)>), S::Error> {
         let batch = LeafBatch::new(&source.batch(batch)?, lattice);
         let told = |(origin, locals): (IVec3, &[Vec3])| {
             let mut leaf = Occupied::default();
@@ -50,11 +54,12 @@ pub fn footprint<S: ParticleSource>(
             }
             (origin, leaf)
         };
-        Ok(batch.leaves().map(told).collect())
+        Ok((batch.len(), batch.leaves().map(told).collect()))
     };
     let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
     let mut occupied: FxHashMap<IVec3, Occupied> = FxHashMap::default();
-    for (origin, told) in batches.into_iter().flatten() {
+    let particle_count = batches.iter().map(|(count, _)| count).sum();
+    for (origin, told) in batches.into_iter().flat_map(|(_, leaves)| leaves) {
         let leaf = occupied.entry(origin).or_default();
         leaf.near |= told.near;
         leaf.cells |= told.cells;
@@ -63,9 +68,14 @@ pub fn footprint<S: ParticleSource>(
     let is_inside = |&&origin: &&IVec3| {
         Reach::box_of([-1; 3], [1; 3]).all(|step| cells_in(origin + step * LEAF_EDGE) == cells.all)
     };
-    let near_count = near.leaf_count(occupied.iter().map(|(&origin, leaf)| (origin, leaf.near)));
+    let mut surface = near.leaves(occupied.iter().map(|(&origin, leaf)| (origin, leaf.near)));
+    occupied.keys().filter(is_inside).for_each(|origin| {
+        surface.remove(origin);
+    });
     Ok(Footprint {
-        surface_count: near_count - occupied.keys().filter(is_inside).count(),
+        surface: surface.into_iter().collect(),
+        occupied_count: occupied.len(),
+        particle_count,
         area_voxels: occupied.keys().map(|&origin| cells.open_area(|step| cells_in(origin + step))).sum(),
     })
 }
@@ -116,8 +126,8 @@ impl Reach {
         (((middle - self.voxels) / edge).floor() as i32, ((middle + self.voxels) / edge).floor() as i32)
     }
 
-    /// The number of leaves within reach of the kinds of places of all these leaves.
-    fn leaf_count(&self, leaves: impl Iterator<Item = (IVec3, u32)>) -> usize {
+    /// The leaves within reach of the kinds of places of all these leaves.
+    fn leaves(&self, leaves: impl Iterator<Item = (IVec3, u32)>) -> FxHashSet<IVec3> {
         let ranges = [0, 1, 2].map(|kind| self.range(kind));
         let mut reached = FxHashSet::default();
         for (origin, kinds) in leaves {
@@ -127,7 +137,7 @@ impl Reach {
                 reached.extend(steps.map(|step| origin + step * LEAF_EDGE));
             }
         }
-        reached.len()
+        reached
     }
 
     /// All steps of a box.
@@ -224,7 +234,7 @@ mod tests {
             let particles = scattered(counts, every);
             let Ok(found) = footprint(&particles, &LATTICE, RADII);
             let Ok(rasterized) = rasterize(&particles, &LATTICE, RADII);
-            let (found, real) = (found.surface_count, rasterized.band.topology.len());
+            let (found, real) = (found.surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
             assert!((1.0..1.7).contains(&ratio), "{found} leaves for {real} in {counts:?} / {every}");
         }

@@ -131,6 +131,21 @@ pub fn rasterize_window<S: ParticleSource>(
     Ok(level_sets(measured, radii, &regions))
 }
 
+/// The particles that what is in a window comes from.
+///
+/// # Errors
+/// Those of the source.
+pub fn particles_of_window<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    lattice: &Lattice,
+    radii: Radii,
+    window: CoordBox,
+) -> Result<ParticleBins, S::Error> {
+    let regions = Regions::new(window, radii);
+    ParticleBins::new(source, lattice, occupancy, &Need::new(occupancy, radii, &regions), &regions)
+}
+
 /// The leaves around the surface, and the distances from their voxels to the nearest particles.
 struct Measured {
     bins: ParticleBins,
