@@ -15,8 +15,10 @@ pub struct SkinReport {
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
     pub free_voxel_count: usize,
-    /// Passes of the biharmonic operator over the band.
+    /// Passes of the biharmonic operator: at most so many over a voxel.
     pub pass_count: usize,
+    /// How often a free voxel was moved: free voxels times passes, where all have the same number.
+    pub moved_count: u64,
     /// How far a change of one particle can reach, in voxels; `None` where the integrator couples
     /// all voxels (conjugate gradients).
     pub reach_voxels: Option<u32>,

@@ -74,8 +74,8 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
         Integrator::Implicit => 9.2,
     };
     let mesh_bytes = match settings.contouring {
-        Contouring::Dual => 165.0,
-        Contouring::Tetrahedra => 480.0,
+        Contouring::Dual => 80.0,
+        Contouring::Tetrahedra => 250.0,
     };
     let field_bytes = size_of::<Leaf>() as f64;
     let stages = [
@@ -85,9 +85,10 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
         field_bytes * 4.0 * surface + mesh_bytes * area,
     ];
     let stages_bytes = stages.into_iter().fold(0.0, f64::max);
-    // The particles as they were read and as they are sorted are there all the while; sorting takes more.
-    let [beside_bytes, sorting_bytes] = [36.0, 100.0].map(|bytes| bytes * particles.len() as f64);
-    (stages_bytes + beside_bytes).max(sorting_bytes) as u64
+    // The particles as they were read are there all the while, and so are those that are kept. Sorting these
+    // takes some more.
+    let [kept_bytes, sorting_bytes] = [12.0, 40.0].map(|bytes| bytes * leaves.near_particle_count as f64);
+    (particles.size_bytes() as f64 + (stages_bytes + kept_bytes).max(sorting_bytes)) as u64
 }
 
 /// The first stage: particles to level sets.
@@ -112,6 +113,7 @@ pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
+    report.moved_count = smoothed.moved_count;
     report.reach_voxels =
         smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
     report.convergence = smoothed.convergence;

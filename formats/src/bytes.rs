@@ -27,6 +27,11 @@ impl<'a> Cursor<'a> {
         Cursor { format, endian, bytes, at: at.min(bytes.len()) }
     }
 
+    /// The order of the bytes of numbers.
+    pub(crate) fn endian(&self) -> Endian {
+        self.endian
+    }
+
     /// Bytes from the start of the file.
     pub(crate) fn at(&self) -> usize {
         self.at

@@ -7,6 +7,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod batches;
 pub mod bgeo;
 pub mod bytes;
 pub mod completeness;
@@ -27,6 +28,7 @@ mod text;
 pub mod vdb;
 pub mod wholeness;
 
+pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
 pub use completeness::{Completeness, completeness};
 pub use data::{
     Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,

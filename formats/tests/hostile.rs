@@ -11,7 +11,8 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
-    Attribute, LevelSetView, Limits, MeshView, Result, Values, bgeo, csv, gltf, obj, ply, read_particles, vdb,
+    Attribute, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, Result, Values, bgeo, csv,
+    gltf, obj, ply, read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -59,6 +60,25 @@ fn damaged_delimited_text_is_survived() {
     for (name, bytes) in corpus(&[".csv", ".txt", ".dat", ".xyz", ".pts", ".tsv", ".dump"]) {
         sweep(&name, &bytes, |bytes| csv::read(bytes, &Limits::default()));
     }
+}
+
+#[test]
+fn damaged_files_are_survived_in_batches() {
+    let _alone = alone();
+    let read = |bytes: &[u8]| {
+        let Some(batches) = ParticleBatches::open(bytes, "f", &Limits::default(), 1 << 16)? else {
+            return Ok(());
+        };
+        let mut batch = ParticleBatch::default();
+        (0..batches.batch_count()).try_for_each(|index| batches.read_batch(index, &mut batch))
+    };
+    for (name, bytes) in corpus(&[".ply"]) {
+        sweep(&name, &bytes, read);
+    }
+    let source = corpus(&["taichi_000007.ply"]).remove(0).1;
+    let mut bytes = Vec::new();
+    bgeo::write(&ply::read(&source, &Limits::default()).unwrap(), &mut bytes).unwrap();
+    sweep("written.bgeo", &bytes, read);
 }
 
 #[test]

@@ -1,8 +1,11 @@
 //! One bit per voxel of a leaf.
 
 use glam::IVec3;
+use rayon::prelude::*;
 
-use super::topology::Direction;
+use super::leaf::{Field, Leaf};
+use super::stencil::ROW_COUNT;
+use crate::simd::{Kernel, Lanes, dispatch};
 use crate::space::CoordBox;
 
 /// 512 bits: word x, byte y of the word, bit z of the byte.
@@ -11,6 +14,9 @@ pub struct LeafMask {
     /// One word for each x.
     pub words: [u64; 8],
 }
+
+/// The first voxel of every row of a word.
+const FIRST_OF_ROWS: u64 = 0x0101_0101_0101_0101;
 
 impl LeafMask {
     /// No voxel.
@@ -68,25 +74,55 @@ impl LeafMask {
         (0..64).fold(0, |rows, row| rows | u64::from(self.row(row) & along_z != 0) << row)
     }
 
+    /// For each voxel whether the voxel so many `steps` (1 to 7) before it along an axis is in, and whether
+    /// that after it is; `before` and `after` are the masks of the leaves beyond the two faces.
+    pub fn shifted(&self, axis: usize, steps: usize, before: &LeafMask, after: &LeafMask) -> [LeafMask; 2] {
+        debug_assert!((1..=7).contains(&steps));
+        let (own, before, after) = (&self.words, &before.words, &after.words);
+        let words = |shift: &dyn Fn(usize) -> u64| LeafMask { words: std::array::from_fn(shift) };
+        // A step in z is a bit, in y a byte, in x a word; what falls out at an end comes in from the next leaf.
+        match axis {
+            0 => [
+                words(&|x| if x >= steps { own[x - steps] } else { before[x + 8 - steps] }),
+                words(&|x| if x + steps < 8 { own[x + steps] } else { after[x + steps - 8] }),
+            ],
+            1 => {
+                let (bits, rest) = (8 * steps, 64 - 8 * steps);
+                [
+                    words(&|x| own[x] << bits | before[x] >> rest),
+                    words(&|x| own[x] >> bits | after[x] << rest),
+                ]
+            }
+            _ => {
+                // In each byte the bits that come in from before, and those that come in from after.
+                let low = FIRST_OF_ROWS * ((1 << steps) - 1);
+                let high = low << (8 - steps);
+                let rest = 8 - steps;
+                [
+                    words(&|x| own[x] << steps & !low | before[x] >> rest & low),
+                    words(&|x| own[x] >> steps & !high | after[x] << rest & high),
+                ]
+            }
+        }
+    }
+
+    /// The voxels that are in either.
+    pub fn or(&self, other: &LeafMask) -> LeafMask {
+        LeafMask { words: std::array::from_fn(|x| self.words[x] | other.words[x]) }
+    }
+
+    /// The voxels that are in both.
+    pub fn and(&self, other: &LeafMask) -> LeafMask {
+        LeafMask { words: std::array::from_fn(|x| self.words[x] & other.words[x]) }
+    }
+
     /// The voxels that are in, and whose six neighbours are: those in the leaves beyond the faces, too,
     /// which come in the order of [`Direction`].
-    #[inline(always)]
     pub fn surrounded(&self, faces: [&LeafMask; 6]) -> LeafMask {
-        const Z_LOW: u64 = 0x0101_0101_0101_0101;
-        const Z_HIGH: u64 = Z_LOW << 7;
-        let face = |direction: Direction| &faces[direction as usize].words;
-        let mut surrounded = *self;
-        for (x, word) in surrounded.words.iter_mut().enumerate() {
-            let own = self.words[x];
-            let x_low = if x > 0 { self.words[x - 1] } else { face(Direction::XMinus)[7] };
-            let x_high = if x < 7 { self.words[x + 1] } else { face(Direction::XPlus)[0] };
-            let y_low = own << 8 | face(Direction::YMinus)[x] >> 56;
-            let y_high = own >> 8 | face(Direction::YPlus)[x] << 56;
-            let z_low = own << 1 & !Z_LOW | face(Direction::ZMinus)[x] >> 7 & Z_LOW;
-            let z_high = own >> 1 & !Z_HIGH | face(Direction::ZPlus)[x] << 7 & Z_HIGH;
-            *word &= x_low & x_high & y_low & y_high & z_low & z_high;
-        }
-        surrounded
+        (0..3).fold(*self, |left, axis| {
+            let [before, after] = self.shifted(axis, 1, faces[2 * axis], faces[2 * axis + 1]);
+            left.and(&before).and(&after)
+        })
     }
 
     /// The smallest box that holds every voxel that is in, relative to the leaf's origin.
@@ -128,10 +164,40 @@ impl LeafMask {
     }
 }
 
+/// For each leaf of a field the voxels whose value is below zero. Zero of either sign is not.
+pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
+    let mut masks = vec![LeafMask::EMPTY; field.leaves.len()];
+    let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(field.leaves.par_chunks(LEAVES_AT_ONCE));
+    pieces.for_each(|(masks, leaves)| dispatch(NegativeMasks { masks, leaves }));
+    masks
+}
+
+/// Leaves in a piece of work.
+const LEAVES_AT_ONCE: usize = 64;
+
+/// Finds the masks of some leaves.
+struct NegativeMasks<'a> {
+    masks: &'a mut [LeafMask],
+    leaves: &'a [Leaf],
+}
+
+impl Kernel for NegativeMasks<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for (mask, leaf) in self.masks.iter_mut().zip(self.leaves) {
+            for row in 0..ROW_COUNT {
+                mask.set_row(row, V::bits(V::load(leaf.row(row)).lt(V::splat(0.0))));
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::voxel_in_leaf;
+    use crate::grid::{offset_in_leaf, voxel_in_leaf};
 
     /// About so many of 16 voxels, and different ones for each seed.
     fn scattered(seed: u32, of_16: u32) -> LeafMask {
@@ -170,5 +236,31 @@ mod tests {
             }
             assert_eq!(mask.bounding_box(), expected, "{mask:?}");
         }
+    }
+
+    #[test]
+    fn shifts_bring_in_the_voxels_of_the_leaves_beside() {
+        // Some pattern that repeats nowhere within two leaves.
+        let is_in = |voxel: IVec3| (voxel.x * 37 + voxel.y * 101 + voxel.z * 11).rem_euclid(7) < 3;
+        let mask = |origin: IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
+        for (axis, steps) in (0..3).flat_map(|axis| (1..8).map(move |steps| (axis, steps))) {
+            let leaf = IVec3::AXES[axis] * 8;
+            let shift = IVec3::AXES[axis] * steps;
+            let shifted = mask(IVec3::ZERO).shifted(axis, steps as usize, &mask(-leaf), &mask(leaf));
+            assert_eq!(shifted, [mask(-shift), mask(shift)], "axis {axis}, {steps} steps");
+        }
+        assert!(mask(IVec3::ZERO).contains(offset_in_leaf(IVec3::ZERO)));
+    }
+
+    #[test]
+    fn signs_become_bits_in_their_place() {
+        let mut leaf = Leaf::splat(0.0);
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];
+        }
+        let expected = LeafMask::from_fn(|offset| leaf.values[offset] < 0.0);
+        let field = Field { leaves: vec![Leaf::splat(-1.0), leaf] };
+        assert_eq!(negative_masks(&field), [LeafMask::FULL, expected]);
+        assert!(!expected.is_empty());
     }
 }

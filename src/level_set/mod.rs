@@ -15,7 +15,7 @@ mod redistance;
 use std::sync::Arc;
 
 pub use bounds::Bounds;
-pub use redistance::{Sweeps, UNREACHED, extend, redistance};
+pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
 
 use crate::grid::{Field, Topology};
 

@@ -74,12 +74,20 @@ impl Sweeps {
 /// Replaces every φ in the band by the distance to its zero set, keeping the sign. Values farther
 /// than `band.half_width`, and voxels that the sweeps do not reach, become ± half width.
 pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
-    let (mut distance, pinned) = pin(band);
-    extend(&band.topology, &mut distance, &pinned, sweeps);
+    redistance_in(band, sweeps, &mut Field::splat(band.topology.len(), 0.0));
+}
+
+/// The same in memory of the caller: `scratch` is a field of the band's topology, and what is in it before and
+/// after does not matter.
+pub fn redistance_in(band: &mut NarrowBand, sweeps: Sweeps, scratch: &mut Field) {
+    let pinned = pin(band, scratch);
+    std::mem::swap(&mut band.phi, scratch);
+    scratch.leaves.copy_from_slice(&band.phi.leaves);
+    sweep_outward(&band.topology, [&mut band.phi, scratch], &pinned, sweeps);
     let half_width = band.half_width;
-    band.phi.leaves.par_iter_mut().zip(&distance.leaves).for_each(|(phi, distance)| {
-        for (phi, &distance) in phi.values.iter_mut().zip(&distance.values) {
-            *phi = distance.clamp(-half_width, half_width);
+    band.phi.leaves.par_iter_mut().for_each(|phi| {
+        for phi in &mut phi.values {
+            *phi = phi.clamp(-half_width, half_width);
         }
     });
 }
@@ -88,8 +96,13 @@ pub fn redistance(band: &mut NarrowBand, sweeps: Sweeps) {
 /// are not fixed start at plus or minus [`UNREACHED`], by their side of the surface. A sweep reads values
 /// up to two voxels away.
 pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], sweeps: Sweeps) {
-    let neighbors = topology.neighbors();
     let mut next = distance.clone();
+    sweep_outward(topology, [distance, &mut next], fixed, sweeps);
+}
+
+/// Sweeps from one field to the other, which are equal at first, and back. The result is in the first.
+fn sweep_outward(topology: &Topology, [distance, next]: [&mut Field; 2], fixed: &[LeafMask], sweeps: Sweeps) {
+    let neighbors = topology.neighbors();
     // Rows that the last sweep changed; for the first sweep, those where something is known. Where
     // nothing changed that a row depends on, another sweep would give the same values again.
     let mut changed: Vec<u64> = fixed.par_iter().map(LeafMask::occupied_rows).collect();
@@ -106,22 +119,21 @@ pub fn extend(topology: &Topology, distance: &mut Field, fixed: &[LeafMask], swe
             let second_order_within = sweeps.second_order_within;
             *changed_next = simd::dispatch(Sweep { around: &around, fixed, rows, second_order_within, next });
         });
-        std::mem::swap(distance, &mut next);
+        std::mem::swap(distance, next);
         std::mem::swap(&mut changed, &mut changed_next);
     }
 }
 
-/// Signed distances of the voxels near the zero set, and which these are; the others have the sign only.
-fn pin(band: &NarrowBand) -> (Field, Vec<LeafMask>) {
+/// Signed distances of the voxels near the zero set, written into `distance`, where the others get the sign
+/// only. Returns which voxels these are.
+fn pin(band: &NarrowBand, distance: &mut Field) -> Vec<LeafMask> {
     let neighbors = band.topology.neighbors();
-    let leaf_count = band.topology.len();
-    let mut distance = Field::splat(leaf_count, UNREACHED);
-    let mut pinned = vec![LeafMask::EMPTY; leaf_count];
+    let mut pinned = vec![LeafMask::EMPTY; band.topology.len()];
     distance.leaves.par_iter_mut().zip(&mut pinned).enumerate().for_each(|(leaf, (distance, pinned))| {
         let around = Neighborhood::new(&band.phi.leaves, neighbors, leaf);
         simd::dispatch(Pin { around: &around, distance, pinned });
     });
-    (distance, pinned)
+    pinned
 }
 
 /// Pins the voxels of a leaf.
@@ -282,23 +294,24 @@ fn ordered<V: Lanes>(a: OneSided<V>, b: OneSided<V>) -> (OneSided<V>, OneSided<V
 /// come in the order of `from`.
 #[inline(always)]
 fn solve_upwind<V: Lanes>([a, b, c]: [OneSided<V>; 3]) -> V {
-    // Relative to the nearest, so that nothing large is squared.
+    // Relative to the nearest, so that nothing large is squared. The squares of the slopes add to one where
+    // weight·d² − 2·sum·d + squares = 0, the greater root.
     let (b_rel, c_rel) = (b.from.sub(a.from), c.from.sub(a.from));
-    // The square root of a weight: 1 or 3/2.
-    let one = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
+    let zero = V::splat(0.0);
+    // With the first axis only, d is the root of 1/weight: 1 or 2/3.
+    let first = V::select(a.weight.lt(V::splat(2.0)), V::splat(1.0), V::splat(1.0 / 1.5));
+    let is_more = b_rel.lt(first);
     let (weight, sum) = (a.weight.add(b.weight), b.weight.mul(b_rel));
     let squares = sum.mul(b_rel).sub(V::splat(1.0));
-    let two = root(weight, sum, squares);
-    let three =
-        root(weight.add(c.weight), sum.add(c.weight.mul(c_rel)), squares.add(c.weight.mul(c_rel).mul(c_rel)));
-    let more = V::select(c_rel.lt(two), three, two);
-    a.from.add(V::select(b_rel.lt(one), more, one))
-}
-
-/// The greater root of `weight`·d² − 2·`sum`·d + `squares`, or the place of its least value.
-#[inline(always)]
-fn root<V: Lanes>(weight: V, sum: V, squares: V) -> V {
-    sum.add(sum.mul(sum).sub(weight.mul(squares)).max(V::splat(0.0)).sqrt()).div(weight)
+    // Beyond the third value lies the root with the first two, where the squares at that value are less than one.
+    let at_c = weight.mul(c_rel).sub(sum).sub(sum).mul(c_rel).add(squares);
+    let is_three = at_c.lt(zero);
+    let product = c.weight.mul(c_rel);
+    let weight = V::select(is_three, weight.add(c.weight), weight);
+    let sum = V::select(is_three, sum.add(product), sum);
+    let squares = V::select(is_three, squares.add(product.mul(c_rel)), squares);
+    let root = sum.mul(sum).sub(weight.mul(squares)).max(zero).sqrt();
+    a.from.add(V::select(is_more, sum.add(root).div(weight), first))
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
 pub use provenance::{is_own_output, settings_fingerprint};
-pub use reading::{ReadFrame, parse_particles, particles, read_file};
+pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};

@@ -2,9 +2,10 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use meniscus_formats::{Limits, ParticleFrame, Positions, read_particles};
+use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, read_particles};
+use twox_hash::xxhash3_128::Hasher;
 
 use crate::particles::Particles;
 
@@ -41,26 +42,117 @@ pub(super) fn read_unchanged(path: &Path) -> Result<Option<(Vec<u8>, FileStamp)>
     read.map_err(|error| FrameError::file(path, Stage::Read, error))
 }
 
-/// Reads between two looks at the open file and one at what its name leads to.
+/// Reads between two looks at the file.
 fn read_between_stamps(
     path: &Path,
-    read: impl FnOnce(&mut File) -> io::Result<Vec<u8>>,
+    read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
 ) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
-    let mut file = File::open(path)?;
-    let metadata = file.metadata()?;
-    let stamp = FileStamp::of(&metadata);
-    let bytes = read(&mut file)?;
-    // A pipe has no state that it could be in again.
-    if !metadata.is_file() {
-        return Ok(Some((bytes, stamp)));
-    }
-    let at_name = match FileStamp::of_path(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        at_name => at_name?,
-    };
-    let is_same = FileStamp::of(&file.metadata()?) == stamp && at_name == stamp;
-    Ok((is_same && bytes.len() as u64 == stamp.size).then_some((bytes, stamp)))
+    let input = InputFile::open(path)?;
+    let bytes = read(&mut &input.file)?;
+    let is_whole = !input.is_regular || bytes.len() as u64 == input.stamp.size;
+    Ok((input.is_unchanged()? && is_whole).then_some((bytes, input.stamp)))
 }
+
+/// A file of particles that is open, and can be read at any place by several threads at once.
+///
+/// Nothing is known of a file that may be written meanwhile until it is looked at again:
+/// [`is_unchanged`](InputFile::is_unchanged) comes after the last byte that was read.
+#[derive(Debug)]
+pub struct InputFile {
+    file: File,
+    path: PathBuf,
+    stamp: FileStamp,
+    /// A pipe has no state that it could be in again, and no places.
+    is_regular: bool,
+}
+
+impl InputFile {
+    /// Opens the file at `path`.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn open(path: &Path) -> io::Result<InputFile> {
+        let file = File::open(path)?;
+        let metadata = file.metadata()?;
+        let (stamp, is_regular) = (FileStamp::of(&metadata), metadata.is_file());
+        Ok(InputFile { file, path: path.to_owned(), stamp, is_regular })
+    }
+
+    /// What the file system said of it when it was opened.
+    pub fn stamp(&self) -> FileStamp {
+        self.stamp
+    }
+
+    /// Whether it has places, unlike a pipe.
+    pub fn is_regular(&self) -> bool {
+        self.is_regular
+    }
+
+    /// Whether it was neither written, replaced nor removed since it was opened, as far as the open file and
+    /// what its name leads to can tell.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn is_unchanged(&self) -> io::Result<bool> {
+        if !self.is_regular {
+            return Ok(true);
+        }
+        let at_name = match FileStamp::of_path(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            at_name => at_name?,
+        };
+        Ok(FileStamp::of(&self.file.metadata()?) == self.stamp && at_name == self.stamp)
+    }
+
+    /// The hash of the whole file, the same as of its bytes in memory. It is never there whole: a piece is read
+    /// after the other.
+    ///
+    /// # Errors
+    /// When the system refuses; `UnexpectedEof` if the file has become shorter.
+    pub fn hash(&self) -> io::Result<u128> {
+        let mut hasher = Hasher::new();
+        let mut piece = vec![0; HASHED_BYTES];
+        let mut at = 0;
+        while at < self.stamp.size {
+            let length =
+                usize::try_from(self.stamp.size - at).map_or(HASHED_BYTES, |left| left.min(HASHED_BYTES));
+            self.read_exact_at(&mut piece[..length], at)?;
+            hasher.write(&piece[..length]);
+            at += length as u64;
+        }
+        Ok(hasher.finish_128())
+    }
+}
+
+impl ReadAt for InputFile {
+    fn size_bytes(&self) -> io::Result<u64> {
+        Ok(self.stamp.size)
+    }
+
+    #[cfg(unix)]
+    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
+        std::os::unix::fs::FileExt::read_exact_at(&self.file, out, offset)
+    }
+
+    #[cfg(windows)]
+    fn read_exact_at(&self, mut out: &mut [u8], mut offset: u64) -> io::Result<()> {
+        while !out.is_empty() {
+            match std::os::windows::fs::FileExt::seek_read(&self.file, out, offset) {
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+                Ok(length) => {
+                    out = &mut out[length..];
+                    offset += length as u64;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Bytes that are hashed at once: few enough to be in the cache, many enough for the system's calls not to matter.
+const HASHED_BYTES: usize = 1 << 18;
 
 /// The particles in the bytes of the file at `path`.
 ///
@@ -85,6 +177,8 @@ pub fn particles(positions: Positions) -> Particles {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meniscus_formats::{ParticleBatch, ParticleBatches};
+    use rayon::prelude::*;
     use std::io::Write;
     use std::time::{Duration, SystemTime};
 
@@ -130,5 +224,52 @@ mod tests {
         }
         write();
         assert_eq!(read_while(&path, || ()).as_deref(), Some(&b"text"[..]));
+    }
+
+    #[test]
+    fn a_file_has_the_hash_of_its_bytes() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.ply");
+        for length in [0, 1, 17, 240, 241, HASHED_BYTES, HASHED_BYTES + 1, 3 * HASHED_BYTES + 12_345] {
+            let bytes: Vec<u8> = (0..length).map(|index| (index * 31 % 251) as u8).collect();
+            fs::write(&path, &bytes).expect("written");
+            let input = InputFile::open(&path).expect("there");
+            assert_eq!(input.hash().expect("readable"), twox_hash::XxHash3_128::oneshot(&bytes), "{length}");
+            assert!(input.is_unchanged().expect("there"));
+        }
+        let input = InputFile::open(&path).expect("there");
+        File::options().write(true).open(&path).expect("there").set_len(5).expect("cut");
+        assert_eq!(input.hash().expect_err("short").kind(), io::ErrorKind::UnexpectedEof);
+        assert!(!input.is_unchanged().expect("there"));
+    }
+
+    #[test]
+    fn a_file_is_read_in_batches_by_several_threads() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.bgeo");
+        let positions: Vec<[f32; 3]> = (0..5000).map(|n| [n as f32, 0.5, -1.0]).collect();
+        let frame =
+            ParticleFrame { positions: Positions::F32(positions.clone()), ..ParticleFrame::default() };
+        let mut bytes = Vec::new();
+        meniscus_formats::bgeo::write(&frame, &mut bytes).expect("written");
+        fs::write(&path, &bytes).expect("written");
+        let input = InputFile::open(&path).expect("there");
+        let batches = ParticleBatches::open(&input, "f.bgeo", &Limits::default(), 1 << 12).expect("good");
+        let batches = batches.expect("of fixed records");
+        let read = |index: usize| {
+            let mut batch = ParticleBatch::default();
+            batches.read_batch(index, &mut batch).expect("there");
+            batch.positions
+        };
+        let found: Vec<Positions> = (0..batches.batch_count()).into_par_iter().map(read).collect();
+        let found: Vec<[f32; 3]> = found.into_iter().flat_map(single).collect();
+        assert_eq!(found, positions);
+    }
+
+    fn single(positions: Positions) -> Vec<[f32; 3]> {
+        match particles(positions) {
+            Particles::Single(positions) => positions,
+            Particles::Double(_) => Vec::new(),
+        }
     }
 }

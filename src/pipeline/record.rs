@@ -87,6 +87,7 @@ struct MeasuredRecord {
     voxels: usize,
     free_voxels: usize,
     passes: usize,
+    voxel_passes: u64,
     reach_voxels: Option<u32>,
     convergence: Option<ConvergenceRecord>,
     cfl_exceeded: usize,
@@ -286,6 +287,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
         free_voxels: report.skin.free_voxel_count,
         passes: report.skin.pass_count,
+        voxel_passes: report.skin.moved_count,
         reach_voxels: report.skin.reach_voxels,
         convergence: convergence.map(|convergence| ConvergenceRecord {
             iterations: convergence.iterations,

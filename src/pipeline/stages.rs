@@ -19,6 +19,8 @@
 //! or was done already, leaves at once and overtakes others; [`run`] puts outcomes back in order.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -39,7 +41,7 @@ use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::provenance::is_done;
 use super::reading::{parse_particles, read_unchanged};
-use super::writing::{Written, encode, write_files};
+use super::writing::{Written, write_files, write_surface};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -404,11 +406,10 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let frame = &label.frame;
         let input_hash = known.input.hash;
         let surface = Arc::new(surface);
-        let encoded = |format| {
-            let (surface, frame) = (Arc::clone(&surface), frame.clone());
-            self.crew.run(label.number, move || encode(&surface, &frame, input_hash, format))
+        let write = |format, out: &mut BufWriter<&File>| {
+            write_surface(&surface, (label.number, frame), input_hash, format, &self.crew, out)
         };
-        let written = FrameError::catch(&frame.input, Stage::Write, || write_files(frame, encoded));
+        let written = FrameError::catch(&frame.input, Stage::Write, || write_files(frame, write));
         match written.flatten() {
             Ok(Written { paths, sizes_bytes }) => Outcome::Converted(Box::new(FrameReport {
                 input: known.input,
@@ -475,5 +476,5 @@ const READING_MEMORY: u64 = 2;
 /// Memory for a particle that waits: three coordinates of up to 64 bits.
 const PARTICLE_BYTES: u64 = 24;
 
-/// Memory for writing a surface, in sizes of the surface: itself, and a file that is encoded from it.
+/// Memory for writing a surface, in sizes of the surface: itself, and its level set as it is packed, or not.
 const WRITING_MEMORY: u64 = 2;

@@ -10,8 +10,7 @@
 
 use rayon::prelude::*;
 
-use crate::grid::{Direction, Leaf, LeafMask, NO_LEAF, ROW_COUNT};
-use crate::level_set::NarrowBand;
+use crate::grid::{Direction, Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::simd::{self, Kernel, Lanes};
 
 /// The free voxels of a step, and the rows where the inner Laplacian is needed.
@@ -26,10 +25,14 @@ pub(super) struct Band {
 
 impl Band {
     /// The band of the voxels with |φ| ≤ `width` voxels.
-    pub(super) fn new(band: &NarrowBand, width: f32) -> Band {
-        let free: Vec<LeafMask> =
-            band.phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width })).collect();
-        let neighbors = band.topology.neighbors();
+    pub(super) fn new(topology: &Topology, phi: &Field, width: f32) -> Band {
+        let near = phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width }));
+        Band::of(topology, near.collect())
+    }
+
+    /// The band of these voxels.
+    pub(super) fn of(topology: &Topology, free: Vec<LeafMask>) -> Band {
+        let neighbors = topology.neighbors();
         let laplacian_rows =
             (0..free.len()).into_par_iter().map(|leaf| dilated_rows(&free, &neighbors[leaf], leaf)).collect();
         let free_rows = free.par_iter().map(LeafMask::occupied_rows).collect();
@@ -42,9 +45,10 @@ impl Band {
         self.free_rows = self.free.par_iter().map(LeafMask::occupied_rows).collect();
     }
 
-    /// The number of free voxels.
-    pub(super) fn free_count(&self) -> usize {
-        self.free.par_iter().map(|mask| mask.count() as usize).sum()
+    /// The number of free voxels, in all leaves or in those that are `own`.
+    pub(super) fn free_count(&self, own: Option<&[bool]>) -> u64 {
+        let counted = self.free.par_iter().enumerate().filter(|(leaf, _)| own.is_none_or(|own| own[*leaf]));
+        counted.map(|(_, mask)| u64::from(mask.count())).sum()
     }
 }
 
@@ -93,9 +97,7 @@ fn dilated_rows(free: &[LeafMask], neighbors: &[u32; 6], leaf: usize) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::grid::{Field, Topology};
     use glam::IVec3;
-    use std::sync::Arc;
 
     #[test]
     fn laplacian_rows_reach_one_voxel_in_every_direction() {
@@ -104,11 +106,9 @@ mod tests {
             Topology::new(vec![IVec3::ZERO, IVec3::new(8, 0, 0), IVec3::new(0, -8, 0), IVec3::new(0, 0, 8)]);
         let mut phi = Field::splat(topology.len(), 6.0);
         phi.leaves[topology.find(IVec3::ZERO).unwrap()].values[crate::grid::offset_in_leaf(corner)] = 1.0;
-        let narrow = NarrowBand { topology: Arc::new(topology), phi, half_width: 6.0 };
-        let band = Band::new(&narrow, 3.0);
-        assert_eq!(band.free_count(), 1);
-        let rows =
-            |x: i32, y: i32, z: i32| band.laplacian_rows[narrow.topology.find(IVec3::new(x, y, z)).unwrap()];
+        let band = Band::new(&topology, &phi, 3.0);
+        assert_eq!(band.free_count(None), 1);
+        let rows = |x: i32, y: i32, z: i32| band.laplacian_rows[topology.find(IVec3::new(x, y, z)).unwrap()];
         assert_eq!(rows(0, 0, 0), 1 << 56 | 1 << 57 | 1 << 48);
         assert_eq!(rows(8, 0, 0), 1 << 0);
         assert_eq!(rows(0, -8, 0), 1 << 63);

@@ -6,7 +6,8 @@
 use rayon::prelude::*;
 
 use super::band::Band;
-use crate::grid::{Field, Neighborhood, Topology};
+use crate::grid::{Field, Leaf, Neighborhood, Topology, slabs_in};
+use crate::simd::{self, Kernel, Lanes};
 
 /// The largest eigenvalue of the discrete biharmonic, in units of 1/h⁴.
 pub const EIGENVALUE_MAX: f32 = 144.0;
@@ -20,11 +21,30 @@ pub(super) fn inner_laplacian(topology: &Topology, band: &Band, values: &Field, 
                 return;
             }
             let around = Neighborhood::new(&values.leaves, neighbors, leaf);
-            for row in rows_in(rows) {
-                *laplacian.row_mut(row) = around.laplacian(row);
-            }
+            simd::dispatch(Laplacian { around: &around, rows, laplacian });
         },
     );
+}
+
+/// The Laplacian of some rows of a leaf: bit `x·8 + y`.
+pub(super) struct Laplacian<'a> {
+    pub(super) around: &'a Neighborhood<'a>,
+    pub(super) rows: u64,
+    pub(super) laplacian: &'a mut Leaf,
+}
+
+impl Kernel for Laplacian<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for (x, ys) in slabs_in(self.rows) {
+            let slab = self.around.slab(x);
+            for y in ys {
+                slab.laplacian::<V>(y).store(self.laplacian.row_mut(x * 8 + y));
+            }
+        }
+    }
 }
 
 /// The set bits, in order.

@@ -11,9 +11,9 @@
 //! not at it. The dot products couple all voxels; they are summed leaf by leaf in one fixed order, so that the
 //! number of threads does not matter.
 
-use super::Scratch;
 use super::band::Band;
 use super::conjugate_gradient::{Outcome, Solver};
+use crate::grid::Field;
 use crate::level_set::{Bounds, NarrowBand};
 
 /// Iterations of conjugate gradients a step (paper, §3.7).
@@ -33,6 +33,11 @@ pub struct Convergence {
 }
 
 impl Convergence {
+    /// Applications of the operator.
+    pub(super) fn pass_count(&self) -> usize {
+        self.iterations + self.restarts + 1
+    }
+
     /// The record of this step and of those before it.
     pub(super) fn and(self, before: Option<Convergence>) -> Convergence {
         let Some(before) = before else { return self };
@@ -52,19 +57,19 @@ pub(super) fn step(
     region: Band,
     step_size: f32,
     tolerance: f64,
-    scratch: &mut Scratch,
+    laplacian: &mut Field,
 ) -> Convergence {
     let mut solver = Solver::new(band, region, step_size);
-    let first = solver.restart(band, &mut scratch.laplacian);
+    let first = solver.restart(band, laplacian);
     let mut convergence = Convergence { reached: first == 0.0, ..Convergence::default() };
     let (mut restart, mut residual) = (first, first);
     while !convergence.reached && convergence.iterations < ITERATIONS_MAX {
         convergence.iterations += 1;
-        match solver.iterate(band, bounds, residual, &mut scratch.laplacian) {
+        match solver.iterate(band, bounds, residual, laplacian) {
             Outcome::Advanced { residual: now } => residual = now,
             Outcome::MetBounds => {
                 convergence.restarts += 1;
-                restart = solver.restart(band, &mut scratch.laplacian);
+                restart = solver.restart(band, laplacian);
                 residual = restart;
             }
         }

@@ -6,24 +6,29 @@
 use rayon::prelude::*;
 
 use super::band::near_bits;
-use crate::grid::{Leaf, Neighborhood};
+use crate::grid::{Field, Leaf, Neighborhood};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::simd::{self, Kernel, Lanes};
 
 /// Voxels with |φ| up to this are changed (Alg. 1, line 6).
 const BAND_WIDTH: f32 = 4.0;
 
-/// Takes `step_count` steps of `step_size` h².
-pub(super) fn smooth_laplacian(band: &mut NarrowBand, bounds: &Bounds, step_count: u32, step_size: f32) {
+/// Takes `step_count` steps of `step_size` h²; `next` is memory as large as φ.
+pub(super) fn smooth_laplacian(
+    band: &mut NarrowBand,
+    bounds: &Bounds,
+    next: &mut Field,
+    step_count: u32,
+    step_size: f32,
+) {
     let topology = band.topology.clone();
-    let mut next = band.phi.clone();
     for _ in 0..step_count {
         next.leaves.par_iter_mut().enumerate().for_each(|(leaf, next)| {
             let around = Neighborhood::new(&band.phi.leaves, topology.neighbors(), leaf);
             let bounds = [&bounds.lower.leaves[leaf], &bounds.upper.leaves[leaf]];
             simd::dispatch(Step { around: &around, bounds, step_size, next });
         });
-        std::mem::swap(&mut band.phi, &mut next);
+        std::mem::swap(&mut band.phi, next);
     }
 }
 

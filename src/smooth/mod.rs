@@ -10,6 +10,7 @@
 //! sequence coherent. The clamp comes last, so that the bounds (Eq. 6) hold at every voxel of the
 //! result; the redistancing before it would break them by itself.
 
+mod acts;
 mod band;
 mod biharmonic;
 mod cluster;
@@ -18,15 +19,16 @@ mod explicit;
 mod heavy_ball;
 mod implicit;
 mod laplacian;
+mod thickness;
 
+pub use acts::{Act, Memory, Tally, Work, acts};
 pub use biharmonic::EIGENVALUE_MAX;
 pub use implicit::Convergence;
 
 use rayon::prelude::*;
 
 use crate::grid::Field;
-use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance};
-use band::Band;
+use crate::level_set::{Bounds, NarrowBand};
 
 /// How the constrained smoothing is integrated in fictitious time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,8 +63,10 @@ pub struct Config {
 pub struct SmoothReport {
     /// Unknowns of the first step: voxels with |φ| ≤ 3 voxels.
     pub free_voxel_count: usize,
-    /// Applications of the biharmonic operator.
+    /// Applications of the biharmonic operator: at most so many to a voxel.
     pub pass_count: usize,
+    /// How often a free voxel was moved: free voxels times passes, where all have the same number.
+    pub moved_count: u64,
     /// How far a change of φ_0 or the bounds can reach, in voxels; `None` for `Implicit`, whose
     /// dot products couple every voxel to every other.
     pub reach_voxels: Option<u32>,
@@ -72,77 +76,14 @@ pub struct SmoothReport {
     pub cfl_exceeded_count: usize,
 }
 
-/// Size of a Laplacian step, in units of h².
-const LAPLACIAN_STEP_SIZE: f32 = 0.1;
-
-/// Free unknowns of a biharmonic step: |φ| up to this many voxels (paper, §3.5).
-const FREE_WIDTH: f32 = 3.0;
-
-/// Jacobi sweeps of a redistancing (paper, §3.4).
-const REDISTANCE_SWEEPS: u32 = 8;
-
-/// After implicit steps, distances farther out than the neighbours of those so near the surface are
-/// swept by first order, as the paper does. A few steps with exact ones thicken tubes and sheets
-/// (under this flow a cylinder of radius R grows by 1/R³) until they meet the bumps of their bound. Explicit
-/// steps are redistanced so often that errors of first order would add up. `redistance` has the figures.
-const IMPLICIT_SECOND_ORDER_WITHIN: f32 = 1.2;
-
-/// A redistancing reads the neighbours of what it pins, and in a sweep the second neighbours too.
-const REDISTANCE_REACH: u32 = 2 * REDISTANCE_SWEEPS + 1;
-
-/// Fields that every step needs and none keeps.
-struct Scratch {
-    laplacian: Field,
-    values: Field,
-}
-
 /// Smooths `band` within `bounds`.
 pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> SmoothReport {
-    laplacian::smooth_laplacian(band, bounds, config.laplacian_steps, LAPLACIAN_STEP_SIZE);
-    let leaf_count = band.topology.len();
-    let mut scratch = Scratch { laplacian: Field::splat(leaf_count, 0.0), values: band.phi.clone() };
-    let mut report = SmoothReport::default();
-    let mut reach = config.laplacian_steps;
-    if config.laplacian_steps == 0 {
-        // Something has to take the grain off what the first step holds fixed: noise there costs a
-        // sphere of radius 20 one per cent of its volume.
-        redistance(band, Sweeps::accurate(REDISTANCE_SWEEPS));
-        bounds.clamp(&mut band.phi);
-        reach = REDISTANCE_REACH;
+    let mut report = SmoothReport::new(config);
+    let mut memory = Memory::new(band.topology.len());
+    for act in acts(config, u32::MAX) {
+        let tally = Work { config, band, bounds, memory: &mut memory, own: None }.perform(act);
+        report.add(act, tally);
     }
-    for step in 1..=config.steps {
-        let region = Band::new(band, FREE_WIDTH);
-        if step == 1 {
-            report.free_voxel_count = region.free_count();
-        }
-        match config.integrator {
-            Integrator::Fast => {
-                let iterations = heavy_ball::iteration_count(config.step_size);
-                heavy_ball::step(band, bounds, &region, config.step_size, iterations, &mut scratch);
-                report.pass_count += iterations as usize;
-                reach = reach.saturating_add(2 * iterations);
-            }
-            Integrator::Explicit => {
-                let moved = explicit::step(band, bounds, &region, config.step_size, &mut scratch);
-                report.cfl_exceeded_count += usize::from(moved > 1.0);
-                report.pass_count += 1;
-                reach = reach.saturating_add(2);
-            }
-            Integrator::Implicit => {
-                let solved =
-                    implicit::step(band, bounds, region, config.step_size, config.cg_tolerance, &mut scratch);
-                report.pass_count += solved.iterations + solved.restarts + 1;
-                report.convergence = Some(solved.and(report.convergence));
-            }
-        }
-        if step % config.redistance_every == 0 || step == config.steps {
-            redistance(band, sweeps_after(config.integrator));
-            bounds.clamp(&mut band.phi);
-            reach = reach.saturating_add(REDISTANCE_REACH);
-        }
-    }
-    keep_off_zero(&mut band.phi, bounds);
-    report.reach_voxels = (config.integrator != Integrator::Implicit).then_some(reach);
     report
 }
 
@@ -164,25 +105,24 @@ fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     });
 }
 
-fn sweeps_after(integrator: Integrator) -> Sweeps {
-    match integrator {
-        Integrator::Explicit => Sweeps::accurate(REDISTANCE_SWEEPS),
-        Integrator::Fast | Integrator::Implicit => {
-            Sweeps { count: REDISTANCE_SWEEPS, second_order_within: IMPLICIT_SECOND_ORDER_WITHIN }
-        }
-    }
-}
-
 /// The Laplacian flow alone, for comparison with the biharmonic one (paper, Fig. 5): `steps` steps
 /// of 0.1 h², redistanced and clamped every 50 and at the end.
 pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
     const REDISTANCE_EVERY: u32 = 50;
-    let mut left = steps;
-    while left > 0 {
-        let now = left.min(REDISTANCE_EVERY);
-        laplacian::smooth_laplacian(band, bounds, now, LAPLACIAN_STEP_SIZE);
-        redistance(band, Sweeps::accurate(REDISTANCE_SWEEPS));
-        bounds.clamp(&mut band.phi);
-        left -= now;
+    let config = Config {
+        laplacian_steps: steps,
+        integrator: Integrator::Explicit,
+        steps: 0,
+        step_size: 0.0,
+        redistance_every: 1,
+        cg_tolerance: 0.0,
+    };
+    let mut memory = Memory::new(band.topology.len());
+    for act in acts(&config, REDISTANCE_EVERY) {
+        if matches!(act, Act::Laplacian { .. }) {
+            for act in [act, Act::Redistance] {
+                Work { config: &config, band, bounds, memory: &mut memory, own: None }.perform(act);
+            }
+        }
     }
 }

@@ -23,6 +23,18 @@ pub struct Header {
     pub expected_bytes_is_exact: bool,
 }
 
+impl Header {
+    /// Where the points end in a file that has all of them, bytes from the start.
+    pub(crate) fn points_end(&self) -> u64 {
+        self.points_offset as u64 + self.points_bytes()
+    }
+
+    /// Bytes of all points.
+    pub(super) fn points_bytes(&self) -> u64 {
+        self.point_count as u64 * self.record_bytes as u64 // 31 bits times 30 bits
+    }
+}
+
 /// One point attribute.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AttributeHeader {
@@ -59,7 +71,7 @@ pub fn header(bytes: &[u8]) -> Result<Header> {
 }
 
 /// [`header`], with limits on what it may ask for.
-pub(super) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
+pub(crate) fn header_within(bytes: &[u8], limits: &Limits) -> Result<Header> {
     let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
     if cursor.take(MAGIC.len(), "the signature")? != MAGIC {
         return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature BgeoV"));

@@ -30,6 +30,9 @@ pub use header::{AttributeHeader, AttributeKind, Header, header};
 pub use read::read;
 pub use write::write;
 
+pub(crate) use header::header_within;
+pub(crate) use read::{gather_batch, records};
+
 /// The format as users know it, for errors.
 const FORMAT: &str = "classic BGEO";
 

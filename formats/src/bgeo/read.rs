@@ -5,6 +5,7 @@
 
 use super::header::{AttributeHeader, AttributeKind, Header, header_within};
 use super::{FORMAT, POSITION_WORDS, TRAILER};
+use crate::batches::{PositionInRecord, Records};
 use crate::names::{radius_scale, roles_of};
 use crate::{Attribute, Error, Limits, ParticleFrame, Place, Positions, Result, Role, Values};
 
@@ -22,20 +23,8 @@ const BLOCK_BYTES: usize = 16 << 10;
 /// are missing.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = header_within(bytes, limits)?;
-    let after_header = &bytes[header.points_offset..];
-    let records_bytes = header.point_count as u64 * header.record_bytes as u64; // 31 and 30 bits
-    let Some((records, rest)) =
-        usize::try_from(records_bytes).ok().and_then(|length| after_header.split_at_checked(length))
-    else {
-        let what = format!(
-            "expected {} points of {} bytes each, {records_bytes} in all, {} remain",
-            header.point_count,
-            header.record_bytes,
-            after_header.len()
-        );
-        return Err(Error::short(FORMAT, Place::Offset(header.points_offset as u64), what));
-    };
-
+    let points_bytes = checked_points_bytes(&header, bytes.len() as u64)?;
+    let (records, rest) = bytes[header.points_offset..].split_at(points_bytes);
     let mut notes = notes(&header, rest);
     let (positions, mut columns) = gather(records, &header);
     for (column, attribute) in columns.iter_mut().zip(&header.attributes) {
@@ -43,6 +32,37 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
     let attributes = attributes(header.attributes, columns);
     Ok(ParticleFrame { positions: Positions::F32(positions), attributes, notes })
+}
+
+/// Where the points of a file of `file_bytes` are, for reading them in batches. `rest` is what follows them, where
+/// it is as long as it should be; of anything else nothing need be known.
+///
+/// # Errors
+///
+/// Those of [`read`], after the header.
+pub(crate) fn records(header: &Header, file_bytes: u64, rest: &[u8]) -> Result<Records> {
+    checked_points_bytes(header, file_bytes)?;
+    Ok(Records {
+        format: FORMAT,
+        offset: header.points_offset as u64,
+        stride: header.record_bytes,
+        count: header.point_count,
+        position: PositionInRecord::Bgeo,
+        notes: notes(header, rest),
+    })
+}
+
+/// Bytes of all points, which the file has.
+fn checked_points_bytes(header: &Header, file_bytes: u64) -> Result<usize> {
+    let remaining = file_bytes.saturating_sub(header.points_offset as u64);
+    let points_bytes = header.points_bytes();
+    usize::try_from(points_bytes).ok().filter(|_| points_bytes <= remaining).ok_or_else(|| {
+        let what = format!(
+            "expected {} points of {} bytes each, {points_bytes} in all, {remaining} remain",
+            header.point_count, header.record_bytes,
+        );
+        Error::short(FORMAT, Place::Offset(header.points_offset as u64), what)
+    })
 }
 
 fn notes(header: &Header, rest: &[u8]) -> Vec<String> {
@@ -95,6 +115,17 @@ fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
         }
     }
     (positions, columns)
+}
+
+/// The positions of a batch of records.
+pub(crate) fn gather_batch(records: &[u8], stride: usize, positions: &mut Positions) {
+    let mut gathered = match std::mem::take(positions) {
+        Positions::F32(gathered) => gathered,
+        Positions::F64(_) => Vec::new(),
+    };
+    gathered.clear();
+    gather_positions(records, stride, &mut gathered);
+    *positions = Positions::F32(gathered);
 }
 
 fn gather_positions(block: &[u8], stride: usize, positions: &mut Vec<[f32; 3]>) {

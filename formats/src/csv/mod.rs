@@ -25,6 +25,7 @@ mod cell;
 mod column;
 mod frame;
 mod layout;
+mod parts;
 mod rows;
 
 pub(crate) use layout::looks_like_particles;
@@ -48,7 +49,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     }
     refuse_binary(bytes)?;
     let layout = layout::layout(bytes, limits)?;
-    let table = rows::read_rows(bytes, &layout, limits)?;
+    let table = parts::read_rows(bytes, &layout, limits)?;
     Ok(frame::frame(layout, table))
 }
 

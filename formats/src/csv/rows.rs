@@ -3,6 +3,8 @@
 //! A number is taken where it stands; only if what follows it is not the end of its cell is the cell
 //! looked at as a whole: quotes, words for missing values, texts. Neither lines nor cells are
 //! searched for beforehand.
+//!
+//! Large tables are read in parts, see [`super::parts`]; each part is such a pass.
 
 use super::FORMAT;
 use super::cell::{Delimiter, Meaning, cells, has_decimal_comma, meaning, quoted_length, shown, unquoted};
@@ -18,38 +20,58 @@ pub(super) struct Table {
     pub(super) row_count: usize,
     /// Rows that were left out for want of a position.
     pub(super) dropped_row_count: u64,
+    /// Lines that were passed, the rows and all others.
+    pub(super) line_count: u64,
 }
 
-/// Reads all rows.
-pub(super) fn read_rows(bytes: &[u8], layout: &Layout, limits: &Limits) -> Result<Table> {
-    let capacity = row_count_estimate(&bytes[layout.rows_offset..], layout.names.len());
-    let mut rows = Rows {
-        bytes,
-        at: layout.rows_offset,
-        line: layout.rows_line,
-        delimiter: match layout.delimiter {
-            Delimiter::Byte(delimiter) => Some(delimiter),
-            Delimiter::Blanks => None,
-        },
-        names: &layout.names,
-    };
-    let mut columns: Vec<Column> = layout.names.iter().map(|_| Column::with_capacity(capacity)).collect();
-    let mut row_count = 0;
-    let mut dropped_row_count = 0;
-    while rows.next_row() {
-        rows.take_row(&mut columns, layout.position)?;
-        if layout.position.iter().all(|&index| columns[index].ends_finite()) {
-            row_count += 1;
-            if limits.particle_count < row_count as u64 {
-                let what = format!("more rows than the limit of {}", limits.particle_count);
-                return Err(Error::too_large(FORMAT, what));
-            }
-        } else {
-            columns.iter_mut().for_each(Column::pop);
-            dropped_row_count += 1;
+impl Table {
+    /// No rows yet, and room for those of a text as long as `rows`.
+    pub(super) fn with_room_for(rows: &[u8], column_count: usize) -> Table {
+        let capacity = row_count_estimate(rows, column_count);
+        Table {
+            columns: (0..column_count).map(|_| Column::with_capacity(capacity)).collect(),
+            row_count: 0,
+            dropped_row_count: 0,
+            line_count: 0,
         }
     }
-    Ok(Table { columns, row_count, dropped_row_count })
+
+    /// Reads the rows from byte `start` to the end of `bytes`. The lines of the table, so far, are those
+    /// before `start`.
+    pub(super) fn read_on(
+        &mut self,
+        bytes: &[u8],
+        start: usize,
+        layout: &Layout,
+        limits: &Limits,
+    ) -> Result<()> {
+        let first_line = layout.rows_line + self.line_count;
+        let mut rows = Rows {
+            bytes,
+            at: start,
+            line: first_line,
+            delimiter: match layout.delimiter {
+                Delimiter::Byte(delimiter) => Some(delimiter),
+                Delimiter::Blanks => None,
+            },
+            names: &layout.names,
+        };
+        while rows.next_row() {
+            rows.take_row(&mut self.columns, layout.position)?;
+            if layout.position.iter().all(|&index| self.columns[index].ends_finite()) {
+                self.row_count += 1;
+                if limits.particle_count < self.row_count as u64 {
+                    let what = format!("more rows than the limit of {}", limits.particle_count);
+                    return Err(Error::too_large(FORMAT, what));
+                }
+            } else {
+                self.columns.iter_mut().for_each(Column::pop);
+                self.dropped_row_count += 1;
+            }
+        }
+        self.line_count += rows.line - first_line;
+        Ok(())
+    }
 }
 
 /// How many rows there probably are, judged by the first ones and never more than there can be.

@@ -3,6 +3,13 @@
 //! Reals are the shortest decimals that read back as the same number. Lines are formatted in
 //! parallel, a run of elements per task, and written in order. The last line is a comment that says
 //! how much there was, for nothing else in the format tells a whole file from a part of one.
+//!
+//! ```text
+//!   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
+//!                              └┴ a task each
+//! ```
+//!
+//! Any batch can be had by itself, so that whoever writes need not hold the text of all.
 
 use std::io::Write;
 
@@ -46,21 +53,81 @@ pub fn write(
     provenance: &Provenance,
     out: &mut impl Write,
 ) -> Result<()> {
-    mesh.check(FORMAT)?;
-    let name = options.name.replace(char::is_control, "_");
-    write!(out, "# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "))?;
-    if mesh.origin == [0.0; 3] {
-        write_lines(mesh.positions, |line, position| line.reals("v", *position), out)?;
-    } else {
-        let world =
-            |p: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|axis| mesh.origin[axis] + f64::from(p[axis])) };
-        write_lines(mesh.positions, |line, position| line.reals("v", world(position)), out)?;
+    for index in 0..batch_count(mesh) {
+        for text in encode_batch(mesh, options, provenance, index)? {
+            out.write_all(&text)?;
+        }
     }
-    write_lines(mesh.normals, |line, normal| line.reals("vn", *normal), out)?;
-    write_lines(mesh.triangles, |line, triangle| line.face(*triangle), out)?;
-    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
-    writeln!(out, "{LAST_LINE}{vertices} vertices, {triangles} triangles")?;
     Ok(())
+}
+
+/// The batches that the text of a mesh is divided into.
+pub fn batch_count(mesh: &MeshView) -> usize {
+    1 + task_counts(mesh).iter().sum::<usize>().div_ceil(TASKS_AT_ONCE).max(1)
+}
+
+/// The texts of a batch, to be written one after the other: some 20 MB in all. They are made in the pool of the
+/// caller.
+///
+/// # Errors
+///
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite; there is no use in
+/// the others then.
+pub fn encode_batch(
+    mesh: &MeshView,
+    options: &WriteOptions,
+    provenance: &Provenance,
+    index: usize,
+) -> Result<Vec<Vec<u8>>> {
+    let Some(index) = index.checked_sub(1) else {
+        mesh.check(FORMAT)?;
+        let name = options.name.replace(char::is_control, "_");
+        let header = format!("# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "));
+        return Ok(vec![header.into_bytes()]);
+    };
+    let task_count = task_counts(mesh).iter().sum();
+    let first = index.saturating_mul(TASKS_AT_ONCE).min(task_count);
+    let end = (first + TASKS_AT_ONCE).min(task_count);
+    let mut texts: Vec<Vec<u8>> = (first..end).into_par_iter().map(|task| text_of(mesh, task)).collect();
+    if end == task_count {
+        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+        texts.push(format!("{LAST_LINE}{vertices} vertices, {triangles} triangles\n").into_bytes());
+    }
+    Ok(texts)
+}
+
+/// The tasks for positions, normals and triangles.
+fn task_counts(mesh: &MeshView) -> [usize; 3] {
+    [mesh.positions.len(), mesh.normals.len(), mesh.triangles.len()]
+        .map(|count| count.div_ceil(ELEMENTS_PER_TASK))
+}
+
+/// The lines of one task.
+fn text_of(mesh: &MeshView, task: usize) -> Vec<u8> {
+    let [position_tasks, normal_tasks, _] = task_counts(mesh);
+    if position_tasks + normal_tasks <= task {
+        let triangles = run_of(mesh.triangles, task - position_tasks - normal_tasks);
+        return lines_of(triangles, |line, triangle| line.face(*triangle));
+    }
+    if position_tasks <= task {
+        return lines_of(run_of(mesh.normals, task - position_tasks), |line, normal| {
+            line.reals("vn", *normal)
+        });
+    }
+    let positions = run_of(mesh.positions, task);
+    if mesh.origin == [0.0; 3] {
+        return lines_of(positions, |line, position| line.reals("v", *position));
+    }
+    let world =
+        |p: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|axis| mesh.origin[axis] + f64::from(p[axis])) };
+    lines_of(positions, |line, position| line.reals("v", world(position)))
+}
+
+/// The elements of one task.
+fn run_of<T>(elements: &[T], task: usize) -> &[T] {
+    let start = (task * ELEMENTS_PER_TASK).min(elements.len());
+    let end = (start + ELEMENTS_PER_TASK).min(elements.len());
+    &elements[start..end]
 }
 
 /// Whether the last bytes of a file are those of a whole one that [`write`] made.
@@ -102,26 +169,11 @@ impl Lines {
     }
 }
 
-/// Writes one line per element.
-fn write_lines<T: Sync>(
-    elements: &[T],
-    format: impl Fn(&mut Lines, &T) + Sync,
-    out: &mut impl Write,
-) -> Result<()> {
-    const LINE_BYTES: usize = 40; // about as long as most lines are
-    for batch in elements.chunks(ELEMENTS_PER_TASK * TASKS_AT_ONCE) {
-        let texts: Vec<Vec<u8>> = batch
-            .par_chunks(ELEMENTS_PER_TASK)
-            .map(|elements| {
-                let text = Vec::with_capacity(elements.len() * LINE_BYTES);
-                let mut lines = Lines { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
-                elements.iter().for_each(|element| format(&mut lines, element));
-                lines.text
-            })
-            .collect();
-        for text in texts {
-            out.write_all(&text)?;
-        }
-    }
-    Ok(())
+/// One line per element.
+fn lines_of<T>(elements: &[T], format: impl Fn(&mut Lines, &T)) -> Vec<u8> {
+    const LINE_BYTES: usize = 48; // few lines are longer
+    let text = Vec::with_capacity(elements.len() * LINE_BYTES);
+    let mut lines = Lines { text, real: zmij::Buffer::new(), integer: itoa::Buffer::new() };
+    elements.iter().for_each(|element| format(&mut lines, element));
+    lines.text
 }

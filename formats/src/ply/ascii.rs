@@ -3,8 +3,13 @@
 //! A line that holds fewer or more values than the header declares is an error: taking values from
 //! the next line instead would shift all that follow without anybody noticing. Whatever is wrong with
 //! the last value of the file is told as the file being short: the value may be cut off.
+//!
+//! A record being a line, a long body is divided at line ends. How many records are above a part is
+//! counted first; then all parts are read side by side, each into its own stretch of the vectors. The error,
+//! if there is one, is that of the first part that has one: the first of the file.
 
 use fast_float2::FastFloat;
+use rayon::prelude::*;
 
 use crate::error::{Error, Place, Result};
 use crate::scalar::Scalar;
@@ -15,40 +20,103 @@ use super::header::{Element, PropertyType};
 use super::read::{Slots, Target};
 use super::rows::Rows;
 
-/// Reads `count` records into the targets.
+/// Large enough that a part costs nothing to begin, small enough to share.
+const PART_BYTES: usize = 1 << 20;
+
+/// Reads `count` records, of which the first is the next, into the targets, in the pool of the caller.
 pub(super) fn read(
-    rows: &mut Rows<'_>,
+    lines: Lines<'_>,
     element: &Element,
     count: usize,
-    targets: &mut [Target<'_>],
+    targets: Vec<Target<'_>>,
 ) -> Result<()> {
-    debug_assert!(matches!(rows, Rows::Ascii(_)), "a binary body is gathered, not parsed");
-    let places = places(element, targets);
-    for record in 0..count {
-        rows.start()?;
-        for (property, place) in element.properties.iter().zip(&places) {
-            let (&Some((target, component)), Rows::Ascii(lines)) = (place, &mut *rows) else {
-                rows.skip(property)?;
-                continue;
-            };
-            let Target { columns, slots } = &mut targets[target];
-            let slot = record * columns.len() + component;
-            let scalar = columns[component].1;
-            match slots {
-                Slots::F32(out) => out[slot] = lines.float(scalar, &property.name)?,
-                // What is declared as 32 bits is no more precise for being written in digits.
-                Slots::F64(out) if scalar == Scalar::F32 => {
-                    out[slot] = f64::from(lines.float::<f32>(scalar, &property.name)?);
-                }
-                Slots::F64(out) => out[slot] = lines.float(scalar, &property.name)?,
-                Slots::U8(out) => out[slot] = lines.bounded(scalar, &property.name)?,
-                Slots::I32(out) => out[slot] = lines.bounded(scalar, &property.name)?,
-                Slots::I64(out) => out[slot] = lines.bounded(scalar, &property.name)?,
-            }
-        }
-        rows.finish()?;
+    let places = places(element, &targets);
+    let read_part = |part: Part<'_, '_>| part.read(element, &places);
+    let parts = match rayon::current_num_threads() {
+        1 => vec![Part { lines, count, targets }],
+        _ => parts(lines, count, targets, PART_BYTES),
+    };
+    let outcomes: Vec<Result<()>> = parts.into_par_iter().map(read_part).collect();
+    outcomes.into_iter().collect()
+}
+
+/// Records that are read by one thread.
+struct Part<'a, 't> {
+    lines: Lines<'a>,
+    /// As many records.
+    count: usize,
+    /// Room for them.
+    targets: Vec<Target<'t>>,
+}
+
+/// Divides records into parts of about as many bytes. The last one has all that are claimed and not there.
+fn parts<'a, 't>(
+    lines: Lines<'a>,
+    count: usize,
+    targets: Vec<Target<'t>>,
+    part_bytes: usize,
+) -> Vec<Part<'a, 't>> {
+    let Lines { bytes, mut at } = lines;
+    let mut ranges = Vec::new();
+    while bytes.len() - at > 2 * part_bytes {
+        let rest = &bytes[at + part_bytes..];
+        let Some(length) = rest.iter().position(|&byte| byte == b'\n') else { break };
+        let end = at + part_bytes + length + 1;
+        ranges.push(at..end);
+        at = end;
     }
-    Ok(())
+    let counts: Vec<usize> = ranges.par_iter().map(|range| record_count(&bytes[range.clone()])).collect();
+    let mut left = Part { lines, count, targets };
+    let mut parts = Vec::with_capacity(ranges.len() + 1);
+    for (range, count) in ranges.into_iter().zip(counts) {
+        if left.count <= count {
+            break; // what follows is of another element
+        }
+        let targets = left.targets.iter_mut().map(|target| target.take_front(count)).collect();
+        parts.push(Part { lines: Lines { bytes, at: range.start }, count, targets });
+        left.lines.at = range.end;
+        left.count -= count;
+    }
+    parts.push(left);
+    parts
+}
+
+/// The number of lines that are not blank.
+fn record_count(text: &[u8]) -> usize {
+    let lines = text.split(|byte| matches!(byte, b'\n' | b'\r'));
+    lines.filter(|line| line.iter().any(|byte| !matches!(byte, b' ' | b'\t'))).count()
+}
+
+impl Part<'_, '_> {
+    /// Reads the records into the targets.
+    fn read(mut self, element: &Element, places: &[Option<(usize, usize)>]) -> Result<()> {
+        let mut rows = Rows::Ascii(self.lines);
+        for record in 0..self.count {
+            rows.start()?;
+            for (property, place) in element.properties.iter().zip(places) {
+                let (&Some((target, component)), Rows::Ascii(lines)) = (place, &mut rows) else {
+                    rows.skip(property)?;
+                    continue;
+                };
+                let Target { columns, slots } = &mut self.targets[target];
+                let slot = record * columns.len() + component;
+                let scalar = columns[component].1;
+                match slots {
+                    Slots::F32(out) => out[slot] = lines.float(scalar, &property.name)?,
+                    // What is declared as 32 bits is no more precise for being written in digits.
+                    Slots::F64(out) if scalar == Scalar::F32 => {
+                        out[slot] = f64::from(lines.float::<f32>(scalar, &property.name)?);
+                    }
+                    Slots::F64(out) => out[slot] = lines.float(scalar, &property.name)?,
+                    Slots::U8(out) => out[slot] = lines.bounded(scalar, &property.name)?,
+                    Slots::I32(out) => out[slot] = lines.bounded(scalar, &property.name)?,
+                    Slots::I64(out) => out[slot] = lines.bounded(scalar, &property.name)?,
+                }
+            }
+            rows.finish()?;
+        }
+        Ok(())
+    }
 }
 
 /// For each property, the target and the component that it goes to.
@@ -65,6 +133,7 @@ fn places(element: &Element, targets: &[Target<'_>]) -> Vec<Option<(usize, usize
 }
 
 /// A position in the body.
+#[derive(Clone, Copy)]
 pub(super) struct Lines<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -192,5 +261,59 @@ impl<'a> Lines<'a> {
 
     pub(super) fn invalid(&self, what: String) -> Error {
         Error::invalid(FORMAT, Place::Line(line_number(self.bytes, self.at)), what)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scalar::Scalar::{F32, I32};
+
+    const HEADER: &str = "ply\nformat ascii 1.0\nelement vertex 60\nproperty float x\nproperty int y\n\
+                          property list uchar int list\nend_header\n";
+
+    /// The numbers that are read from a body in parts of so many bytes, or the error as it is told.
+    fn outcome(body: &str, part_bytes: Option<usize>) -> std::result::Result<(Vec<f32>, Vec<i32>), String> {
+        let file = format!("{HEADER}{body}");
+        let header = super::super::read_header(file.as_bytes(), &crate::Limits::default()).expect("a header");
+        let element = &header.elements[0];
+        let (mut x, mut y) = (vec![0.0; 60], vec![0; 60]);
+        let targets = vec![
+            Target { columns: vec![(0, F32)], slots: Slots::F32(&mut x) },
+            Target { columns: vec![(1, I32)], slots: Slots::I32(&mut y) },
+        ];
+        let lines = Lines::new(file.as_bytes(), header.body_offset);
+        let places = places(element, &targets);
+        let parts = match part_bytes {
+            Some(part_bytes) => parts(lines, 60, targets, part_bytes),
+            None => vec![Part { lines, count: 60, targets }],
+        };
+        for part in parts {
+            part.read(element, &places).map_err(|error| format!("{error:?}"))?;
+        }
+        Ok((x, y))
+    }
+
+    #[test]
+    fn parts_make_what_one_pass_makes() {
+        let usual: Vec<String> = (0..60).map(|n| format!("{n}.5 {} 2 7 8", n * n)).collect();
+        let changes = ["", " \t", "\r", "1 2 0\r3 4 0", "1 2", "1 2 0 9", "1 2.5 0", "x 2 0", "1 2 9999"];
+        for line_end in ["\n", "\r\n"] {
+            for (change, place) in changes.iter().flat_map(|change| [0, 20, 33, 59].map(|at| (change, at))) {
+                for faces in [0, 30] {
+                    let mut lines = usual.clone();
+                    lines.insert(place, change.to_string());
+                    lines.extend(vec!["3 0 1 2".into(); faces]);
+                    let body = lines.join(line_end);
+                    let expected = outcome(&body, None);
+                    for part_bytes in [1, 17, 100, 300] {
+                        assert_eq!(outcome(&body, Some(part_bytes)), expected, "{change:?} at {place}");
+                    }
+                }
+            }
+        }
+        assert_eq!(outcome(&usual.join("\n"), Some(50)).expect("read").1[59], 59 * 59);
+        let error = outcome(&usual[..50].join("\n"), Some(50)).expect_err("too few");
+        assert!(error.starts_with("Short"), "{error}");
     }
 }

@@ -5,8 +5,10 @@
 //!   targets   [x y z] [x y z] ..    [vx vy vz] ..    [id] ..
 //! ```
 //!
-//! The records are taken in blocks that fit the cache; within a block each target is filled by a
-//! loop whose type, byte order and arity are known when it is compiled.
+//! The records are divided among the threads, and taken in blocks that fit the cache; within a block each
+//! target is filled by a loop whose type, byte order and arity are known when it is compiled.
+
+use rayon::prelude::*;
 
 use crate::bytes::Endian;
 use crate::error::Result;
@@ -19,8 +21,33 @@ use super::rows::Rows;
 /// Bytes of records per block: small enough for the second-level cache, with the targets beside it.
 const BLOCK_BYTES: usize = 128 << 10;
 
-/// Fills the targets from records of `stride` bytes; `offsets` tells where each property starts.
+/// Bytes of records that one thread takes at once: most of the time goes into memory that is touched first here.
+const PART_BYTES: usize = 2 << 20;
+
+/// Fills the targets from records of `stride` bytes, in the pool of the caller; `offsets` tells where each
+/// property starts.
 pub(super) fn gather(
+    records: &[u8],
+    stride: usize,
+    offsets: &[usize],
+    endian: Endian,
+    mut targets: Vec<Target<'_>>,
+) {
+    let part_records = (PART_BYTES / stride).max(1);
+    let parts = records.chunks(part_records * stride).map(|records| {
+        let count = records.len() / stride;
+        let targets: Vec<Target> = targets.iter_mut().map(|target| target.take_front(count)).collect();
+        (records, targets)
+    });
+    let parts: Vec<(&[u8], Vec<Target>)> = parts.collect();
+    let gather_part = |(records, mut targets): (&[u8], Vec<Target>)| {
+        gather_part(records, stride, offsets, endian, &mut targets);
+    };
+    parts.into_par_iter().for_each(gather_part);
+}
+
+/// [`gather`] by the present thread.
+pub(super) fn gather_part(
     records: &[u8],
     stride: usize,
     offsets: &[usize],

@@ -18,6 +18,7 @@
 //! Greg Turk. The PLY polygon file format. 1994
 
 mod ascii;
+mod batches;
 mod binary;
 mod header;
 mod mesh;
@@ -29,6 +30,7 @@ pub use header::{Element, Encoding, Header, Property, PropertyType, read_header}
 pub use mesh::{read_mesh, read_mesh_and_vertices};
 pub use read::read;
 
+pub(crate) use batches::{PositionColumns, records};
 pub(crate) use mesh::mesh_bytes_claimed;
 
 /// The name of the format in errors.

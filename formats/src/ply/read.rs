@@ -18,37 +18,30 @@ use super::{FORMAT, ascii, binary};
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let header = read_header(bytes, limits)?;
     let mut frame = read_vertices(bytes, &header, limits)?;
-    let faces = header.elements.iter().find(|element| element.name.eq_ignore_ascii_case("face"));
-    if let Some(faces) = faces.filter(|faces| faces.count > 0) {
-        frame.notes.push(format!("the file also has {} faces: only its vertices are read", faces.count));
-    }
+    frame.notes.extend(note_on_faces(&header));
     Ok(frame)
 }
 
 /// The vertices of the file with this header.
 pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> Result<ParticleFrame> {
-    let element = header.vertex_element().ok_or_else(|| {
-        Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
-    })?;
-    let columns = element.columns();
-    let Some(position) = columns.position else { return Err(no_position(element)) };
-    let mut rows = rows_of(bytes, header, element)?;
+    let Vertices { element, columns, position } = vertices(header)?;
+    let rows = rows_of(bytes, header, element)?;
     let count = checked_count(&rows, element)?;
     check_limit(count, limits)?;
 
     let mut frame = empty_frame(element, &columns, position, count);
-    let mut targets = targets(element, &columns, position, &mut frame);
-    match header.encoding.endian() {
-        None => ascii::read(&mut rows, element, count, &mut targets)?,
-        Some(endian) => {
-            let (offsets, stride) = binary::scalar_offsets(element);
-            if element.has_list() {
-                let records = binary::without_lists(&mut rows, element, count)?;
-                binary::gather(&records, stride, &offsets, endian, &mut targets);
-            } else if let Rows::Binary(cursor) = &mut rows {
-                let records = cursor.take(count * stride, &element.name)?;
-                binary::gather(records, stride, &offsets, endian, &mut targets);
-            }
+    let targets = targets(element, &columns, position, &mut frame);
+    let (offsets, stride) = binary::scalar_offsets(element);
+    match rows {
+        Rows::Ascii(lines) => ascii::read(lines, element, count, targets)?,
+        Rows::Binary(cursor) if element.has_list() => {
+            let endian = cursor.endian();
+            let records = binary::without_lists(&mut Rows::Binary(cursor), element, count)?;
+            binary::gather(&records, stride, &offsets, endian, targets);
+        }
+        Rows::Binary(mut cursor) => {
+            let records = cursor.take(count * stride, &element.name)?;
+            binary::gather(records, stride, &offsets, cursor.endian(), targets);
         }
     }
     for (attribute, group) in frame.attributes.iter_mut().zip(&columns.groups) {
@@ -56,6 +49,24 @@ pub(super) fn read_vertices(bytes: &[u8], header: &Header, limits: &Limits) -> R
     }
     frame.notes = notes(element, &columns);
     Ok(frame)
+}
+
+/// The element that holds the particles.
+pub(super) struct Vertices<'a> {
+    pub(super) element: &'a Element,
+    pub(super) columns: Columns,
+    /// The properties that are the position.
+    pub(super) position: [usize; 3],
+}
+
+/// Finds the particles in the header.
+pub(super) fn vertices(header: &Header) -> Result<Vertices<'_>> {
+    let element = header.vertex_element().ok_or_else(|| {
+        Error::invalid(FORMAT, Place::File, "no element is called `vertex` or has properties x, y and z")
+    })?;
+    let columns = element.columns();
+    let position = columns.position.ok_or_else(|| no_position(element))?;
+    Ok(Vertices { element, columns, position })
 }
 
 /// Where values go.
@@ -75,6 +86,26 @@ pub(super) enum Slots<'a> {
     I64(&'a mut [i64]),
 }
 
+impl<'a> Target<'a> {
+    /// Cuts off the room for the first `count` records.
+    pub(super) fn take_front(&mut self, count: usize) -> Target<'a> {
+        fn take<'a, T>(slots: &mut &'a mut [T], count: usize) -> &'a mut [T] {
+            let (front, rest) = std::mem::take(slots).split_at_mut(count);
+            *slots = rest;
+            front
+        }
+        let count = count * self.columns.len();
+        let slots = match &mut self.slots {
+            Slots::F32(slots) => Slots::F32(take(slots, count)),
+            Slots::F64(slots) => Slots::F64(take(slots, count)),
+            Slots::U8(slots) => Slots::U8(take(slots, count)),
+            Slots::I32(slots) => Slots::I32(take(slots, count)),
+            Slots::I64(slots) => Slots::I64(take(slots, count)),
+        };
+        Target { columns: self.columns.clone(), slots }
+    }
+}
+
 fn no_position(element: &Element) -> Error {
     let names: Vec<&str> =
         element.properties.iter().take(12).map(|property| property.name.as_str()).collect();
@@ -88,13 +119,7 @@ fn no_position(element: &Element) -> Error {
 
 /// A frame with room for all values. `count` was compared with the bytes that remain.
 fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count: usize) -> ParticleFrame {
-    let fits_f32 = position.iter().all(|&column| {
-        matches!(
-            scalar_of(element, column),
-            Scalar::F32 | Scalar::I8 | Scalar::U8 | Scalar::I16 | Scalar::U16
-        )
-    });
-    let positions = match fits_f32 {
+    let positions = match fits_f32(position.map(|column| scalar_of(element, column))) {
         true => Positions::F32(vec![[0.0; 3]; count]),
         false => Positions::F64(vec![[0.0; 3]; count]),
     };
@@ -105,6 +130,12 @@ fn empty_frame(element: &Element, columns: &Columns, position: [usize; 3], count
         values: empty_values(scalar_of(element, group.columns[0]), count * group.arity()),
     });
     ParticleFrame { positions, attributes: attributes.collect(), notes: Vec::new() }
+}
+
+/// Whether 32-bit reals hold all values of these types.
+pub(super) fn fits_f32(scalars: [Scalar; 3]) -> bool {
+    use Scalar::{F32, I8, I16, U8, U16};
+    scalars.iter().all(|scalar| matches!(scalar, F32 | I8 | U8 | I16 | U16))
 }
 
 fn empty_values(scalar: Scalar, length: usize) -> Values {
@@ -118,7 +149,7 @@ fn empty_values(scalar: Scalar, length: usize) -> Values {
 }
 
 /// The type of a property that is known to be no list.
-fn scalar_of(element: &Element, property: usize) -> Scalar {
+pub(super) fn scalar_of(element: &Element, property: usize) -> Scalar {
     match element.properties[property].kind {
         PropertyType::Scalar(scalar) => scalar,
         PropertyType::List { item, .. } => item,
@@ -155,7 +186,15 @@ fn targets<'a>(
     targets
 }
 
-fn notes(element: &Element, columns: &Columns) -> Vec<String> {
+/// That a mesh is taken for particles.
+pub(super) fn note_on_faces(header: &Header) -> Option<String> {
+    let mut faces = header.elements.iter().filter(|element| element.name.eq_ignore_ascii_case("face"));
+    let faces = faces.next().filter(|faces| faces.count > 0)?;
+    Some(format!("the file also has {} faces: only its vertices are read", faces.count))
+}
+
+/// What a user should know of how the vertices are read.
+pub(super) fn notes(element: &Element, columns: &Columns) -> Vec<String> {
     let mut notes = Vec::new();
     if !element.name.eq_ignore_ascii_case("vertex") {
         notes.push(format!("no element is called `vertex`: particles are taken from `{}`", element.name));

@@ -124,22 +124,41 @@ impl<'a> Rows<'a> {
 
 /// The number of records of the element at the present position, which the remaining bytes can hold.
 pub(super) fn checked_count(rows: &Rows<'_>, element: &Element) -> Result<usize> {
+    let at = rows.at() as u64;
+    match rows {
+        Rows::Binary(cursor) => checked_binary_count(element, at, cursor.remaining() as u64),
+        Rows::Ascii(lines) => {
+            // A digit and a separator each, but the last line need not be ended.
+            let (remaining, record) = (lines.remaining() as u64, 2 * element.properties.len());
+            checked(element, at, remaining, remaining + 1, record, "bytes of text")
+        }
+    }
+}
+
+/// [`checked_count`] of a binary element at byte `at`, behind which there are `remaining` bytes.
+pub(super) fn checked_binary_count(element: &Element, at: u64, remaining: u64) -> Result<usize> {
+    checked(element, at, remaining, remaining, element.record_size_min(), "bytes")
+}
+
+/// The number of records that the header claims, if they fit in `room` at `record` bytes or more each.
+fn checked(
+    element: &Element,
+    at: u64,
+    remaining: u64,
+    room: u64,
+    record: usize,
+    kind: &str,
+) -> Result<usize> {
     if element.properties.is_empty() {
         return Ok(0); // whatever the count, there is nothing to read
     }
-    let (remaining, record, kind) = match rows {
-        Rows::Binary(cursor) => (cursor.remaining(), element.record_size_min(), "bytes"),
-        // A digit and a separator each, but the last line need not be ended.
-        Rows::Ascii(lines) => (lines.remaining() + 1, 2 * element.properties.len(), "bytes of text"),
-    };
-    let most = remaining / record;
-    usize::try_from(element.count).ok().filter(|&count| count <= most).ok_or_else(|| {
+    let most = room / record as u64;
+    usize::try_from(element.count).ok().filter(|&count| count as u64 <= most).ok_or_else(|| {
         let Element { name, count, .. } = element;
         let what = format!(
-            "the header claims {count} `{name}` records of at least {record} {kind}, but only {} bytes follow",
-            remaining - usize::from(matches!(rows, Rows::Ascii(_)))
+            "the header claims {count} `{name}` records of at least {record} {kind}, but only {remaining} bytes follow",
         );
-        let place = Place::Offset(rows.at() as u64);
+        let place = Place::Offset(at);
         // No file ever grows so long.
         match count.checked_mul(record as u64) {
             None => Error::invalid(FORMAT, place, what),

@@ -54,7 +54,7 @@ impl LeafSummary {
 pub(super) struct Batch {
     pub(super) summaries: Vec<LeafSummary>,
     /// The buffers of the leaves with active voxels, one after the other.
-    pub(super) bytes: Vec<u8>,
+    pub(super) bytes: Box<[u8]>,
     pub(super) digest: Digest,
 }
 
@@ -62,14 +62,16 @@ pub(super) struct Batch {
 pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Encoding) -> Vec<Batch> {
     order
         .par_chunks(LEAVES_PER_BATCH)
-        .map(|indices| {
-            let mut encoder = LeafEncoder::new(encoding);
-            let mut bytes = Vec::new();
-            let summaries =
-                indices.iter().map(|&index| encoder.append(&leaves[index as usize], &mut bytes)).collect();
-            let digest = digest(&bytes);
-            Batch { summaries, bytes, digest }
-        })
+        .map_init(
+            || (LeafEncoder::new(encoding), Vec::new()),
+            |(encoder, bytes), indices| {
+                bytes.clear();
+                let summaries =
+                    indices.iter().map(|&index| encoder.append(&leaves[index as usize], bytes)).collect();
+                // Batches wait for each other: none of them keeps room that it does not need.
+                Batch { summaries, bytes: bytes.as_slice().into(), digest: digest(bytes) }
+            },
+        )
         .collect()
 }
 
@@ -159,12 +161,23 @@ impl LeafEncoder {
 
     /// The values of the active voxels, packed to the front and written as bytes.
     fn gather_active(&mut self, active: &[u64; 8]) {
-        let mut packed = [0.0; 512];
+        let mut packed = [0.0; 512 + 8];
         let mut count = 0;
-        for (values, &word) in self.world.as_chunks::<64>().0.iter().zip(active) {
-            for (bit, &value) in values.iter().enumerate() {
-                packed[count & 511] = value; // written always, kept if active: no branch to mispredict
-                count += (word >> bit & 1) as usize;
+        let bits = active.iter().flat_map(|word| word.to_le_bytes());
+        for (row, bits) in self.world.as_chunks::<8>().0.iter().zip(bits) {
+            // Most rows are all active or not at all.
+            match bits {
+                0 => {}
+                u8::MAX => {
+                    packed[count..count + 8].copy_from_slice(row);
+                    count += 8;
+                }
+                _ => {
+                    for (bit, &value) in row.iter().enumerate() {
+                        packed[count] = value; // written always, kept if active: no branch to mispredict
+                        count += usize::from(bits >> bit & 1);
+                    }
+                }
             }
         }
         push_values(&packed[..count], self.encoding.half, &mut self.chunk);

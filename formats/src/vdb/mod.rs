@@ -35,7 +35,7 @@ mod write;
 pub use metadata::MetaValue;
 pub use read::{GridInfo, Transform, grids, read_level_set};
 pub use read_tree::{LevelSetData, Tile};
-pub use write::{WriteOptions, write};
+pub use write::{Encoded, WriteOptions, encode, write};
 
 pub(crate) use read::{first_grid_metadata, only_grid_end};
 

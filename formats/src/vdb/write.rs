@@ -60,19 +60,50 @@ impl Default for WriteOptions {
     }
 }
 
+/// A file that is ready to be written: its leaves are packed, and nothing of the level set is needed any more.
+pub struct Encoded {
+    head: Vec<u8>,
+    grid: Vec<u8>,
+    batches: Vec<Batch>,
+}
+
+impl Encoded {
+    /// Writes the file, in one go from its start to its end.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] if `out` fails.
+    pub fn write(&self, out: &mut impl Write) -> Result<()> {
+        out.write_all(&self.head)?;
+        out.write_all(&self.grid)?;
+        for batch in &self.batches {
+            out.write_all(&batch.bytes)?;
+        }
+        Ok(())
+    }
+}
+
 /// Writes `levels` as a file with one float grid of class "level set".
 ///
 /// # Errors
 ///
-/// [`Error::Io`] if `out` fails; [`Error::Invalid`] if the level set is none: origins that are no
-/// distinct multiples of 8, values that are no numbers, a background that is not positive and
-/// finite in the precision of the file.
+/// [`Error::Io`] if `out` fails; else those of [`encode`].
 pub fn write(
     levels: &LevelSetView,
     options: &WriteOptions,
     provenance: &Provenance,
     out: &mut impl Write,
 ) -> Result<()> {
+    encode(levels, options, provenance)?.write(out)
+}
+
+/// Encodes `levels` as a file with one float grid of class "level set", in the pool of the caller.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if the level set is none: origins that are no distinct multiples of 8, values that are no
+/// numbers, a background that is not positive and finite in the precision of the file.
+pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Provenance) -> Result<Encoded> {
     let order = tree_order(levels)?;
     let encoding = encoding(levels, options)?;
     let batches = encode_leaves(levels.leaves, &order, encoding);
@@ -96,13 +127,7 @@ pub fn write(
     digests.extend(batches.iter().map(|batch| batch.digest));
     let mut head = header(&digests);
     append_descriptor(options, grid.len() as u64, buffer_bytes, &mut head);
-
-    out.write_all(&head)?;
-    out.write_all(&grid)?;
-    for batch in &batches {
-        out.write_all(&batch.bytes)?;
-    }
-    Ok(())
+    Ok(Encoded { head, grid, batches })
 }
 
 /// The leaves' indices in the order of the tree: by root child, lower node and leaf, each by x, y, z.

@@ -1,0 +1,406 @@
+//! How fast files are read and written, beside a plain copy of as many bytes.
+//!
+//! ```text
+//!   read     bytes of a file in memory ──▶ ParticleFrame
+//!   write    mesh, level set ──▶ bytes of a file in memory
+//! ```
+//!
+//! No disk takes part. Each row is measured on one core and on all, in turns with a copy of as many bytes from
+//! one place in memory to another, by one core. MB are 10⁶ bytes of the file; for .vdb they are 4 for each voxel
+//! of the leaves that are stored, of which the active ones, about a third, are in the file one by one. Ends with 1
+//! where a figure is below what the project promises.
+//!
+//! ```text
+//! cargo bench --bench formats                       everything
+//! cargo bench --bench formats -- .vdb .csv          what has one of these in its name
+//! ```
+
+#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+
+use std::fmt::Write;
+use std::hint::black_box;
+use std::process::ExitCode;
+use std::thread;
+use std::time::Instant;
+
+use meniscus_formats::{
+    Attribute, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, ParticleFrame, Positions,
+    Role, Values, bgeo, gltf, obj, ply, read_particles, vdb,
+};
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use twox_hash::XxHash3_128;
+
+const ROUND_COUNT: usize = 7;
+
+/// Particles in files of bytes, and in files of text.
+const BINARY_PARTICLE_COUNT: usize = 1_000_000;
+const TEXT_PARTICLE_COUNT: usize = 300_000;
+
+/// The height field that is written as a mesh has as many vertices along an edge.
+const MESH_EDGE: usize = 700;
+
+/// The ball that is written as a level set has a radius of as many voxels.
+const BALL_RADIUS: f32 = 220.0;
+
+/// One thing that is measured.
+struct Row<'a> {
+    name: &'a str,
+    /// Bytes that count.
+    size_bytes: usize,
+    promise: Promise,
+    work: Box<dyn FnMut() + Send + 'a>,
+}
+
+/// The least that the project promises, if anything: MB a second, and on how many cores.
+type Promise = Option<(f64, Cores)>;
+
+#[derive(Clone, Copy)]
+enum Cores {
+    One,
+    All,
+}
+
+impl Cores {
+    /// What holds for as many.
+    fn of<T>(self, one: T, all: T) -> T {
+        match self {
+            Cores::One => one,
+            Cores::All => all,
+        }
+    }
+}
+
+fn main() -> ExitCode {
+    let core_count = thread::available_parallelism().map_or(1, usize::from);
+    let pools = [1, core_count]
+        .map(|threads| ThreadPoolBuilder::new().num_threads(threads).build().expect("threads"));
+    println!("{core_count} cores, {ROUND_COUNT} rounds; MB a second, and in parts of a copy by one core");
+    println!("                                  one core:                 all cores:");
+    println!("                              MB  median    best  of copy   median    best  of copy  promised");
+    let reading = reading_rows(&pools);
+    let writing = writing_rows(&pools);
+    if reading && writing {
+        return ExitCode::SUCCESS;
+    }
+    println!("a figure is below what is promised");
+    ExitCode::FAILURE
+}
+
+/// Measures the readers. Returns whether they keep what is promised.
+fn reading_rows(pools: &[ThreadPool; 2]) -> bool {
+    let frame = particles(BINARY_PARTICLE_COUNT);
+    let files = [
+        ("read binary .ply", "f.ply", ply_file(&frame, "binary_little_endian"), Some((1000.0, Cores::All))),
+        ("read big-endian .ply", "f.ply", ply_file(&frame, "binary_big_endian"), Some((1000.0, Cores::All))),
+        ("read classic .bgeo", "f.bgeo", bgeo_file(&frame), None),
+        ("read .csv", "f.csv", csv_file(&particles(TEXT_PARTICLE_COUNT)), Some((250.0, Cores::One))),
+        ("read ASCII .ply", "f.ply", ply_file(&particles(TEXT_PARTICLE_COUNT), "ascii"), None),
+    ];
+    let mut is_kept = true;
+    for (name, file_name, bytes, promise) in &files {
+        let read = || {
+            black_box(read_particles(bytes, file_name, &Limits::default()).expect("a good file"));
+        };
+        is_kept &=
+            measure(Row { name, size_bytes: bytes.len(), promise: *promise, work: Box::new(read) }, pools);
+    }
+    let bytes = &files[0].2;
+    let read = || {
+        let batches =
+            ParticleBatches::open(&bytes[..], "f.ply", &Limits::default(), 1 << 20).expect("a good file");
+        let batches = batches.expect("of fixed records");
+        let indices = (0..batches.batch_count()).into_par_iter();
+        let read = |batch: &mut ParticleBatch, index| {
+            batches.read_batch(index, batch).expect("a good file");
+            black_box(&batch.positions);
+        };
+        indices.for_each_init(ParticleBatch::default, read);
+    };
+    let promise = Some((1000.0, Cores::All));
+    let row = Row { name: "read .ply in batches", size_bytes: bytes.len(), promise, work: Box::new(read) };
+    is_kept &= measure(row, pools);
+    let hash = || {
+        black_box(XxHash3_128::oneshot(bytes));
+    };
+    is_kept
+        & measure(Row { name: "hash", size_bytes: bytes.len(), promise: None, work: Box::new(hash) }, pools)
+}
+
+/// Measures the writers. Returns whether they keep what is promised.
+fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
+    let mesh = HeightField::new(MESH_EDGE);
+    let mesh = mesh.view();
+    let mut is_kept = true;
+    type WriteMesh<'a> = &'a (dyn Fn(&mut Vec<u8>) + Sync);
+    let writers: [(&str, Promise, WriteMesh); 4] = [
+        ("write .glb", Some((500.0, Cores::All)), &|out| {
+            gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out).expect("written");
+        }),
+        ("write .gltf", None, &|out| {
+            gltf::write_gltf(&mesh, &gltf::WriteOptions::default(), &[], out).expect("written");
+        }),
+        ("write .ply", None, &|out| ply::write::write_mesh(&mesh, &[], out).expect("written")),
+        ("write .obj", Some((150.0, Cores::All)), &|out| {
+            obj::write(&mesh, &obj::WriteOptions::default(), &[], out).expect("written");
+        }),
+    ];
+    for (name, promise, write) in writers {
+        let mut file = Vec::new();
+        write(&mut file);
+        let size_bytes = file.len();
+        let work = Box::new(|| {
+            file.clear();
+            write(&mut file);
+        });
+        is_kept &= measure(Row { name, size_bytes, promise, work }, pools);
+    }
+    let ball = Ball::new(BALL_RADIUS);
+    for (name, compression, half) in [
+        ("write .vdb, Blosc", vdb::Compression::Blosc, false),
+        ("write .vdb, Blosc, 16 bits", vdb::Compression::Blosc, true),
+        ("write .vdb, active", vdb::Compression::ActiveMask, false),
+    ] {
+        let options = vdb::WriteOptions { compression, half, ..vdb::WriteOptions::default() };
+        let mut file = Vec::new();
+        let work = Box::new(|| {
+            file.clear();
+            vdb::write(&ball.view(), &options, &[], &mut file).expect("written");
+        });
+        let size_bytes = 4 * ball.stored_voxel_count();
+        is_kept &= measure(Row { name, size_bytes, promise: Some((300.0, Cores::One)), work }, pools);
+    }
+    is_kept
+}
+
+/// Measures one thing by turns with a copy and prints its row. Returns whether it keeps what is promised.
+fn measure(mut row: Row, pools: &[ThreadPool; 2]) -> bool {
+    let wanted: Vec<String> =
+        std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
+    if !wanted.is_empty() && !wanted.iter().any(|part| row.name.contains(part.as_str())) {
+        return true;
+    }
+    let source = vec![1_u8; row.size_bytes];
+    let mut target = vec![0_u8; row.size_bytes];
+    let mut seconds: [Vec<f64>; 3] = Default::default();
+    // Unmeasured: the first time, memory has to be had from the system.
+    pools[1].install(&mut row.work);
+    for _ in 0..ROUND_COUNT {
+        seconds[0].push(timed(|| black_box(&mut target).copy_from_slice(black_box(&source))));
+        seconds[1].push(timed(|| pools[0].install(&mut row.work)));
+        seconds[2].push(timed(|| pools[1].install(&mut row.work)));
+    }
+    let size_mb = row.size_bytes as f64 / 1e6;
+    let [copy, one, all] = seconds.map(|seconds| speeds(size_mb, seconds));
+    let mut line = format!("{:26}{size_mb:6.1}", row.name);
+    for Speeds { median, best } in [&one, &all] {
+        let _ = write!(line, "{median:8.0}{best:8.0}{:9.3} ", median / copy.median);
+    }
+    let is_kept = row.promise.is_none_or(|(least, cores)| least <= cores.of(&one, &all).median);
+    if let Some((least, cores)) = row.promise {
+        let _ = write!(line, "{least:5.0} {}", cores.of("a core", "in all"));
+        line += if is_kept { "" } else { ", NOT KEPT" };
+    }
+    println!("{line}");
+    is_kept
+}
+
+/// MB a second.
+struct Speeds {
+    median: f64,
+    best: f64,
+}
+
+fn speeds(size_mb: f64, mut seconds: Vec<f64>) -> Speeds {
+    seconds.sort_by(f64::total_cmp);
+    Speeds { median: size_mb / seconds[seconds.len() / 2], best: size_mb / seconds[0] }
+}
+
+fn timed(work: impl FnOnce()) -> f64 {
+    let start = Instant::now();
+    work();
+    start.elapsed().as_secs_f64()
+}
+
+/// Particles with velocities and identities, none of whose digits repeat.
+fn particles(count: usize) -> ParticleFrame {
+    let number = |index: usize, scale: f32| ((index as f32 * 0.618_034).fract() - 0.5) * scale;
+    let vectors = |scale: f32| -> Vec<[f32; 3]> {
+        (0..count).map(|index| [3 * index, 3 * index + 1, 3 * index + 2].map(|i| number(i, scale))).collect()
+    };
+    let ids = (0..count).filter_map(|index| i32::try_from(index).ok()).collect();
+    let velocity = vectors(7.0).into_flattened();
+    ParticleFrame {
+        positions: Positions::F32(vectors(2.0)),
+        attributes: vec![
+            Attribute {
+                name: "v".into(),
+                arity: 3,
+                role: Some(Role::Velocity),
+                values: Values::F32(velocity),
+            },
+            Attribute { name: "id".into(), arity: 1, role: Some(Role::Id), values: Values::I32(ids) },
+        ],
+        notes: Vec::new(),
+    }
+}
+
+/// Position, velocity and identity of each particle.
+fn rows(frame: &ParticleFrame) -> impl Iterator<Item = ([f32; 6], i32)> {
+    let Positions::F32(positions) = &frame.positions else { unreachable!("made so") };
+    let (Values::F32(velocities), Values::I32(ids)) =
+        (&frame.attributes[0].values, &frame.attributes[1].values)
+    else {
+        unreachable!("made so")
+    };
+    let vectors = positions.iter().zip(velocities.as_chunks::<3>().0);
+    vectors.zip(ids).map(|((&[x, y, z], &[u, v, w]), &id)| ([x, y, z, u, v, w], id))
+}
+
+fn ply_file(frame: &ParticleFrame, encoding: &str) -> Vec<u8> {
+    let count = frame.positions.len();
+    let mut header = format!("ply\nformat {encoding} 1.0\nelement vertex {count}\n");
+    for name in ["x", "y", "z", "vx", "vy", "vz"] {
+        let _ = writeln!(header, "property float {name}");
+    }
+    header += "property int id\nend_header\n";
+    let mut file = header.into_bytes();
+    for (reals, id) in rows(frame) {
+        match encoding {
+            "binary_little_endian" => {
+                file.extend(reals.iter().flat_map(|real| real.to_le_bytes()));
+                file.extend(id.to_le_bytes());
+            }
+            "binary_big_endian" => {
+                file.extend(reals.iter().flat_map(|real| real.to_be_bytes()));
+                file.extend(id.to_be_bytes());
+            }
+            _ => {
+                let [x, y, z, u, v, w] = reals;
+                file.extend(format!("{x} {y} {z} {u} {v} {w} {id}\n").bytes());
+            }
+        }
+    }
+    file
+}
+
+fn bgeo_file(frame: &ParticleFrame) -> Vec<u8> {
+    let mut file = Vec::new();
+    bgeo::write(frame, &mut file).expect("written");
+    file
+}
+
+fn csv_file(frame: &ParticleFrame) -> Vec<u8> {
+    let mut text = String::from("x,y,z,vx,vy,vz,id\n");
+    for ([x, y, z, u, v, w], id) in rows(frame) {
+        let _ = writeln!(text, "{x},{y},{z},{u},{v},{w},{id}");
+    }
+    text.into_bytes()
+}
+
+/// Waves on a square.
+struct HeightField {
+    positions: Vec<[f32; 3]>,
+    normals: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
+}
+
+impl HeightField {
+    fn new(edge: usize) -> HeightField {
+        let place = |index: usize| [index % edge, index / edge].map(|along| along as f32 * 0.013);
+        let vertex = |index| {
+            let [x, y] = place(index);
+            [x, y, 0.3 * (x * 1.7).sin() * (y * 2.3).cos()]
+        };
+        let normal = |index| {
+            let [x, y] = place(index);
+            let slope = [-0.51 * (x * 1.7).cos() * (y * 2.3).cos(), 0.69 * (x * 1.7).sin() * (y * 2.3).sin()];
+            let length = (slope[0] * slope[0] + slope[1] * slope[1] + 1.0).sqrt();
+            [slope[0] / length, slope[1] / length, 1.0 / length]
+        };
+        let corners = |cell: usize| {
+            let first = cell / (edge - 1) * edge + cell % (edge - 1);
+            [first, first + 1, first + edge + 1, first + edge].map(|v| u32::try_from(v).expect("few"))
+        };
+        let count = edge * edge;
+        HeightField {
+            positions: (0..count).map(vertex).collect(),
+            normals: (0..count).map(normal).collect(),
+            triangles: (0..(edge - 1) * (edge - 1))
+                .flat_map(|cell| {
+                    let [a, b, c, d] = corners(cell);
+                    [[a, b, c], [a, c, d]]
+                })
+                .collect(),
+        }
+    }
+
+    fn view(&self) -> MeshView<'_> {
+        MeshView {
+            positions: &self.positions,
+            normals: &self.normals,
+            triangles: &self.triangles,
+            origin: [0.0; 3],
+        }
+    }
+}
+
+/// The narrow band around a sphere.
+struct Ball {
+    origins: Vec<[i32; 3]>,
+    leaves: Vec<[f32; 512]>,
+}
+
+impl Ball {
+    const HALF_WIDTH_VOXELS: f32 = 3.0;
+
+    fn new(radius: f32) -> Ball {
+        let leaf_radius = (radius / 8.0) as i32 + 2;
+        let side = -leaf_radius..leaf_radius;
+        let distance = |voxel: [i32; 3]| {
+            let squares = voxel.map(|c| (c as f32) * (c as f32));
+            (squares[0] + squares[1] + squares[2]).sqrt() - radius
+        };
+        let mut ball = Ball { origins: Vec::new(), leaves: Vec::new() };
+        for x in side.clone() {
+            for (y, z) in side.clone().flat_map(|y| side.clone().map(move |z| (y, z))) {
+                let origin = [x, y, z].map(|c| c * 8);
+                if distance(origin.map(|c| c + 4)).abs() > 10.0 {
+                    continue;
+                }
+                let offsets = (0..8).flat_map(|x| (0..8).flat_map(move |y| (0..8).map(move |z| [x, y, z])));
+                let mut leaf = [0.0; 512];
+                for (value, [dx, dy, dz]) in leaf.iter_mut().zip(offsets) {
+                    *value = distance([origin[0] + dx, origin[1] + dy, origin[2] + dz]);
+                }
+                ball.origins.push(origin);
+                ball.leaves.push(leaf);
+            }
+        }
+        ball.in_tree_order()
+    }
+
+    /// The leaves in the order of the file, as the program has them, too.
+    fn in_tree_order(self) -> Ball {
+        let mut order: Vec<usize> = (0..self.origins.len()).collect();
+        order.sort_by_key(|&index| [12, 7, 3].map(|log2| self.origins[index].map(|c| c >> log2)));
+        Ball {
+            origins: order.iter().map(|&index| self.origins[index]).collect(),
+            leaves: order.iter().map(|&index| self.leaves[index]).collect(),
+        }
+    }
+
+    fn stored_voxel_count(&self) -> usize {
+        let is_active = |value: &f32| value.abs() < Ball::HALF_WIDTH_VOXELS;
+        512 * self.leaves.iter().filter(|leaf| leaf.iter().any(is_active)).count()
+    }
+
+    fn view(&self) -> LevelSetView<'_> {
+        LevelSetView {
+            origins: &self.origins,
+            leaves: &self.leaves,
+            half_width_voxels: Ball::HALF_WIDTH_VOXELS,
+            voxel_size: 0.025,
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! The vertices of a binary PLY file as records that can be read in batches.
+
+use crate::batches::{PositionInRecord, Records};
+use crate::bytes::Endian;
+use crate::data::Positions;
+use crate::error::Result;
+use crate::limits::Limits;
+use crate::scalar::Scalar;
+
+use super::FORMAT;
+use super::binary::{gather_part, scalar_offsets};
+use super::header::{Element, Header};
+use super::read::{Slots, Target, Vertices, fits_f32, note_on_faces, notes, scalar_of, vertices};
+use super::rows::{check_limit, checked_binary_count};
+
+/// Where the vertices of a file of `file_bytes` are; `None` if that cannot be computed: in text, and behind lists.
+///
+/// # Errors
+/// Those of [`super::read`], after the header.
+pub(crate) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
+    let Vertices { element, columns, position } = vertices(header)?;
+    let Some(endian) = header.encoding.endian() else { return Ok(None) };
+    let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
+    if element.has_list() || earlier().any(Element::has_list) {
+        return Ok(None);
+    }
+    let mut at = header.body_offset as u64;
+    for element in earlier() {
+        let count = checked_binary_count(element, at, file_bytes - at)?;
+        at += (count * element.record_size_min()) as u64;
+    }
+    let count = checked_binary_count(element, at, file_bytes - at)?;
+    check_limit(count, limits)?;
+    let (offsets, stride) = scalar_offsets(element);
+    let scalars = position.map(|property| scalar_of(element, property));
+    let mut notes = notes(element, &columns);
+    notes.extend(note_on_faces(header));
+    let columns = PositionColumns { offsets: position.map(|property| offsets[property]), scalars };
+    let position = PositionInRecord::Ply { columns, endian };
+    Ok(Some(Records { format: FORMAT, offset: at, stride, count, position, notes }))
+}
+
+/// Where a position is in a record: bytes from its start, and types.
+#[derive(Clone, Debug)]
+pub(crate) struct PositionColumns {
+    offsets: [usize; 3],
+    scalars: [Scalar; 3],
+}
+
+impl PositionColumns {
+    /// The positions of `count` records.
+    pub(crate) fn gather(
+        &self,
+        records: &[u8],
+        stride: usize,
+        endian: Endian,
+        count: usize,
+        positions: &mut Positions,
+    ) {
+        match (fits_f32(self.scalars), &mut *positions) {
+            (true, Positions::F32(positions)) => positions.resize(count, [0.0; 3]),
+            (true, Positions::F64(_)) => *positions = Positions::F32(vec![[0.0; 3]; count]),
+            (false, Positions::F64(positions)) => positions.resize(count, [0.0; 3]),
+            (false, Positions::F32(_)) => *positions = Positions::F64(vec![[0.0; 3]; count]),
+        }
+        let slots = match positions {
+            Positions::F32(positions) => Slots::F32(positions.as_flattened_mut()),
+            Positions::F64(positions) => Slots::F64(positions.as_flattened_mut()),
+        };
+        let columns = self.scalars.into_iter().enumerate().collect();
+        gather_part(records, stride, &self.offsets, endian, &mut [Target { columns, slots }]);
+    }
+}
