@@ -66,8 +66,7 @@ impl FrameParticles {
     /// Memory that is taken while they wait, in bytes.
     pub(super) fn size_bytes(&self) -> u64 {
         match self {
-            FrameParticles::InMemory(Particles::Single(positions)) => size_of_val(&**positions) as u64,
-            FrameParticles::InMemory(Particles::Double(positions)) => size_of_val(&**positions) as u64,
+            FrameParticles::InMemory(particles) => particles.size_bytes() as u64,
             FrameParticles::OnDisk(_) => 0,
         }
     }

@@ -48,7 +48,7 @@ use crate::particles::ParticleSource;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
 use need::{Need, leaves_of_boxes};
-use region::{EVERYWHERE, Regions, holds};
+use region::Regions;
 use signed_distance::{Below, into_signed_distance, signed_distance};
 use sphere::{Eights, nearest_distances};
 
@@ -107,7 +107,7 @@ pub fn rasterize<S: ParticleSource>(
     lattice: &Lattice,
     radii: Radii,
 ) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(EVERYWHERE, radii);
+    let regions = Regions::new(CoordBox::ALL, radii);
     let occupancy = Occupancy::new(source, lattice)?;
     let measured = measure(source, &occupancy, lattice, radii, &regions)?;
     drop(occupancy);
@@ -188,12 +188,12 @@ fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Reg
         let mut crossings = inside[leaf];
         crossings.remove_all(&inside[leaf].surrounded(faces));
         let voxels = crossings.bounding_box();
-        (!voxels.is_empty() && holds(&regions.crossed, origin))
+        (!voxels.is_empty() && regions.crossed.contains(origin))
             .then(|| (origin, voxels.expanded(radii.band_margin())))
     };
     let surfaces: Vec<(IVec3, CoordBox)> =
         near.origins().par_iter().enumerate().filter_map(surface).collect();
-    leaves_of_boxes(&surfaces, |origin| holds(&regions.swept, origin))
+    leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
 }
 
 /// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
@@ -202,7 +202,7 @@ fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized
     let half_width = radii.half_width();
     let mut phi = signed_distance(&topology, &nearest, radii.init, half_width);
     let is_banded = |leaf: usize| {
-        holds(&regions.banded, topology.origins()[leaf])
+        regions.banded.contains(topology.origins()[leaf])
             && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
@@ -211,7 +211,7 @@ fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized
     let mut lower = signed_distance(&topology, &nearest, radii.max, half_width);
     let mut upper = into_signed_distance(&topology, nearest, radii.min, half_width);
     let own: Vec<usize> =
-        (0..topology.len()).filter(|&leaf| holds(&regions.own, topology.origins()[leaf])).collect();
+        (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
     for field in [&mut phi, &mut lower, &mut upper] {
         keep(field, &own);
     }

@@ -164,7 +164,7 @@ impl Limits {
         let mut along = [[0.0; 8]; 3];
         let zero = V::splat(0.0);
         let (mut of_y, mut of_z) = ([zero; 8], zero);
-        for x in 0..8 {
+        for (x, along_x) in along[0].iter_mut().enumerate() {
             let mut of_x = zero;
             for (y, of_y) in of_y.iter_mut().enumerate() {
                 let row = V::load(squared.row(x * 8 + y));
@@ -172,7 +172,7 @@ impl Limits {
                 *of_y = of_y.max(row);
             }
             of_z = of_z.max(of_x);
-            along[0][x] = greatest(of_x);
+            *along_x = greatest(of_x);
         }
         for (y, of_y) in of_y.into_iter().enumerate() {
             along[1][y] = greatest(of_y);
@@ -214,9 +214,9 @@ fn lower_to_sphere<V: Lanes>(squared: &mut Leaf, limits: &Limits, position: Vec3
     dy.store(&mut along_y);
     for x in Bits(slabs) {
         // All rows of a slab: to pick some takes longer.
-        for y in 0..8 {
+        for (y, along_y) in along_y.iter().enumerate() {
             let row = squared.row_mut((x & 7) * 8 + y);
-            let across = V::splat(along_x[x & 7] + along_y[y]);
+            let across = V::splat(along_x[x & 7] + along_y);
             across.add(dz).min(V::load(row)).store(row);
         }
     }

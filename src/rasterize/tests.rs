@@ -15,7 +15,7 @@ const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 /// The usual radii; some so small that no particle may be left out; larger ones, far apart; all the same; and
 /// such that reach over the next leaf.
 const RADII: [Radii; 5] = [
-    Radii { min: 1.732_050_8, init: 2.598_076_2, max: 3.464_101_6 },
+    Radii { min: 1.732_050_8, init: 2.598_076, max: 3.464_101_6 },
     Radii { min: 1.1, init: 1.3, max: 1.8 },
     Radii { min: 3.0, init: 5.5, max: 9.0 },
     Radii { min: 2.0, init: 2.0, max: 2.0 },

@@ -107,8 +107,9 @@ fn mesh_bytes(settings: &Settings) -> f64 {
 /// Memory for a leaf that holds particles, while it is found out which of them matter.
 const OCCUPIED_LEAF_BYTES: f64 = 700.0;
 
-/// Memory for a particle: where it is sorted, and as a rule kept.
-const PARTICLE_BYTES: f64 = 36.0;
+/// Memory for a particle that matters, and for one while it is sorted.
+const KEPT_PARTICLE_BYTES: f64 = 12.0;
+const SORTED_PARTICLE_BYTES: f64 = 40.0;
 
 fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint);
@@ -117,7 +118,8 @@ fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
         FIELD_BYTES * smoothing_fields(settings) * surface,
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
     ];
-    (stages.into_iter().fold(0.0, f64::max) + PARTICLE_BYTES * particles) as u64
+    let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
+    stages_bytes.max(SORTED_PARTICLE_BYTES * particles) as u64
 }
 
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
@@ -125,7 +127,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> 
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
     let (rasterized, smoothed) = (most(RASTERIZED_HALO_LEAVES), most(HALO_LEAVES));
     // The particles that matter in a tile are near its surface.
-    let particles = PARTICLE_BYTES * particles * (2.0 * rasterized / surface).min(1.0);
+    let particles = SORTED_PARTICLE_BYTES * particles * (2.0 * rasterized / surface).min(1.0);
     let topology = TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
     let stages = [
         FIELD_BYTES * RASTERIZING_FIELDS * rasterized + OCCUPIED_LEAF_BYTES * occupied + particles,
@@ -139,8 +141,8 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> 
 const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
 fn counts(footprint: &Footprint) -> [f64; 4] {
-    let Footprint { surface, area_voxels, occupied_count, particle_count } = footprint;
-    [surface.len(), *area_voxels, *occupied_count, *particle_count].map(|count| count as f64)
+    let Footprint { surface, area_voxels, occupied_count, near_particle_count } = footprint;
+    [surface.len(), *area_voxels, *occupied_count, *near_particle_count].map(|count| count as f64)
 }
 
 /// The number of leaves in the tile, with its halo, that has most of them.
