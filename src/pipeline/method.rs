@@ -86,7 +86,8 @@ impl Method for LevelSetSkinning {
             particles.check_unchanged()?;
             return Ok(Skinned::Whole(rasterized));
         };
-        let storages = (0..SHELF_COUNT).map(|_| ScratchFile::new(scratch)).collect::<io::Result<Vec<_>>>();
+        let storages =
+            (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
         let frame = tiled::rasterize(particles, settings, tile_leaves, storages)?;
         // It will be read once more; but what follows takes a while.
@@ -128,7 +129,7 @@ impl From<TiledError<Cause>> for Cause {
 struct ScratchFile(File);
 
 impl ScratchFile {
-    fn new(folder: &Path) -> io::Result<Box<dyn Storage>> {
+    fn storage(folder: &Path) -> io::Result<Box<dyn Storage>> {
         // Outputs come later: their folder may not be there yet.
         std::fs::create_dir_all(folder)?;
         Ok(Box::new(ScratchFile(tempfile::tempfile_in(folder)?)))

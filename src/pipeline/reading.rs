@@ -1,6 +1,6 @@
 //! From a file to particles.
 
-use std::fs::{self, File};
+use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -62,6 +62,7 @@ pub struct InputFile {
     file: File,
     path: PathBuf,
     stamp: FileStamp,
+    changed: StatusChange,
     /// A pipe has no state that it could be in again, and no places.
     is_regular: bool,
 }
@@ -75,7 +76,8 @@ impl InputFile {
         let file = File::open(path)?;
         let metadata = file.metadata()?;
         let (stamp, is_regular) = (FileStamp::of(&metadata), metadata.is_file());
-        Ok(InputFile { file, path: path.to_owned(), stamp, is_regular })
+        let changed = status_change(&metadata);
+        Ok(InputFile { file, path: path.to_owned(), stamp, changed, is_regular })
     }
 
     /// What the file system said of it when it was opened.
@@ -101,7 +103,9 @@ impl InputFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
             at_name => at_name?,
         };
-        Ok(FileStamp::of(&self.file.metadata()?) == self.stamp && at_name == self.stamp)
+        let metadata = self.file.metadata()?;
+        let is_same = FileStamp::of(&metadata) == self.stamp && status_change(&metadata) == self.changed;
+        Ok(is_same && at_name == self.stamp)
     }
 
     /// The hash of the whole file, the same as of its bytes in memory. It is never there whole: a piece is read
@@ -122,6 +126,20 @@ impl InputFile {
         }
         Ok(hasher.finish_128())
     }
+}
+
+/// When the system last noted a change of the file, which nobody can set back, as the time of writing can be.
+type StatusChange = Option<(i64, i64)>;
+
+#[cfg(unix)]
+fn status_change(metadata: &Metadata) -> StatusChange {
+    use std::os::unix::fs::MetadataExt;
+    Some((metadata.ctime(), metadata.ctime_nsec()))
+}
+
+#[cfg(not(unix))]
+fn status_change(_metadata: &Metadata) -> StatusChange {
+    None
 }
 
 impl ReadAt for InputFile {
@@ -209,6 +227,17 @@ mod tests {
             fs::write(&path, "TEXT").expect("written");
             File::options().write(true).open(&path).expect("there").set_modified(later).expect("set");
         };
+        #[cfg(unix)]
+        let write_unseen = || {
+            let modified = fs::metadata(&path).expect("there").modified().expect("a time");
+            // Until the clock of the file system goes on, a change has the time of the one before.
+            let changed = || status_change(&fs::metadata(&path).expect("there"));
+            let before = changed();
+            while changed() == before {
+                fs::write(&path, "TEXT").expect("written");
+            }
+            File::options().write(true).open(&path).expect("there").set_modified(modified).expect("set");
+        };
         let replace = || {
             let modified = fs::metadata(&path).expect("there").modified().expect("a time");
             fs::write(&other, "text").expect("written");
@@ -216,9 +245,17 @@ mod tests {
             fs::rename(&other, &path).expect("renamed");
         };
         let shorten = || File::options().write(true).open(&path).expect("there").set_len(1).expect("cut");
-        let meddles: [&dyn Fn(); 5] =
-            [&append, &write_again, &replace, &shorten, &|| fs::remove_file(&path).expect("removed")];
-        for (index, meddle) in meddles.into_iter().enumerate() {
+        let remove = || fs::remove_file(&path).expect("removed");
+        let meddles: &[&dyn Fn()] = &[
+            &append,
+            &write_again,
+            #[cfg(unix)]
+            &write_unseen,
+            &replace,
+            &shorten,
+            &remove,
+        ];
+        for (index, meddle) in meddles.iter().enumerate() {
             write();
             assert_eq!(read_while(&path, meddle), None, "case {index}");
         }

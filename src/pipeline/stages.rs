@@ -322,9 +322,15 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     ) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let (method, frame, allowed_bytes) = (self.method, frame.clone(), self.conduct.memory_bytes);
         let planned = self.crew.run(number, move || {
-            let (particles, notes) = parse()?;
+            let (particles, mut notes) = parse()?;
             let plan = method.plan(&particles, &frame.settings, allowed_bytes);
             let plan = plan.map_err(|cause| FrameError::of_stage(&frame.input, Stage::Read, cause))?;
+            if plan.tile_leaves.is_some() {
+                let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);
+                notes.push(format!(
+                    "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB (--memory)"
+                ));
+            }
             Ok((Read { particles, plan }, notes))
         });
         let (read, notes) = planned.map_err(outcome_of)?;

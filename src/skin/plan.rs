@@ -20,6 +20,8 @@ pub struct Plan {
     pub memory_bytes: u64,
     /// The edge of its tiles in leaves; `None` to have it in memory whole.
     pub tile_leaves: Option<i32>,
+    /// What it would take in memory whole, in bytes.
+    pub whole_bytes: u64,
 }
 
 /// A frame does not fit into the memory that it may take.
@@ -35,12 +37,12 @@ pub struct TooLarge {
 
 impl fmt::Display for TooLarge {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
+        let mebibytes = |bytes: u64| bytes.div_ceil(MEBIBYTE);
         write!(
             f,
             "the frame needs {} MiB of memory, and may take {} MiB: allow more (--memory), or choose a larger voxel size",
             mebibytes(self.least_bytes),
-            mebibytes(self.allowed_bytes)
+            self.allowed_bytes / MEBIBYTE
         )?;
         if self.is_coupled {
             f.write_str("; the implicit integrator couples all voxels, any other can do with less")?;
@@ -50,6 +52,8 @@ impl fmt::Display for TooLarge {
 }
 
 impl std::error::Error for TooLarge {}
+
+const MEBIBYTE: u64 = 1 << 20;
 
 /// Edges of tiles in leaves, the largest first: the smaller they are, the more of the work is done twice.
 const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
@@ -67,7 +71,7 @@ pub fn plan<S: ParticleSource>(
     let footprint = rasterize::footprint(source, &lattice(settings), radii(settings))?;
     let whole = whole_bytes(&footprint, settings);
     if whole <= allowed_bytes {
-        return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None }));
+        return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
     }
     if settings.integrator == Integrator::Implicit {
         return Ok(Err(TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true }));
@@ -76,7 +80,8 @@ pub fn plan<S: ParticleSource>(
     for tile_leaves in TILE_EDGES {
         let memory_bytes = tiled_bytes(&footprint, settings, tile_leaves);
         if memory_bytes <= allowed_bytes {
-            return Ok(Ok(Plan { memory_bytes, tile_leaves: Some(tile_leaves) }));
+            let tile_leaves = Some(tile_leaves);
+            return Ok(Ok(Plan { memory_bytes, tile_leaves, whole_bytes: whole }));
         }
         least_bytes = least_bytes.min(memory_bytes);
     }
@@ -99,7 +104,7 @@ fn smoothing_fields(settings: &Settings) -> f64 {
 fn mesh_bytes(settings: &Settings) -> f64 {
     match settings.contouring {
         Contouring::Dual => 80.0,
-        Contouring::Tetrahedra => 250.0,
+        Contouring::Tetrahedra => 300.0,
     }
 }
 

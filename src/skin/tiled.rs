@@ -158,9 +158,10 @@ fn bound_violations(shelves: &Shelves, tiling: &Tiling) -> io::Result<usize> {
     for run in tiling.all_places() {
         // A long run is taken in parts: what is in memory at a time is a few MiB.
         for first in run.clone().step_by(RUN_LEAVES) {
-            let places = [first..run.end.min(first + RUN_LEAVES)];
-            let [lower, upper] = shelves.read_bounds(&places)?;
-            count += Bounds { lower, upper }.violation_count(&shelves.read(0, &places)?);
+            let part = first..run.end.min(first + RUN_LEAVES);
+            let places = std::slice::from_ref(&part);
+            let [lower, upper] = shelves.read_bounds(places)?;
+            count += Bounds { lower, upper }.violation_count(&shelves.read(0, places)?);
         }
     }
     Ok(count)

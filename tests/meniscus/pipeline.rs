@@ -51,7 +51,7 @@ impl Method for Quick {
         _settings: &Settings,
         _allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
-        Ok(Plan { memory_bytes: 1 << 20, tile_leaves: None })
+        Ok(Plan { memory_bytes: 1 << 20, tile_leaves: None, whole_bytes: 0 })
     }
 
     fn rasterize(

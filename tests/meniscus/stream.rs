@@ -35,7 +35,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         _settings: &Settings,
         _allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
-        Ok(Plan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None })
+        Ok(Plan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None, whole_bytes: 0 })
     }
 
     fn rasterize(
