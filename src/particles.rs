@@ -1,4 +1,15 @@
-//! What the method needs of the particles.
+//! What the method needs of the particles: their positions, batch by batch, more than once.
+//!
+//! ```text
+//!   batch 0            batch 1            batch 2
+//!   p p p p p p p p    p p p p p p p p    p p p            each can be had by itself, on any thread
+//! ```
+//!
+//! Most particles lie deep inside and are looked at, but never kept. So nobody needs all of them at once,
+//! and a [`ParticleSource`] may as well be a file that is larger than the memory.
+
+use std::borrow::Cow;
+use std::convert::Infallible;
 
 use glam::DVec3;
 
@@ -9,6 +20,31 @@ pub enum Particles {
     Single(Vec<[f32; 3]>),
     /// 64-bit positions.
     Double(Vec<[f64; 3]>),
+}
+
+/// Particles that can be gone through more than once, in batches.
+pub trait ParticleSource: Sync {
+    /// Why a batch cannot be had. [`Infallible`] for what is in memory.
+    type Error: Send;
+
+    /// The number of batches.
+    fn batch_count(&self) -> usize;
+
+    /// The positions of a batch: the same whenever they are asked for. Some ten thousand are a good size: few
+    /// enough for a processor's own cache, and many enough to be worth sorting.
+    ///
+    /// # Errors
+    /// Whatever keeps the source from having them.
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error>;
+}
+
+/// The positions of a batch in world units, in the precision they came in.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Positions<'a> {
+    /// 32-bit positions.
+    Single(Cow<'a, [[f32; 3]]>),
+    /// 64-bit positions.
+    Double(Cow<'a, [[f64; 3]]>),
 }
 
 impl Particles {
@@ -31,5 +67,24 @@ impl Particles {
             Particles::Single(positions) => glam::Vec3::from(positions[index]).as_dvec3(),
             Particles::Double(positions) => DVec3::from(positions[index]),
         }
+    }
+}
+
+/// Particles in a batch of what is in memory.
+const BATCH: usize = 1 << 14;
+
+impl ParticleSource for Particles {
+    type Error = Infallible;
+
+    fn batch_count(&self) -> usize {
+        self.len().div_ceil(BATCH)
+    }
+
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
+        let range = batch * BATCH..self.len().min((batch + 1) * BATCH);
+        Ok(match self {
+            Particles::Single(positions) => Positions::Single(Cow::Borrowed(&positions[range])),
+            Particles::Double(positions) => Positions::Double(Cow::Borrowed(&positions[range])),
+        })
     }
 }

@@ -65,9 +65,8 @@ pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
 /// The most memory that the three stages take for these particles, in bytes: never much less than they do,
 /// and up to half as much again. It looks at each particle once.
 pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 {
-    let leaves = rasterize::footprint(particles, &lattice(settings), radii(settings));
-    let [reached, surface, area] =
-        [leaves.reached_count, leaves.surface_count, leaves.area_voxels].map(|count| count as f64);
+    let Ok(leaves) = rasterize::footprint(particles, &lattice(settings), radii(settings));
+    let [surface, area] = [leaves.surface_count, leaves.area_voxels].map(|count| count as f64);
     // Fields that there are at once; and bytes of the mesh, of what measures it and of what makes it, for
     // each face of a voxel that the surface is as large as. Measured on blocks, sheets and spray.
     let smoothing_fields = match settings.integrator {
@@ -75,14 +74,13 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
         Integrator::Implicit => 9.2,
     };
     let mesh_bytes = match settings.contouring {
-        Contouring::Dual => 165.0,
-        Contouring::Tetrahedra => 480.0,
+        Contouring::Dual => 80.0,
+        Contouring::Tetrahedra => 250.0,
     };
     let field_bytes = size_of::<Leaf>() as f64;
     let stages = [
-        // Distances to particles, while they are collected; and then with the first surface and its bounds.
-        3.2 * field_bytes * reached,
-        field_bytes * (reached + 7.4 * surface),
+        // The first surface, its bounds, and what they are swept in.
+        field_bytes * 5.2 * surface,
         field_bytes * smoothing_fields * surface,
         field_bytes * 4.0 * surface + mesh_bytes * area,
     ];
@@ -95,10 +93,10 @@ pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 
 /// The first stage: particles to level sets.
 pub fn rasterize(particles: &Particles, settings: &Settings) -> Rasterized {
     let started = Instant::now();
-    let bins = ParticleBins::new(particles, &lattice(settings));
-    let (band, bounds) = rasterize::rasterize(&bins, radii(settings));
+    let Ok(rasterized) = rasterize::rasterize(particles, &lattice(settings), radii(settings));
+    let rasterize::Rasterized { bins, band, bounds } = rasterized;
     let mut report = SkinReport {
-        particle_count: bins.len(),
+        particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
         leaf_count: band.topology.len(),
         ..SkinReport::default()

@@ -42,6 +42,14 @@ impl CoordBox {
     /// The box that holds nothing.
     pub const EMPTY: CoordBox = CoordBox { min: IVec3::MAX, max: IVec3::MIN };
 
+    /// The box that holds every voxel.
+    pub const ALL: CoordBox = CoordBox { min: IVec3::MIN, max: IVec3::MAX };
+
+    /// Whether a voxel is in the box.
+    pub fn contains(&self, coord: IVec3) -> bool {
+        coord.cmpge(self.min).all() && coord.cmple(self.max).all()
+    }
+
     /// Grows the box to hold `coord`.
     pub fn include(&mut self, coord: IVec3) {
         self.min = self.min.min(coord);

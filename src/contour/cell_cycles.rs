@@ -37,6 +37,7 @@ pub(super) struct CellCycles {
 }
 
 /// The cycles of a cell whose inside corners are the bits of `signs`.
+#[inline(always)]
 pub(super) fn cell_cycles(signs: u8) -> &'static CellCycles {
     static TABLE: LazyLock<[CellCycles; 256]> =
         LazyLock::new(|| std::array::from_fn(|signs| trace_cycles(signs as u8)));

@@ -46,335 +46,326 @@
 //! Gregory M. Nielson. Dual Marching Cubes. 2004
 //! Scott Schaefer, Tao Ju, Joe Warren. Manifold Dual Contouring. 2007
 
-use glam::{DVec3, IVec3, Vec3};
+use glam::{IVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::FxHashSet;
 
-use super::cell_cycles::{CellCycles, cell_cycles, corner_bit};
-use super::cell_vertex::CellSamples;
-use super::neighborhood::{Block, Neighborhood, SignRows, inside_masks};
+use super::cell_cycles::cell_cycles;
+use super::cell_vertex::{CellSamples, VertexBatch, Vertices};
+use super::neighborhood::{Block, Neighborhood, SignRows};
 use super::normals::unit_or_zero;
-use super::{Placement, concatenate, prefix_sums};
-use crate::grid::{LEAF_VOXELS, offset_in_leaf};
+use super::quads::Quads;
+use super::ring::{Ring, joined_segments, segment_key};
+use super::{Placement, split};
+use crate::grid::{LeafMask, negative_masks, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::simd::{Kernel, Lanes, dispatch};
 
 /// The dual mesh of φ = 0. A normal is zero where φ does not give one.
 pub(super) fn dual_contour(band: &NarrowBand, placement: &Placement) -> Mesh {
-    let masks = inside_masks(&band.phi);
-    let mut patches: Vec<Patch> = (0..band.topology.len())
-        .into_par_iter()
-        .filter_map(|leaf| {
-            let neighborhood = Neighborhood::new(&band.topology, leaf);
-            let rows = SignRows::new(&neighborhood, &masks);
-            let any = rows.crossed_cells().next().is_some();
-            any.then(|| Patch::new(band, placement, leaf, neighborhood, rows))
-        })
-        .collect();
-    let joined_leaves: FxHashSet<u32> =
-        patches.iter().filter(|patch| !patch.on_faces.is_empty()).map(|patch| patch.leaf as u32).collect();
-    if !joined_leaves.is_empty() {
-        patches
-            .par_iter_mut()
-            .filter(|patch| patch.neighborhood.leaves().iter().any(|leaf| joined_leaves.contains(leaf)))
-            .for_each(|patch| patch.push_edge_points(band, placement));
-    }
-    let first_vertices = prefix_sums(patches.iter().map(|patch| patch.positions.len()));
-    let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
-    for (index, patch) in patches.iter().enumerate() {
-        patch_of_leaf[patch.leaf] = index as u32;
-    }
-    let positions = concatenate(patches.iter().map(|patch| &patch.positions));
-    let normals = concatenate(patches.iter().map(|patch| &patch.normals));
-    let surface = Surface { patches: &patches, patch_of_leaf, first_vertices, positions: &positions };
-    let triangles: Vec<Vec<[u32; 3]>> =
-        (0..patches.len()).into_par_iter().map(|patch| surface.triangles(patch)).collect();
-    let triangles = concatenate(triangles.iter());
+    let plan = Plan::new(band);
+    let mut positions = bytemuck::zeroed_vec(plan.vertex_count);
+    let mut normals = bytemuck::zeroed_vec(plan.vertex_count);
+    let mut locals = bytemuck::zeroed_vec(plan.vertex_count);
+    let vertices = |patch: &Patch| patch.vertex_count();
+    let places = plan.split(&mut positions, vertices).into_par_iter();
+    let places = places.zip(plan.split(&mut normals, vertices)).zip(plan.split(&mut locals, vertices));
+    places.zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(
+        |(((positions, normals), locals), patches)| {
+            dispatch(PatchVertices { band, placement, plan: &plan, patches, locals, positions, normals });
+        },
+    );
+    let mut triangles = bytemuck::zeroed_vec(plan.triangle_count);
+    let quads =
+        Quads { plan: &plan, on_faces: plan.vertices_on_faces(), locals: &locals, positions: &positions };
+    let places = plan.split(&mut triangles, |patch| usize::from(patch.triangle_count));
+    places.into_par_iter().zip(plan.patches.par_chunks(PATCHES_AT_ONCE)).for_each(|(triangles, patches)| {
+        dispatch(PatchTriangles { quads: &quads, patches, triangles });
+    });
     Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 
 /// In place of a patch's index: the leaf has no surface.
 const NO_PATCH: u32 = u32::MAX;
 
-/// The vertices of one leaf.
-struct Patch {
-    leaf: usize,
-    neighborhood: Neighborhood,
-    rows: SignRows,
-    /// For each crossed cell the vertex of its first cycle; the others follow it.
-    first_in_cell: Box<[u16; LEAF_VOXELS]>,
-    /// Vertices in the middle of segments, by [`segment_key`].
-    on_faces: Vec<(u16, u16)>,
-    /// The first of the vertices on edges; they follow in the order of the edges.
-    first_on_edges: u16,
-    /// Of the vertices in cells: their places relative to the cell.
-    in_cells: Vec<Vec3>,
-    positions: Vec<Vec3>,
-    normals: Vec<Vec3>,
+/// Patches in a piece of work.
+const PATCHES_AT_ONCE: usize = 16;
+
+/// What a leaf adds to the mesh, known from signs alone.
+pub(super) struct Patch {
+    pub(super) leaf: u32,
+    pub(super) neighborhood: Neighborhood,
+    /// The place of its vertices in the mesh.
+    pub(super) first_vertex: u32,
+    /// For each row of cells the first of their vertices, from the patch's first; and where the last one ends.
+    /// The vertices on faces follow, and then those on edges.
+    pub(super) row_starts: [u16; 65],
+    pub(super) on_faces_count: u16,
+    pub(super) on_edges_count: u16,
+    pub(super) triangle_count: u16,
 }
 
 impl Patch {
-    fn new(
-        band: &NarrowBand,
-        placement: &Placement,
-        leaf: usize,
-        neighborhood: Neighborhood,
-        rows: SignRows,
-    ) -> Patch {
-        let block = Block::new(&neighborhood, &band.phi, band.half_width);
-        let origin = band.topology.origins()[leaf];
-        let mut first_in_cell = Box::new([0; LEAF_VOXELS]);
-        let mut on_faces = Vec::new();
-        let mut in_cells = Vec::with_capacity(128);
-        let mut positions = Vec::with_capacity(128);
-        let mut normals = Vec::with_capacity(128);
-        let mut push = |cell: IVec3, samples: &CellSamples, local: Vec3| -> u16 {
-            positions.push(placement.position(origin + cell, local));
-            normals.push(unit_or_zero(samples.gradient(local)));
-            (positions.len() - 1) as u16
-        };
-        let mut count = 0;
-        rows.crossed_cells().for_each(|cell| {
-            let samples = CellSamples::new(&block, Block::index(cell));
-            let cycles = cycles_at(&rows, cell);
-            first_in_cell[offset_in_leaf(cell)] = count;
-            for &edges in &cycles.edges[..cycles.count] {
-                let local = samples.vertex(edges);
-                in_cells.push(local);
-                count = push(cell, &samples, local) + 1;
-            }
-        });
-        let has_joined_face = |cell: &IVec3| cycles_at(&rows, *cell).joined_faces != 0;
-        rows.crossed_cells().filter(has_joined_face).for_each(|cell| {
-            for axis in (0..3).filter(|&axis| is_joined(&rows, cell, axis)) {
-                let samples = CellSamples::new(&block, Block::index(cell));
-                for corner in inside_corners(rows.cell_signs(cell), axis) {
-                    let key = segment_key(cell, axis, corner);
-                    count = push(cell, &samples, samples.segment_middle(axis, corner)) + 1;
-                    on_faces.push((key, count - 1));
-                }
-            }
-        });
-        let first_on_edges = count;
-        Patch {
-            leaf,
+    /// The patch of a leaf that the surface crosses, its vertices on edges not yet counted.
+    #[inline(always)]
+    fn new(leaf: usize, neighborhood: Neighborhood, inside_masks: &[LeafMask]) -> Option<Patch> {
+        let rows = SignRows::new(&neighborhood, inside_masks);
+        let crossed = rows.crossed_cells();
+        if crossed.is_empty() {
+            return None;
+        }
+        let mut row_starts = [0; 65];
+        let mut any_joined = 0;
+        for offset in crossed.iter() {
+            let cycles = cell_cycles(rows.cell_signs(voxel_in_leaf(offset)));
+            row_starts[offset / 8 + 1] += cycles.count as u16;
+            any_joined |= cycles.joined_faces;
+        }
+        for row in 0..64 {
+            row_starts[row + 1] += row_starts[row];
+        }
+        let on_faces_count = if any_joined == 0 { 0 } else { joined_segments(&rows).count() };
+        let edge_count: u32 = (0..3).map(|axis| rows.crossed_edges(axis).count()).sum();
+        Some(Patch {
+            leaf: leaf as u32,
             neighborhood,
-            rows,
-            first_in_cell,
-            on_faces,
-            first_on_edges,
-            in_cells,
-            positions,
-            normals,
-        }
+            first_vertex: 0,
+            row_starts,
+            on_faces_count: on_faces_count as u16,
+            on_edges_count: 0,
+            triangle_count: 2 * edge_count as u16,
+        })
     }
 
-    /// Adds the vertices on the leaf's own edges whose quads have vertices on their sides.
-    fn push_edge_points(&mut self, band: &NarrowBand, placement: &Placement) {
-        let block = Block::new(&self.neighborhood, &band.phi, band.half_width);
-        let origin = band.topology.origins()[self.leaf];
-        for axis in 0..3 {
-            for voxel in self.rows.crossed_edges(axis) {
-                if Ring::new(&self.rows, voxel, axis).has_joined_side() {
-                    let samples = CellSamples::new(&block, Block::index(voxel));
-                    let local = samples.edge_point(axis);
-                    self.positions.push(placement.position(origin + voxel, local));
-                    self.normals.push(unit_or_zero(samples.gradient(local)));
-                }
-            }
-        }
+    fn vertex_count(&self) -> usize {
+        usize::from(self.row_starts[64]) + usize::from(self.on_faces_count) + usize::from(self.on_edges_count)
+    }
+
+    /// The first of the vertices on faces, in the mesh.
+    fn first_on_faces(&self) -> u32 {
+        self.first_vertex + u32::from(self.row_starts[64])
+    }
+
+    /// The first of the vertices on edges, in the mesh.
+    pub(super) fn first_on_edges(&self) -> u32 {
+        self.first_on_faces() + u32::from(self.on_faces_count)
     }
 }
 
-fn cycles_at(rows: &SignRows, cell: IVec3) -> &'static CellCycles {
-    cell_cycles(rows.cell_signs(cell))
-}
-
-/// Whether both segments of the face that `cell` shares with the cell before it along `axis` belong
-/// to one cycle on either side.
-fn is_joined(rows: &SignRows, cell: IVec3, axis: usize) -> bool {
-    let is_joined_at =
-        |cell: IVec3, side: usize| cycles_at(rows, cell).joined_faces >> (2 * axis + side) & 1 == 1;
-    is_joined_at(cell, 0) && is_joined_at(cell - IVec3::AXES[axis], 1)
-}
-
-/// The inside corners of a cell on its near face along `axis`, as places on the two axes after it.
-fn inside_corners(signs: u8, axis: usize) -> impl Iterator<Item = [usize; 2]> {
-    let (b, c) = (corner_bit((axis + 1) % 3), corner_bit((axis + 2) % 3));
-    [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter().filter(move |[i, j]| signs >> (i * b + j * c) & 1 == 1)
-}
-
-/// Names a segment of an ambiguous face in its leaf: the face by its first voxel and its normal, the
-/// segment by the inside corner that it cuts off (the two differ on both axes: one will do).
-fn segment_key(first_voxel: IVec3, normal_axis: usize, corner: [usize; 2]) -> u16 {
-    (offset_in_leaf(first_voxel) * 8 + normal_axis * 2 + corner[0]) as u16
-}
-
-/// The four cells around a crossed edge, counter-clockwise as seen from its end.
-///
-/// ```text
-///        c             a: the edge's axis, towards the reader
-///    1   │   0         b, c: the axes after it
-///   ─────┼───── b      side k: the face between cell k and cell k + 1
-///    2   │   3
-/// ```
-struct Ring {
-    axis: usize,
-    cells: [IVec3; 4],
-    /// In each cell the cycle that goes through the edge.
-    cycles: [u8; 4],
-    /// Bit k: side k is joined, see [`is_joined`].
-    joined_sides: u8,
-}
-
-/// Where in each cell of a ring the edge is, as `2b + c`.
-const RING_PLACES: [usize; 4] = [0, 2, 3, 1];
-
-/// For each side of a ring which of the two axes is normal to it, and the cell on its far side: the
-/// one whose first voxel is also the face's.
-const RING_SIDES: [(usize, usize); 4] = [(1, 0), (2, 1), (1, 3), (2, 0)];
-
-impl Ring {
-    fn new(rows: &SignRows, start: IVec3, axis: usize) -> Ring {
-        let (b, c) = (IVec3::AXES[(axis + 1) % 3], IVec3::AXES[(axis + 2) % 3]);
-        let cells = [start, start - b, start - b - c, start - c];
-        let around: [&CellCycles; 4] = std::array::from_fn(|k| cycles_at(rows, cells[k]));
-        let cycles = std::array::from_fn(|k| around[k].of_edge[axis * 4 + RING_PLACES[k]]);
-        let mut joined_sides = 0;
-        if around.iter().any(|cycles| cycles.joined_faces != 0) {
-            for (side, (turn, far)) in RING_SIDES.into_iter().enumerate() {
-                let normal_axis = (axis + turn) % 3;
-                let near = if far == side { (side + 1) % 4 } else { side };
-                let is_joined = around[far].joined_faces >> (2 * normal_axis)
-                    & around[near].joined_faces >> (2 * normal_axis + 1)
-                    & 1;
-                joined_sides |= is_joined << side;
-            }
-        }
-        Ring { axis, cells, cycles, joined_sides }
-    }
-
-    fn has_joined_side(&self) -> bool {
-        self.joined_sides != 0
-    }
-}
-
-/// All patches, with what is needed to name each other's vertices.
-struct Surface<'a> {
-    patches: &'a [Patch],
+/// How the mesh is laid out: all that is known before the first vertex is found.
+pub(super) struct Plan {
+    pub(super) inside_masks: Vec<LeafMask>,
+    /// In the topology's order.
+    pub(super) patches: Vec<Patch>,
     /// For each leaf its patch, or [`NO_PATCH`].
     patch_of_leaf: Vec<u32>,
-    /// For each patch the place of its vertices in the mesh.
-    first_vertices: Vec<u32>,
-    positions: &'a [Vec3],
+    vertex_count: usize,
+    triangle_count: usize,
 }
 
-impl Surface<'_> {
-    /// The triangles around the crossed edges that start in a patch's leaf.
-    fn triangles(&self, patch_index: usize) -> Vec<[u32; 3]> {
-        let patch = &self.patches[patch_index];
-        let mut next_on_edge = self.first_vertices[patch_index] + u32::from(patch.first_on_edges);
-        let mut triangles = Vec::with_capacity(256);
-        for axis in 0..3 {
-            patch.rows.crossed_edges(axis).for_each(|start| {
-                let ring = Ring::new(&patch.rows, start, axis);
-                let is_start_inside = patch.rows.is_inside(start);
-                let [p, q, r, s] = [0, 1, 2, 3].map(|k| self.cell_vertex(patch, &ring, k));
-                let corners = [p.0, q.0, r.0, s.0];
-                let begin = triangles.len();
-                if ring.has_joined_side() {
-                    let inside_end = if is_start_inside { start } else { start + IVec3::AXES[axis] };
-                    let rim = self.subdivided(patch, &ring, corners, inside_end);
-                    let pairs = (0..rim.len()).map(|k| (rim[k], rim[(k + 1) % rim.len()]));
-                    triangles.extend(pairs.map(|(one, other)| [next_on_edge, one, other]));
-                    next_on_edge += 1;
-                } else {
-                    let rounded = |k: usize| self.positions[corners[k] as usize].as_dvec3();
-                    for [a, b, c] in cut([p.1, q.1, r.1, s.1], axis, rounded) {
-                        triangles.push([corners[a], corners[b], corners[c]]);
+impl Plan {
+    fn new(band: &NarrowBand) -> Plan {
+        let inside_masks = negative_masks(&band.phi);
+        let patch = |leaf: usize| {
+            let neighborhood = Neighborhood::new(&band.topology, leaf);
+            let may_have_surface = neighborhood.may_have_surface(&inside_masks);
+            may_have_surface.then(|| dispatch(NewPatch(leaf, neighborhood, &inside_masks))).flatten()
+        };
+        let patches: Vec<Patch> = (0..band.topology.len()).into_par_iter().filter_map(patch).collect();
+        let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
+        for (index, patch) in patches.iter().enumerate() {
+            patch_of_leaf[patch.leaf as usize] = index as u32;
+        }
+        let mut plan = Plan { inside_masks, patches, patch_of_leaf, vertex_count: 0, triangle_count: 0 };
+        plan.count_vertices_on_edges();
+        for patch in &mut plan.patches {
+            patch.first_vertex = plan.vertex_count as u32;
+            plan.vertex_count += patch.vertex_count();
+            plan.triangle_count += usize::from(patch.triangle_count);
+        }
+        assert!(plan.vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+        plan
+    }
+
+    /// The patch of a leaf that has surface.
+    #[inline(always)]
+    pub(super) fn patch(&self, leaf: u32) -> &Patch {
+        &self.patches[self.patch_of_leaf[leaf as usize] as usize]
+    }
+
+    /// Adds what a quad with vertices on its sides has more than others: one on its edge, and two triangles or
+    /// more. There are few, and only beside leaves that have vertices on faces.
+    fn count_vertices_on_edges(&mut self) {
+        if self.patches.iter().all(|patch| patch.on_faces_count == 0) {
+            return;
+        }
+        let has_any = |&leaf: &u32| {
+            let patch =
+                self.patch_of_leaf.get(leaf as usize).and_then(|&patch| self.patches.get(patch as usize));
+            patch.is_some_and(|patch| patch.on_faces_count > 0)
+        };
+        let added = |(index, patch): (usize, &Patch)| {
+            let is_near = patch.neighborhood.leaves().iter().any(has_any);
+            let rows = is_near.then(|| SignRows::new(&patch.neighborhood, &self.inside_masks))?;
+            let sides = joined_rings(&rows).map(|(_, ring)| ring.joined_sides.count_ones() as u16);
+            let (count, triangles) = sides.fold((0, 0), |(count, sum), sides| (count + 1, sum + 2 + sides));
+            (count > 0).then_some((index, count, triangles))
+        };
+        let added: Vec<(usize, u16, u16)> = self.patches.par_iter().enumerate().filter_map(added).collect();
+        for (index, count, triangles) in added {
+            self.patches[index].on_edges_count = count;
+            self.patches[index].triangle_count += triangles;
+        }
+    }
+
+    /// The vertices on faces: their leaf, their [`segment_key`] there, and their place in the mesh, in order.
+    fn vertices_on_faces(&self) -> Vec<(u32, u16, u32)> {
+        let patches = self.patches.par_iter().filter(|patch| patch.on_faces_count > 0);
+        let vertices = patches.flat_map_iter(|patch| {
+            let rows = SignRows::new(&patch.neighborhood, &self.inside_masks);
+            let segments: Vec<_> = joined_segments(&rows).collect();
+            let keys = segments.into_iter().map(|(cell, axis, corner)| segment_key(cell, axis, corner));
+            keys.zip(patch.first_on_faces()..).map(|(key, vertex)| (patch.leaf, key, vertex))
+        });
+        vertices.collect()
+    }
+
+    /// Cuts what belongs to all patches, so many items for each, into the parts of pieces of work.
+    fn split<'a, T>(&self, whole: &'a mut [T], count: impl Fn(&Patch) -> usize) -> Vec<&'a mut [T]> {
+        split(whole, self.patches.chunks(PATCHES_AT_ONCE).map(|patches| patches.iter().map(&count).sum()))
+    }
+}
+
+/// The rings that have vertices on their sides, around edges that start in a leaf: the edges' first voxels, and
+/// the rings, in order.
+fn joined_rings(rows: &SignRows) -> impl Iterator<Item = (IVec3, Ring)> + '_ {
+    let edges = (0..3).flat_map(|axis| {
+        let edges: Vec<usize> = rows.crossed_edges(axis).iter().collect();
+        edges.into_iter().map(move |offset| (voxel_in_leaf(offset), axis))
+    });
+    edges
+        .map(|(start, axis)| (start, Ring::new(rows, start, axis)))
+        .filter(|(_, ring)| ring.joined_sides != 0)
+}
+
+/// Makes a patch.
+struct NewPatch<'a>(usize, Neighborhood, &'a [LeafMask]);
+
+impl Kernel for NewPatch<'_> {
+    type Output = Option<Patch>;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Option<Patch> {
+        Patch::new(self.0, self.1, self.2)
+    }
+}
+
+/// Finds the vertices of patches.
+struct PatchVertices<'a> {
+    band: &'a NarrowBand,
+    placement: &'a Placement,
+    plan: &'a Plan,
+    patches: &'a [Patch],
+    /// Places relative to the cells.
+    locals: &'a mut [Vec3],
+    positions: &'a mut [Vec3],
+    normals: &'a mut [Vec3],
+}
+
+impl Kernel for PatchVertices<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(mut self) {
+        let mut batch = VertexBatch::new();
+        let mut block = Block::new(self.band.half_width);
+        let mut done = 0;
+        for patch in self.patches {
+            let rows = SignRows::new(&patch.neighborhood, &self.plan.inside_masks);
+            block.fill(&patch.neighborhood, &self.band.phi);
+            let origin = self.band.topology.origins()[patch.leaf as usize];
+            for offset in rows.crossed_cells().iter() {
+                let cell = voxel_in_leaf(offset);
+                let cycles = cell_cycles(rows.cell_signs(cell));
+                for &edges in &cycles.edges[..cycles.count] {
+                    batch.push(&block, Block::index(cell), origin + cell, edges);
+                    if batch.is_full() {
+                        self.find(&mut batch, &mut done);
                     }
                 }
-                if !is_start_inside {
-                    triangles[begin..].iter_mut().for_each(|triangle| triangle.swap(1, 2));
-                }
-            });
-        }
-        triangles
-    }
-
-    /// The vertex of cell k of a ring, and its place relative to the edge's first voxel.
-    fn cell_vertex(&self, patch: &Patch, ring: &Ring, k: usize) -> (u32, Vec3) {
-        let (owner, voxel) = self.owner(patch, ring.cells[k]);
-        let in_patch = self.patches[owner].first_in_cell[offset_in_leaf(voxel)] + u16::from(ring.cycles[k]);
-        let local = self.patches[owner].in_cells[usize::from(in_patch)];
-        let place = (ring.cells[k] - ring.cells[0]).as_vec3() + local;
-        (self.first_vertices[owner] + u32::from(in_patch), place)
-    }
-
-    /// The corners of a ring's quad with the vertices on its joined sides between them.
-    fn subdivided(&self, patch: &Patch, ring: &Ring, corners: [u32; 4], inside_end: IVec3) -> Vec<u32> {
-        let mut rim = Vec::with_capacity(8);
-        for (side, (turn, far)) in RING_SIDES.into_iter().enumerate() {
-            rim.push(corners[side]);
-            if ring.joined_sides >> side & 1 == 1 {
-                let normal_axis = (ring.axis + turn) % 3;
-                let corner = (inside_end - ring.cells[far]).to_array();
-                let corner = [1, 2].map(|turn| corner[(normal_axis + turn) % 3] as usize);
-                let (owner, voxel) = self.owner(patch, ring.cells[far]);
-                let on_faces = &self.patches[owner].on_faces;
-                let key = segment_key(voxel, normal_axis, corner);
-                let found = on_faces.binary_search_by_key(&key, |&(key, _)| key);
-                let place = found.expect("a joined face has a vertex on each of its segments");
-                rim.push(self.first_vertices[owner] + u32::from(on_faces[place].1));
+            }
+            if patch.on_faces_count > 0 || patch.on_edges_count > 0 {
+                self.find(&mut batch, &mut done);
+                done = self.add_on_faces_and_edges(patch, &rows, &block, done);
             }
         }
-        rim
-    }
-
-    /// The patch that a cell (−1 ..= 7 on each axis) belongs to, and the cell's first voxel in it.
-    fn owner(&self, patch: &Patch, cell: IVec3) -> (usize, IVec3) {
-        let leaf = patch.neighborhood.leaf(cell >> 3);
-        (self.patch_of_leaf[leaf as usize] as usize, cell & 7)
+        self.find(&mut batch, &mut done);
     }
 }
 
-/// The two ways to cut a quad into triangles, as places in it.
-const CUTS: [[[usize; 3]; 2]; 2] = [[[0, 1, 2], [2, 3, 0]], [[1, 2, 3], [3, 0, 1]]];
-
-/// The second cut must be better by this factor, so that rounding does not decide in a square.
-const CLEARLY_BETTER: f32 = 1.001;
-
-/// Triangles with this doubled area, in voxels squared and seen along the edge, are not flipped by
-/// rounding.
-const SAFE_AREA: f64 = 1.0 / 32.0;
-
-/// The two triangles of a ring's quad: those whose worse one is nearer to equilateral, if `rounded`
-/// positions do not flip or flatten one of them.
-fn cut(quad: [Vec3; 4], axis: usize, rounded: impl Fn(usize) -> DVec3) -> [[usize; 3]; 2] {
-    let [p, q, r, s] = quad;
-    let along_pr = shape(p, q, r).min(shape(r, s, p));
-    let along_qs = shape(q, r, s).min(shape(s, p, q));
-    let better = CUTS[usize::from(along_qs > CLEARLY_BETTER * along_pr)];
-    let exact = |k: usize| quad[k].as_dvec3();
-    if better.iter().all(|&triangle| projected_area(triangle, axis, exact) > SAFE_AREA) {
-        return better;
+impl PatchVertices<'_> {
+    /// Finds the vertices of a batch; those before `done` are.
+    #[inline(always)]
+    fn find(&mut self, batch: &mut VertexBatch, done: &mut usize) {
+        if batch.len() == 0 {
+            return;
+        }
+        let places = *done..*done + batch.len();
+        *done = places.end;
+        let vertices = Vertices {
+            locals: &mut self.locals[places.clone()],
+            positions: &mut self.positions[places.clone()],
+            normals: &mut self.normals[places],
+        };
+        batch.find(self.placement, vertices);
     }
-    let least_area = |cut: [[usize; 3]; 2]| {
-        projected_area(cut[0], axis, &rounded).min(projected_area(cut[1], axis, &rounded))
-    };
-    CUTS[usize::from(least_area(CUTS[1]) > least_area(CUTS[0]))]
+
+    /// Adds the vertices that a patch has on faces and edges, and returns the place after them.
+    fn add_on_faces_and_edges(
+        &mut self,
+        patch: &Patch,
+        rows: &SignRows,
+        block: &Block,
+        first: usize,
+    ) -> usize {
+        let origin = self.band.topology.origins()[patch.leaf as usize];
+        let mut place = first;
+        let mut add = |cell: IVec3, samples: &CellSamples, local: Vec3| {
+            self.positions[place] = self.placement.position(origin + cell, local);
+            self.normals[place] = unit_or_zero(samples.gradient(local));
+            place += 1;
+        };
+        for (cell, axis, corner) in joined_segments(rows) {
+            let samples = CellSamples::new(block, Block::index(cell));
+            add(cell, &samples, samples.segment_middle(axis, corner));
+        }
+        if patch.on_edges_count > 0 {
+            for (voxel, ring) in joined_rings(rows) {
+                let samples = CellSamples::new(block, Block::index(voxel));
+                add(voxel, &samples, samples.edge_point(ring.axis));
+            }
+        }
+        place
+    }
 }
 
-/// How near a triangle is to equilateral: its area squared over the sum of its squared edges squared.
-fn shape(a: Vec3, b: Vec3, c: Vec3) -> f32 {
-    let (to_b, to_c) = (b - a, c - a);
-    let edges_squared = to_b.length_squared() + to_c.length_squared() + b.distance_squared(c);
-    to_b.cross(to_c).length_squared() / (edges_squared * edges_squared)
+/// Writes the triangles of patches.
+struct PatchTriangles<'a> {
+    quads: &'a Quads<'a>,
+    patches: &'a [Patch],
+    triangles: &'a mut [[u32; 3]],
 }
 
-/// Twice the area of a triangle as seen along an axis; negative if it turns the wrong way.
-fn projected_area([a, b, c]: [usize; 3], axis: usize, point: impl Fn(usize) -> DVec3) -> f64 {
-    let (to_b, to_c) = (point(b) - point(a), point(c) - point(a));
-    let (right, up) = ((axis + 1) % 3, (axis + 2) % 3);
-    to_b[right] * to_c[up] - to_b[up] * to_c[right]
+impl Kernel for PatchTriangles<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let mut rest = self.triangles;
+        for patch in self.patches {
+            let (triangles, after) = rest.split_at_mut(usize::from(patch.triangle_count));
+            self.quads.write(patch, triangles);
+            rest = after;
+        }
+    }
 }

@@ -30,10 +30,10 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows, inside_masks};
+use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows};
 use super::normals::unit_or_zero;
-use super::{Placement, concatenate, prefix_sums};
-use crate::grid::{LEAF_VOXELS, LeafMask, offset_in_leaf, voxel_in_leaf};
+use super::{Placement, split};
+use crate::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 
@@ -43,74 +43,113 @@ const EDGE_MARGIN: f32 = 1.0 / 128.0;
 
 /// The surface of φ = 0 in the tetrahedra. A normal is zero where φ does not give one.
 pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh {
-    let masks = inside_masks(&band.phi);
-    let patches: Vec<Patch> = (0..band.topology.len())
+    let masks = negative_masks(&band.phi);
+    let cases = tetrahedron_cases();
+    let mut patches: Vec<Patch> = (0..band.topology.len())
         .into_par_iter()
-        .filter_map(|leaf| Patch::new(band, placement, &masks, leaf))
+        .filter_map(|leaf| Patch::new(band, &masks, &cases, leaf))
         .collect();
-    let first_vertices = prefix_sums(patches.iter().map(|patch| patch.positions.len()));
     let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
-    for (index, patch) in patches.iter().enumerate() {
+    let (mut vertex_count, mut triangle_count) = (0, 0);
+    for (index, patch) in patches.iter_mut().enumerate() {
         patch_of_leaf[patch.leaf] = index as u32;
+        patch.first_vertex = vertex_count as u32;
+        vertex_count += patch.vertex_count();
+        triangle_count += patch.triangle_count;
     }
-    let surface = Surface { cases: tetrahedron_cases(), patches: &patches, patch_of_leaf, first_vertices };
-    let triangles: Vec<Vec<[u32; 3]>> = patches.par_iter().map(|patch| surface.triangles(patch)).collect();
-    Mesh {
-        positions: concatenate(patches.iter().map(|patch| &patch.positions)),
-        normals: concatenate(patches.iter().map(|patch| &patch.normals)),
-        triangles: concatenate(triangles.iter()),
-        origin: placement.world_origin(),
-    }
+    assert!(vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+    let mut positions = bytemuck::zeroed_vec(vertex_count);
+    let mut normals = bytemuck::zeroed_vec(vertex_count);
+    let mut triangles = bytemuck::zeroed_vec(triangle_count);
+    let places = split(&mut positions, patches.iter().map(Patch::vertex_count)).into_par_iter();
+    let places = places.zip(split(&mut normals, patches.iter().map(Patch::vertex_count)));
+    places.zip(&patches).for_each(|((positions, normals), patch)| {
+        patch.find_vertices(band, placement, positions, normals);
+    });
+    let surface = Surface { masks: &masks, cases, patches: &patches, patch_of_leaf };
+    let places = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
+    places.zip(&patches).for_each(|(triangles, patch)| surface.write_triangles(patch, triangles));
+    Mesh { positions, normals, triangles, origin: placement.world_origin() }
 }
 
 /// In place of a patch's index: the leaf has no vertices.
 const NO_PATCH: u32 = u32::MAX;
 
-/// The vertices on the edges that start in one leaf.
+/// The vertices on the edges that start in one leaf, and how many triangles are in its cells.
 struct Patch {
     leaf: usize,
     neighborhood: Neighborhood,
-    rows: SignRows,
     /// For each voxel a bit for each crossed edge that starts there: bit d for the edge to the
     /// voxel that is d away, as a corner number (1 to 7).
     crossed: Box<[u8; LEAF_VOXELS]>,
-    /// For each voxel the first of its vertices.
-    first_at_voxel: Box<[u16; LEAF_VOXELS]>,
-    positions: Vec<Vec3>,
-    normals: Vec<Vec3>,
+    /// For each row of voxels the first of its vertices, from the patch's first; and where the last one ends.
+    row_starts: [u16; ROW_COUNT + 1],
+    /// The place of its vertices in the mesh.
+    first_vertex: u32,
+    triangle_count: usize,
 }
 
 impl Patch {
-    fn new(
-        band: &NarrowBand,
-        placement: &Placement,
-        inside_masks: &[LeafMask],
-        leaf: usize,
-    ) -> Option<Patch> {
+    /// The patch of a leaf, if there is anything in it.
+    fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<Patch> {
         let neighborhood = Neighborhood::new(&band.topology, leaf);
-        let rows = SignRows::new(&neighborhood, inside_masks);
-        // An edge belongs to its first voxel's leaf even if all cells around it belong to others.
-        if (1..8).all(|end| rows.crossed_to(end).next().is_none()) {
+        if !neighborhood.may_have_surface(inside_masks) {
             return None;
         }
-        let mut crossed = Box::new([0; LEAF_VOXELS]);
-        for end in 1..8 {
-            rows.crossed_to(end).for_each(|voxel| crossed[offset_in_leaf(voxel)] |= 1 << end);
+        let rows = SignRows::new(&neighborhood, inside_masks);
+        // An edge belongs to its first voxel's leaf even if all cells around it belong to others.
+        if (1..8).all(|end| rows.crossed_to(end).is_empty()) {
+            return None;
         }
-        let block = Block::new(&neighborhood, &band.phi, band.half_width);
-        let origin = band.topology.origins()[leaf];
-        let mut first_at_voxel = Box::new([0; LEAF_VOXELS]);
-        let (mut positions, mut normals) = (Vec::with_capacity(400), Vec::with_capacity(400));
-        for (offset, &edges) in crossed.iter().enumerate().filter(|(_, edges)| **edges != 0) {
-            first_at_voxel[offset] = positions.len() as u16;
+        let mut crossed = Box::new([0u8; LEAF_VOXELS]);
+        for end in 1..8 {
+            rows.crossed_to(end).iter().for_each(|offset| crossed[offset] |= 1 << end);
+        }
+        let mut row_starts = [0; ROW_COUNT + 1];
+        for (row, edges) in crossed.chunks_exact(8).enumerate() {
+            let count: u32 = edges.iter().map(|edges| edges.count_ones()).sum();
+            row_starts[row + 1] = row_starts[row] + count as u16;
+        }
+        let cells = rows.crossed_cells();
+        let signs = cells.iter().map(|offset| rows.cell_signs(voxel_in_leaf(offset)));
+        let triangle_count = signs.flat_map(|signs| triangles_in_cell(cases, signs)).map(<[_]>::len).sum();
+        Some(Patch { leaf, neighborhood, crossed, row_starts, first_vertex: 0, triangle_count })
+    }
+
+    fn vertex_count(&self) -> usize {
+        usize::from(self.row_starts[ROW_COUNT])
+    }
+
+    /// Writes the positions and normals of the vertices.
+    fn find_vertices(
+        &self,
+        band: &NarrowBand,
+        placement: &Placement,
+        positions: &mut [Vec3],
+        normals: &mut [Vec3],
+    ) {
+        let mut block = Block::new(band.half_width);
+        block.fill(&self.neighborhood, &band.phi);
+        let origin = band.topology.origins()[self.leaf];
+        let mut places = positions.iter_mut().zip(normals);
+        for (offset, &edges) in self.crossed.iter().enumerate().filter(|(_, edges)| **edges != 0) {
             let voxel = voxel_in_leaf(offset);
-            for end in (1..8).filter(|end| edges >> end & 1 == 1) {
+            let ends = (1..8).filter(|end| edges >> end & 1 == 1);
+            for (end, (position, normal)) in ends.zip(&mut places) {
                 let (t, gradient) = crossing(&block, Block::index(voxel), end);
-                positions.push(placement.position(origin + voxel, corner(end).as_vec3() * t));
-                normals.push(unit_or_zero(gradient));
+                *position = placement.position(origin + voxel, corner(end).as_vec3() * t);
+                *normal = unit_or_zero(gradient);
             }
         }
-        Some(Patch { leaf, neighborhood, rows, crossed, first_at_voxel, positions, normals })
+    }
+
+    /// The vertex on the edge from a voxel of the leaf to the one that is `step` away, as a corner number.
+    fn vertex(&self, voxel: IVec3, step: usize) -> u32 {
+        let offset = offset_in_leaf(voxel);
+        let before_in_row: u32 =
+            self.crossed[offset & !7..offset].iter().map(|edges| edges.count_ones()).sum();
+        let before_at_voxel = (self.crossed[offset] & ((1 << step) - 1)).count_ones();
+        self.first_vertex + u32::from(self.row_starts[offset / 8]) + before_in_row + before_at_voxel
     }
 }
 
@@ -145,26 +184,23 @@ const CROSSING_LIMIT: f32 = 0.125;
 
 /// All patches, with what is needed to name each other's vertices.
 struct Surface<'a> {
-    cases: Vec<[Vec<[[usize; 2]; 3]>; 16]>,
+    masks: &'a [LeafMask],
+    cases: Cases,
     patches: &'a [Patch],
     patch_of_leaf: Vec<u32>,
-    first_vertices: Vec<u32>,
 }
 
 impl Surface<'_> {
-    /// The triangles in a leaf's cells.
-    fn triangles(&self, patch: &Patch) -> Vec<[u32; 3]> {
-        let mut triangles = Vec::with_capacity(800);
-        patch.rows.crossed_cells().for_each(|cell| {
-            let signs = patch.rows.cell_signs(cell) as usize;
-            for (path, cases) in KUHN_PATHS.iter().zip(&self.cases) {
-                let case = (0..4).map(|k| (signs >> path[k] & 1) << k).sum::<usize>();
-                for triangle in &cases[case] {
-                    triangles.push(triangle.map(|edge| self.vertex(patch, cell, edge)));
-                }
+    /// Writes the triangles in a leaf's cells.
+    fn write_triangles(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
+        let rows = SignRows::new(&patch.neighborhood, self.masks);
+        let mut places = triangles.iter_mut();
+        for cell in rows.crossed_cells().iter().map(voxel_in_leaf) {
+            let made = triangles_in_cell(&self.cases, rows.cell_signs(cell)).flatten();
+            for (edges, place) in made.zip(&mut places) {
+                *place = edges.map(|edge| self.vertex(patch, cell, edge));
             }
-        });
-        triangles
+        }
     }
 
     /// The vertex on an edge of a cell, from one corner to a later one.
@@ -172,11 +208,16 @@ impl Surface<'_> {
         let voxel = cell + corner(start);
         let leaf = patch.neighborhood.leaf(voxel >> 3);
         let owner = self.patch_of_leaf[leaf as usize] as usize;
-        let offset = offset_in_leaf(voxel & 7);
-        let patch = &self.patches[owner];
-        let before = patch.crossed[offset] & ((1 << (end - start)) - 1);
-        self.first_vertices[owner] + u32::from(patch.first_at_voxel[offset]) + before.count_ones()
+        self.patches[owner].vertex(voxel & 7, end - start)
     }
+}
+
+/// The triangles in the tetrahedra of a cell with these signs, tetrahedron by tetrahedron.
+fn triangles_in_cell(cases: &Cases, signs: u8) -> impl Iterator<Item = &[[[usize; 2]; 3]]> {
+    KUHN_PATHS.iter().zip(cases).map(move |(path, cases)| {
+        let case = (0..4).map(|k| usize::from(signs >> path[k] & 1) << k).sum::<usize>();
+        &cases[case][..]
+    })
 }
 
 /// The tetrahedra of a cell by their corners; of the six, the last three are mirror images.
@@ -187,7 +228,9 @@ const KUHN_PATHS: [[usize; 4]; 6] =
 type Triangles = Vec<[[usize; 2]; 3]>;
 
 /// For each tetrahedron, and for each pattern of its corners' signs, the triangles that cut it.
-fn tetrahedron_cases() -> Vec<[Triangles; 16]> {
+type Cases = Vec<[Triangles; 16]>;
+
+fn tetrahedron_cases() -> Cases {
     let is_mirrored = |tetrahedron: usize| tetrahedron >= 3;
     let cases = |tetrahedron| {
         std::array::from_fn(|signs| triangles_of(KUHN_PATHS[tetrahedron], is_mirrored(tetrahedron), signs))

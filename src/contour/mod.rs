@@ -1,15 +1,17 @@
 //! From φ to triangles.
 //!
 //! ```text
-//!   Neighborhood ──▶ SignRows ──▶ crossed cells and edges ──▶ vertices of a leaf  ─┐  prefix sums in the
-//!   of each leaf     Block    ──▶ crossings, gradients    ──▶                      ├▶ topology's order
-//!                                                             triangles of a leaf ─┘  ──▶ Mesh
+//!   signs of all voxels ──▶ Neighborhood ──▶ crossed cells  ──▶ how many vertices ──▶ where in the mesh
+//!                           SignRows         and edges          and triangles         each leaf's are
+//!
+//!                                        Block ──▶ crossings, gradients ──▶ vertices  ─┐ written where
+//!                                                                           triangles ─┴▶ they belong
 //! ```
 //!
 //! Both contourings promise, for any φ: the mesh is closed, every edge is in two triangles that run
 //! along it in opposite directions, the triangles around a vertex form one ring, all face outward,
 //! none is degenerate, and no two vertices of a triangle are the same. Each leaf is worked on alone
-//! and the results are joined in the topology's order, so the mesh does not depend on the number of
+//! and has its place in the topology's order, so the mesh does not depend on the number of
 //! threads, to the last byte.
 //!
 //! Inside is φ < 0; zero is outside. What is needed of a band: the voxels next to a change of sign
@@ -23,9 +25,10 @@ mod dual_contouring;
 mod marching_tetrahedra;
 mod neighborhood;
 mod normals;
+mod quads;
+mod ring;
 
 use glam::{DVec3, IVec3, Vec3};
-use rayon::prelude::*;
 
 pub use curvature::{bending_energy, mean_curvatures};
 
@@ -92,6 +95,7 @@ impl Placement {
     }
 
     /// The mesh position of a point given relative to a cell; rounded once.
+    #[inline(always)]
     fn position(&self, cell: IVec3, local: Vec3) -> Vec3 {
         (((cell - self.origin_index).as_dvec3() + local.as_dvec3()) * self.voxel_size).as_vec3()
     }
@@ -107,29 +111,13 @@ fn median(topology: &Topology) -> IVec3 {
     IVec3::new(axis(0), axis(1), axis(2))
 }
 
-/// The sum of the counts before each one.
-fn prefix_sums(counts: impl Iterator<Item = usize>) -> Vec<u32> {
-    let mut total = 0;
-    let mut sums = Vec::new();
-    for count in counts {
-        sums.push(total as u32);
-        total += count;
-    }
-    assert!(total <= u32::MAX as usize, "more vertices than 32-bit indices");
-    sums
-}
-
-/// All parts in one piece, in order.
-fn concatenate<'a, T: Copy + Default + Send + Sync + 'a>(parts: impl Iterator<Item = &'a Vec<T>>) -> Vec<T> {
-    let parts: Vec<&Vec<T>> = parts.collect();
-    let mut whole = vec![T::default(); parts.iter().map(|part| part.len()).sum()];
-    let mut rest = &mut whole[..];
-    let mut places = Vec::with_capacity(parts.len());
-    for part in &parts {
-        let (place, after) = rest.split_at_mut(part.len());
-        places.push(place);
+/// Cuts a whole into parts of so many items, in order.
+fn split<T>(whole: &mut [T], counts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
+    let mut rest = whole;
+    let part = |count: usize| {
+        let (part, after) = std::mem::take(&mut rest).split_at_mut(count);
         rest = after;
-    }
-    places.into_par_iter().zip(parts).for_each(|(place, part)| place.copy_from_slice(part));
-    whole
+        part
+    };
+    counts.map(part).collect()
 }

@@ -12,10 +12,12 @@ use crate::mesh::Mesh;
 const LEAST_SLOPE: f32 = 1e-3;
 
 /// The direction of a gradient, or zero where it has none.
+#[inline(always)]
 pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
     let length = gradient.length();
+    let unit = gradient / length;
     // A comparison with NaN is false, so what is not finite ends at zero too.
-    if length > LEAST_SLOPE && length < f32::INFINITY { gradient / length } else { Vec3::ZERO }
+    if (length > LEAST_SLOPE) & (length < f32::INFINITY) { unit } else { Vec3::ZERO }
 }
 
 /// Gives each vertex whose normal is zero the mean of its triangles' normals, weighted by area; and

@@ -1,5 +1,13 @@
 //! One bit per voxel of a leaf.
 
+use glam::IVec3;
+use rayon::prelude::*;
+
+use super::leaf::{Field, Leaf};
+use super::stencil::ROW_COUNT;
+use crate::simd::{Kernel, Lanes, dispatch};
+use crate::space::CoordBox;
+
 /// 512 bits: word x, byte y of the word, bit z of the byte.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LeafMask {
@@ -13,6 +21,9 @@ const FIRST_OF_ROWS: u64 = 0x0101_0101_0101_0101;
 impl LeafMask {
     /// No voxel.
     pub const EMPTY: LeafMask = LeafMask { words: [0; 8] };
+
+    /// Every voxel.
+    pub const FULL: LeafMask = LeafMask { words: [u64::MAX; 8] };
 
     /// The mask of the voxels whose place in the leaf satisfies `test`.
     pub fn from_fn(test: impl Fn(usize) -> bool) -> LeafMask {
@@ -105,6 +116,29 @@ impl LeafMask {
         LeafMask { words: std::array::from_fn(|x| self.words[x] & other.words[x]) }
     }
 
+    /// The voxels that are in, and whose six neighbours are: those in the leaves beyond the faces, too,
+    /// which come in the order of [`Direction`].
+    pub fn surrounded(&self, faces: [&LeafMask; 6]) -> LeafMask {
+        (0..3).fold(*self, |left, axis| {
+            let [before, after] = self.shifted(axis, 1, faces[2 * axis], faces[2 * axis + 1]);
+            left.and(&before).and(&after)
+        })
+    }
+
+    /// The smallest box that holds every voxel that is in, relative to the leaf's origin.
+    pub fn bounding_box(&self) -> CoordBox {
+        let ends = |bits: u8| (bits.trailing_zeros() as i32, 7 - bits.leading_zeros() as i32);
+        let any = self.words.iter().fold(0, |any, word| any | word);
+        if any == 0 {
+            return CoordBox::EMPTY;
+        }
+        let along = |is_in: &dyn Fn(usize) -> bool| (0..8).fold(0, |bits, k| bits | u8::from(is_in(k)) << k);
+        let (x_min, x_max) = ends(along(&|x| self.words[x] != 0));
+        let (y_min, y_max) = ends(along(&|y| any >> (8 * y) & 0xff != 0));
+        let (z_min, z_max) = ends(any.to_le_bytes().iter().fold(0, |bits, row| bits | row));
+        CoordBox { min: IVec3::new(x_min, y_min, z_min), max: IVec3::new(x_max, y_max, z_max) }
+    }
+
     /// Whether no voxel is in.
     pub fn is_empty(&self) -> bool {
         self.words == [0; 8]
@@ -130,11 +164,79 @@ impl LeafMask {
     }
 }
 
+/// For each leaf of a field the voxels whose value is below zero. Zero of either sign is not.
+pub fn negative_masks(field: &Field) -> Vec<LeafMask> {
+    let mut masks = vec![LeafMask::EMPTY; field.leaves.len()];
+    let pieces = masks.par_chunks_mut(LEAVES_AT_ONCE).zip(field.leaves.par_chunks(LEAVES_AT_ONCE));
+    pieces.for_each(|(masks, leaves)| dispatch(NegativeMasks { masks, leaves }));
+    masks
+}
+
+/// Leaves in a piece of work.
+const LEAVES_AT_ONCE: usize = 64;
+
+/// Finds the masks of some leaves.
+struct NegativeMasks<'a> {
+    masks: &'a mut [LeafMask],
+    leaves: &'a [Leaf],
+}
+
+impl Kernel for NegativeMasks<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for (mask, leaf) in self.masks.iter_mut().zip(self.leaves) {
+            for row in 0..ROW_COUNT {
+                mask.set_row(row, V::bits(V::load(leaf.row(row)).lt(V::splat(0.0))));
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::grid::{offset_in_leaf, voxel_in_leaf};
-    use glam::IVec3;
+
+    /// About so many of 16 voxels, and different ones for each seed.
+    fn scattered(seed: u32, of_16: u32) -> LeafMask {
+        LeafMask::from_fn(|offset| {
+            let mixed = (offset as u32 ^ seed << 10).wrapping_mul(0x9e37_79b9);
+            (mixed ^ mixed >> 15).wrapping_mul(0x85eb_ca6b) >> 28 < of_16
+        })
+    }
+
+    #[test]
+    fn surrounded_voxels_have_six_neighbours() {
+        let masks: [LeafMask; 7] = std::array::from_fn(|seed| scattered(seed as u32, 14));
+        let steps = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
+        let is_in = |voxel: IVec3| {
+            let leaf = voxel.div_euclid(IVec3::splat(8));
+            let mask = steps.iter().position(|&step| step == leaf).map_or(0, |face| face + 1);
+            let local = voxel - leaf * 8;
+            masks[mask].contains((local.x * 64 + local.y * 8 + local.z) as usize)
+        };
+        let expected = LeafMask::from_fn(|offset| {
+            let voxel = voxel_in_leaf(offset);
+            is_in(voxel) && steps.iter().all(|&step| is_in(voxel + step))
+        });
+        assert!(expected.count() > 20);
+        assert_eq!(masks[0].surrounded(std::array::from_fn(|face| &masks[face + 1])), expected);
+    }
+
+    #[test]
+    fn the_bounding_box_holds_the_voxels() {
+        for seed in 0..100 {
+            let mut mask = LeafMask::EMPTY;
+            let mut expected = CoordBox::EMPTY;
+            for offset in scattered(seed, 1).iter().take(seed as usize % 5) {
+                mask.insert(offset);
+                expected.include(voxel_in_leaf(offset));
+            }
+            assert_eq!(mask.bounding_box(), expected, "{mask:?}");
+        }
+    }
 
     #[test]
     fn shifts_bring_in_the_voxels_of_the_leaves_beside() {
@@ -148,5 +250,17 @@ mod tests {
             assert_eq!(shifted, [mask(-shift), mask(shift)], "axis {axis}, {steps} steps");
         }
         assert!(mask(IVec3::ZERO).contains(offset_in_leaf(IVec3::ZERO)));
+    }
+
+    #[test]
+    fn signs_become_bits_in_their_place() {
+        let mut leaf = Leaf::splat(0.0);
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            *value = [-1.0, 0.0, -0.0, 2.0, f32::NAN, -1e-30][offset * offset % 11 % 6];
+        }
+        let expected = LeafMask::from_fn(|offset| leaf.values[offset] < 0.0);
+        let field = Field { leaves: vec![Leaf::splat(-1.0), leaf] };
+        assert_eq!(negative_masks(&field), [LeafMask::FULL, expected]);
+        assert!(!expected.is_empty());
     }
 }

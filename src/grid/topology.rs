@@ -37,10 +37,12 @@ pub struct Topology {
 impl Topology {
     /// The topology of the leaves with these origins: multiples of 8, in any order, duplicates
     /// allowed.
-    pub fn new(mut origins: Vec<IVec3>) -> Topology {
+    pub fn new(origins: Vec<IVec3>) -> Topology {
         debug_assert!(origins.iter().all(|origin| origin.rem_euclid(IVec3::splat(LEAF_EDGE)) == IVec3::ZERO));
-        origins.par_sort_unstable_by_key(|&origin| tree_order(origin));
-        origins.dedup();
+        let mut places: Vec<u128> = origins.into_par_iter().map(tree_order).collect();
+        places.par_sort_unstable();
+        places.dedup();
+        let origins: Vec<IVec3> = places.into_par_iter().map(origin_at).collect();
         assert!(origins.len() < NO_LEAF as usize, "more leaves than 32-bit indices");
         let index_of: FxHashMap<IVec3, u32> =
             origins.iter().enumerate().map(|(index, &origin)| (origin, index as u32)).collect();
@@ -74,6 +76,28 @@ impl Topology {
         &self.neighbors
     }
 
+    /// A leaf and the 26 around it, as indices: the one a step of (x, y, z) away, −1 to 1 on each axis, at
+    /// `9(x + 1) + 3(y + 1) + z + 1`; [`NO_LEAF`] where there is none.
+    pub fn neighborhood(&self, leaf: usize) -> [u32; 27] {
+        let mut around = [NO_LEAF; 27];
+        around[CENTER] = leaf as u32;
+        for (slot, steps) in &NEIGHBOR_PATHS {
+            // Whichever leaf on the way is stored knows the answer; mostly the first one is.
+            let known = steps.iter().find(|(from, _)| around[*from] != NO_LEAF);
+            around[*slot] = match known {
+                Some(&(from, face)) => self.neighbors[around[from] as usize][face],
+                None => self.find_across(leaf, *slot),
+            };
+        }
+        around
+    }
+
+    /// The leaf at a slot of another's neighbourhood, by its origin.
+    fn find_across(&self, leaf: usize, slot: usize) -> u32 {
+        let step = IVec3::new(slot as i32 / 9, slot as i32 / 3 % 3, slot as i32 % 3) - IVec3::ONE;
+        self.index_of.get(&(self.origins[leaf] + step * LEAF_EDGE)).copied().unwrap_or(NO_LEAF)
+    }
+
     /// The leaf with this origin.
     pub fn find(&self, origin: IVec3) -> Option<usize> {
         self.index_of.get(&origin).map(|&index| index as usize)
@@ -86,8 +110,49 @@ impl Topology {
     }
 }
 
-/// Unit steps through the six faces.
-const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
+/// Unit steps through the six faces, in the order of [`Direction`].
+pub const FACE_STEPS: [IVec3; 6] = [IVec3::NEG_X, IVec3::X, IVec3::NEG_Y, IVec3::Y, IVec3::NEG_Z, IVec3::Z];
+
+/// The place of a leaf in its own neighbourhood.
+const CENTER: usize = 13;
+
+/// For each place of a neighbourhood but the middle, faces before edges before corners: the up to three places
+/// one step nearer to the middle, each with the face that leads on from there. Places with fewer repeat one.
+const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
+    let weights = [9, 3, 1];
+    let mut paths = [(0, [(0, 0); 3]); 26];
+    let mut count = 0;
+    let mut distance = 1;
+    while distance <= 3 {
+        let mut slot = 0;
+        while slot < 27 {
+            let mut ways = [(0, 0); 3];
+            let mut way_count = 0;
+            let mut axis = 0;
+            while axis < 3 {
+                let place = slot / weights[axis] % 3;
+                if place != 1 {
+                    let nearer = if place == 0 { slot + weights[axis] } else { slot - weights[axis] };
+                    ways[way_count] = (nearer, 2 * axis + place / 2);
+                    way_count += 1;
+                }
+                axis += 1;
+            }
+            if way_count == distance {
+                let mut rest = way_count;
+                while rest < 3 {
+                    ways[rest] = ways[0];
+                    rest += 1;
+                }
+                paths[count] = (slot, ways);
+                count += 1;
+            }
+            slot += 1;
+        }
+        distance += 1;
+    }
+    paths
+};
 
 /// The order of an OpenVDB tree's depth-first walk, as one number: root child (4096 voxels), lower
 /// internal node (128), leaf, each in lexicographic order of x, y, z.
@@ -99,6 +164,16 @@ fn tree_order(origin: IVec3) -> u128 {
         part(x) << (2 * bits) | part(y) << bits | part(z)
     };
     digits(12, 20) << 27 | digits(7, 5) << 12 | digits(3, 4)
+}
+
+/// The origin at a place in that order.
+fn origin_at(place: u128) -> IVec3 {
+    let axis = |axis: u32| {
+        let digits =
+            |shift: u32, bits: u32| (place >> (shift + (2 - axis) * bits)) as u32 & ((1 << bits) - 1);
+        (digits(27, 20) << 12 | digits(12, 5) << 7 | digits(0, 4) << 3) ^ 0x8000_0000
+    };
+    IVec3::new(axis(0) as i32, axis(1) as i32, axis(2) as i32)
 }
 
 #[cfg(test)]
@@ -124,5 +199,22 @@ mod tests {
         }
         let below = topology.find(IVec3::new(8, 0, -8)).unwrap();
         assert_eq!(topology.find_voxel(IVec3::new(9, 2, -1)), Some((below, IVec3::new(1, 2, 7))));
+    }
+    #[test]
+    fn neighborhoods_are_complete_wherever_leaves_are_missing() {
+        // Every second, third … leaf of a block: places that can be reached on all, some or no paths.
+        for every in 2..7 {
+            let places = (0..125).filter(|place| place * place % 11 % every != 0);
+            let origins =
+                places.map(|place| (IVec3::new(place / 25, place / 5 % 5, place % 5) - 2) * LEAF_EDGE);
+            let topology = Topology::new(origins.collect());
+            for (leaf, &origin) in topology.origins().iter().enumerate() {
+                for (slot, index) in topology.neighborhood(leaf).into_iter().enumerate() {
+                    let step = IVec3::new(slot as i32 / 9, slot as i32 / 3 % 3, slot as i32 % 3) - IVec3::ONE;
+                    let found = topology.find(origin + step * LEAF_EDGE);
+                    assert_eq!(found.map_or(NO_LEAF, |found| found as u32), index);
+                }
+            }
+        }
     }
 }

@@ -1,4 +1,4 @@
-//! Particles sorted into the leaves they lie in.
+//! Particles sorted into the leaves they lie in: the second of two passes, which keeps those that matter.
 //!
 //! ```text
 //!   topology    leaf 0      leaf 1   leaf 2          leaves that hold a particle
@@ -8,77 +8,172 @@
 //!
 //! Positions relative to the leaf are small numbers: 32 bits lose nothing that matters, however far
 //! from the world's origin the particles are.
+//!
+//! Each batch is sorted by itself, on whichever thread is free; then each leaf takes its particles from the
+//! batches, in their order. So the order within a leaf is that of the source, and what there is at once is
+//! the batches under way, and twice the particles that are kept.
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::grid::{LEAF_EDGE, Topology};
-use crate::particles::Particles;
+use super::batch::LeafBatch;
+use super::need::Need;
+use super::occupancy::Occupancy;
+use super::region::{Regions, meet};
+use crate::grid::{LeafMask, Topology, offset_in_leaf};
+use crate::particles::ParticleSource;
 use crate::space::Lattice;
 
-/// Particles by leaf.
+/// The particles that matter to a surface, by leaf.
+///
+/// The others are surely inside of it, and are the nearest to none of its vertices, nor to any voxel whose
+/// distance counts.
 #[derive(Clone, Debug, Default)]
 pub struct ParticleBins {
-    /// The leaves that hold at least one particle.
+    /// The leaves that hold at least one of them.
     pub topology: Topology,
     /// Where each leaf's particles start in `positions`; one more entry than leaves.
-    starts: Vec<u32>,
+    starts: Vec<usize>,
     /// Positions in voxels relative to the origin of their leaf, 0 to 8 on each axis.
     positions: Vec<Vec3>,
+    /// All particles of the source that were not dropped, whether they are here or not.
+    pub particle_count: usize,
     /// Particles left out: positions that are not finite, or outside the grid's range of indices.
     pub dropped_count: usize,
 }
 
 impl ParticleBins {
-    /// Sorts the particles into leaves.
-    pub fn new(particles: &Particles, lattice: &Lattice) -> ParticleBins {
-        let placed: Vec<Option<(IVec3, Vec3)>> =
-            (0..particles.len()).into_par_iter().map(|index| place(particles, index, lattice)).collect();
-        let mut origins: Vec<IVec3> = placed.par_iter().flatten().map(|&(origin, _)| origin).collect();
-        origins.dedup();
-        let topology = Topology::new(origins);
-        let leaf_of: Vec<u32> = placed
-            .par_iter()
-            .flatten()
-            .map(|&(origin, _)| topology.find(origin).expect("the leaf was made for this particle") as u32)
-            .collect();
-        let mut starts = vec![0u32; topology.len() + 1];
-        for &leaf in &leaf_of {
-            starts[leaf as usize + 1] += 1;
+    /// Sorts the particles that are needed into leaves.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub(super) fn new<S: ParticleSource>(
+        source: &S,
+        lattice: &Lattice,
+        occupancy: &Occupancy,
+        need: &Need,
+        regions: &Regions,
+    ) -> Result<ParticleBins, S::Error> {
+        let keep = |batch: usize| {
+            if !meet(&occupancy.batches[batch].voxels, &regions.populated) {
+                return Ok(KeptBatch::default());
+            }
+            Ok(KeptBatch::new(&LeafBatch::new(&source.batch(batch)?, lattice), need))
+        };
+        let batches = (0..source.batch_count()).into_par_iter().map(keep).collect::<Result<Vec<_>, _>>()?;
+        let mut counts = vec![0usize; need.occupied().len()];
+        for (leaf, positions) in batches.iter().flat_map(KeptBatch::leaves) {
+            counts[leaf] += positions.len();
         }
-        for leaf in 0..topology.len() {
-            starts[leaf + 1] += starts[leaf];
+        let leaves: Vec<usize> = (0..counts.len()).filter(|&leaf| counts[leaf] > 0).collect();
+        let topology = Topology::new(leaves.iter().map(|&leaf| need.occupied().origins()[leaf]).collect());
+        let mut starts = vec![0; leaves.len() + 1];
+        for (place, &leaf) in leaves.iter().enumerate() {
+            starts[place + 1] = starts[place] + counts[leaf];
         }
-        let mut cursor = starts.clone();
-        let mut positions = vec![Vec3::ZERO; leaf_of.len()];
-        for (&(_, local), &leaf) in placed.iter().flatten().zip(&leaf_of) {
-            positions[cursor[leaf as usize] as usize] = local;
-            cursor[leaf as usize] += 1;
-        }
-        let dropped_count = particles.len() - positions.len();
-        ParticleBins { topology, starts, positions, dropped_count }
+        let positions = gather(&batches, &leaves, &starts);
+        let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
+        Ok(ParticleBins { topology, starts, positions, particle_count, dropped_count })
     }
 
     /// The particles of a leaf, relative to its origin, in voxels.
     pub fn in_leaf(&self, leaf: usize) -> &[Vec3] {
-        &self.positions[self.starts[leaf] as usize..self.starts[leaf + 1] as usize]
+        &self.positions[self.starts[leaf]..self.starts[leaf + 1]]
     }
 
-    /// The number of particles that were not dropped.
+    /// The number of particles that are here.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether every particle was dropped, or there was none.
+    /// Whether there are none: all were dropped, or there were none to begin with.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 }
 
-/// The leaf that a particle lies in, and its position relative to that, in voxels.
-pub(super) fn place(particles: &Particles, index: usize, lattice: &Lattice) -> Option<(IVec3, Vec3)> {
-    let position = lattice.index_from_world(particles.position(index))?;
-    let edge = f64::from(LEAF_EDGE);
-    let origin = (position / edge).floor() * edge;
-    Some((origin.as_ivec3(), (position - origin).as_vec3()))
+/// What is kept of a batch, in the order of the leaves.
+#[derive(Default)]
+struct KeptBatch {
+    /// Each leaf that has any, and where its particles end in `positions`.
+    leaves: Vec<(u32, u32)>,
+    positions: Vec<Vec3>,
 }
+
+impl KeptBatch {
+    fn new(batch: &LeafBatch, need: &Need) -> KeptBatch {
+        let needed = |(origin, locals)| {
+            let leaf = need.occupied().find(origin)?;
+            let kept = need.kept(leaf);
+            (*kept != LeafMask::EMPTY).then_some((leaf, kept, locals))
+        };
+        let mut needed: Vec<(usize, &LeafMask, &[Vec3])> = batch.leaves().filter_map(needed).collect();
+        needed.sort_unstable_by_key(|&(leaf, ..)| leaf);
+        let mut positions = Vec::with_capacity(needed.iter().map(|(.., locals)| locals.len()).sum());
+        let mut leaves = Vec::with_capacity(needed.len());
+        for (leaf, kept, locals) in needed {
+            positions.extend(locals.iter().filter(|local| kept.contains(cell_of(**local))));
+            leaves.push((leaf as u32, positions.len() as u32));
+        }
+        positions.shrink_to_fit();
+        KeptBatch { leaves, positions }
+    }
+
+    /// The leaves, and the particles in them.
+    fn leaves(&self) -> impl Iterator<Item = (usize, &[Vec3])> {
+        self.leaves_from(0)
+    }
+
+    /// Those from this leaf on.
+    fn leaves_from(&self, first: usize) -> impl Iterator<Item = (usize, &[Vec3])> {
+        let first = self.leaves.partition_point(|&(leaf, _)| (leaf as usize) < first);
+        let mut start = first.checked_sub(1).map_or(0, |before| self.leaves[before].1 as usize);
+        self.leaves[first..].iter().map(move |&(leaf, end)| {
+            let range = start..end as usize;
+            start = range.end;
+            (leaf as usize, &self.positions[range])
+        })
+    }
+}
+
+/// The voxel that is the least corner of a particle's cell, as its place in the leaf. (Rounded, a particle may
+/// be at the far end of its leaf.)
+fn cell_of(local: Vec3) -> usize {
+    offset_in_leaf(local.as_ivec3().min(IVec3::splat(7)))
+}
+
+/// The particles of these leaves from all batches; `starts` tells where each leaf's are to be.
+fn gather(batches: &[KeptBatch], leaves: &[usize], starts: &[usize]) -> Vec<Vec3> {
+    let mut positions = vec![Vec3::ZERO; starts[leaves.len()]];
+    // A piece for each of so many leaves that searching the batches for the first of them does not count.
+    let piece_leaves = leaves.len().div_ceil(PIECES).max(1);
+    let mut pieces = Vec::new();
+    let mut rest = positions.as_mut_slice();
+    for first in (0..leaves.len()).step_by(piece_leaves) {
+        let last = leaves.len().min(first + piece_leaves);
+        let (piece, after) = rest.split_at_mut(starts[last] - starts[first]);
+        pieces.push((first..last, piece));
+        rest = after;
+    }
+    pieces.into_par_iter().for_each(|(range, piece)| {
+        let (leaves, start) = (&leaves[range.clone()], starts[range.start]);
+        let (Some(&first), Some(&last)) = (leaves.first(), leaves.last()) else { return };
+        let mut cursors: Vec<usize> = starts[range].iter().map(|place| place - start).collect();
+        for batch in batches {
+            let mut place = 0;
+            for (leaf, from) in batch.leaves_from(first).take_while(|&(leaf, _)| leaf <= last) {
+                if from.is_empty() {
+                    continue;
+                }
+                place += leaves[place..].partition_point(|&other| other < leaf);
+                let cursor = &mut cursors[place];
+                piece[*cursor..*cursor + from.len()].copy_from_slice(from);
+                *cursor += from.len();
+            }
+        }
+    });
+    positions
+}
+
+/// Pieces in which particles are gathered.
+const PIECES: usize = 128;

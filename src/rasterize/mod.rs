@@ -11,10 +11,27 @@
 //! exact signed distance, and is kept as it is. Inside it is not: it saturates at about half the
 //! spacing of the particles. There only the voxels beside the surface keep it, and the others are
 //! swept from them. So the zero sets of the bounds are those of the spheres themselves.
+//!
+//! Most of a frame is far inside, and none of that is ever stored:
+//!
+//! ```text
+//!   particles ──pass 1──▶ Occupancy ──▶ what can matter ──┐
+//!       └───────────────pass 2───────────────────────────┴─▶ ParticleBins ──▶ distances ──▶ φ_0, bounds
+//! ```
+//!
+//! A frame that is too large even so is rasterized window by window; the results are those of the whole.
 
+mod batch;
 mod bin;
+mod cover;
 mod footprint;
+mod need;
+mod occupancy;
+mod region;
+mod signed_distance;
 mod sphere;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 
@@ -23,11 +40,17 @@ use rayon::prelude::*;
 
 pub use bin::ParticleBins;
 pub use footprint::{Footprint, footprint};
+pub use occupancy::Occupancy;
 
-use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, Neighborhood, ROW_COUNT, Topology, voxel_in_leaf};
-use crate::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
-use crate::space::CoordBox;
-use sphere::{OUT_OF_REACH, nearest_distances};
+use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, LeafMask, NO_LEAF, Topology};
+use crate::level_set::{Bounds, NarrowBand};
+use crate::particles::ParticleSource;
+use crate::simd;
+use crate::space::{CoordBox, Lattice};
+use need::{Need, leaves_of_boxes};
+use region::{EVERYWHERE, Regions, holds};
+use signed_distance::{Below, into_signed_distance, signed_distance};
+use sphere::nearest_distances;
 
 /// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,104 +80,151 @@ impl Radii {
         let swept = 2 * sweep_count(self.half_width());
         (self.max + EXACT_MARGIN).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
     }
+
+    /// Leaves are stored if a voxel of theirs is so near, on every axis, to one beside the surface.
+    fn band_margin(&self) -> i32 {
+        self.half_width() as i32 + 1
+    }
 }
 
-/// The band around the initial surface, with φ_0, and the bounds on the same leaves.
-pub fn rasterize(bins: &ParticleBins, radii: Radii) -> (NarrowBand, Bounds) {
-    let (reached, nearest) = nearest_distances(bins, radii.max + EXACT_MARGIN);
+/// What there is after this stage.
+#[derive(Clone, Debug)]
+pub struct Rasterized {
+    /// The particles that matter.
+    pub bins: ParticleBins,
+    /// The band around the initial surface, with φ_0.
+    pub band: NarrowBand,
+    /// The bounds on the same leaves.
+    pub bounds: Bounds,
+}
+
+/// Rasterizes a frame.
+///
+/// # Errors
+/// Those of the source.
+pub fn rasterize<S: ParticleSource>(
+    source: &S,
+    lattice: &Lattice,
+    radii: Radii,
+) -> Result<Rasterized, S::Error> {
+    let regions = Regions::new(EVERYWHERE, radii);
+    let occupancy = Occupancy::new(source, lattice)?;
+    let measured = measure(source, &occupancy, lattice, radii, &regions)?;
+    drop(occupancy);
+    Ok(level_sets(measured, radii, &regions))
+}
+
+/// Rasterizes the leaves that touch a window, a box of voxels: those that the whole frame has there, and their
+/// values to the last bit. The particles are those that these come from: also some around the window.
+///
+/// # Errors
+/// Those of the source.
+pub fn rasterize_window<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    lattice: &Lattice,
+    radii: Radii,
+    window: CoordBox,
+) -> Result<Rasterized, S::Error> {
+    let regions = Regions::new(window, radii);
+    let measured = measure(source, occupancy, lattice, radii, &regions)?;
+    Ok(level_sets(measured, radii, &regions))
+}
+
+/// The leaves around the surface, and the distances from their voxels to the nearest particles.
+struct Measured {
+    bins: ParticleBins,
+    topology: Topology,
+    nearest: Field,
+}
+
+fn measure<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    lattice: &Lattice,
+    radii: Radii,
+    regions: &Regions,
+) -> Result<Measured, S::Error> {
+    let need = Need::new(occupancy, radii, regions);
+    let bins = ParticleBins::new(source, lattice, occupancy, &need, regions)?;
+    let reach = radii.max + EXACT_MARGIN;
+    let settled = |origin| need.settled(origin);
+    let near = nearest_distances(&bins, &need.near, reach, settled, |_| None);
+    let topology = Topology::new(leaves_near_surface(&need, &near, radii, regions));
+    let known = |origin| need.near.find(origin).map(|leaf| &near.leaves[leaf]);
+    let nearest = nearest_distances(&bins, &topology, reach, settled, known);
+    Ok(Measured { bins, topology, nearest })
+}
+
+/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has
+/// a face neighbour outside.
+fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Regions) -> Vec<IVec3> {
+    let near = &need.near;
+    let inside: Vec<LeafMask> =
+        nearest.leaves.par_iter().map(|leaf| simd::dispatch(Below { leaf, limit: radii.init })).collect();
+    let surface = |(leaf, &origin): (usize, &IVec3)| {
+        let faces = std::array::from_fn(|face| match near.neighbors()[leaf][face] {
+            // What is not near is inside altogether, or outside.
+            NO_LEAF if need.is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
+            NO_LEAF => &LeafMask::EMPTY,
+            neighbor => &inside[neighbor as usize],
+        });
+        let mut crossings = inside[leaf];
+        crossings.remove_all(&inside[leaf].surrounded(faces));
+        let voxels = crossings.bounding_box();
+        (!voxels.is_empty() && holds(&regions.crossed, origin))
+            .then(|| (origin, voxels.expanded(radii.band_margin())))
+    };
+    let surfaces: Vec<(IVec3, CoordBox)> =
+        near.origins().par_iter().enumerate().filter_map(surface).collect();
+    leaves_of_boxes(&surfaces, |origin| holds(&regions.swept, origin))
+}
+
+/// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
+fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized {
+    let Measured { bins, topology, mut nearest } = measured;
     let half_width = radii.half_width();
-    let topology = Topology::new(leaves_near_surface(&reached, &nearest, radii.init, half_width as i32 + 1));
-    let nearest = restrict(&reached, &nearest, &topology);
-    let phi = signed_distance(&topology, &nearest, radii.init, half_width);
-    let (topology, kept) = prune(&topology, &phi, half_width);
-    let keep = |field: &Field| Field { leaves: kept.par_iter().map(|&leaf| field.leaves[leaf]).collect() };
-    let (phi, nearest) = (keep(&phi), keep(&nearest));
-    let mut bounds = Bounds {
-        lower: signed_distance(&topology, &nearest, radii.max, half_width),
-        upper: signed_distance(&topology, &nearest, radii.min, half_width),
+    let mut phi = signed_distance(&topology, &nearest, radii.init, half_width);
+    let is_banded = |leaf: usize| {
+        holds(&regions.banded, topology.origins()[leaf])
+            && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
     };
-    order(&mut bounds);
-    let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width };
-    bounds.clamp(&mut band.phi);
-    (band, bounds)
-}
-
-/// Origins of all leaves with a voxel within `margin` voxels, on every axis, of a change of sign of
-/// `nearest − radius`; with duplicates.
-fn leaves_near_surface(topology: &Topology, nearest: &Field, radius: f32, margin: i32) -> Vec<IVec3> {
-    let near = |(leaf, &origin): (usize, &IVec3)| {
-        let around = Neighborhood::new(&nearest.leaves, topology.neighbors(), leaf);
-        // Beyond a leaf that is not stored no particle is within reach: outside.
-        let open = topology.neighbors()[leaf].map(|neighbor| neighbor == crate::grid::NO_LEAF);
-        let mut surface = CoordBox::EMPTY;
-        for row in 0..ROW_COUNT {
-            for z in bits(crossings(&around, row, radius) | border_crossings(&around, row, open, radius)) {
-                surface.include(voxel_in_leaf(row * 8 + z));
-            }
-        }
-        leaves_of_box(origin, surface, margin)
-    };
-    topology.origins().par_iter().enumerate().flat_map_iter(near).collect()
-}
-
-/// The bits of a row's voxels inside the sphere union that have a face neighbour outside.
-fn crossings(around: &Neighborhood, row: usize, radius: f32) -> u8 {
-    let c = around.row(row);
-    let [xm, xp, ym, yp] = around.side_rows(row);
-    let [zm, zp] = around.shifted_rows(row);
-    (0..8).fold(0, |found, z| {
-        let outside = [xm[z], xp[z], ym[z], yp[z], zm[z], zp[z]].iter().any(|&n| n >= radius);
-        found | u8::from(c[z] < radius && outside) << z
-    })
-}
-
-/// The bits of a row's inside voxels on a face of the leaf beyond which there is no leaf.
-fn border_crossings(around: &Neighborhood, row: usize, open: [bool; 6], radius: f32) -> u8 {
-    let (x, y) = (row >> 3, row & 7);
-    let whole = (open[0] && x == 0) || (open[1] && x == 7) || (open[2] && y == 0) || (open[3] && y == 7);
-    let ends = if whole { 0xff } else { u8::from(open[4]) | u8::from(open[5]) << 7 };
-    let inside = around.row(row).iter().enumerate().fold(0, |bits, (z, &d)| bits | u8::from(d < radius) << z);
-    inside & ends
-}
-
-fn bits(byte: u8) -> impl Iterator<Item = usize> {
-    (0..8).filter(move |bit| byte >> bit & 1 == 1)
-}
-
-/// Origins of the leaves that a box, given relative to `origin` and grown by `margin`, touches.
-fn leaves_of_box(origin: IVec3, voxels: CoordBox, margin: i32) -> Vec<IVec3> {
-    if voxels.is_empty() {
-        return Vec::new();
+    let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
+    keep(&mut phi, &kept);
+    keep(&mut nearest, &kept);
+    let topology = subset(topology, &kept);
+    let mut lower = signed_distance(&topology, &nearest, radii.max, half_width);
+    let mut upper = into_signed_distance(&topology, nearest, radii.min, half_width);
+    let own: Vec<usize> =
+        (0..topology.len()).filter(|&leaf| holds(&regions.own, topology.origins()[leaf])).collect();
+    for field in [&mut phi, &mut lower, &mut upper] {
+        keep(field, &own);
     }
-    let grown = voxels.expanded(margin);
-    let edge = IVec3::splat(LEAF_EDGE);
-    let (first, last) = (grown.min.div_euclid(edge), grown.max.div_euclid(edge));
-    let mut origins = Vec::new();
-    for x in first.x..=last.x {
-        for y in first.y..=last.y {
-            origins.extend((first.z..=last.z).map(|z| origin + IVec3::new(x, y, z) * LEAF_EDGE));
-        }
+    let topology = Arc::new(subset(topology, &own));
+    let mut band = NarrowBand { topology, phi, half_width };
+    let mut bounds = Bounds { lower, upper };
+    finish(&mut band, &mut bounds);
+    Rasterized { bins, band, bounds }
+}
+
+/// Leaves only these of a field, in order.
+fn keep(field: &mut Field, kept: &[usize]) {
+    if kept.len() == field.leaves.len() {
+        return;
     }
-    origins
+    for (to, &from) in kept.iter().enumerate() {
+        field.leaves.copy_within(from..from + 1, to);
+    }
+    field.leaves.truncate(kept.len());
+    field.leaves.shrink_to_fit();
 }
 
-/// The field on other leaves: [`OUT_OF_REACH`] where it has none.
-fn restrict(from: &Topology, field: &Field, to: &Topology) -> Field {
-    let leaf =
-        |&origin: &IVec3| from.find(origin).map_or(Leaf::splat(OUT_OF_REACH), |leaf| field.leaves[leaf]);
-    Field { leaves: to.origins().par_iter().map(leaf).collect() }
-}
-
-/// The signed distance to the union of spheres of this radius, within ± half width.
-fn signed_distance(topology: &Topology, nearest: &Field, radius: f32, half_width: f32) -> Field {
-    let (mut distance, fixed) = known_distances(topology, nearest, radius);
-    extend(topology, &mut distance, &fixed, Sweeps::accurate(sweep_count(half_width)));
-    distance.leaves.par_iter_mut().for_each(|distance| {
-        for distance in &mut distance.values {
-            *distance = distance.clamp(-half_width, half_width);
-        }
-    });
-    distance
+/// The topology of these leaves of another.
+fn subset(topology: Topology, kept: &[usize]) -> Topology {
+    if kept.len() == topology.len() {
+        return topology;
+    }
+    Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect())
 }
 
 /// Sweeps after which every voxel within the half width has its distance: a sweep goes one voxel
@@ -163,44 +233,17 @@ fn sweep_count(half_width: f32) -> u32 {
     (3f32.sqrt() * half_width).ceil() as u32
 }
 
-/// Signed distances where the nearest centre tells them (outside, and beside the surface), and which
-/// voxels these are; elsewhere the sign only.
-fn known_distances(topology: &Topology, nearest: &Field, radius: f32) -> (Field, Vec<LeafMask>) {
-    let known = |leaf: usize| {
-        let around = Neighborhood::new(&nearest.leaves, topology.neighbors(), leaf);
-        let mut distance = Leaf::splat(0.0);
-        let mut fixed = LeafMask::EMPTY;
-        for row in 0..ROW_COUNT {
-            let beside = crossings(&around, row, radius);
-            for (z, &nearest) in around.row(row).iter().enumerate() {
-                let outside = nearest >= radius && nearest != OUT_OF_REACH;
-                if outside || beside >> z & 1 == 1 {
-                    distance.values[row * 8 + z] = nearest - radius;
-                    fixed.insert(row * 8 + z);
-                } else {
-                    distance.values[row * 8 + z] = if nearest < radius { -UNREACHED } else { UNREACHED };
-                }
-            }
-        }
-        (distance, fixed)
-    };
-    let (leaves, fixed) = (0..topology.len()).into_par_iter().map(known).unzip();
-    (Field { leaves }, fixed)
-}
-
-/// The topology of the leaves that hold a value nearer than the half width, and their places in
-/// the old one.
-fn prune(topology: &Topology, phi: &Field, half_width: f32) -> (Topology, Vec<usize>) {
-    let near = |&leaf: &usize| phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width);
-    let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(near).collect();
-    (Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect()), kept)
-}
-
-/// Makes `lower` ≤ `upper` at every voxel, which sweeping each by itself does not promise.
-fn order(bounds: &mut Bounds) {
-    bounds.lower.leaves.par_iter_mut().zip(&bounds.upper.leaves).for_each(|(lower, upper)| {
-        for (lower, upper) in lower.values.iter_mut().zip(&upper.values) {
-            *lower = lower.min(*upper);
+/// Holds all values within ± half width, makes `lower` ≤ `upper` at every voxel, which sweeping each by itself
+/// does not promise, and moves φ between them.
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds) {
+    let half_width = band.half_width;
+    let within = |value: f32| value.clamp(-half_width, half_width);
+    let leaves = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
+    band.phi.leaves.par_iter_mut().zip(leaves).for_each(|(phi, (lower, upper))| {
+        for ((phi, lower), upper) in phi.values.iter_mut().zip(&mut lower.values).zip(&mut upper.values) {
+            *upper = within(*upper);
+            *lower = within(*lower).min(*upper);
+            *phi = within(*phi).max(*lower).min(*upper);
         }
     });
 }

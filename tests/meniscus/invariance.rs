@@ -5,7 +5,7 @@
 use glam::{DVec3, IVec3};
 use meniscus::level_set::NarrowBand;
 use meniscus::particles::Particles;
-use meniscus::rasterize::{ParticleBins, rasterize};
+use meniscus::rasterize::{Rasterized, rasterize};
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::skin;
 use meniscus::smooth::{Integrator, smooth};
@@ -21,8 +21,8 @@ const INTEGRATORS: [Integrator; 3] = [Integrator::Fast, Integrator::Implicit, In
 /// The surface of particles in world units.
 fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -> NarrowBand {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
-    let bins = ParticleBins::new(&particles, &Lattice { voxel_size });
-    let (mut band, bounds) = rasterize(&bins, default_radii());
+    let Ok(Rasterized { mut band, bounds, .. }) =
+        rasterize(&particles, &Lattice { voxel_size }, default_radii());
     smooth(&mut band, &bounds, &default_config(integrator));
     band
 }

@@ -4,7 +4,7 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::particles::Particles;
-use meniscus::rasterize::{ParticleBins, Radii, rasterize};
+use meniscus::rasterize::{Radii, Rasterized, rasterize};
 use meniscus::smooth::{Integrator, smooth};
 use meniscus::space::{INDEX_LIMIT, Lattice};
 
@@ -61,8 +61,9 @@ fn distances_outside_are_exact() {
 fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
     let lattice = Lattice { voxel_size: 1.0 };
-    let bins = ParticleBins::new(&Particles::Double(vec![center.to_array()]), &lattice);
-    let (band, _) = rasterize(&bins, Radii { min: 9.5, init: 10.0, max: 10.5 });
+    let particle = Particles::Double(vec![center.to_array()]);
+    let Ok(Rasterized { band, .. }) =
+        rasterize(&particle, &lattice, Radii { min: 9.5, init: 10.0, max: 10.5 });
     let error = |(voxel, phi): (IVec3, f32)| {
         let exact = voxel.as_dvec3().distance(center) - 10.0;
         (exact.abs() < f64::from(band.half_width) - 0.5).then_some((f64::from(phi) - exact).abs())
@@ -130,12 +131,14 @@ fn positions_that_are_nowhere_are_dropped_and_counted() {
         [1e300, -1e300, 1e300],
     ];
     let mixed = vec![bad[0], good[0], bad[1], bad[2], good[1], bad[3], good[2], bad[4]];
-    let clean = ParticleBins::new(&Particles::Double(good.to_vec()), &lattice);
-    let dirty = ParticleBins::new(&Particles::Double(mixed), &lattice);
-    assert_eq!((clean.len(), clean.dropped_count), (3, 0));
-    assert_eq!((dirty.len(), dirty.dropped_count), (3, 5));
-    let (clean, dirty) = (rasterize(&clean, default_radii()).0, rasterize(&dirty, default_radii()).0);
-    assert!(same_bits(&clean, &dirty));
-    let all_bad = ParticleBins::new(&Particles::Double(bad.to_vec()), &lattice);
-    assert!(all_bad.is_empty() && rasterize(&all_bad, default_radii()).0.topology.is_empty());
+    let rasterized = |positions: Vec<[f64; 3]>| {
+        let Ok(rasterized) = rasterize(&Particles::Double(positions), &lattice, default_radii());
+        rasterized
+    };
+    let (clean, dirty) = (rasterized(good.to_vec()), rasterized(mixed));
+    assert_eq!((clean.bins.len(), clean.bins.particle_count, clean.bins.dropped_count), (3, 3, 0));
+    assert_eq!((dirty.bins.len(), dirty.bins.particle_count, dirty.bins.dropped_count), (3, 3, 5));
+    assert!(same_bits(&clean.band, &dirty.band));
+    let all_bad = rasterized(bad.to_vec());
+    assert!(all_bad.bins.is_empty() && all_bad.band.topology.is_empty());
 }

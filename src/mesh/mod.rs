@@ -18,8 +18,17 @@
 //! Mark Meyer, Mathieu Desbrun, Peter Schröder, Alan Barr. Discrete Differential-Geometry Operators
 //! for Triangulated 2-Manifolds. 2003
 
+mod components;
+mod corners;
+mod triangles;
+mod vertices;
+
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+
+use crate::simd::{Kernel, Lanes, dispatch};
+use corners::{Corners, Touching};
+pub(crate) use triangles::{LANES, TriangleBatch};
 
 /// A triangle mesh in world units.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -78,9 +87,17 @@ impl Mesh {
     ///
     /// Panics if a triangle names a vertex that does not exist.
     pub fn measure(&self) -> MeshMeasures {
-        let corners = Corners::new(self);
-        let vertices = sum_in_pieces(self.positions.len(), |vertex| measure_vertex(self, &corners, vertex));
-        let triangles = sum_in_pieces(self.triangles.len(), |index| measure_triangle(self, index));
+        let triangles = self.triangles.par_chunks(PIECE);
+        let triangles =
+            Sums::in_order(triangles.map(|triangles| dispatch(TrianglePiece { mesh: self, triangles })));
+        let touching = Touching::new(self);
+        let mut parents: Vec<u32> = vec![0; self.positions.len()];
+        let pieces = parents.par_chunks_mut(PIECE).enumerate();
+        let vertices = Sums::in_order(pieces.map_init(Corners::default, |corners, (piece, parents)| {
+            dispatch(VertexPiece { mesh: self, touching: &touching, piece, parents, corners })
+        }));
+        drop(touching);
+        let joined_count = vertices.joined_count + components::join_pieces(self, &mut parents);
         let edge_count = vertices.edge_count as i64;
         MeshMeasures {
             area: triangles.area,
@@ -92,7 +109,7 @@ impl Mesh {
             non_manifold_edge_count: vertices.non_manifold_edge_count,
             non_manifold_vertex_count: vertices.non_manifold_vertex_count,
             degenerate_triangle_count: triangles.degenerate_triangle_count,
-            component_count: component_count(self, vertices.used_vertex_count),
+            component_count: vertices.used_vertex_count - joined_count,
             euler_characteristic: vertices.used_vertex_count as i64 - edge_count
                 + self.triangles.len() as i64,
         }
@@ -115,170 +132,67 @@ struct Sums {
     non_manifold_vertex_count: usize,
     degenerate_triangle_count: usize,
     used_vertex_count: usize,
+    /// How many times two components became one.
+    joined_count: usize,
 }
 
-fn sum_in_pieces(count: usize, measure: impl Fn(usize) -> Sums + Sync) -> Sums {
-    let add = |sums: Sums, one: Sums| Sums {
-        area: sums.area + one.area,
-        volume: sums.volume + one.volume,
-        bending_energy: sums.bending_energy + one.bending_energy,
-        edge_count: sums.edge_count + one.edge_count,
-        boundary_edge_count: sums.boundary_edge_count + one.boundary_edge_count,
-        non_manifold_edge_count: sums.non_manifold_edge_count + one.non_manifold_edge_count,
-        non_manifold_vertex_count: sums.non_manifold_vertex_count + one.non_manifold_vertex_count,
-        degenerate_triangle_count: sums.degenerate_triangle_count + one.degenerate_triangle_count,
-        used_vertex_count: sums.used_vertex_count + one.used_vertex_count,
-    };
-    let pieces: Vec<Sums> = (0..count.div_ceil(PIECE))
-        .into_par_iter()
-        .map(|piece| {
-            let range = piece * PIECE..count.min((piece + 1) * PIECE);
-            range.map(&measure).fold(Sums::default(), add)
+impl Sums {
+    /// The sum of those of all pieces.
+    fn in_order(pieces: impl IndexedParallelIterator<Item = Sums>) -> Sums {
+        let pieces: Vec<Sums> = pieces.collect();
+        pieces.into_iter().fold(Sums::default(), |sums, one| Sums {
+            area: sums.area + one.area,
+            volume: sums.volume + one.volume,
+            bending_energy: sums.bending_energy + one.bending_energy,
+            edge_count: sums.edge_count + one.edge_count,
+            boundary_edge_count: sums.boundary_edge_count + one.boundary_edge_count,
+            non_manifold_edge_count: sums.non_manifold_edge_count + one.non_manifold_edge_count,
+            non_manifold_vertex_count: sums.non_manifold_vertex_count + one.non_manifold_vertex_count,
+            degenerate_triangle_count: sums.degenerate_triangle_count + one.degenerate_triangle_count,
+            used_vertex_count: sums.used_vertex_count + one.used_vertex_count,
+            joined_count: sums.joined_count + one.joined_count,
         })
-        .collect();
-    pieces.into_iter().fold(Sums::default(), add)
-}
-
-/// All corners of a mesh, by vertex.
-struct Corners {
-    /// Where each vertex's corners start in `ends`, and at last where the last one's end.
-    starts: Vec<usize>,
-    /// `[next, prev]` of each corner.
-    ends: Vec<[u32; 2]>,
-}
-
-impl Corners {
-    fn new(mesh: &Mesh) -> Corners {
-        let mut starts = vec![0; mesh.positions.len() + 2];
-        mesh.triangles.iter().flatten().for_each(|&vertex| starts[vertex as usize + 2] += 1);
-        for vertex in 2..starts.len() {
-            starts[vertex] += starts[vertex - 1];
-        }
-        // Each start moves up as its corners are put in, and so becomes the next vertex's start.
-        let mut ends = vec![[0; 2]; mesh.triangles.len() * 3];
-        for &[a, b, c] in &mesh.triangles {
-            for [vertex, next, prev] in [[a, b, c], [b, c, a], [c, a, b]] {
-                let place = &mut starts[vertex as usize + 1];
-                ends[*place] = [next, prev];
-                *place += 1;
-            }
-        }
-        Corners { starts, ends }
-    }
-
-    fn of(&self, vertex: usize) -> &[[u32; 2]] {
-        &self.ends[self.starts[vertex]..self.starts[vertex + 1]]
     }
 }
 
-fn measure_vertex(mesh: &Mesh, corners: &Corners, vertex: usize) -> Sums {
-    let corners = corners.of(vertex);
-    if corners.is_empty() {
-        return Sums::default();
-    }
-    let mut sums = Sums { used_vertex_count: 1, ..Sums::default() };
-    for (place, corner) in corners.iter().enumerate() {
-        for (side, &other) in corner.iter().enumerate() {
-            // Each edge once: from its lesser end, at the first corner that has it.
-            let is_seen = corners[..place].iter().any(|corner| corner.contains(&other));
-            if (other as usize) < vertex || is_seen || side == 1 && corner[0] == other {
-                continue;
-            }
-            let next_count = corners.iter().filter(|corner| corner[0] == other).count();
-            let prev_count = corners.iter().filter(|corner| corner[1] == other).count();
-            sums.edge_count += 1;
-            match (next_count, prev_count) {
-                (1, 1) => {}
-                (1, 0) | (0, 1) => sums.boundary_edge_count += 1,
-                _ => sums.non_manifold_edge_count += 1,
-            }
-        }
-    }
-    sums.non_manifold_vertex_count = usize::from(!is_one_fan(corners));
-    sums.bending_energy = vertex_energy(mesh, corners, vertex);
-    sums
+/// Measures some triangles.
+struct TrianglePiece<'a> {
+    mesh: &'a Mesh,
+    triangles: &'a [[u32; 3]],
 }
 
-/// Whether one walk over shared edges passes through all corners of a vertex.
-fn is_one_fan(corners: &[[u32; 2]]) -> bool {
-    let step = |corner: &[u32; 2]| corners.iter().position(|other| other[0] == corner[1]);
-    // An open fan is walked from its first corner, a ring from any.
-    let is_first = |corner: &[u32; 2]| !corners.iter().any(|other| other[1] == corner[0]);
-    let start = corners.iter().position(is_first).unwrap_or(0);
-    let mut at = start;
-    for passed in 1..=corners.len() {
-        match step(&corners[at]) {
-            Some(next) if next != start => at = next,
-            _ => return passed == corners.len(),
-        }
-    }
-    false
-}
+impl Kernel for TrianglePiece<'_> {
+    type Output = Sums;
 
-/// The part of ∫H² around a vertex.
-fn vertex_energy(mesh: &Mesh, corners: &[[u32; 2]], vertex: usize) -> f64 {
-    let here = mesh.positions[vertex].as_dvec3();
-    let (mut area, mut curvature_vector) = (0.0, DVec3::ZERO);
-    for corner in corners {
-        let [to_next, to_prev] = corner.map(|end| mesh.positions[end as usize].as_dvec3() - here);
-        let across = to_prev - to_next;
-        let doubled_area = to_next.cross(to_prev).length();
-        if doubled_area <= 0.0 {
-            continue;
-        }
-        // The products whose signs tell acute from obtuse; over the area, cotangents.
-        let [at_here, at_next, at_prev] = [to_next.dot(to_prev), -to_next.dot(across), to_prev.dot(across)];
-        curvature_vector -= 0.5 * (at_prev * to_next + at_next * to_prev) / doubled_area;
-        area += if at_here < 0.0 {
-            doubled_area / 4.0
-        } else if at_next < 0.0 || at_prev < 0.0 {
-            doubled_area / 8.0
-        } else {
-            (at_prev * to_next.length_squared() + at_next * to_prev.length_squared()) / (8.0 * doubled_area)
-        };
-    }
-    if area > 0.0 { curvature_vector.length_squared() / (4.0 * area) } else { 0.0 }
-}
-
-/// Triangles lower than this part of their longest edge count as degenerate.
-const LEAST_HEIGHT: f64 = 1e-9;
-
-fn measure_triangle(mesh: &Mesh, index: usize) -> Sums {
-    let [a, b, c] = mesh.triangles[index].map(|vertex| mesh.positions[vertex as usize].as_dvec3());
-    let normal = (b - a).cross(c - a);
-    let longest_squared = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-    let is_degenerate = normal.length() <= LEAST_HEIGHT * longest_squared;
-    Sums {
-        area: 0.5 * normal.length(),
-        volume: a.dot(b.cross(c)) / 6.0,
-        degenerate_triangle_count: usize::from(is_degenerate),
-        ..Sums::default()
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Sums {
+        triangles::sum_triangles(self.mesh, self.triangles)
     }
 }
 
-/// How many pieces the used vertices are in.
-fn component_count(mesh: &Mesh, used_vertex_count: usize) -> usize {
-    let mut parents: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    let find = |vertex: u32, parents: &mut Vec<u32>| {
-        let mut root = vertex;
-        while parents[root as usize] != root {
-            let parent = parents[root as usize];
-            parents[root as usize] = parents[parent as usize];
-            root = parent;
-        }
-        root
-    };
-    let mut joined_count = 0;
-    for &[a, b, c] in &mesh.triangles {
-        for [one, other] in [[a, b], [b, c]] {
-            let (one, other) = (find(one, &mut parents), find(other, &mut parents));
-            if one != other {
-                parents[one.max(other) as usize] = one.min(other);
-                joined_count += 1;
-            }
-        }
+/// Measures a piece of the vertices.
+struct VertexPiece<'a> {
+    mesh: &'a Mesh,
+    touching: &'a Touching,
+    piece: usize,
+    /// Becomes for each vertex the first one that is connected with it within the piece.
+    parents: &'a mut [u32],
+    /// Used again for each piece.
+    corners: &'a mut Corners,
+}
+
+impl Kernel for VertexPiece<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Sums {
+        let VertexPiece { mesh, touching, piece, parents, corners } = self;
+        let (first, count) = (piece * PIECE, parents.len());
+        let triangles = touching.triangles(mesh, piece);
+        corners.collect(first as u32, count, triangles.clone());
+        let joined_count = components::join_piece(parents, first as u32, triangles);
+        Sums { joined_count, ..vertices::sum_vertices(mesh, corners, first, count) }
     }
-    used_vertex_count - joined_count
 }
 
 #[cfg(test)]

@@ -1,0 +1,182 @@
+//! How far the nearest particle is.
+//!
+//! Vertices come leaf by leaf, and neighbours in a leaf come together. So the leaves around one are looked up
+//! once for all of its vertices, and a few vertices at a time meet the particles of a leaf, one vertex in each lane
+//! of the processor's vectors. Leaves come the nearest first: most are then farther from all of these vertices than
+//! the particles that are already known, and are not opened.
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::particle_checks::{Part, ParticleChecks};
+use crate::grid::LEAF_EDGE;
+use crate::rasterize::ParticleBins;
+use crate::simd::{Kernel, Lanes, dispatch};
+
+/// What a cell may hide, in voxels.
+const CELL_MARGIN: f32 = 0.5;
+
+/// Vertices in a piece of work.
+const PIECE: usize = 4096;
+
+/// Vertices that meet particles at once.
+const LANES: usize = 8;
+
+/// One coordinate of each of these vertices.
+type Column = [f32; LANES];
+
+/// Checks how far the vertices of a part are from its particles.
+pub(super) fn check_vertices(part: &Part) -> ParticleChecks {
+    let steps = nearest_first(((part.radii.max + CELL_MARGIN) / LEAF_EDGE as f32).ceil() as i32);
+    let pieces = part.mesh.positions.par_chunks(PIECE);
+    let checks = pieces.map(|positions| dispatch(PieceChecks { part, steps: &steps, positions }));
+    checks.reduce(|| ParticleChecks::NOTHING, ParticleChecks::and)
+}
+
+/// Checks some vertices.
+struct PieceChecks<'a> {
+    part: &'a Part<'a>,
+    steps: &'a [IVec3],
+    positions: &'a [Vec3],
+}
+
+impl Kernel for PieceChecks<'_> {
+    type Output = ParticleChecks;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> ParticleChecks {
+        let mut checks = ParticleChecks::NOTHING;
+        let mut near = NearLeaves { origin: IVec3::MAX, leaves: Vec::with_capacity(self.steps.len()) };
+        let mut rest = self.positions;
+        while let Some(&first) = rest.first() {
+            let (origin, _) = self.place(first);
+            let mut locals = [[0.0; LANES]; 3];
+            let mut count = 0;
+            // The last vertex repeats in lanes that would be empty.
+            for lane in 0..LANES {
+                if let Some(&position) = rest.get(count) {
+                    let (leaf, local) = self.place(position);
+                    if count == lane && leaf == origin {
+                        [locals[0][lane], locals[1][lane], locals[2][lane]] = local.to_array();
+                        count += 1;
+                        continue;
+                    }
+                }
+                for local in &mut locals {
+                    local[lane] = local[count - 1];
+                }
+            }
+            rest = &rest[count..];
+            if !self.part.owned.contains(origin) {
+                continue;
+            }
+            if near.origin != origin {
+                near.find(self.part.bins, origin, self.steps);
+            }
+            let distances = near.distances(self.part.bins, &locals);
+            checks = checks.and(self.check(&distances[..count]));
+        }
+        checks
+    }
+}
+
+impl PieceChecks<'_> {
+    /// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
+    #[inline(always)]
+    fn place(&self, position: Vec3) -> (IVec3, Vec3) {
+        let index = (self.part.mesh.origin + position.as_dvec3()) / self.part.lattice.voxel_size;
+        let edge = f64::from(LEAF_EDGE);
+        let origin: DVec3 = (index / edge).floor() * edge;
+        (origin.as_ivec3(), (index - origin).as_vec3())
+    }
+
+    #[inline(always)]
+    fn check(&self, distances: &[f32]) -> ParticleChecks {
+        let radii = self.part.radii;
+        let mut checks = ParticleChecks::NOTHING;
+        for &distance in distances {
+            checks.vertex_distance_min = checks.vertex_distance_min.min(distance);
+            checks.vertex_distance_max = checks.vertex_distance_max.max(distance);
+            checks.vertices_inside_min += usize::from(distance < radii.min - CELL_MARGIN);
+            checks.vertices_outside_max += usize::from(distance > radii.max + CELL_MARGIN);
+        }
+        checks
+    }
+}
+
+/// The leaves around one that hold particles, the nearest first.
+struct NearLeaves {
+    origin: IVec3,
+    /// The step to each, in voxels, and its place in the bins.
+    leaves: Vec<(Vec3, usize)>,
+}
+
+impl NearLeaves {
+    fn find(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
+        self.origin = origin;
+        self.leaves.clear();
+        let found =
+            steps.iter().filter_map(|&step| Some((step.as_vec3(), bins.topology.find(origin + step)?)));
+        self.leaves.extend(found);
+    }
+
+    /// The distances from points, given relative to the leaf, to the nearest particle in these leaves.
+    #[inline(always)]
+    fn distances(&self, bins: &ParticleBins, points: &[Column; 3]) -> Column {
+        let mut nearest = [f32::INFINITY; LANES];
+        for &(step, leaf) in &self.leaves {
+            let mut locals = *points;
+            for axis in 0..3 {
+                for lane in 0..LANES {
+                    locals[axis][lane] = points[axis][lane] - step[axis];
+                }
+            }
+            let farthest = nearest.iter().fold(0.0f32, |farthest, &nearest| farthest.max(nearest));
+            if squared_gap(&locals) >= farthest {
+                continue;
+            }
+            let [x, y, z] = locals;
+            for particle in bins.in_leaf(leaf) {
+                for lane in 0..LANES {
+                    let to_particle = *particle - Vec3::new(x[lane], y[lane], z[lane]);
+                    let squared = to_particle.length_squared();
+                    nearest[lane] = if squared < nearest[lane] { squared } else { nearest[lane] };
+                }
+            }
+        }
+        nearest.map(f32::sqrt)
+    }
+}
+
+/// The square of the distance between a leaf and a box around points given relative to it. No less than that is
+/// what is computed for any of the points and any particle of the leaf: rounding keeps the order of numbers.
+#[inline(always)]
+fn squared_gap(points: &[Column; 3]) -> f32 {
+    let gap = |axis: usize| {
+        let column = &points[axis];
+        let (mut least, mut most) = (column[0], column[0]);
+        for &value in column {
+            least = if value < least { value } else { least };
+            most = if value > most { value } else { most };
+        }
+        (least - LEAF_EDGE as f32).max(-most).max(0.0)
+    };
+    Vec3::new(gap(0), gap(1), gap(2)).length_squared()
+}
+
+/// The distance from a point, given relative to the leaf at `origin`, to the nearest particle in
+/// the leaves at `steps` from it.
+pub(super) fn nearest_particle(bins: &ParticleBins, origin: IVec3, point: Vec3, steps: &[IVec3]) -> f32 {
+    let mut near = NearLeaves { origin, leaves: Vec::new() };
+    near.find(bins, origin, steps);
+    near.distances(bins, &point.to_array().map(|axis| [axis; LANES]))[0]
+}
+
+/// Steps to all leaves within so many leaves on each axis, the nearest first.
+pub(super) fn nearest_first(rings: i32) -> Vec<IVec3> {
+    let axis = || -rings..=rings;
+    let mut steps: Vec<IVec3> =
+        axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z)))).collect();
+    steps.sort_by_key(|step| step.length_squared());
+    steps.into_iter().map(|step| step * LEAF_EDGE).collect()
+}

@@ -1,0 +1,97 @@
+//! What is checked of every result before it leaves: a certificate that ships with the frame.
+//!
+//! ```text
+//!   φ within its bounds at every voxel                    (Eq. 6)
+//!   no vertex nearer to a particle than r_min − h/2       the surface stays outside S_min
+//!   none farther from all of them than r_max + h/2        and inside S_max, but for what a cell hides
+//!   every particle inside
+//!   the mesh closed and 2-manifold
+//! ```
+//!
+//! The half voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and a sphere bends between
+//! them.
+
+mod containment;
+mod distances;
+mod particle_checks;
+
+use rayon::prelude::*;
+
+pub use particle_checks::{Part, ParticleChecks};
+
+use crate::level_set::{Bounds, NarrowBand};
+use crate::mesh::{Mesh, MeshMeasures};
+use crate::rasterize::{ParticleBins, Radii};
+use crate::space::{CoordBox, Lattice};
+
+/// What is checked of every result. Distances are in voxels, to the nearest particle's centre.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Certificate {
+    /// Voxels where φ leaves its bounds (Eq. 6). Always 0.
+    pub bound_violation_count: usize,
+    /// Least distance from a mesh vertex to a particle; infinite for an empty mesh.
+    pub vertex_distance_min: f64,
+    /// Largest distance from a mesh vertex to its nearest particle; 0 for an empty mesh.
+    pub vertex_distance_max: f64,
+    /// Mesh vertices nearer to a particle than r_min − h/2.
+    pub vertices_inside_min: usize,
+    /// Mesh vertices farther from all particles than r_max + h/2.
+    pub vertices_outside_max: usize,
+    /// Particles outside the surface.
+    pub particles_outside: usize,
+    /// Whether every edge is in two triangles, every vertex in one ring of them, and none degenerate.
+    pub mesh_is_closed_manifold: bool,
+    /// How far 32-bit positions may be off, in voxels: much only where part of a frame is tens of
+    /// thousands of voxels from the rest.
+    pub position_rounding: f64,
+}
+
+impl Certificate {
+    /// Whether everything that was checked holds.
+    pub fn holds(&self) -> bool {
+        self.bound_violation_count == 0
+            && self.vertices_inside_min == 0
+            && self.vertices_outside_max == 0
+            && self.particles_outside == 0
+            && self.mesh_is_closed_manifold
+    }
+}
+
+/// Checks a result against the particles it was made from.
+pub fn certify(
+    bins: &ParticleBins,
+    radii: Radii,
+    band: &NarrowBand,
+    bounds: &Bounds,
+    mesh: &Mesh,
+    measures: &MeshMeasures,
+    lattice: &Lattice,
+) -> Certificate {
+    let whole = Part { bins, radii, band, mesh, lattice, owned: CoordBox::ALL };
+    Certificate {
+        bound_violation_count: bounds.violation_count(&band.phi),
+        mesh_is_closed_manifold: measures.is_closed_manifold(),
+        position_rounding: position_rounding(mesh, lattice),
+        ..ParticleChecks::of(&whole).into()
+    }
+}
+
+impl From<ParticleChecks> for Certificate {
+    fn from(checks: ParticleChecks) -> Certificate {
+        Certificate {
+            vertex_distance_min: f64::from(checks.vertex_distance_min),
+            vertex_distance_max: f64::from(checks.vertex_distance_max),
+            vertices_inside_min: checks.vertices_inside_min,
+            vertices_outside_max: checks.vertices_outside_max,
+            particles_outside: checks.particles_outside,
+            ..Certificate::default()
+        }
+    }
+}
+
+/// Half the distance between the 32-bit numbers at the farthest position, in voxels.
+fn position_rounding(mesh: &Mesh, lattice: &Lattice) -> f64 {
+    let farthest =
+        mesh.positions.par_iter().map(|position| position.abs().max_element()).reduce(|| 0.0, f32::max);
+    f64::from(farthest.next_up() - farthest) / 2.0 / lattice.voxel_size
+}

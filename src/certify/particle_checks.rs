@@ -1,0 +1,125 @@
+//! What is checked of particles and surface against each other, leaf by leaf.
+//!
+//! ```text
+//!   part A ──▶ checks ─┐
+//!   part B ──▶ checks ─┼─ and ─▶ checks of the whole
+//!   part C ──▶ checks ─┘
+//! ```
+//!
+//! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
+//! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
+
+use super::{containment, distances};
+use crate::level_set::NarrowBand;
+use crate::mesh::Mesh;
+use crate::rasterize::{ParticleBins, Radii};
+use crate::space::{CoordBox, Lattice};
+
+/// A part of a frame: what is in the leaves whose origins are in a box.
+#[derive(Clone, Copy)]
+pub struct Part<'a> {
+    /// The particles in these leaves, and in those as far around them as r_max and two voxels reach. Particles so
+    /// deep inside that no voxel near them is stored may be missing.
+    pub bins: &'a ParticleBins,
+    /// The radii in voxels.
+    pub radii: Radii,
+    /// The band that was contoured, in these leaves and those next to them.
+    pub band: &'a NarrowBand,
+    /// A mesh that has the vertices in these leaves. Others are left out.
+    pub mesh: &'a Mesh,
+    /// What the mesh's positions are in voxels.
+    pub lattice: &'a Lattice,
+    /// The voxels whose leaves are checked.
+    pub owned: CoordBox,
+}
+
+/// What is checked of vertices and particles. Distances are in voxels, to the nearest particle's centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParticleChecks {
+    /// Least distance from a vertex to a particle; infinite where there is no vertex.
+    pub vertex_distance_min: f32,
+    /// Largest distance from a vertex to its nearest particle; 0 where there is no vertex.
+    pub vertex_distance_max: f32,
+    /// Vertices nearer to a particle than r_min − h/2.
+    pub vertices_inside_min: usize,
+    /// Vertices farther from all particles than r_max + h/2.
+    pub vertices_outside_max: usize,
+    /// Particles outside the surface.
+    pub particles_outside: usize,
+}
+
+impl ParticleChecks {
+    /// The checks of no vertex and no particle.
+    pub const NOTHING: ParticleChecks = ParticleChecks {
+        vertex_distance_min: f32::INFINITY,
+        vertex_distance_max: 0.0,
+        vertices_inside_min: 0,
+        vertices_outside_max: 0,
+        particles_outside: 0,
+    };
+
+    /// Checks a part of a frame.
+    pub fn of(part: &Part) -> ParticleChecks {
+        let vertices = distances::check_vertices(part);
+        ParticleChecks { particles_outside: containment::particles_outside(part), ..vertices }
+    }
+
+    /// The checks of two parts that have no leaf in common, together.
+    pub fn and(self, other: ParticleChecks) -> ParticleChecks {
+        ParticleChecks {
+            vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
+            vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
+            vertices_inside_min: self.vertices_inside_min + other.vertices_inside_min,
+            vertices_outside_max: self.vertices_outside_max + other.vertices_outside_max,
+            particles_outside: self.particles_outside + other.particles_outside,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::IVec3;
+
+    use super::*;
+    use crate::contour::{Contouring, contour};
+    use crate::particles::Particles;
+    use crate::rasterize::rasterize;
+
+    /// Particles in a wavy sheet and a few beside it.
+    fn particles(spacing: f64) -> Particles {
+        let place = |index: usize| {
+            let (x, y, z) = (index / 60, index / 3 % 20, index % 3);
+            [x as f64 * spacing, y as f64 * spacing, z as f64 * spacing + 3.0 * (x as f64 * 0.4).sin()]
+        };
+        Particles::Double((0..1800).map(place).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
+    }
+
+    #[test]
+    fn the_parts_of_a_frame_make_the_whole() {
+        let lattice = Lattice { voxel_size: 1.0 };
+        let made = Radii { min: 1.7, init: 2.6, max: 3.4 };
+        let bins = ParticleBins::new(&particles(1.9), &lattice);
+        let (band, _) = rasterize(&bins, made);
+        let mesh = contour(&band, &lattice, Contouring::Dual);
+        // What was made from these particles holds; from others, and with other radii, nothing does.
+        let others = ParticleBins::new(&particles(2.3), &lattice);
+        let other_radii = Radii { min: 3.0, init: 1.0, max: 2.2 };
+        for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
+            let part = |owned: CoordBox| {
+                ParticleChecks::of(&Part { bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned })
+            };
+            let whole = part(CoordBox::ALL);
+            let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];
+            assert_eq!(counts.map(|count| count == 0), [holds; 3], "{whole:?}");
+            let (low, high) = (IVec3::MIN, IVec3::MAX);
+            let parts = [
+                CoordBox { min: low, max: IVec3::new(15, i32::MAX, i32::MAX) },
+                CoordBox { min: IVec3::new(16, i32::MIN, i32::MIN), max: IVec3::new(i32::MAX, 7, i32::MAX) },
+                CoordBox { min: IVec3::new(16, 8, i32::MIN), max: high },
+            ];
+            let checks = parts.map(part);
+            assert!(checks.iter().all(|checks| checks.vertex_distance_max > 0.0));
+            assert_eq!(checks.into_iter().fold(ParticleChecks::NOTHING, ParticleChecks::and), whole);
+        }
+    }
+}

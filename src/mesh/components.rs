@@ -1,0 +1,86 @@
+//! How many pieces a mesh is in.
+//!
+//! ```text
+//!   union-find within each piece of vertices, in parallel      parents: a vertex of the same component
+//!   then every vertex knows the root of its part …
+//!   … and few pairs of roots are left to join, one by one
+//! ```
+
+use rayon::prelude::*;
+
+use super::{Mesh, PIECE};
+
+/// Joins the vertices of one piece along the edges that are within it, in `parents`, which then name roots.
+/// Returns how many joints that took.
+pub(super) fn join_piece(
+    parents: &mut [u32],
+    first: u32,
+    triangles: impl Iterator<Item = [u32; 3]>,
+) -> usize {
+    let count = parents.len() as u32;
+    for (parent, vertex) in parents.iter_mut().zip(0..) {
+        *parent = vertex;
+    }
+    let mut joined_count = 0;
+    triangles.for_each(|[a, b, c]| {
+        let [a, b, c] = [a.wrapping_sub(first), b.wrapping_sub(first), c.wrapping_sub(first)];
+        for [one, other] in [[a, b], [b, c]] {
+            // Mostly both know their root already.
+            let are_own = one < count && other < count;
+            if are_own && parents[one as usize] != parents[other as usize] {
+                joined_count += usize::from(join(parents, one, other));
+            }
+        }
+    });
+    for vertex in 0..parents.len() {
+        // Roots come before what they are the roots of.
+        let root = parents[parents[vertex] as usize];
+        parents[vertex] = root;
+    }
+    parents.iter_mut().for_each(|parent| *parent += first);
+    joined_count
+}
+
+/// Joins pieces along the edges between them, when all have been joined within. Returns how many joints that took.
+pub(super) fn join_pieces(mesh: &Mesh, parents: &mut [u32]) -> usize {
+    let roots: &[u32] = parents;
+    let pairs_of = |triangles: &[[u32; 3]]| {
+        let mut pairs = Vec::new();
+        for &[a, b, c] in triangles {
+            for [one, other] in [[a, b], [b, c]] {
+                if one / PIECE as u32 != other / PIECE as u32 {
+                    let (one, other) = (roots[one as usize], roots[other as usize]);
+                    let pair = [one.min(other), one.max(other)];
+                    if pairs.last() != Some(&pair) {
+                        pairs.push(pair);
+                    }
+                }
+            }
+        }
+        pairs.sort_unstable();
+        pairs.dedup();
+        pairs
+    };
+    let pairs: Vec<Vec<[u32; 2]>> = mesh.triangles.par_chunks(PIECE).map(pairs_of).collect();
+    pairs.into_iter().flatten().filter(|&[one, other]| join(parents, one, other)).count()
+}
+
+/// Joins the trees of two vertices, and tells whether they were apart. The lesser root stays one.
+fn join(parents: &mut [u32], one: u32, other: u32) -> bool {
+    let (one, other) = (find(parents, one), find(parents, other));
+    if one != other {
+        parents[one.max(other) as usize] = one.min(other);
+    }
+    one != other
+}
+
+/// The root of a vertex. What is passed on the way gets nearer to it.
+fn find(parents: &mut [u32], vertex: u32) -> u32 {
+    let mut root = vertex;
+    while parents[root as usize] != root {
+        let parent = parents[root as usize];
+        parents[root as usize] = parents[parent as usize];
+        root = parent;
+    }
+    root
+}

@@ -1,0 +1,149 @@
+//! A batch of particles, sorted by the leaves they lie in.
+//!
+//! ```text
+//!   batch       p0 p1 p2 p3 p4 p5        as the source has them
+//!   leaves      A  A  B  A  C  B
+//!   sorted      p0 p1 p3 | p2 p5 | p4    A, B, C: in the order in which they first appear
+//! ```
+//!
+//! Both passes over the particles begin with this. Neighbours in a file are mostly neighbours in space: a
+//! leaf is looked up only where it is not that of the particle before.
+
+use glam::{IVec3, Vec3};
+use rustc_hash::FxHashMap;
+
+use crate::grid::LEAF_EDGE;
+use crate::particles::Positions;
+use crate::simd::{self, Kernel, Lanes};
+use crate::space::{INDEX_LIMIT, Lattice};
+
+/// The particles of a batch by leaf.
+pub(super) struct LeafBatch {
+    /// The leaves that hold any.
+    origins: Vec<IVec3>,
+    /// Where the particles of each leaf start; one more entry than leaves.
+    starts: Vec<u32>,
+    /// Positions in voxels relative to the origin of their leaf, 0 to 8 on each axis.
+    locals: Vec<Vec3>,
+    /// Particles left out: positions that are not finite, or outside the grid's range of indices.
+    pub(super) dropped_count: usize,
+}
+
+impl LeafBatch {
+    /// Sorts a batch. Particles of a leaf keep their order.
+    pub(super) fn new(positions: &Positions, lattice: &Lattice) -> LeafBatch {
+        let placed = match positions {
+            Positions::Single(positions) => place_all(positions, lattice),
+            Positions::Double(positions) => place_all(positions, lattice),
+        };
+        let mut origins: Vec<IVec3> = Vec::new();
+        let mut starts = vec![0u32];
+        let mut leaves: FxHashMap<IVec3, u32> = FxHashMap::default();
+        let mut leaf_of = Vec::with_capacity(placed.len());
+        let mut last = 0;
+        for &(origin, _) in placed.iter().filter(|(_, local)| is_placed(*local)) {
+            if origins.get(last as usize) != Some(&origin) {
+                last = *leaves.entry(origin).or_insert_with(|| {
+                    origins.push(origin);
+                    starts.push(0);
+                    origins.len() as u32 - 1
+                });
+            }
+            starts[last as usize + 1] += 1;
+            leaf_of.push(last);
+        }
+        for leaf in 0..origins.len() {
+            starts[leaf + 1] += starts[leaf];
+        }
+        let mut cursors = starts.clone();
+        let mut locals = vec![Vec3::ZERO; leaf_of.len()];
+        let kept = placed.iter().filter(|(_, local)| is_placed(*local));
+        for (&(_, local), &leaf) in kept.zip(&leaf_of) {
+            let cursor = &mut cursors[leaf as usize];
+            locals[*cursor as usize] = local;
+            *cursor += 1;
+        }
+        LeafBatch { dropped_count: placed.len() - locals.len(), origins, starts, locals }
+    }
+
+    /// The particles that were not dropped.
+    pub(super) fn len(&self) -> usize {
+        self.locals.len()
+    }
+
+    /// The origin of each leaf, and its particles relative to that, in voxels.
+    pub(super) fn leaves(&self) -> impl Iterator<Item = (IVec3, &[Vec3])> {
+        let ranges = self.starts.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
+        self.origins.iter().zip(ranges).map(|(&origin, range)| (origin, &self.locals[range]))
+    }
+}
+
+/// The leaf of each particle, and its position relative to that, in voxels: not a number where there is none.
+fn place_all<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> Vec<(IVec3, Vec3)> {
+    let mut placed = vec![(IVec3::ZERO, Vec3::ZERO); positions.len()];
+    simd::dispatch(Place { positions, voxel_size: lattice.voxel_size, placed: &mut placed });
+    placed
+}
+
+/// Whether a position is one of the grid.
+fn is_placed(local: Vec3) -> bool {
+    !local.is_nan()
+}
+
+/// As [`Lattice::index_from_world`], for many positions.
+struct Place<'a, T> {
+    positions: &'a [[T; 3]],
+    voxel_size: f64,
+    placed: &'a mut [(IVec3, Vec3)],
+}
+
+impl<T: Copy + Into<f64>> Kernel for Place<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let edge = f64::from(LEAF_EDGE);
+        for (position, (origin, local)) in self.positions.iter().zip(self.placed) {
+            for axis in 0..3 {
+                let index = position[axis].into() / self.voxel_size;
+                let leaf = (index / edge).floor() * edge;
+                origin[axis] = leaf as i32;
+                // A comparison with NaN is false: what is not a number is not inside.
+                let is_inside = index.abs() < f64::from(INDEX_LIMIT);
+                local[axis] = if is_inside { (index - leaf) as f32 } else { f32::NAN };
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::particles::{ParticleSource, Particles};
+
+    #[test]
+    fn particles_are_sorted_into_the_leaves_that_the_lattice_says() {
+        let lattice = Lattice { voxel_size: 0.3 };
+        let limit = 0.3 * f64::from(INDEX_LIMIT);
+        let mut positions: Vec<[f64; 3]> = (0..300)
+            .map(|i| [f64::from(i % 7) - 3.0, f64::from(i % 11) * 0.7, f64::from(i % 5) * -1.1])
+            .collect();
+        positions.extend([[0.0, -1e-20, 0.0], [f64::NAN, 0.0, 0.0], [0.0, 0.0, f64::INFINITY]]);
+        positions.extend([[limit, 0.0, 0.0], [0.0, -limit, 0.0], [0.999 * limit, 0.0, -0.999 * limit]]);
+        let particles = Particles::Double(positions.clone());
+        let Ok(batch) = particles.batch(0);
+        let batch = LeafBatch::new(&batch, &lattice);
+        let mut found = 0;
+        for (origin, locals) in batch.leaves() {
+            let expected: Vec<Vec3> = positions
+                .iter()
+                .filter_map(|&position| lattice.index_from_world(position.into()))
+                .filter(|index| (index / 8.0).floor() * 8.0 == origin.as_dvec3())
+                .map(|index| (index - origin.as_dvec3()).as_vec3())
+                .collect();
+            assert_eq!(locals, expected, "{origin}");
+            found += locals.len();
+        }
+        assert_eq!((found, batch.len(), batch.dropped_count), (302, 302, 4));
+    }
+}

@@ -1,0 +1,184 @@
+//! Where there are particles, to half a voxel: the first of two passes over them.
+//!
+//! ```text
+//!   a voxel     ┌───┬───┐      each of its eight octants has a bit: a particle is in it.
+//!               │ ● │   │      512 bytes for a leaf, however many particles are there
+//!               ├───┼───┤
+//!               │   │●● │      (a voxel's own octants are those towards larger x, y and z)
+//!               └───┴───┘
+//! ```
+//!
+//! From this alone it can be told which leaves the surface cannot pass through, so that neither distances nor
+//! particles need to be kept there. Whole voxels in place of octants would not do: at the usual two voxels
+//! from particle to particle, they know only four in ten of the leaves that octants know to be inside.
+
+use std::sync::{Mutex, PoisonError};
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use super::batch::LeafBatch;
+use crate::grid::{LEAF_EDGE, Topology};
+use crate::particles::ParticleSource;
+use crate::space::{CoordBox, Lattice};
+
+/// Where there are particles.
+pub struct Occupancy {
+    /// The leaves that hold at least one particle.
+    pub topology: Topology,
+    /// For each of them, where in it.
+    pub(super) octants: Vec<Box<Octants>>,
+    /// What each batch told.
+    pub(super) batches: Vec<BatchSummary>,
+}
+
+/// What is remembered of a batch, so that it need not be looked at where it is of no use.
+#[derive(Clone, Copy)]
+pub(super) struct BatchSummary {
+    /// The box of its leaves.
+    pub(super) voxels: CoordBox,
+    placed_count: usize,
+    dropped_count: usize,
+}
+
+/// One bit for each octant of the voxels of a leaf: rows of 16 along z, row `x·16 + y`.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Octants {
+    pub(super) rows: [u16; 256],
+}
+
+impl Octants {
+    /// No particle.
+    pub(super) const EMPTY: Octants = Octants { rows: [0; 256] };
+
+    /// Puts in a particle, given relative to the leaf's origin. (Rounded, that may be at the far end.)
+    fn insert(&mut self, local: Vec3) {
+        let [x, y, z] = (local * 2.0).to_array().map(|along| (along as usize).min(15));
+        self.rows[x * 16 + y] |= 1 << z;
+    }
+
+    /// The box of the voxels that hold a particle, relative to the leaf's origin.
+    pub(super) fn cells(&self) -> CoordBox {
+        let mut cells = CoordBox::EMPTY;
+        for (row, bits) in self.rows.into_iter().enumerate().filter(|&(_, bits)| bits != 0) {
+            let (x, y) = (row as i32 / 32, row as i32 % 16 / 2);
+            cells.include(IVec3::new(x, y, bits.trailing_zeros() as i32 / 2));
+            cells.include(IVec3::new(x, y, (15 - bits.leading_zeros() as i32) / 2));
+        }
+        cells
+    }
+}
+
+/// Maps from leaf to octants, so many that threads seldom wait for each other.
+const SHARD_COUNT: usize = 64;
+
+type Shard = Mutex<FxHashMap<IVec3, Box<Octants>>>;
+
+impl Occupancy {
+    /// Looks at each particle once.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
+        let shards: Vec<Shard> = (0..SHARD_COUNT).map(|_| Shard::default()).collect();
+        let look = |batch: usize| -> Result<BatchSummary, S::Error> {
+            let batch = LeafBatch::new(&source.batch(batch)?, lattice);
+            let mut voxels = CoordBox::EMPTY;
+            for (origin, locals) in batch.leaves() {
+                voxels.include(origin);
+                voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
+                // Bits are in order whatever panicked beside them.
+                let mut shard = shards[shard_of(origin)].lock().unwrap_or_else(PoisonError::into_inner);
+                let octants = shard.entry(origin).or_insert_with(|| Box::new(Octants::EMPTY));
+                locals.iter().for_each(|&local| octants.insert(local));
+            }
+            Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count: batch.dropped_count })
+        };
+        let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
+        let (topology, octants) = sorted(shards);
+        Ok(Occupancy { topology, octants, batches })
+    }
+
+    /// The number of particles that were not dropped.
+    pub fn particle_count(&self) -> usize {
+        self.batches.iter().map(|batch| batch.placed_count).sum()
+    }
+
+    /// Particles left out: positions that are not finite, or outside the grid's range of indices.
+    pub fn dropped_count(&self) -> usize {
+        self.batches.iter().map(|batch| batch.dropped_count).sum()
+    }
+
+    /// The octants of the leaf with this origin.
+    pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
+        self.topology.find(origin).map(|leaf| &*self.octants[leaf])
+    }
+}
+
+/// Which map a leaf is in: its neighbours are in others.
+fn shard_of(origin: IVec3) -> usize {
+    let [x, y, z] = (origin / LEAF_EDGE).to_array().map(|along| (along & 3) as usize);
+    x * 16 + y * 4 + z
+}
+
+/// The leaves of all maps, in the order of a topology.
+fn sorted(shards: Vec<Shard>) -> (Topology, Vec<Box<Octants>>) {
+    let leaves: Vec<(IVec3, Box<Octants>)> = shards
+        .into_iter()
+        .flat_map(|shard| shard.into_inner().unwrap_or_else(PoisonError::into_inner))
+        .collect();
+    let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
+    let mut octants: Vec<(Option<usize>, Box<Octants>)> =
+        leaves.into_par_iter().map(|(origin, octants)| (topology.find(origin), octants)).collect();
+    octants.par_sort_unstable_by_key(|&(leaf, _)| leaf);
+    (topology, octants.into_iter().map(|(_, octants)| octants).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::particles::{Particles, Positions};
+
+    #[test]
+    fn octants_hold_the_particles() {
+        let positions = vec![[0.0, 0.4, 0.5], [7.9, -0.1, 3.0], [f32::NAN; 3], [0.1, 0.2, 0.9]];
+        let lattice = Lattice { voxel_size: 1.0 };
+        let Ok(occupancy) = Occupancy::new(&Particles::Single(positions), &lattice);
+        assert_eq!((occupancy.particle_count(), occupancy.dropped_count()), (3, 1));
+        assert_eq!(occupancy.topology.origins(), [IVec3::new(0, -8, 0), IVec3::ZERO]);
+        let bits = |leaf: usize| -> Vec<(usize, u16)> {
+            let rows = occupancy.octants[leaf].rows.into_iter().enumerate();
+            rows.filter(|&(_, row)| row != 0).collect()
+        };
+        assert_eq!(bits(0), [(15 * 16 + 15, 1 << 6)]);
+        assert_eq!(bits(1), [(0, 0b10)]);
+        let voxel = |x, y, z| IVec3::new(x, y, z);
+        assert_eq!(occupancy.octants[0].cells(), CoordBox { min: voxel(7, 7, 3), max: voxel(7, 7, 3) });
+        assert_eq!(occupancy.octants[1].cells(), CoordBox { min: IVec3::ZERO, max: IVec3::ZERO });
+        assert!(Octants::EMPTY.cells().is_empty());
+        let whole = Octants { rows: [1 << 4 | 1 << 15; 256] };
+        assert_eq!(whole.cells(), CoordBox { min: voxel(0, 0, 2), max: IVec3::splat(7) });
+    }
+
+    /// A file that cannot be read to its end.
+    struct Broken;
+
+    impl ParticleSource for Broken {
+        type Error = &'static str;
+
+        fn batch_count(&self) -> usize {
+            3
+        }
+
+        fn batch(&self, batch: usize) -> Result<Positions<'_>, &'static str> {
+            if batch == 2 { Err("the end is missing") } else { Ok(Positions::Single(vec![[0.0; 3]].into())) }
+        }
+    }
+
+    #[test]
+    fn what_keeps_a_source_from_its_particles_is_told() {
+        let told = Occupancy::new(&Broken, &Lattice { voxel_size: 1.0 });
+        assert_eq!(told.err(), Some("the end is missing"));
+    }
+}
