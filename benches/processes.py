@@ -7,12 +7,12 @@ turns, so that each of them sees the machine as it is in that minute.
 
 import argparse
 import datetime
+import json
 import os
 import re
 import statistics
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,18 +45,12 @@ def build():
 def measured(command):
     """Runs a command and returns what it took; ends the benchmark where it fails."""
     command = [str(word) for word in command]
-    start = time.perf_counter()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    said = process.stderr.read()
-    # The usage of this one child. Until it has begun its program a child counts as large as this script, so no
-    # peak is ever below the ten MB or so of that.
-    _, status, usage = os.wait4(process.pid, 0)
-    seconds = time.perf_counter() - start
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        sys.exit(f"{' '.join(command)}\nended with {process.returncode}: {said.decode(errors='replace').strip()}")
-    unit = 1 if sys.platform == "darwin" else 1024
-    return Run(seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * unit)
+    launcher = [sys.executable, "-I", "-S", ROOT / "benches" / "one_process.py"]
+    ran = subprocess.run([*launcher, *command], capture_output=True, text=True)
+    *figures, status = json.loads(ran.stdout or "[1]")
+    if status:
+        sys.exit(f"{' '.join(command)}\nended with {status}: {ran.stderr.strip()}")
+    return Run(*figures)
 
 
 def meniscus(frame, voxel_size, out, *options):

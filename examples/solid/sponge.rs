@@ -9,14 +9,10 @@
 //!
 //! Why this one: it is one smooth piece; it bends in and out by the same amount, so the space around it has as
 //! much surface as it has itself; and along a row of the lattice it costs three products a point, for the
-//! sines come from tables. At R = 6 its area is 11.7 times the ⅔ power of its volume; with what spheres around particles add, it is that of the
-//! Stanford dragon; a ball's is 4.8.
+//! sines come from tables.
 //!
 //! Particles are the points of a cubic lattice inside it, each moved by up to a fifth of the spacing along each
 //! axis. By how much depends on the point's indices alone: the same particles on any machine.
-
-/// R of [`Sponge::refined`].
-const DRAGON_RADIUS: f64 = 6.0;
 
 /// The solid ends nearer than this beyond R, where ½ (|p| − R)² has outgrown the gyroid's 1.5.
 const CLOSED_WITHIN: f64 = 1.75;
@@ -47,11 +43,6 @@ struct Plane {
 const PHASE: [f64; 3] = [0.7, 1.9, 3.1];
 
 impl Sponge {
-    /// About so many particles in the one shape, on a lattice as fine as that takes.
-    pub(crate) fn refined(particle_count: f64) -> Sponge {
-        Sponge::new(DRAGON_RADIUS, (volume(DRAGON_RADIUS) / particle_count).cbrt())
-    }
-
     /// The solid with this R on a lattice of this spacing.
     pub(crate) fn new(radius: f64, spacing: f64) -> Sponge {
         let reach = ((radius + CLOSED_WITHIN) / spacing).ceil() as i32;
@@ -106,13 +97,6 @@ impl Sponge {
             }
         }
     }
-}
-
-/// The volume of a solid, by counting points of a lattice of its own.
-fn volume(radius: f64) -> f64 {
-    let coarse = Sponge::new(radius, radius / 60.0);
-    let count: usize = (0..coarse.plane_count()).map(|x| coarse.count_in_plane(x)).sum();
-    count as f64 * coarse.spacing.powi(3)
 }
 
 /// Three numbers from −1 to 1 that look random, made of a lattice point's indices.
