@@ -61,6 +61,14 @@ impl Particles {
         self.len() == 0
     }
 
+    /// The memory that the positions take, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        match self {
+            Particles::Single(positions) => size_of_val(&**positions),
+            Particles::Double(positions) => size_of_val(&**positions),
+        }
+    }
+
     /// The position of particle `index`.
     pub fn position(&self, index: usize) -> DVec3 {
         match self {

@@ -12,6 +12,7 @@
 
 use std::io;
 use std::ops::Range;
+use std::sync::Arc;
 
 use crate::bytes::Endian;
 use crate::data::Positions;
@@ -49,6 +50,16 @@ impl ReadAt for [u8] {
 }
 
 impl<T: ReadAt + ?Sized> ReadAt for &T {
+    fn size_bytes(&self) -> io::Result<u64> {
+        (**self).size_bytes()
+    }
+
+    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
+        (**self).read_exact_at(out, offset)
+    }
+}
+
+impl<T: ReadAt + Send + ?Sized> ReadAt for Arc<T> {
     fn size_bytes(&self) -> io::Result<u64> {
         (**self).size_bytes()
     }

@@ -68,11 +68,22 @@ pub fn certify(
     lattice: &Lattice,
 ) -> Certificate {
     let whole = Part { bins, radii, band, mesh, lattice, owned: CoordBox::ALL };
+    certificate(ParticleChecks::of(&whole), bounds.violation_count(&band.phi), mesh, measures, lattice)
+}
+
+/// The certificate of a result whose particles and bounds were checked, in parts or whole.
+pub fn certificate(
+    checks: ParticleChecks,
+    bound_violation_count: usize,
+    mesh: &Mesh,
+    measures: &MeshMeasures,
+    lattice: &Lattice,
+) -> Certificate {
     Certificate {
-        bound_violation_count: bounds.violation_count(&band.phi),
+        bound_violation_count,
         mesh_is_closed_manifold: measures.is_closed_manifold(),
         position_rounding: position_rounding(mesh, lattice),
-        ..ParticleChecks::of(&whole).into()
+        ..checks.into()
     }
 }
 

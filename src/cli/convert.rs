@@ -52,7 +52,8 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         run.add(sequence, settings, &outputs);
     }
     out_folder.keep();
-    run.convert(args.skip_done, &pool, console);
+    let memory_bytes = args.memory.unwrap_or_else(default_memory_bytes);
+    run.convert(args.skip_done, memory_bytes, &pool, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
 }
 
@@ -285,7 +286,7 @@ impl Run {
         }
     }
 
-    fn convert(&mut self, skip_done: bool, pool: &ThreadPool, console: &mut Console) {
+    fn convert(&mut self, skip_done: bool, memory_bytes: u64, pool: &ThreadPool, console: &mut Console) {
         let planned = std::mem::take(&mut self.planned);
         let begin_count = match self.on_error {
             OnError::Continue => planned.len(),
@@ -302,7 +303,7 @@ impl Run {
             on_error: self.on_error,
             skip_done,
             in_flight: default_in_flight(pool.current_num_threads()),
-            memory_bytes: default_memory_bytes(),
+            memory_bytes,
         };
         let has_bar = console.show_bar(frames.len());
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {

@@ -236,12 +236,20 @@ impl Kernel for Sweep<'_> {
 fn upwind<V: Lanes>(slab: &Slab, y: usize, second_order_within: f32) -> V {
     // On the side of the surface that the voxel is on, distances are positive.
     let side = V::splat(1.0).copysign(slab.row(y));
-    let near = [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)];
-    let second = [slab.second_along_x::<V>(y), slab.second_along_y(y), slab.second_along_z(y, near[2])];
+    let (x, y_near, z) = (slab.along_x::<V>(y), slab.along_y::<V>(y), slab.along_z::<V>(y));
+    let [x_near, y_near, z_near] = [Near::new(side, x), Near::new(side, y_near), Near::new(side, z)];
     let within = V::splat(second_order_within);
-    let x = OneSided::new(side, near[0], second[0], within);
-    let y = OneSided::new(side, near[1], second[1], within);
-    let z = OneSided::new(side, near[2], second[2], within);
+    let nearest = x_near.value.min(y_near.value).min(z_near.value);
+    // Far from the surface nothing is of second order, and nothing farther away is looked at.
+    let (x, y, z) = if V::bits(nearest.lt(within)) == 0 {
+        (x_near.first_order(), y_near.first_order(), z_near.first_order())
+    } else {
+        (
+            x_near.second_order(side, slab.second_along_x(y), within),
+            y_near.second_order(side, slab.second_along_y(y), within),
+            z_near.second_order(side, slab.second_along_z(y, z), within),
+        )
+    };
     let (x, y) = ordered(x, y);
     let (y, z) = ordered(y, z);
     let (x, y) = ordered(x, y);
@@ -255,16 +263,34 @@ struct OneSided<V> {
     weight: V,
 }
 
-impl<V: Lanes> OneSided<V> {
-    /// The difference towards the nearer of the neighbours at −1 and +1: of second order, with that at −2
-    /// or +2, where that is wanted and the values fall on beyond it.
+/// The nearer of the neighbours at −1 and +1.
+#[derive(Clone, Copy)]
+struct Near<V: Lanes> {
+    value: V,
+    /// Where it is the one at +1.
+    is_after: V::Mask,
+}
+
+impl<V: Lanes> Near<V> {
     #[inline(always)]
-    fn new(side: V, [low, high]: [V; 2], [low2, high2]: [V; 2], second_order_within: V) -> OneSided<V> {
-        let (low, high) = (side.mul(low), side.mul(high));
-        let near = low.min(high);
-        let far = V::select(high.lt(low), side.mul(high2), side.mul(low2));
-        let falls_on = V::not(near.lt(far));
-        let is_second = V::both(falls_on, near.lt(second_order_within));
+    fn new(side: V, [before, after]: [V; 2]) -> Near<V> {
+        let (before, after) = (side.mul(before), side.mul(after));
+        Near { value: before.min(after), is_after: after.lt(before) }
+    }
+
+    /// The difference towards it.
+    #[inline(always)]
+    fn first_order(self) -> OneSided<V> {
+        OneSided { from: self.value, weight: V::splat(1.0) }
+    }
+
+    /// The difference towards it: of second order, with the neighbour at −2 or +2, where that is wanted and the
+    /// values fall on beyond it.
+    #[inline(always)]
+    fn second_order(self, side: V, [before, after]: [V; 2], within: V) -> OneSided<V> {
+        let near = self.value;
+        let far = side.mul(V::select(self.is_after, after, before));
+        let is_second = V::both(V::not(near.lt(far)), near.lt(within));
         let extrapolated = V::splat(4.0).mul(near).sub(far).mul(V::splat(1.0 / 3.0));
         OneSided {
             from: V::select(is_second, extrapolated, near),

@@ -9,6 +9,7 @@ use std::sync::Arc;
 
 use crate::report::SkinReport;
 use crate::settings::Settings;
+use crate::skin::TooLarge;
 
 use super::outputs::OutputOptions;
 use super::stamp::FileStamp;
@@ -117,6 +118,12 @@ pub struct FrameError {
 pub enum Cause {
     /// The file: its content, or the system's refusal.
     File(meniscus_formats::Error),
+    /// The input was written, replaced or removed while it was read.
+    Changed,
+    /// The frame does not fit into the memory that it may take.
+    TooLarge(TooLarge),
+    /// What does not fit into memory could not be put on the disk, beside the outputs.
+    Scratch(io::Error),
     /// This program: a broken invariant, told by the panic's message.
     Panic(String),
 }
@@ -130,9 +137,17 @@ impl FrameError {
     /// Whether an output could not be written because the disk, or what its owner may use of it, is
     /// full: it will go better once there is room.
     pub fn is_disk_full(&self) -> bool {
-        let Cause::File(meniscus_formats::Error::Io(source)) = &self.cause else { return false };
-        let is_full = matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
-        is_full && self.during == Stage::Write
+        let source = match &self.cause {
+            Cause::File(meniscus_formats::Error::Io(source)) if self.during == Stage::Write => source,
+            Cause::Scratch(source) => source,
+            _ => return false,
+        };
+        matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+    }
+
+    /// A failure of a stage of the method.
+    pub(super) fn of_stage(path: &Path, during: Stage, cause: Cause) -> FrameError {
+        FrameError { path: path.to_owned(), during, cause }
     }
 
     /// Does `work` on the frame at `path`; a panic becomes an error of this frame.
@@ -157,6 +172,11 @@ impl fmt::Display for FrameError {
         match cause {
             Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path.display()),
             Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path.display()),
+            Cause::Changed => write!(f, "{}: changed while it was read", path.display()),
+            Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
+            Cause::Scratch(source) => {
+                write!(f, "{}: cannot {during}: the files beside the outputs: {source}", path.display())
+            }
             Cause::Panic(what) => {
                 write!(f, "{}: a fault in this program, in the {during} stage: {what}", path.display())
             }
@@ -168,7 +188,9 @@ impl std::error::Error for FrameError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match &self.cause {
             Cause::File(source) => Some(source),
-            Cause::Panic(_) => None,
+            Cause::TooLarge(source) => Some(source),
+            Cause::Scratch(source) => Some(source),
+            Cause::Changed | Cause::Panic(_) => None,
         }
     }
 }

@@ -1,47 +1,157 @@
 //! The three stages of the method, as the pipeline sees them.
 
-use crate::particles::Particles;
+use std::fs::File;
+use std::io;
+use std::path::Path;
+
 use crate::settings::Settings;
-use crate::skin::{self, Surface};
+use crate::skin::tiled::{self, TiledError, TiledFrame};
+use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface};
+
+use super::frame::Cause;
+use super::frame_particles::FrameParticles;
 
 /// The three stages of the method. Tests put a quick or a failing one in its place.
+///
+/// # Errors
+/// Each call fails when its particles are on disk and cannot be read or were changed, when there is too little
+/// memory, or when there is no room on the disk for what does not fit into it.
 pub trait Method: Sync {
     /// What rasterization hands to smoothing.
     type Rasterized: Send;
     /// What smoothing hands to contouring.
     type Smoothed: Send;
 
-    /// The most memory that the three stages take for these particles, in bytes.
-    fn memory_bytes(&self, particles: &Particles, settings: &Settings) -> u64;
-    /// The first stage.
-    fn rasterize(&self, particles: &Particles, settings: &Settings) -> Self::Rasterized;
+    /// How the frame is to be skinned in so much memory.
+    fn plan(
+        &self,
+        particles: &FrameParticles,
+        settings: &Settings,
+        allowed_bytes: u64,
+    ) -> Result<Plan, Cause>;
+    /// The first stage. What does not fit into memory may be written to files without a name in `scratch`.
+    fn rasterize(
+        &self,
+        particles: FrameParticles,
+        settings: &Settings,
+        plan: &Plan,
+        scratch: &Path,
+    ) -> Result<Self::Rasterized, Cause>;
     /// The second stage.
-    fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Self::Smoothed;
+    fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause>;
     /// The third stage.
-    fn contour(&self, smoothed: Self::Smoothed, settings: &Settings) -> Surface;
+    fn contour(&self, smoothed: Self::Smoothed, settings: &Settings) -> Result<Surface, Cause>;
 }
 
 /// The method that this program is for.
 #[derive(Clone, Copy, Debug)]
 pub struct LevelSetSkinning;
 
+/// A frame between two stages: in memory, or in tiles on disk.
+pub enum Skinned<T> {
+    /// Whole.
+    Whole(T),
+    /// In tiles.
+    Tiled(Box<TiledFrame<FrameParticles>>),
+}
+
 impl Method for LevelSetSkinning {
-    type Rasterized = skin::Rasterized;
-    type Smoothed = skin::Smoothed;
+    type Rasterized = Skinned<skin::Rasterized>;
+    type Smoothed = Skinned<skin::Smoothed>;
 
-    fn memory_bytes(&self, particles: &Particles, settings: &Settings) -> u64 {
-        skin::memory_estimate_bytes(particles, settings)
+    fn plan(
+        &self,
+        particles: &FrameParticles,
+        settings: &Settings,
+        allowed_bytes: u64,
+    ) -> Result<Plan, Cause> {
+        // What is given is there beside what the plan takes.
+        let allowed_bytes = allowed_bytes.saturating_sub(particles.size_bytes());
+        skin::plan(particles, settings, allowed_bytes)?.map_err(Cause::TooLarge)
     }
 
-    fn rasterize(&self, particles: &Particles, settings: &Settings) -> skin::Rasterized {
-        skin::rasterize(particles, settings)
+    fn rasterize(
+        &self,
+        particles: FrameParticles,
+        settings: &Settings,
+        plan: &Plan,
+        scratch: &Path,
+    ) -> Result<Self::Rasterized, Cause> {
+        let Some(tile_leaves) = plan.tile_leaves else {
+            let rasterized = skin::rasterize(&particles, settings)?;
+            particles.check_unchanged()?;
+            return Ok(Skinned::Whole(rasterized));
+        };
+        let storages = (0..SHELF_COUNT).map(|_| ScratchFile::new(scratch)).collect::<io::Result<Vec<_>>>();
+        let storages = storages.map_err(Cause::Scratch)?;
+        let frame = tiled::rasterize(particles, settings, tile_leaves, storages)?;
+        Ok(Skinned::Tiled(Box::new(frame)))
     }
 
-    fn smooth(&self, rasterized: skin::Rasterized, settings: &Settings) -> skin::Smoothed {
-        skin::smooth(rasterized, settings)
+    fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause> {
+        Ok(match rasterized {
+            Skinned::Whole(rasterized) => Skinned::Whole(skin::smooth(rasterized, settings)),
+            Skinned::Tiled(frame) => {
+                Skinned::Tiled(Box::new(tiled::smooth(*frame, settings).map_err(Cause::Scratch)?))
+            }
+        })
     }
 
-    fn contour(&self, smoothed: skin::Smoothed, settings: &Settings) -> Surface {
-        skin::contour(smoothed, settings)
+    fn contour(&self, smoothed: Self::Smoothed, settings: &Settings) -> Result<Surface, Cause> {
+        match smoothed {
+            Skinned::Whole(smoothed) => Ok(skin::contour(smoothed, settings)),
+            Skinned::Tiled(frame) => {
+                let (surface, particles) = tiled::contour(*frame, settings)?;
+                particles.check_unchanged()?;
+                Ok(surface)
+            }
+        }
+    }
+}
+
+impl From<TiledError<Cause>> for Cause {
+    fn from(error: TiledError<Cause>) -> Cause {
+        match error {
+            TiledError::Source(cause) => cause,
+            TiledError::Storage(error) => Cause::Scratch(error),
+        }
+    }
+}
+
+/// A file without a name, which is gone when it is closed: when the process ends, however it ends.
+struct ScratchFile(File);
+
+impl ScratchFile {
+    fn new(folder: &Path) -> io::Result<Box<dyn Storage>> {
+        // Outputs come later: their folder may not be there yet.
+        std::fs::create_dir_all(folder)?;
+        Ok(Box::new(ScratchFile(tempfile::tempfile_in(folder)?)))
+    }
+}
+
+#[cfg(unix)]
+impl Storage for ScratchFile {
+    fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
+        std::os::unix::fs::FileExt::read_exact_at(&self.0, bytes, offset)
+    }
+
+    fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+        std::os::unix::fs::FileExt::write_all_at(&self.0, bytes, offset)
+    }
+}
+
+/// Where reading at a place moves the file's own: tiles come one after the other, so nobody minds.
+#[cfg(not(unix))]
+impl Storage for ScratchFile {
+    fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
+        use std::io::{Read, Seek, SeekFrom};
+        (&self.0).seek(SeekFrom::Start(offset))?;
+        (&self.0).read_exact(bytes)
+    }
+
+    fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+        use std::io::{Seek, SeekFrom, Write};
+        (&self.0).seek(SeekFrom::Start(offset))?;
+        (&self.0).write_all(bytes)
     }
 }

@@ -23,6 +23,7 @@
 mod budget;
 mod crew;
 mod frame;
+mod frame_particles;
 mod memory;
 mod method;
 mod outputs;
@@ -38,6 +39,7 @@ mod voxel_size;
 mod writing;
 
 pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+pub use frame_particles::FrameParticles;
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};

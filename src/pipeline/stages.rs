@@ -20,6 +20,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
+use std::io;
 use std::io::BufWriter;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -30,17 +31,17 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPool;
 use twox_hash::XxHash3_128;
 
-use crate::particles::Particles;
 use crate::settings::Settings;
-use crate::skin::Surface;
+use crate::skin::{Plan, Surface};
 
 use super::budget::{Budget, Reservation};
 use super::crew::{Crew, Tasks};
-use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+use super::frame_particles::{FileParticles, FrameParticles};
 use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::provenance::is_done;
-use super::reading::{parse_particles, read_unchanged};
+use super::reading::{InputFile, parse_particles, read_unchanged};
 use super::writing::{Written, write_files, write_surface};
 
 /// What to do when a frame fails.
@@ -208,9 +209,9 @@ struct Known<'a> {
 
 /// What reading hands to rasterization.
 struct Read {
-    particles: Particles,
-    /// What computing will take.
-    memory_bytes: u64,
+    particles: FrameParticles,
+    /// How it will be computed.
+    plan: Plan,
 }
 
 /// A frame of which it is known what came of it.
@@ -272,26 +273,62 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
-        memory.resize(read.particles.len() as u64 * PARTICLE_BYTES);
+        memory.resize(read.particles.size_bytes());
         let read_seconds = start.elapsed().as_secs_f64();
         Ok((read, Known { input, read_seconds, notes, memory, seat: None }))
     }
 
     /// The particles of a frame, and the notes on them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
+        let failed = |error: io::Error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
+        let file = InputFile::open(&frame.input).map_err(failed)?;
+        if file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES {
+            let input = ReadInput { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
+            if !file.is_unchanged().map_err(failed)? {
+                return Err(Outcome::Changed);
+            }
+            if self.conduct.skip_done && is_done(frame, input.hash) {
+                return Err(Outcome::AlreadyDone(input));
+            }
+            let streamed = FileParticles::open(&frame.input, file)
+                .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
+            if let Some(particles) = streamed {
+                let notes = particles.notes();
+                let particles = FrameParticles::OnDisk(Box::new(particles));
+                return self.planned(number, frame, move || Ok((particles, notes)), input);
+            }
+        }
         let unchanged = read_unchanged(&frame.input).map_err(Outcome::Failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
         if self.conduct.skip_done && is_done(frame, input.hash) {
             return Err(Outcome::AlreadyDone(input));
         }
-        // Parsing is work for the pool; waiting for the disk before it is not.
-        let (method, frame) = (self.method, frame.clone());
-        self.crew.run(number, move || {
-            let read = parse_particles(&frame.input, &bytes).map_err(Outcome::Failed)?;
-            let memory_bytes = method.memory_bytes(&read.particles, &frame.settings);
-            Ok((Read { particles: read.particles, memory_bytes }, input, read.notes))
-        })
+        let path = frame.input.clone();
+        let parse = move || {
+            let read = parse_particles(&path, &bytes)?;
+            Ok((FrameParticles::InMemory(read.particles), read.notes))
+        };
+        self.planned(number, frame, parse, input)
+    }
+
+    /// Has a frame parsed and planned in the pool; waiting for the disk before it is no work for that.
+    fn planned(
+        &self,
+        number: usize,
+        frame: &Frame,
+        parse: impl FnOnce() -> Result<(FrameParticles, Vec<String>), FrameError> + Send + 'env,
+        input: ReadInput,
+    ) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
+        let (method, frame, allowed_bytes) = (self.method, frame.clone(), self.conduct.memory_bytes);
+        let planned = self.crew.run(number, move || {
+            let (particles, notes) = parse()?;
+            let plan = method.plan(&particles, &frame.settings, allowed_bytes);
+            let plan = plan.map_err(|cause| FrameError::of_stage(&frame.input, Stage::Read, cause))?;
+            Ok((Read { particles, plan }, notes))
+        });
+        let (read, notes) = planned.map_err(outcome_of)?;
+        Ok((read, input, notes))
     }
 
     fn rasterize<'l, K>(
@@ -301,8 +338,11 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         ended: &Sender<Ended<K>>,
     ) {
         let method = self.method;
-        let work = move |read: Read, settings: &Settings| method.rasterize(&read.particles, settings);
         while let Some(Parcel { label, known, content }) = self.admit(from) {
+            let scratch = label.frame.outputs.folder.clone();
+            let work = move |Read { particles, plan }: Read, settings: &Settings| {
+                method.rasterize(particles, settings, &plan, &scratch)
+            };
             let computed = self.compute(Stage::Rasterize, &label, content, work);
             if !self.pass(label, known, computed, to, ended) {
                 return;
@@ -316,7 +356,8 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let _door = self.door.lock().unwrap_or_else(PoisonError::into_inner);
         let seat = self.seats.take();
         let mut parcel = from.recv().ok()?;
-        parcel.known.memory.admit(parcel.content.memory_bytes);
+        let Read { particles, plan } = &parcel.content;
+        parcel.known.memory.admit(plan.memory_bytes.saturating_add(particles.size_bytes()));
         parcel.known.seat = Some(seat);
         Some(parcel)
     }
@@ -363,12 +404,13 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         stage: Stage,
         label: &Label<K>,
         content: A,
-        work: impl FnOnce(A, &Settings) -> B + Send + 'env,
+        work: impl FnOnce(A, &Settings) -> Result<B, Cause> + Send + 'env,
     ) -> Result<B, FrameError> {
         let settings = Arc::clone(&label.frame.settings);
-        FrameError::catch(&label.frame.input, stage, || {
+        let computed = FrameError::catch(&label.frame.input, stage, || {
             self.crew.run(label.number, move || work(content, &settings))
-        })
+        });
+        computed?.map_err(|cause| FrameError::of_stage(&label.frame.input, stage, cause))
     }
 
     /// Sends a frame to the next stage, or its end if this was it. Returns whether anybody listens.
@@ -382,7 +424,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     ) -> bool {
         match computed {
             Ok(content) => to.send(Parcel { label, known, content }).is_ok(),
-            Err(error) => ended.send(self.end(label, Outcome::Failed(error))).is_ok(),
+            Err(error) => ended.send(self.end(label, outcome_of(error))).is_ok(),
         }
     }
 
@@ -438,6 +480,11 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     }
 }
 
+/// What became of a frame with this error.
+fn outcome_of(error: FrameError) -> Outcome {
+    if matches!(error.cause, Cause::Changed) { Outcome::Changed } else { Outcome::Failed(error) }
+}
+
 fn is_failure(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Failed(_) | Outcome::Changed)
 }
@@ -473,8 +520,9 @@ impl Drop for Seat<'_> {
 /// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.
 const READING_MEMORY: u64 = 2;
 
-/// Memory for a particle that waits: three coordinates of up to 64 bits.
-const PARTICLE_BYTES: u64 = 24;
+/// Files of this size and more are read batch by batch where their format allows it. Smaller ones are sooner read
+/// once than gone through twice.
+const STREAMED_FROM_BYTES: u64 = 16 << 20;
 
 /// Memory for writing a surface, in sizes of the surface: itself, and its level set as it is packed, or not.
 const WRITING_MEMORY: u64 = 2;

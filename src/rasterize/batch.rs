@@ -33,37 +33,33 @@ impl LeafBatch {
     /// Sorts a batch. Particles of a leaf keep their order.
     pub(super) fn new(positions: &Positions, lattice: &Lattice) -> LeafBatch {
         let placed = match positions {
-            Positions::Single(positions) => place_all(positions, lattice),
-            Positions::Double(positions) => place_all(positions, lattice),
+            Positions::Single(positions) => Placed::new(positions, lattice),
+            Positions::Double(positions) => Placed::new(positions, lattice),
         };
         let mut origins: Vec<IVec3> = Vec::new();
         let mut starts = vec![0u32];
         let mut leaves: FxHashMap<IVec3, u32> = FxHashMap::default();
-        let mut leaf_of = Vec::with_capacity(placed.len());
-        let mut last = 0;
-        for &(origin, _) in placed.iter().filter(|(_, local)| is_placed(*local)) {
-            if origins.get(last as usize) != Some(&origin) {
-                last = *leaves.entry(origin).or_insert_with(|| {
-                    origins.push(origin);
-                    starts.push(0);
-                    origins.len() as u32 - 1
-                });
-            }
-            starts[last as usize + 1] += 1;
-            leaf_of.push(last);
+        let mut runs: Vec<(u32, &[Vec3])> = Vec::new();
+        for (origin, locals) in placed.runs() {
+            let leaf = *leaves.entry(origin).or_insert_with(|| {
+                origins.push(origin);
+                starts.push(0);
+                origins.len() as u32 - 1
+            });
+            starts[leaf as usize + 1] += locals.len() as u32;
+            runs.push((leaf, locals));
         }
         for leaf in 0..origins.len() {
             starts[leaf + 1] += starts[leaf];
         }
         let mut cursors = starts.clone();
-        let mut locals = vec![Vec3::ZERO; leaf_of.len()];
-        let kept = placed.iter().filter(|(_, local)| is_placed(*local));
-        for (&(_, local), &leaf) in kept.zip(&leaf_of) {
+        let mut locals = vec![Vec3::ZERO; starts[origins.len()] as usize];
+        for (leaf, run) in runs {
             let cursor = &mut cursors[leaf as usize];
-            locals[*cursor as usize] = local;
-            *cursor += 1;
+            locals[*cursor as usize..][..run.len()].copy_from_slice(run);
+            *cursor += run.len() as u32;
         }
-        LeafBatch { dropped_count: placed.len() - locals.len(), origins, starts, locals }
+        LeafBatch { dropped_count: placed.locals.len() - locals.len(), origins, starts, locals }
     }
 
     /// The particles that were not dropped.
@@ -78,23 +74,44 @@ impl LeafBatch {
     }
 }
 
-/// The leaf of each particle, and its position relative to that, in voxels: not a number where there is none.
-fn place_all<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> Vec<(IVec3, Vec3)> {
-    let mut placed = vec![(IVec3::ZERO, Vec3::ZERO); positions.len()];
-    simd::dispatch(Place { positions, voxel_size: lattice.voxel_size, placed: &mut placed });
-    placed
+/// For each particle the leaf that it lies in, and its position relative to that, in voxels. Where there is none
+/// the position is not a number, and the leaf none that there could be.
+struct Placed {
+    origins: Vec<IVec3>,
+    locals: Vec<Vec3>,
 }
 
-/// Whether a position is one of the grid.
-fn is_placed(local: Vec3) -> bool {
-    !local.is_nan()
+impl Placed {
+    fn new<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> Placed {
+        let mut placed =
+            Placed { origins: vec![IVec3::ZERO; positions.len()], locals: vec![Vec3::ZERO; positions.len()] };
+        simd::dispatch(Place {
+            positions: positions.as_flattened(),
+            voxel_size: lattice.voxel_size,
+            origins: bytemuck::cast_slice_mut(&mut placed.origins),
+            locals: bytemuck::cast_slice_mut(&mut placed.locals),
+        });
+        placed
+    }
+
+    /// Particles in a row that lie in one leaf, for all that have a place.
+    fn runs(&self) -> impl Iterator<Item = (IVec3, &[Vec3])> {
+        let mut rest = self.locals.as_slice();
+        let runs = self.origins.chunk_by(|one, other| one == other).map(move |origins| {
+            let (run, after) = rest.split_at(origins.len());
+            rest = after;
+            (origins[0], run)
+        });
+        runs.filter(|(_, run)| !run[0].is_nan())
+    }
 }
 
-/// As [`Lattice::index_from_world`], for many positions.
+/// As [`Lattice::index_from_world`], for all axes of many positions.
 struct Place<'a, T> {
-    positions: &'a [[T; 3]],
+    positions: &'a [T],
     voxel_size: f64,
-    placed: &'a mut [(IVec3, Vec3)],
+    origins: &'a mut [i32],
+    locals: &'a mut [f32],
 }
 
 impl<T: Copy + Into<f64>> Kernel for Place<'_, T> {
@@ -103,15 +120,13 @@ impl<T: Copy + Into<f64>> Kernel for Place<'_, T> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let edge = f64::from(LEAF_EDGE);
-        for (position, (origin, local)) in self.positions.iter().zip(self.placed) {
-            for axis in 0..3 {
-                let index = position[axis].into() / self.voxel_size;
-                let leaf = (index / edge).floor() * edge;
-                origin[axis] = leaf as i32;
-                // A comparison with NaN is false: what is not a number is not inside.
-                let is_inside = index.abs() < f64::from(INDEX_LIMIT);
-                local[axis] = if is_inside { (index - leaf) as f32 } else { f32::NAN };
-            }
+        for ((&position, origin), local) in self.positions.iter().zip(self.origins).zip(self.locals) {
+            let index = position.into() / self.voxel_size;
+            let leaf = (index / edge).floor() * edge;
+            // A comparison with NaN is false: what is not a number is not inside.
+            let is_inside = index.abs() < f64::from(INDEX_LIMIT);
+            *origin = if is_inside { leaf as i32 } else { i32::MIN };
+            *local = if is_inside { (index - leaf) as f32 } else { f32::NAN };
         }
     }
 }

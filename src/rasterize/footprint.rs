@@ -21,12 +21,16 @@ use crate::particles::ParticleSource;
 use crate::space::Lattice;
 
 /// Numbers of leaves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Footprint {
-    /// Leaves within the half width of the band from the surface.
-    pub surface_count: usize,
+    /// Leaves within the half width of the band from the surface: their origins, in no order.
+    pub surface: Vec<IVec3>,
+    /// Leaves that hold particles.
+    pub occupied_count: usize,
     /// Area of the surface, in faces of voxels.
     pub area_voxels: usize,
+    /// Particles in leaves that are not deep inside: about those that are kept.
+    pub near_particle_count: usize,
 }
 
 /// The footprint of these particles.
@@ -43,7 +47,7 @@ pub fn footprint<S: ParticleSource>(
     let look = |batch: usize| -> Result<Vec<(IVec3, Occupied)>, S::Error> {
         let batch = LeafBatch::new(&source.batch(batch)?, lattice);
         let told = |(origin, locals): (IVec3, &[Vec3])| {
-            let mut leaf = Occupied::default();
+            let mut leaf = Occupied { count: locals.len(), ..Occupied::default() };
             for &local in locals {
                 leaf.near |= 1 << near.kind(local);
                 leaf.cells |= 1 << cells.cell(local);
@@ -56,16 +60,25 @@ pub fn footprint<S: ParticleSource>(
     let mut occupied: FxHashMap<IVec3, Occupied> = FxHashMap::default();
     for (origin, told) in batches.into_iter().flatten() {
         let leaf = occupied.entry(origin).or_default();
+        leaf.count += told.count;
         leaf.near |= told.near;
         leaf.cells |= told.cells;
     }
     let cells_in = |origin: IVec3| occupied.get(&origin).map_or(0, |leaf| leaf.cells);
-    let is_inside = |&&origin: &&IVec3| {
-        Reach::box_of([-1; 3], [1; 3]).all(|step| cells_in(origin + step * LEAF_EDGE) == cells.all)
+    let is_full_around = |origin: &IVec3, rings: i32| {
+        let mut steps = Reach::box_of([-rings; 3], [rings; 3]);
+        steps.all(|step| cells_in(*origin + step * LEAF_EDGE) == cells.all)
     };
-    let near_count = near.leaf_count(occupied.iter().map(|(&origin, leaf)| (origin, leaf.near)));
+    let mut surface = near.leaves(occupied.iter().map(|(&origin, leaf)| (origin, leaf.near)));
+    occupied.keys().filter(|origin| is_full_around(origin, 1)).for_each(|origin| {
+        surface.remove(origin);
+    });
+    // Particles are kept one leaf deeper than distances.
+    let kept = occupied.iter().filter(|(origin, _)| !is_full_around(origin, 2));
     Ok(Footprint {
-        surface_count: near_count - occupied.keys().filter(is_inside).count(),
+        surface: surface.into_iter().collect(),
+        occupied_count: occupied.len(),
+        near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
         area_voxels: occupied.keys().map(|&origin| cells.open_area(|step| cells_in(origin + step))).sum(),
     })
 }
@@ -73,6 +86,8 @@ pub fn footprint<S: ParticleSource>(
 /// What is known of the particles in a leaf.
 #[derive(Clone, Copy, Default)]
 struct Occupied {
+    /// How many there are.
+    count: usize,
     /// Which kinds of places they are in, for the surroundings of the surface.
     near: u32,
     /// Which cells hold one.
@@ -116,8 +131,8 @@ impl Reach {
         (((middle - self.voxels) / edge).floor() as i32, ((middle + self.voxels) / edge).floor() as i32)
     }
 
-    /// The number of leaves within reach of the kinds of places of all these leaves.
-    fn leaf_count(&self, leaves: impl Iterator<Item = (IVec3, u32)>) -> usize {
+    /// The leaves within reach of the kinds of places of all these leaves.
+    fn leaves(&self, leaves: impl Iterator<Item = (IVec3, u32)>) -> FxHashSet<IVec3> {
         let ranges = [0, 1, 2].map(|kind| self.range(kind));
         let mut reached = FxHashSet::default();
         for (origin, kinds) in leaves {
@@ -127,7 +142,7 @@ impl Reach {
                 reached.extend(steps.map(|step| origin + step * LEAF_EDGE));
             }
         }
-        reached.len()
+        reached
     }
 
     /// All steps of a box.
@@ -222,11 +237,13 @@ mod tests {
         let scenes = [([40, 40, 40], 1), ([100, 100, 2], 1), ([40, 40, 40], 8), ([60, 60, 60], 60)];
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
-            let Ok(found) = footprint(&particles, &LATTICE, RADII);
+            let Ok(Footprint { surface, near_particle_count, .. }) = footprint(&particles, &LATTICE, RADII);
             let Ok(rasterized) = rasterize(&particles, &LATTICE, RADII);
-            let (found, real) = (found.surface_count, rasterized.band.topology.len());
+            let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
             assert!((1.0..1.7).contains(&ratio), "{found} leaves for {real} in {counts:?} / {every}");
+            let ratio = near_particle_count as f64 / rasterized.bins.len() as f64;
+            assert!((0.7..1.5).contains(&ratio), "{ratio:.2} of the particles in {counts:?} / {every}");
         }
     }
 

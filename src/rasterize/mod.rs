@@ -42,15 +42,15 @@ pub use bin::ParticleBins;
 pub use footprint::{Footprint, footprint};
 pub use occupancy::Occupancy;
 
-use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, LeafMask, NO_LEAF, Topology};
+use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::particles::ParticleSource;
-use crate::simd;
+use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
 use need::{Need, leaves_of_boxes};
-use region::{EVERYWHERE, Regions, holds};
+use region::Regions;
 use signed_distance::{Below, into_signed_distance, signed_distance};
-use sphere::nearest_distances;
+use sphere::{Eights, nearest_distances};
 
 /// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -107,7 +107,7 @@ pub fn rasterize<S: ParticleSource>(
     lattice: &Lattice,
     radii: Radii,
 ) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(EVERYWHERE, radii);
+    let regions = Regions::new(CoordBox::ALL, radii);
     let occupancy = Occupancy::new(source, lattice)?;
     let measured = measure(source, &occupancy, lattice, radii, &regions)?;
     drop(occupancy);
@@ -131,6 +131,21 @@ pub fn rasterize_window<S: ParticleSource>(
     Ok(level_sets(measured, radii, &regions))
 }
 
+/// The particles that what is in a window comes from.
+///
+/// # Errors
+/// Those of the source.
+pub fn particles_of_window<S: ParticleSource>(
+    source: &S,
+    occupancy: &Occupancy,
+    lattice: &Lattice,
+    radii: Radii,
+    window: CoordBox,
+) -> Result<ParticleBins, S::Error> {
+    let regions = Regions::new(window, radii);
+    ParticleBins::new(source, lattice, occupancy, &Need::new(occupancy, radii, &regions), &regions)
+}
+
 /// The leaves around the surface, and the distances from their voxels to the nearest particles.
 struct Measured {
     bins: ParticleBins,
@@ -148,11 +163,12 @@ fn measure<S: ParticleSource>(
     let need = Need::new(occupancy, radii, regions);
     let bins = ParticleBins::new(source, lattice, occupancy, &need, regions)?;
     let reach = radii.max + EXACT_MARGIN;
+    let eights = Eights::new(&bins);
     let settled = |origin| need.settled(origin);
-    let near = nearest_distances(&bins, &need.near, reach, settled, |_| None);
+    let near = nearest_distances(&eights, &need.near, reach, settled, |_| None);
     let topology = Topology::new(leaves_near_surface(&need, &near, radii, regions));
     let known = |origin| need.near.find(origin).map(|leaf| &near.leaves[leaf]);
-    let nearest = nearest_distances(&bins, &topology, reach, settled, known);
+    let nearest = nearest_distances(&eights, &topology, reach, settled, known);
     Ok(Measured { bins, topology, nearest })
 }
 
@@ -172,12 +188,12 @@ fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Reg
         let mut crossings = inside[leaf];
         crossings.remove_all(&inside[leaf].surrounded(faces));
         let voxels = crossings.bounding_box();
-        (!voxels.is_empty() && holds(&regions.crossed, origin))
+        (!voxels.is_empty() && regions.crossed.contains(origin))
             .then(|| (origin, voxels.expanded(radii.band_margin())))
     };
     let surfaces: Vec<(IVec3, CoordBox)> =
         near.origins().par_iter().enumerate().filter_map(surface).collect();
-    leaves_of_boxes(&surfaces, |origin| holds(&regions.swept, origin))
+    leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
 }
 
 /// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
@@ -186,17 +202,16 @@ fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized
     let half_width = radii.half_width();
     let mut phi = signed_distance(&topology, &nearest, radii.init, half_width);
     let is_banded = |leaf: usize| {
-        holds(&regions.banded, topology.origins()[leaf])
+        regions.banded.contains(topology.origins()[leaf])
             && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
-    keep(&mut phi, &kept);
-    keep(&mut nearest, &kept);
+    rayon::join(|| keep(&mut phi, &kept), || keep(&mut nearest, &kept));
     let topology = subset(topology, &kept);
     let mut lower = signed_distance(&topology, &nearest, radii.max, half_width);
     let mut upper = into_signed_distance(&topology, nearest, radii.min, half_width);
     let own: Vec<usize> =
-        (0..topology.len()).filter(|&leaf| holds(&regions.own, topology.origins()[leaf])).collect();
+        (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
     for field in [&mut phi, &mut lower, &mut upper] {
         keep(field, &own);
     }
@@ -237,13 +252,35 @@ fn sweep_count(half_width: f32) -> u32 {
 /// does not promise, and moves φ between them.
 fn finish(band: &mut NarrowBand, bounds: &mut Bounds) {
     let half_width = band.half_width;
-    let within = |value: f32| value.clamp(-half_width, half_width);
-    let leaves = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
-    band.phi.leaves.par_iter_mut().zip(leaves).for_each(|(phi, (lower, upper))| {
-        for ((phi, lower), upper) in phi.values.iter_mut().zip(&mut lower.values).zip(&mut upper.values) {
-            *upper = within(*upper);
-            *lower = within(*lower).min(*upper);
-            *phi = within(*phi).max(*lower).min(*upper);
-        }
+    let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
+    band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+        simd::dispatch(Finish { half_width, phi, lower, upper });
     });
+}
+
+/// The values of one leaf.
+struct Finish<'a> {
+    half_width: f32,
+    phi: &'a mut Leaf,
+    lower: &'a mut Leaf,
+    upper: &'a mut Leaf,
+}
+
+impl Kernel for Finish<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
+        for row in 0..ROW_COUNT {
+            let (phi, lower, upper) =
+                (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
+            let new_upper = V::load(upper).max(least).min(most);
+            let new_lower = V::load(lower).max(least).min(most).min(new_upper);
+            let new_phi = V::load(phi).max(least).min(most).max(new_lower).min(new_upper);
+            new_upper.store(upper);
+            new_lower.store(lower);
+            new_phi.store(phi);
+        }
+    }
 }

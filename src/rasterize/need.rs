@@ -41,7 +41,7 @@ use rustc_hash::FxHashSet;
 
 use super::cover::{Ball, Cover};
 use super::occupancy::{Occupancy, Octants};
-use super::region::{Regions, holds};
+use super::region::Regions;
 use super::sphere::ring_steps;
 use super::{EXACT_MARGIN, Radii};
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology};
@@ -138,14 +138,14 @@ impl<'a> Need<'a> {
             (origin, voxels.expanded(radii.band_margin()))
         };
         let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().map(surface).collect();
-        let banded = leaves_of_boxes(&surfaces, |origin| holds(&regions.swept, origin));
+        let banded = leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin));
         banded.into_iter().chain(self.near.origins().iter().copied()).collect()
     }
 }
 
 /// The leaves of a region.
 fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology> {
-    let is_in = |origin: &&IVec3| holds(region, **origin);
+    let is_in = |origin: &&IVec3| region.contains(**origin);
     if topology.origins().par_iter().all(|origin| is_in(&origin)) {
         return Cow::Borrowed(topology);
     }
@@ -215,7 +215,7 @@ fn near_leaves(
     };
     let reached: Vec<(IVec3, CoordBox)> =
         occupied.origins().par_iter().enumerate().filter_map(reached).collect();
-    let is_near = |origin| holds(region, origin) && !occupied.find(origin).is_some_and(is_deep);
+    let is_near = |origin| region.contains(origin) && !occupied.find(origin).is_some_and(is_deep);
     Topology::new(leaves_of_boxes(&reached, is_near))
 }
 

@@ -28,7 +28,7 @@ pub struct Occupancy {
     /// The leaves that hold at least one particle.
     pub topology: Topology,
     /// For each of them, where in it.
-    pub(super) octants: Vec<Box<Octants>>,
+    shards: Vec<Shard>,
     /// What each batch told.
     pub(super) batches: Vec<BatchSummary>,
 }
@@ -73,7 +73,7 @@ impl Octants {
 /// Maps from leaf to octants, so many that threads seldom wait for each other.
 const SHARD_COUNT: usize = 64;
 
-type Shard = Mutex<FxHashMap<IVec3, Box<Octants>>>;
+type Shard = FxHashMap<IVec3, Box<Octants>>;
 
 impl Occupancy {
     /// Looks at each particle once.
@@ -81,7 +81,7 @@ impl Occupancy {
     /// # Errors
     /// Those of the source.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
-        let shards: Vec<Shard> = (0..SHARD_COUNT).map(|_| Shard::default()).collect();
+        let shards: Vec<Mutex<Shard>> = (0..SHARD_COUNT).map(|_| Mutex::default()).collect();
         let look = |batch: usize| -> Result<BatchSummary, S::Error> {
             let batch = LeafBatch::new(&source.batch(batch)?, lattice);
             let mut voxels = CoordBox::EMPTY;
@@ -96,8 +96,12 @@ impl Occupancy {
             Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count: batch.dropped_count })
         };
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
-        let (topology, octants) = sorted(shards);
-        Ok(Occupancy { topology, octants, batches })
+        let shards: Vec<Shard> = shards
+            .into_iter()
+            .map(|shard| shard.into_inner().unwrap_or_else(PoisonError::into_inner))
+            .collect();
+        let topology = Topology::new(shards.iter().flat_map(|shard| shard.keys().copied()).collect());
+        Ok(Occupancy { topology, shards, batches })
     }
 
     /// The number of particles that were not dropped.
@@ -112,7 +116,7 @@ impl Occupancy {
 
     /// The octants of the leaf with this origin.
     pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
-        self.topology.find(origin).map(|leaf| &*self.octants[leaf])
+        self.shards[shard_of(origin)].get(&origin).map(|octants| &**octants)
     }
 }
 
@@ -120,19 +124,6 @@ impl Occupancy {
 fn shard_of(origin: IVec3) -> usize {
     let [x, y, z] = (origin / LEAF_EDGE).to_array().map(|along| (along & 3) as usize);
     x * 16 + y * 4 + z
-}
-
-/// The leaves of all maps, in the order of a topology.
-fn sorted(shards: Vec<Shard>) -> (Topology, Vec<Box<Octants>>) {
-    let leaves: Vec<(IVec3, Box<Octants>)> = shards
-        .into_iter()
-        .flat_map(|shard| shard.into_inner().unwrap_or_else(PoisonError::into_inner))
-        .collect();
-    let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
-    let mut octants: Vec<(Option<usize>, Box<Octants>)> =
-        leaves.into_par_iter().map(|(origin, octants)| (topology.find(origin), octants)).collect();
-    octants.par_sort_unstable_by_key(|&(leaf, _)| leaf);
-    (topology, octants.into_iter().map(|(_, octants)| octants).collect())
 }
 
 #[cfg(test)]
@@ -147,15 +138,16 @@ mod tests {
         let Ok(occupancy) = Occupancy::new(&Particles::Single(positions), &lattice);
         assert_eq!((occupancy.particle_count(), occupancy.dropped_count()), (3, 1));
         assert_eq!(occupancy.topology.origins(), [IVec3::new(0, -8, 0), IVec3::ZERO]);
+        let octants = [IVec3::new(0, -8, 0), IVec3::ZERO].map(|origin| occupancy.octants_of(origin).unwrap());
         let bits = |leaf: usize| -> Vec<(usize, u16)> {
-            let rows = occupancy.octants[leaf].rows.into_iter().enumerate();
+            let rows = octants[leaf].rows.into_iter().enumerate();
             rows.filter(|&(_, row)| row != 0).collect()
         };
         assert_eq!(bits(0), [(15 * 16 + 15, 1 << 6)]);
         assert_eq!(bits(1), [(0, 0b10)]);
         let voxel = |x, y, z| IVec3::new(x, y, z);
-        assert_eq!(occupancy.octants[0].cells(), CoordBox { min: voxel(7, 7, 3), max: voxel(7, 7, 3) });
-        assert_eq!(occupancy.octants[1].cells(), CoordBox { min: IVec3::ZERO, max: IVec3::ZERO });
+        assert_eq!(octants[0].cells(), CoordBox { min: voxel(7, 7, 3), max: voxel(7, 7, 3) });
+        assert_eq!(octants[1].cells(), CoordBox { min: IVec3::ZERO, max: IVec3::ZERO });
         assert!(Octants::EMPTY.cells().is_empty());
         let whole = Octants { rows: [1 << 4 | 1 << 15; 256] };
         assert_eq!(whole.cells(), CoordBox { min: voxel(0, 0, 2), max: IVec3::splat(7) });

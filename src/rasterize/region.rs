@@ -19,8 +19,8 @@ use super::{EXACT_MARGIN, Radii, sweep_count};
 use crate::grid::LEAF_EDGE;
 use crate::space::CoordBox;
 
-/// The window that holds every leaf.
-pub(super) const EVERYWHERE: CoordBox = CoordBox { min: IVec3::splat(-3 << 29), max: IVec3::splat(3 << 29) };
+/// All voxels that there could be, and so many more that what is around them can be counted, too.
+const EVERYWHERE: CoordBox = CoordBox { min: IVec3::splat(-3 << 29), max: IVec3::splat(3 << 29) };
 
 /// The boxes of leaves that a window's results come from, each within the next.
 #[derive(Clone, Copy, Debug)]
@@ -37,6 +37,7 @@ impl Regions {
     /// Those of the leaves that a window touches.
     pub(super) fn new(window: CoordBox, radii: Radii) -> Regions {
         let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;
+        let window = CoordBox { min: window.min.max(EVERYWHERE.min), max: window.max.min(EVERYWHERE.max) };
         let own = leaves_around(window, 0);
         let banded = leaves_around(own, swept_voxels);
         let swept = leaves_around(banded, swept_voxels);
@@ -55,11 +56,6 @@ fn leaves_around(voxels: CoordBox, margin: i32) -> CoordBox {
         min: grown.min.div_euclid(edge) * LEAF_EDGE,
         max: grown.max.div_euclid(edge) * LEAF_EDGE + (LEAF_EDGE - 1),
     }
-}
-
-/// Whether a leaf is in a box of leaves.
-pub(super) fn holds(leaves: &CoordBox, origin: IVec3) -> bool {
-    leaves.min.cmple(origin).all() && origin.cmple(leaves.max).all()
 }
 
 /// Whether two boxes have a voxel in common.
@@ -87,7 +83,7 @@ mod tests {
         ];
         for (found, ring) in found.into_iter().zip(rings) {
             assert_eq!((found.min, found.max), (IVec3::splat(-8 * ring), IVec3::splat(8 * ring + 7)));
-            assert!(holds(&found, found.min) && !holds(&found, found.min - IVec3::new(0, 8, 0)));
+            assert!(found.contains(found.min) && !found.contains(found.min - IVec3::new(0, 8, 0)));
         }
         assert!(meet(&regions.own, &CoordBox { min: IVec3::splat(7), max: IVec3::splat(9) }));
         assert!(!meet(&regions.own, &CoordBox { min: IVec3::new(0, 0, 8), max: IVec3::splat(9) }));
@@ -96,8 +92,8 @@ mod tests {
     #[test]
     fn everywhere_is_no_less_than_all_there_is() {
         let radii = Radii { min: 32.0, init: 48.0, max: 64.0 };
-        let own = Regions::new(EVERYWHERE, radii).own;
+        let own = Regions::new(CoordBox::ALL, radii).own;
         let farthest = IVec3::splat(crate::space::INDEX_LIMIT + 1000);
-        assert!(holds(&own, farthest) && holds(&own, -farthest));
+        assert!(own.contains(farthest) && own.contains(-farthest));
     }
 }

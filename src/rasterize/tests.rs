@@ -12,12 +12,14 @@ use crate::particles::{Particles, Positions};
 
 const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
-/// The usual radii; some so small that no particle may be left out; larger ones, far apart; and all the same.
-const RADII: [Radii; 4] = [
-    Radii { min: 1.732_050_8, init: 2.598_076_2, max: 3.464_101_6 },
+/// The usual radii; some so small that no particle may be left out; larger ones, far apart; all the same; and
+/// such that reach over the next leaf.
+const RADII: [Radii; 5] = [
+    Radii { min: 1.732_050_8, init: 2.598_076, max: 3.464_101_6 },
     Radii { min: 1.1, init: 1.3, max: 1.8 },
     Radii { min: 3.0, init: 5.5, max: 9.0 },
     Radii { min: 2.0, init: 2.0, max: 2.0 },
+    Radii { min: 11.5, init: 12.0, max: 12.5 },
 ];
 
 /// Particles in batches of seven.
@@ -60,7 +62,7 @@ fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
     });
     vec![
         ("solid", jittered(26, 2.0, ball(Vec3::ZERO, 26.0))),
-        ("dense solid", jittered(20, 1.0, |place| place.abs().max_element() < 20.0)),
+        ("dense solid", jittered(17, 1.0, |place| place.abs().max_element() < 17.0)),
         ("hollow", hollow),
         ("sheet", jittered(30, 1.5, |place| (place.z - 0.2 * place.x).abs() < 1.0)),
         ("spray", spray),
@@ -192,7 +194,8 @@ fn values_of(rasterized: &Rasterized) -> Values {
 #[test]
 fn what_is_left_out_changes_no_bit() {
     for (name, positions) in scenes() {
-        for radii in RADII {
+        // By the definition, many particles with a long reach take long.
+        for radii in RADII.into_iter().filter(|radii| radii.init < 10.0 || positions.len() < 1000) {
             let (band, bounds) = reference(&positions, radii);
             let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &LATTICE, radii);
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");

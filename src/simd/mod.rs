@@ -113,27 +113,28 @@ pub trait Kernel {
 /// Runs a kernel at [`Level::current`].
 #[inline]
 pub fn dispatch<K: Kernel>(kernel: K) -> K::Output {
-    dispatch_at(Level::current(), kernel)
+    run_available(Level::current(), kernel)
 }
 
 /// Runs a kernel at this level, or at the baseline where the processor lacks it.
 #[inline]
-#[allow(unsafe_code, reason = "the call that the processor was asked about")]
 pub fn dispatch_at<K: Kernel>(level: Level, kernel: K) -> K::Output {
-    #[cfg(target_arch = "x86_64")]
-    {
-        // Asking is a load of a cached word: nothing beside a leaf's work.
-        if level == Level::Avx512 && level.is_available() {
-            // SAFETY: the processor has every feature that the function is compiled for.
-            return unsafe { x86::run_avx512(kernel) };
-        }
-        if level >= Level::Avx2 && Level::Avx2.is_available() {
-            // SAFETY: as above.
-            return unsafe { x86::run_avx2(kernel) };
-        }
+    run_available(if level.is_available() { level } else { Level::Baseline }, kernel)
+}
+
+/// Runs a kernel at a level that was found to be available: asking again for each leaf would show.
+#[inline]
+#[allow(unsafe_code, reason = "the calls that the processor was asked about")]
+fn run_available<K: Kernel>(level: Level, kernel: K) -> K::Output {
+    match level {
+        // SAFETY: whoever calls has asked for every feature that the function is compiled for.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 => unsafe { x86::run_avx512(kernel) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 => unsafe { x86::run_avx2(kernel) },
+        _ => kernel.run::<Portable>(),
     }
-    let _ = level;
-    kernel.run::<Portable>()
 }
 
 #[cfg(test)]

@@ -85,6 +85,31 @@ impl Act {
     }
 }
 
+/// Which of the three fields that are passed from act to act: φ, and the first and second of [`Memory`].
+pub type FieldSet = [bool; 3];
+
+impl Act {
+    /// The fields whose values the act depends on.
+    pub fn reads(self) -> FieldSet {
+        match self {
+            // Nothing was before the first step.
+            Act::Passes { step: 0, first: 0, .. } => [true, false, false],
+            Act::Passes { first: 0, .. } => [true, true, false],
+            Act::Passes { .. } => [true, true, true],
+            _ => [true, false, false],
+        }
+    }
+
+    /// The fields whose values a later act may depend on. Whatever else the act leaves in the fields is of no use.
+    pub fn writes(self) -> FieldSet {
+        match self {
+            Act::Passes { first: 0, .. } => [true, true, true],
+            Act::Passes { .. } => [true, false, true],
+            _ => [true, false, false],
+        }
+    }
+}
+
 /// The acts of a smoothing, none with a reach of more than `reach_max` voxels (at least 32), where that can be.
 pub fn acts(config: &Config, reach_max: u32) -> Vec<Act> {
     let mut acts = Vec::new();

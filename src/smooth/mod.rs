@@ -21,7 +21,7 @@ mod implicit;
 mod laplacian;
 mod thickness;
 
-pub use acts::{Act, Memory, Tally, Work, acts};
+pub use acts::{Act, FieldSet, Memory, Tally, Work, acts};
 pub use biharmonic::EIGENVALUE_MAX;
 pub use implicit::Convergence;
 

@@ -184,6 +184,36 @@ fn lost_particles_are_certified_as_lost() {
     assert!(inside.holds(), "{inside:?}");
 }
 
+/// Most particles of a solid are never kept. What the certificate tells of vertices and particles is of all.
+#[test]
+fn particles_that_are_left_out_are_certified_too() {
+    let mut random = Random::new(73);
+    let solid: Vec<DVec3> =
+        jittered_lattice(&mut random, 34, |p| p.length() < 34.0).iter().map(|p| p * 0.5).collect();
+    let particles = Particles::Double(solid.iter().map(|p| p.to_array()).collect());
+    let settings = Settings::resolve(1.0, &Choices::default()).unwrap();
+    let Ok(rasterized) = rasterize(&particles, &Lattice { voxel_size: 1.0 }, default_radii());
+    assert!(rasterized.bins.len() < solid.len() * 3 / 4, "{} are kept", rasterized.bins.len());
+    let surface = skin(&particles, &settings);
+    let certificate = surface.report.certificate;
+    assert!(certificate.holds(), "{certificate:?}");
+    assert_eq!(surface.report.particle_count, solid.len());
+    let nearest = |vertex: &glam::Vec3| {
+        let distances = solid.iter().map(|particle| particle.distance_squared(vertex.as_dvec3()));
+        distances.fold(f64::INFINITY, f64::min).sqrt()
+    };
+    let distances: Vec<f64> = surface.mesh.positions.iter().map(nearest).collect();
+    let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+    let greatest = distances.iter().copied().fold(0.0, f64::max);
+    println!(
+        "{} of {} are kept; vertices at {least:.3} to {greatest:.3}",
+        rasterized.bins.len(),
+        solid.len()
+    );
+    assert!((certificate.vertex_distance_min - least).abs() < 1e-4, "{least} {certificate:?}");
+    assert!((certificate.vertex_distance_max - greatest).abs() < 1e-4, "{greatest} {certificate:?}");
+}
+
 /// One particle gone astray costs the others nothing: their mesh has the positions that it had.
 #[test]
 fn a_stray_particle_costs_the_others_no_precision() {

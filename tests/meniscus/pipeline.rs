@@ -1,21 +1,20 @@
 //! Frames through the stages, with a quick method in place of the real one.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::grid::{Field, Topology};
 use meniscus::level_set::NarrowBand;
 use meniscus::mesh::Mesh;
-use meniscus::particles::Particles;
 use meniscus::pipeline::{
-    Cause, Conduct, FileStamp, Frame, LevelSetSkinning, Method, OnError, Outcome, OutputFormat,
-    OutputOptions, Stage, run,
+    Cause, Conduct, FileStamp, Frame, FrameParticles, LevelSetSkinning, Method, OnError, Outcome,
+    OutputFormat, OutputOptions, Stage, run,
 };
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
-use meniscus::skin::Surface;
+use meniscus::skin::{Plan, Surface};
 use meniscus_formats::{gltf, vdb};
 use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};
@@ -46,20 +45,31 @@ impl Method for Quick {
     type Rasterized = usize;
     type Smoothed = usize;
 
-    fn memory_bytes(&self, _particles: &Particles, _settings: &Settings) -> u64 {
-        1 << 20
+    fn plan(
+        &self,
+        _particles: &FrameParticles,
+        _settings: &Settings,
+        _allowed_bytes: u64,
+    ) -> Result<Plan, Cause> {
+        Ok(Plan { memory_bytes: 1 << 20, tile_leaves: None })
     }
 
-    fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
-        self.pass(Stage::Rasterize, particles.len())
+    fn rasterize(
+        &self,
+        particles: FrameParticles,
+        _settings: &Settings,
+        _plan: &Plan,
+        _scratch: &Path,
+    ) -> Result<usize, Cause> {
+        Ok(self.pass(Stage::Rasterize, particles.len()))
     }
 
-    fn smooth(&self, count: usize, _settings: &Settings) -> usize {
-        self.pass(Stage::Smooth, count)
+    fn smooth(&self, count: usize, _settings: &Settings) -> Result<usize, Cause> {
+        Ok(self.pass(Stage::Smooth, count))
     }
 
-    fn contour(&self, count: usize, settings: &Settings) -> Surface {
-        tetrahedron(self.pass(Stage::Contour, count), settings)
+    fn contour(&self, count: usize, settings: &Settings) -> Result<Surface, Cause> {
+        Ok(tetrahedron(self.pass(Stage::Contour, count), settings))
     }
 }
 

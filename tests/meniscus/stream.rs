@@ -3,17 +3,18 @@
 use std::collections::HashSet;
 use std::fs::{self, File};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, mpsc};
 use std::thread;
 use std::time::{Duration, SystemTime};
 
-use meniscus::particles::Particles;
 use meniscus::pipeline::{
-    Conduct, Frame, FrameError, Method, Outcome, Stage, default_in_flight, is_own_output, run, stream,
+    Cause, Conduct, Frame, FrameError, FrameParticles, Method, Outcome, Stage, default_in_flight,
+    is_own_output, run, stream,
 };
 use meniscus::settings::Settings;
-use meniscus::skin::Surface;
+use meniscus::skin::{Plan, Surface};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -28,23 +29,34 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
     type Rasterized = usize;
     type Smoothed = usize;
 
-    fn memory_bytes(&self, particles: &Particles, _settings: &Settings) -> u64 {
-        (particles.len() as u64) << 20
+    fn plan(
+        &self,
+        particles: &FrameParticles,
+        _settings: &Settings,
+        _allowed_bytes: u64,
+    ) -> Result<Plan, Cause> {
+        Ok(Plan { memory_bytes: (particles.len() as u64) << 20, tile_leaves: None })
     }
 
-    fn rasterize(&self, particles: &Particles, _settings: &Settings) -> usize {
+    fn rasterize(
+        &self,
+        particles: FrameParticles,
+        _settings: &Settings,
+        _plan: &Plan,
+        _scratch: &Path,
+    ) -> Result<usize, Cause> {
         self.0(Stage::Rasterize, particles.len());
-        particles.len()
+        Ok(particles.len())
     }
 
-    fn smooth(&self, count: usize, _settings: &Settings) -> usize {
+    fn smooth(&self, count: usize, _settings: &Settings) -> Result<usize, Cause> {
         self.0(Stage::Smooth, count);
-        count
+        Ok(count)
     }
 
-    fn contour(&self, count: usize, settings: &Settings) -> Surface {
+    fn contour(&self, count: usize, settings: &Settings) -> Result<Surface, Cause> {
         self.0(Stage::Contour, count);
-        tetrahedron(count, settings)
+        Ok(tetrahedron(count, settings))
     }
 }
 

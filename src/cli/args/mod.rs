@@ -12,6 +12,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
 use super::frame_selection::FrameSelection;
+use super::quantities::parse_bytes;
 
 pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use surface::{
@@ -74,6 +75,14 @@ pub(super) struct ConvertArgs {
     /// Threads to compute on; all there are by default. The results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(super) threads: Option<u16>,
+
+    /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
+    /// default
+    ///
+    /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
+    /// out the same. One that cannot be fails, and says how much it needs.
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub(super) memory: Option<u64>,
 
     /// After a frame that failed, stop or continue with the next
     #[arg(long, value_name = "WHAT", default_value = "continue")]

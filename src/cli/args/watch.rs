@@ -99,7 +99,8 @@ pub(in crate::cli) struct DaemonArgs {
     /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
     /// default
     ///
-    /// A frame that takes more by itself runs alone.
+    /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
+    /// out the same. One that cannot be fails, and says how much it needs.
     #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
     pub(in crate::cli) memory: Option<u64>,
 

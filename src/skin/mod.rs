@@ -1,20 +1,29 @@
 //! The whole method in three calls: rasterize, smooth, contour.
 //!
 //! The calls are separate so that a pipeline can have a different frame in each of them; [`skin`]
-//! is the three in a row. None of them starts threads of its own or touches a file: loops run in
-//! whatever rayon pool the caller is in.
+//! is the three in a row. None of them starts threads of its own or opens a file: loops run in
+//! whatever rayon pool the caller is in. [`plan`] tells what a frame will take, and [`tiled`] has the same
+//! three calls for one that is larger than memory.
+
+mod plan;
+mod shelves;
+pub mod tiled;
+mod tiles;
 
 use std::time::Instant;
+
+pub use plan::{Plan, TooLarge, plan};
+pub use shelves::{SHELF_COUNT, Storage};
 
 use crate::certify::certify;
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
-use crate::particles::Particles;
+use crate::particles::{ParticleSource, Particles};
 use crate::rasterize::{self, ParticleBins, Radii};
 use crate::report::SkinReport;
-use crate::settings::{Contouring, Integrator, Settings};
+use crate::settings::Settings;
 use crate::smooth;
 use crate::space::Lattice;
 
@@ -59,42 +68,18 @@ pub struct Smoothed {
 
 /// Skins one frame: rasterize, smooth, contour.
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
-    contour(smooth(rasterize(particles, settings), settings), settings)
-}
-
-/// The most memory that the three stages take for these particles, in bytes: never much less than they do,
-/// and up to half as much again. It looks at each particle once.
-pub fn memory_estimate_bytes(particles: &Particles, settings: &Settings) -> u64 {
-    let Ok(leaves) = rasterize::footprint(particles, &lattice(settings), radii(settings));
-    let [surface, area] = [leaves.surface_count, leaves.area_voxels].map(|count| count as f64);
-    // Fields that there are at once; and bytes of the mesh, of what measures it and of what makes it, for
-    // each face of a voxel that the surface is as large as. Measured on blocks, sheets and spray.
-    let smoothing_fields = match settings.integrator {
-        Integrator::Fast | Integrator::Explicit => 7.2,
-        Integrator::Implicit => 9.2,
-    };
-    let mesh_bytes = match settings.contouring {
-        Contouring::Dual => 80.0,
-        Contouring::Tetrahedra => 250.0,
-    };
-    let field_bytes = size_of::<Leaf>() as f64;
-    let stages = [
-        // The first surface, its bounds, and what they are swept in.
-        field_bytes * 5.2 * surface,
-        field_bytes * smoothing_fields * surface,
-        field_bytes * 4.0 * surface + mesh_bytes * area,
-    ];
-    let stages_bytes = stages.into_iter().fold(0.0, f64::max);
-    // The particles as they were read and as they are sorted are there all the while; sorting takes more.
-    let [beside_bytes, sorting_bytes] = [36.0, 100.0].map(|bytes| bytes * particles.len() as f64);
-    (stages_bytes + beside_bytes).max(sorting_bytes) as u64
+    let Ok(rasterized) = rasterize(particles, settings);
+    contour(smooth(rasterized, settings), settings)
 }
 
 /// The first stage: particles to level sets.
-pub fn rasterize(particles: &Particles, settings: &Settings) -> Rasterized {
+///
+/// # Errors
+/// Those of the source; what is in memory has none.
+pub fn rasterize<S: ParticleSource>(source: &S, settings: &Settings) -> Result<Rasterized, S::Error> {
     let started = Instant::now();
-    let Ok(rasterized) = rasterize::rasterize(particles, &lattice(settings), radii(settings));
-    let rasterize::Rasterized { bins, band, bounds } = rasterized;
+    let rasterize::Rasterized { bins, band, bounds } =
+        rasterize::rasterize(source, &lattice(settings), radii(settings))?;
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
@@ -102,7 +87,7 @@ pub fn rasterize(particles: &Particles, settings: &Settings) -> Rasterized {
         ..SkinReport::default()
     };
     report.seconds.rasterize = started.elapsed().as_secs_f64();
-    Rasterized { bins, band, bounds, report }
+    Ok(Rasterized { bins, band, bounds, report })
 }
 
 /// The second stage: the constrained smoothing.
@@ -110,6 +95,12 @@ pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let started = Instant::now();
     let Rasterized { bins, mut band, bounds, mut report } = rasterized;
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
+    report_smoothing(&mut report, smoothed, settings);
+    report.seconds.smooth = started.elapsed().as_secs_f64();
+    Smoothed { bins, band, bounds, report }
+}
+
+fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
@@ -117,8 +108,6 @@ pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
         smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
-    report.seconds.smooth = started.elapsed().as_secs_f64();
-    Smoothed { bins, band, bounds, report }
 }
 
 /// The third stage: the mesh, its measures and the certificate.

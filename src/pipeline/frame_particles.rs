@@ -1,0 +1,124 @@
+//! The particles of a frame: in memory, or in the file that they are read from again and again.
+
+use std::borrow::Cow;
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+
+use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, Positions};
+
+use crate::particles::{self, ParticleSource, Particles};
+
+use super::frame::Cause;
+use super::reading::InputFile;
+
+/// The particles of a frame.
+#[derive(Debug)]
+pub enum FrameParticles {
+    /// All of them.
+    InMemory(Particles),
+    /// Those in a file whose records can be read one by one.
+    OnDisk(Box<FileParticles>),
+}
+
+/// The particles in a file.
+#[derive(Debug)]
+pub struct FileParticles {
+    file: Arc<InputFile>,
+    batches: ParticleBatches<Arc<InputFile>>,
+}
+
+/// Bytes of a file that are read at a time: some ten thousand particles.
+const BATCH_BYTES: usize = 512 << 10;
+
+impl FileParticles {
+    /// The particles in an open file; `None` where it has to be read whole.
+    ///
+    /// # Errors
+    /// Those of the format's reader.
+    pub(super) fn open(path: &Path, file: InputFile) -> meniscus_formats::Result<Option<FileParticles>> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let file = Arc::new(file);
+        let batches = ParticleBatches::open(Arc::clone(&file), &name, &Limits::default(), BATCH_BYTES)?;
+        Ok(batches.map(|batches| FileParticles { file, batches }))
+    }
+
+    /// What a user should know of the file.
+    pub(super) fn notes(&self) -> Vec<String> {
+        self.batches.notes().to_vec()
+    }
+}
+
+impl FrameParticles {
+    /// The number of particles.
+    pub fn len(&self) -> usize {
+        match self {
+            FrameParticles::InMemory(particles) => particles.len(),
+            FrameParticles::OnDisk(file) => file.batches.particle_count(),
+        }
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Memory that is taken while they wait, in bytes.
+    pub(super) fn size_bytes(&self) -> u64 {
+        match self {
+            FrameParticles::InMemory(particles) => particles.size_bytes() as u64,
+            FrameParticles::OnDisk(_) => 0,
+        }
+    }
+
+    /// Fails if the file was written meanwhile. To be asked after the last batch.
+    ///
+    /// # Errors
+    /// [`Cause::Changed`], or the system's refusal.
+    pub fn check_unchanged(&self) -> Result<(), Cause> {
+        match self {
+            FrameParticles::InMemory(_) => Ok(()),
+            FrameParticles::OnDisk(file) => match file.file.is_unchanged() {
+                Ok(true) => Ok(()),
+                Ok(false) => Err(Cause::Changed),
+                Err(error) => Err(Cause::File(error.into())),
+            },
+        }
+    }
+}
+
+impl ParticleSource for FrameParticles {
+    type Error = Cause;
+
+    fn batch_count(&self) -> usize {
+        match self {
+            FrameParticles::InMemory(particles) => particles.batch_count(),
+            FrameParticles::OnDisk(file) => file.batches.batch_count(),
+        }
+    }
+
+    fn batch(&self, index: usize) -> Result<particles::Positions<'_>, Cause> {
+        match self {
+            FrameParticles::InMemory(particles) => {
+                let Ok(positions) = particles.batch(index);
+                Ok(positions)
+            }
+            FrameParticles::OnDisk(file) => {
+                let mut batch = ParticleBatch::default();
+                file.batches.read_batch(index, &mut batch).map_err(|error| file.cause(error))?;
+                Ok(match batch.positions {
+                    Positions::F32(positions) => particles::Positions::Single(Cow::Owned(positions)),
+                    Positions::F64(positions) => particles::Positions::Double(Cow::Owned(positions)),
+                })
+            }
+        }
+    }
+}
+
+impl FileParticles {
+    /// A file that was whole when it was opened, and cannot be read now, was changed, as a rule.
+    fn cause(&self, error: meniscus_formats::Error) -> Cause {
+        let is_changed = |unchanged: io::Result<bool>| unchanged.is_ok_and(|unchanged| !unchanged);
+        if is_changed(self.file.is_unchanged()) { Cause::Changed } else { Cause::File(error) }
+    }
+}

@@ -1,0 +1,161 @@
+//! What a frame will take, and how to skin it with less.
+
+use std::fmt;
+
+use glam::IVec3;
+use rustc_hash::FxHashMap;
+
+use super::tiled::RASTERIZED_HALO_LEAVES;
+use super::tiles::{HALO_LEAVES, tile_of};
+use super::{TOPOLOGY_LEAF_BYTES, lattice, radii};
+use crate::grid::{LEAF_EDGE, Leaf};
+use crate::particles::ParticleSource;
+use crate::rasterize::{self, Footprint};
+use crate::settings::{Contouring, Integrator, Settings};
+
+/// How a frame is to be skinned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plan {
+    /// The most memory that it takes, in bytes, beside the particles that are given: never much less than it does,
+    /// and up to half as much again.
+    pub memory_bytes: u64,
+    /// The edge of its tiles in leaves; `None` to have it in memory whole.
+    pub tile_leaves: Option<i32>,
+}
+
+/// A frame does not fit into the memory that it may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TooLarge {
+    /// The least memory with which it could be skinned, in bytes.
+    pub least_bytes: u64,
+    /// What it may take, in bytes.
+    pub allowed_bytes: u64,
+    /// Whether the integrator is what keeps it from being done in tiles.
+    pub is_coupled: bool,
+}
+
+impl fmt::Display for TooLarge {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mebibytes = |bytes: u64| bytes.div_ceil(1 << 20);
+        write!(
+            f,
+            "the frame needs {} MiB of memory, and may take {} MiB: allow more (--memory), or choose a larger voxel size",
+            mebibytes(self.least_bytes),
+            mebibytes(self.allowed_bytes)
+        )?;
+        if self.is_coupled {
+            f.write_str("; the implicit integrator couples all voxels, any other can do with less")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for TooLarge {}
+
+/// Edges of tiles in leaves, the largest first: the smaller they are, the more of the work is done twice.
+const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
+
+/// How to skin a frame in `allowed_bytes`: in memory whole if that will do, and in the largest tiles that will
+/// if not. It looks at each particle once.
+///
+/// # Errors
+/// Those of the source; and, within, that it cannot be done.
+pub fn plan<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    allowed_bytes: u64,
+) -> Result<Result<Plan, TooLarge>, S::Error> {
+    let footprint = rasterize::footprint(source, &lattice(settings), radii(settings))?;
+    let whole = whole_bytes(&footprint, settings);
+    if whole <= allowed_bytes {
+        return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None }));
+    }
+    if settings.integrator == Integrator::Implicit {
+        return Ok(Err(TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true }));
+    }
+    let mut least_bytes = whole;
+    for tile_leaves in TILE_EDGES {
+        let memory_bytes = tiled_bytes(&footprint, settings, tile_leaves);
+        if memory_bytes <= allowed_bytes {
+            return Ok(Ok(Plan { memory_bytes, tile_leaves: Some(tile_leaves) }));
+        }
+        least_bytes = least_bytes.min(memory_bytes);
+    }
+    Ok(Err(TooLarge { least_bytes, allowed_bytes, is_coupled: false }))
+}
+
+/// Fields of a frame in memory while it is rasterized, with what they are swept in.
+const RASTERIZING_FIELDS: f64 = 5.2;
+
+/// While it is smoothed.
+fn smoothing_fields(settings: &Settings) -> f64 {
+    match settings.integrator {
+        Integrator::Fast | Integrator::Explicit => 5.6,
+        Integrator::Implicit => 9.2,
+    }
+}
+
+/// Bytes of the mesh, of what measures it and of what makes it, for each face of a voxel that the surface is as
+/// large as. Measured on blocks, sheets and spray.
+fn mesh_bytes(settings: &Settings) -> f64 {
+    match settings.contouring {
+        Contouring::Dual => 80.0,
+        Contouring::Tetrahedra => 250.0,
+    }
+}
+
+/// Memory for a leaf that holds particles, while it is found out which of them matter.
+const OCCUPIED_LEAF_BYTES: f64 = 700.0;
+
+/// Memory for a particle that matters, and for one while it is sorted.
+const KEPT_PARTICLE_BYTES: f64 = 12.0;
+const SORTED_PARTICLE_BYTES: f64 = 40.0;
+
+fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
+    let [surface, area, occupied, particles] = counts(footprint);
+    let stages = [
+        FIELD_BYTES * RASTERIZING_FIELDS * surface + OCCUPIED_LEAF_BYTES * occupied,
+        FIELD_BYTES * smoothing_fields(settings) * surface,
+        FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
+    ];
+    let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
+    stages_bytes.max(SORTED_PARTICLE_BYTES * particles) as u64
+}
+
+fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
+    let [surface, area, occupied, particles] = counts(footprint);
+    let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
+    let (rasterized, smoothed) = (most(RASTERIZED_HALO_LEAVES), most(HALO_LEAVES));
+    // The particles that matter in a tile are near its surface.
+    let particles = SORTED_PARTICLE_BYTES * particles * (2.0 * rasterized / surface).min(1.0);
+    let topology = TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
+    let stages = [
+        FIELD_BYTES * RASTERIZING_FIELDS * rasterized + OCCUPIED_LEAF_BYTES * occupied + particles,
+        FIELD_BYTES * smoothing_fields(settings) * smoothed,
+        FIELD_BYTES * surface + mesh_bytes(settings) * area + particles,
+    ];
+    (stages.into_iter().fold(0.0, f64::max) + topology) as u64
+}
+
+/// Memory for a leaf of a field.
+const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
+
+fn counts(footprint: &Footprint) -> [f64; 4] {
+    let Footprint { surface, area_voxels, occupied_count, near_particle_count } = footprint;
+    [surface.len(), *area_voxels, *occupied_count, *near_particle_count].map(|count| count as f64)
+}
+
+/// The number of leaves in the tile, with its halo, that has most of them.
+fn most_in_a_tile(leaves: &[IVec3], tile_leaves: i32, halo_leaves: i32) -> usize {
+    let mut counts: FxHashMap<IVec3, usize> = FxHashMap::default();
+    let halo = IVec3::splat(halo_leaves * LEAF_EDGE);
+    for &origin in leaves {
+        let (first, last) = (tile_of(origin - halo, tile_leaves), tile_of(origin + halo, tile_leaves));
+        for x in first.x..=last.x {
+            for y in first.y..=last.y {
+                (first.z..=last.z).for_each(|z| *counts.entry(IVec3::new(x, y, z)).or_default() += 1);
+            }
+        }
+    }
+    counts.into_values().max().unwrap_or(0)
+}

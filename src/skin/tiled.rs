@@ -1,0 +1,239 @@
+//! The three calls of the method for a frame that is larger than memory.
+//!
+//! What comes out is, bit for bit, what the frame would give in memory: see [`super::tiles`].
+
+use std::collections::BTreeSet;
+use std::io;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::IVec3;
+
+use super::shelves::{Shelves, Storage};
+use super::tiles::{self, Tiling, tile_of, tile_voxels};
+use super::{Surface, lattice, radii, report_smoothing, smooth_config};
+use crate::certify::{Part, ParticleChecks, certificate};
+use crate::contour;
+use crate::grid::LEAF_EDGE;
+use crate::level_set::{Bounds, NarrowBand};
+use crate::particles::ParticleSource;
+use crate::rasterize::{self, Occupancy};
+use crate::report::SkinReport;
+use crate::settings::Settings;
+
+/// Leaves around a tile that are rasterized with it, at the usual radii: only the estimate of memory asks.
+pub(super) const RASTERIZED_HALO_LEAVES: i32 = 8;
+
+/// Why a frame could not be skinned in tiles.
+#[derive(Debug)]
+pub enum TiledError<E> {
+    /// The particles could not be had.
+    Source(E),
+    /// The storage refused.
+    Storage(io::Error),
+}
+
+impl<E> From<io::Error> for TiledError<E> {
+    fn from(error: io::Error) -> TiledError<E> {
+        TiledError::Storage(error)
+    }
+}
+
+/// A frame between two calls.
+pub struct TiledFrame<S> {
+    source: S,
+    occupancy: Occupancy,
+    /// The tiles that particles are in or near.
+    tiles: BTreeSet<[i32; 3]>,
+    tile_leaves: i32,
+    shelves: Shelves,
+    tiling: Tiling,
+    half_width: f32,
+    report: SkinReport,
+}
+
+/// The first call: particles to level sets, which go onto the storages, of which there must be
+/// [`SHELF_COUNT`](super::SHELF_COUNT). Tiles are cubes of `tile_leaves` leaves.
+///
+/// # Errors
+/// Those of the source and of the storages.
+pub fn rasterize<S: ParticleSource>(
+    source: S,
+    settings: &Settings,
+    tile_leaves: i32,
+    storages: Vec<Box<dyn Storage>>,
+) -> Result<TiledFrame<S>, TiledError<S::Error>> {
+    let started = Instant::now();
+    let (lattice, radii) = (lattice(settings), radii(settings));
+    let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
+    let tiles =
+        tiles_near(&occupancy, tile_leaves, radii.init.ceil() as i32 + radii.half_width().ceil() as i32);
+    let shelves = Shelves::new(storages);
+    let mut origins: Vec<IVec3> = Vec::new();
+    for &tile in &tiles {
+        let window = tile_voxels(IVec3::from(tile), tile_leaves);
+        let rasterized = rasterize::rasterize_window(&source, &occupancy, &lattice, radii, window);
+        let rasterize::Rasterized { band, bounds, .. } = rasterized.map_err(TiledError::Source)?;
+        shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
+        origins.extend_from_slice(band.topology.origins());
+    }
+    let mut report = SkinReport {
+        particle_count: occupancy.particle_count(),
+        dropped_count: occupancy.dropped_count(),
+        leaf_count: origins.len(),
+        ..SkinReport::default()
+    };
+    let tiling = Tiling::new(&origins, tile_leaves);
+    report.seconds.rasterize = started.elapsed().as_secs_f64();
+    let half_width = radii.half_width();
+    Ok(TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
+}
+
+/// The tiles that hold leaves within so many voxels of one that holds particles.
+fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<[i32; 3]> {
+    let margin = IVec3::splat(voxels + LEAF_EDGE);
+    let mut tiles = BTreeSet::new();
+    for &origin in occupancy.topology.origins() {
+        let (first, last) = (tile_of(origin - margin, tile_leaves), tile_of(origin + margin, tile_leaves));
+        for x in first.x..=last.x {
+            for y in first.y..=last.y {
+                tiles.extend((first.z..=last.z).map(|z| [x, y, z]));
+            }
+        }
+    }
+    tiles
+}
+
+/// The second call: the constrained smoothing.
+///
+/// # Errors
+/// Those of the storages.
+pub fn smooth<S>(mut frame: TiledFrame<S>, settings: &Settings) -> io::Result<TiledFrame<S>> {
+    let started = Instant::now();
+    let config = smooth_config(settings);
+    let smoothed = tiles::smooth(&mut frame.shelves, &frame.tiling, frame.half_width, &config)?;
+    report_smoothing(&mut frame.report, smoothed, settings);
+    frame.report.seconds.smooth = started.elapsed().as_secs_f64();
+    Ok(frame)
+}
+
+/// The third call: the mesh, its measures and the certificate.
+///
+/// # Errors
+/// Those of the source and of the storages.
+pub fn contour<S: ParticleSource>(
+    frame: TiledFrame<S>,
+    settings: &Settings,
+) -> Result<(Surface, S), TiledError<S::Error>> {
+    let started = Instant::now();
+    let TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, mut report } = frame;
+    let (lattice, radii) = (lattice(settings), radii(settings));
+    let bound_violation_count = bound_violations(&shelves, &tiling)?;
+    let phi = shelves.read(0, &tiling.all_places())?;
+    drop(shelves);
+    let band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
+    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    report.mesh = mesh.measure();
+    let mut checks = ParticleChecks::NOTHING;
+    for tile in tiles {
+        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
+        let bins = rasterize::particles_of_window(&source, &occupancy, &lattice, radii, owned)
+            .map_err(TiledError::Source)?;
+        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned };
+        checks = checks.and(ParticleChecks::of(&part));
+    }
+    report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    report.seconds.contour = started.elapsed().as_secs_f64();
+    Ok((Surface { band, mesh, report }, source))
+}
+
+/// How many values lie outside their bounds.
+fn bound_violations(shelves: &Shelves, tiling: &Tiling) -> io::Result<usize> {
+    let mut count = 0;
+    for run in tiling.all_places() {
+        // A long run is taken in parts: what is in memory at a time is a few MiB.
+        for first in run.clone().step_by(RUN_LEAVES) {
+            let places = [first..run.end.min(first + RUN_LEAVES)];
+            let [lower, upper] = shelves.read_bounds(&places)?;
+            count += Bounds { lower, upper }.violation_count(&shelves.read(0, &places)?);
+        }
+    }
+    Ok(count)
+}
+
+/// Leaves that are compared with their bounds at a time.
+const RUN_LEAVES: usize = 4096;
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::super::{SHELF_COUNT, skin};
+    use super::*;
+    use crate::particles::Particles;
+    use crate::settings::{Choices, Integrator};
+
+    /// A file that is a vector.
+    #[derive(Default)]
+    struct InMemory(Mutex<Vec<u8>>);
+
+    impl Storage for InMemory {
+        fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
+            let (stored, from) = (self.0.lock().unwrap(), offset as usize);
+            let there = stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
+            bytes.copy_from_slice(there);
+            Ok(())
+        }
+
+        fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+            let (mut stored, from) = (self.0.lock().unwrap(), offset as usize);
+            let end = stored.len().max(from + bytes.len());
+            stored.resize(end, 0);
+            stored[from..from + bytes.len()].copy_from_slice(bytes);
+            Ok(())
+        }
+    }
+
+    /// A wavy slab with a hole, and a few particles by themselves.
+    fn particles() -> Particles {
+        let mut positions = Vec::new();
+        for index in 0..40 * 40 * 8 {
+            let (x, y, z) = (f64::from(index / 320), f64::from(index / 8 % 40), f64::from(index % 8));
+            if (x - 20.0).hypot(y - 18.0) > 6.0 {
+                let jitter = |seed: f64| 0.3 * (f64::from(index) * seed).sin();
+                let lift = 2.0 * (0.3 * x).sin();
+                positions
+                    .push([x + jitter(12.9), y + jitter(78.2), z + lift + jitter(37.7)].map(|p| p - 13.0));
+            }
+        }
+        positions.extend([[31.0, -8.0, 3.0], [-20.0, 25.0, -9.0], [20.5, 20.5, 20.5]]);
+        Particles::Double(positions)
+    }
+
+    fn in_tiles(settings: &Settings, tile_leaves: i32) -> Surface {
+        let storages = || (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
+        let rasterized = rasterize(particles(), settings, tile_leaves, storages()).expect("in memory");
+        assert!(rasterized.tiling.tile_count() > 8, "{}", rasterized.tiling.tile_count());
+        contour(smooth(rasterized, settings).expect("in memory"), settings).expect("in memory").0
+    }
+
+    #[test]
+    fn a_frame_in_tiles_is_the_whole_frame() {
+        let choices = [
+            Choices::default(),
+            Choices { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..Choices::default() },
+            Choices { integrator: Some(Integrator::Explicit), steps: Some(60), ..Choices::default() },
+        ];
+        for choices in choices {
+            let settings = Settings::resolve(0.5, &choices).expect("sound");
+            let (whole, tiled) = (skin(&particles(), &settings), in_tiles(&settings, 4));
+            assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
+            assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
+            assert!(tiled.mesh == whole.mesh);
+            let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+            assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+            assert!(whole.report.certificate.holds());
+        }
+    }
+}
