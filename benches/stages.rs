@@ -27,7 +27,7 @@ use std::process::ExitCode;
 use meniscus::particles::Particles;
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{contour, rasterize, smooth};
+use meniscus::skin::skin;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -139,7 +139,7 @@ fn frame(particle_count: f64) -> (Particles, f64) {
 }
 
 fn skinned(particles: &Particles, settings: &Settings) -> SkinReport {
-    let surface = contour(smooth(rasterize(particles, settings), settings), settings);
+    let surface = skin(particles, settings);
     assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
     surface.report
 }
