@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::settings::Settings;
 use crate::skin::tiled::{self, TiledError, TiledFrame};
-use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface};
+use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, TooLarge};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
@@ -66,8 +66,12 @@ impl Method for LevelSetSkinning {
         allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
         // What is given is there beside what the plan takes.
-        let allowed_bytes = allowed_bytes.saturating_sub(particles.size_bytes());
-        skin::plan(particles, settings, allowed_bytes)?.map_err(Cause::TooLarge)
+        let given_bytes = particles.size_bytes();
+        let planned = skin::plan(particles, settings, allowed_bytes.saturating_sub(given_bytes))?;
+        planned.map_err(|too_large| {
+            let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
+            Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })
+        })
     }
 
     fn rasterize(
@@ -85,6 +89,8 @@ impl Method for LevelSetSkinning {
         let storages = (0..SHELF_COUNT).map(|_| ScratchFile::new(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
         let frame = tiled::rasterize(particles, settings, tile_leaves, storages)?;
+        // It will be read once more; but what follows takes a while.
+        frame.source().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))
     }
 

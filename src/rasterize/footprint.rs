@@ -12,10 +12,11 @@
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::{FxHashMap, FxHashSet};
+use rustc_hash::FxHashSet;
 
 use super::Radii;
 use super::batch::LeafBatch;
+use super::shards::Shards;
 use crate::grid::LEAF_EDGE;
 use crate::particles::ParticleSource;
 use crate::space::Lattice;
@@ -44,33 +45,32 @@ pub fn footprint<S: ParticleSource>(
 ) -> Result<Footprint, S::Error> {
     let near = Reach::new(radii.init + radii.half_width());
     let cells = Cells::new(radii.init);
-    let look = |batch: usize| -> Result<Vec<(IVec3, Occupied)>, S::Error> {
+    let shards: Shards<Occupied> = Shards::new();
+    let look = |batch: usize| -> Result<(), S::Error> {
         let batch = LeafBatch::new(&source.batch(batch)?, lattice);
-        let told = |(origin, locals): (IVec3, &[Vec3])| {
-            let mut leaf = Occupied { count: locals.len(), ..Occupied::default() };
+        for (origin, locals) in batch.leaves() {
+            let mut told = Occupied { count: locals.len(), ..Occupied::default() };
             for &local in locals {
-                leaf.near |= 1 << near.kind(local);
-                leaf.cells |= 1 << cells.cell(local);
+                told.near |= 1 << near.kind(local);
+                told.cells |= 1 << cells.cell(local);
             }
-            (origin, leaf)
-        };
-        Ok(batch.leaves().map(told).collect())
+            shards.add(origin, Occupied::default, |leaf| {
+                leaf.count += told.count;
+                leaf.near |= told.near;
+                leaf.cells |= told.cells;
+            });
+        }
+        Ok(())
     };
-    let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
-    let mut occupied: FxHashMap<IVec3, Occupied> = FxHashMap::default();
-    for (origin, told) in batches.into_iter().flatten() {
-        let leaf = occupied.entry(origin).or_default();
-        leaf.count += told.count;
-        leaf.near |= told.near;
-        leaf.cells |= told.cells;
-    }
-    let cells_in = |origin: IVec3| occupied.get(&origin).map_or(0, |leaf| leaf.cells);
+    (0..source.batch_count()).into_par_iter().try_for_each(look)?;
+    let occupied = shards.into_told();
+    let cells_in = |origin: IVec3| occupied.get(origin).map_or(0, |leaf| leaf.cells);
     let is_full_around = |origin: &IVec3, rings: i32| {
         let mut steps = Reach::box_of([-rings; 3], [rings; 3]);
         steps.all(|step| cells_in(*origin + step * LEAF_EDGE) == cells.all)
     };
     let mut surface = near.leaves(occupied.iter().map(|(&origin, leaf)| (origin, leaf.near)));
-    occupied.keys().filter(|origin| is_full_around(origin, 1)).for_each(|origin| {
+    occupied.iter().map(|(origin, _)| origin).filter(|origin| is_full_around(origin, 1)).for_each(|origin| {
         surface.remove(origin);
     });
     // Particles are kept one leaf deeper than distances.
@@ -79,7 +79,11 @@ pub fn footprint<S: ParticleSource>(
         surface: surface.into_iter().collect(),
         occupied_count: occupied.len(),
         near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
-        area_voxels: occupied.keys().map(|&origin| cells.open_area(|step| cells_in(origin + step))).sum(),
+        area_voxels: occupied
+            .iter()
+            .map(|(origin, _)| origin)
+            .map(|&origin| cells.open_area(|step| cells_in(origin + step)))
+            .sum(),
     })
 }
 

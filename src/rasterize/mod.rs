@@ -28,6 +28,7 @@ mod footprint;
 mod need;
 mod occupancy;
 mod region;
+mod shards;
 mod signed_distance;
 mod sphere;
 #[cfg(test)]
@@ -79,6 +80,12 @@ impl Radii {
     pub fn reach_voxels(&self) -> u32 {
         let swept = 2 * sweep_count(self.half_width());
         (self.max + EXACT_MARGIN).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
+    }
+
+    /// How many leaves around a window are rasterized with it.
+    pub fn window_halo_leaves(&self) -> i32 {
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self);
+        (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
     }
 
     /// Leaves are stored if a voxel of theirs is so near, on every axis, to one beside the surface.

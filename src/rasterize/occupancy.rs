@@ -12,13 +12,11 @@
 //! particles need to be kept there. Whole voxels in place of octants would not do: at the usual two voxels
 //! from particle to particle, they know only four in ten of the leaves that octants know to be inside.
 
-use std::sync::{Mutex, PoisonError};
-
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
 
 use super::batch::LeafBatch;
+use super::shards::{Shards, Told};
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::particles::ParticleSource;
 use crate::space::{CoordBox, Lattice};
@@ -28,7 +26,7 @@ pub struct Occupancy {
     /// The leaves that hold at least one particle.
     pub topology: Topology,
     /// For each of them, where in it.
-    shards: Vec<Shard>,
+    octants: Told<Box<Octants>>,
     /// What each batch told.
     pub(super) batches: Vec<BatchSummary>,
 }
@@ -70,38 +68,31 @@ impl Octants {
     }
 }
 
-/// Maps from leaf to octants, so many that threads seldom wait for each other.
-const SHARD_COUNT: usize = 64;
-
-type Shard = FxHashMap<IVec3, Box<Octants>>;
-
 impl Occupancy {
     /// Looks at each particle once.
     ///
     /// # Errors
     /// Those of the source.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
-        let shards: Vec<Mutex<Shard>> = (0..SHARD_COUNT).map(|_| Mutex::default()).collect();
+        let shards: Shards<Box<Octants>> = Shards::new();
         let look = |batch: usize| -> Result<BatchSummary, S::Error> {
             let batch = LeafBatch::new(&source.batch(batch)?, lattice);
             let mut voxels = CoordBox::EMPTY;
             for (origin, locals) in batch.leaves() {
                 voxels.include(origin);
                 voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
-                // Bits are in order whatever panicked beside them.
-                let mut shard = shards[shard_of(origin)].lock().unwrap_or_else(PoisonError::into_inner);
-                let octants = shard.entry(origin).or_insert_with(|| Box::new(Octants::EMPTY));
-                locals.iter().for_each(|&local| octants.insert(local));
+                shards.add(
+                    origin,
+                    || Box::new(Octants::EMPTY),
+                    |octants| locals.iter().for_each(|&local| octants.insert(local)),
+                );
             }
             Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count: batch.dropped_count })
         };
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
-        let shards: Vec<Shard> = shards
-            .into_iter()
-            .map(|shard| shard.into_inner().unwrap_or_else(PoisonError::into_inner))
-            .collect();
-        let topology = Topology::new(shards.iter().flat_map(|shard| shard.keys().copied()).collect());
-        Ok(Occupancy { topology, shards, batches })
+        let octants = shards.into_told();
+        let topology = Topology::new(octants.iter().map(|(&origin, _)| origin).collect());
+        Ok(Occupancy { topology, octants, batches })
     }
 
     /// The number of particles that were not dropped.
@@ -116,14 +107,8 @@ impl Occupancy {
 
     /// The octants of the leaf with this origin.
     pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
-        self.shards[shard_of(origin)].get(&origin).map(|octants| &**octants)
+        self.octants.get(origin).map(|octants| &**octants)
     }
-}
-
-/// Which map a leaf is in: its neighbours are in others.
-fn shard_of(origin: IVec3) -> usize {
-    let [x, y, z] = (origin / LEAF_EDGE).to_array().map(|along| (along & 3) as usize);
-    x * 16 + y * 4 + z
 }
 
 #[cfg(test)]

@@ -5,7 +5,6 @@ use std::fmt;
 use glam::IVec3;
 use rustc_hash::FxHashMap;
 
-use super::tiled::RASTERIZED_HALO_LEAVES;
 use super::tiles::{HALO_LEAVES, tile_of};
 use super::{TOPOLOGY_LEAF_BYTES, lattice, radii};
 use crate::grid::{LEAF_EDGE, Leaf};
@@ -104,8 +103,10 @@ fn mesh_bytes(settings: &Settings) -> f64 {
     }
 }
 
-/// Memory for a leaf that holds particles, while it is found out which of them matter.
-const OCCUPIED_LEAF_BYTES: f64 = 700.0;
+/// Memory for a leaf that holds particles: while it is found out which of them matter, and of that what is kept of a
+/// frame in tiles.
+const SORTED_LEAF_BYTES: f64 = 1000.0;
+const OCCUPIED_LEAF_BYTES: f64 = 680.0;
 
 /// Memory for a particle that matters, and for one while it is sorted.
 const KEPT_PARTICLE_BYTES: f64 = 12.0;
@@ -114,7 +115,7 @@ const SORTED_PARTICLE_BYTES: f64 = 40.0;
 fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint);
     let stages = [
-        FIELD_BYTES * RASTERIZING_FIELDS * surface + OCCUPIED_LEAF_BYTES * occupied,
+        FIELD_BYTES * RASTERIZING_FIELDS * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
     ];
@@ -125,16 +126,21 @@ fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint);
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
-    let (rasterized, smoothed) = (most(RASTERIZED_HALO_LEAVES), most(HALO_LEAVES));
+    let rasterized = most(radii(settings).window_halo_leaves());
+    let smoothed = most(HALO_LEAVES);
     // The particles that matter in a tile are near its surface.
-    let particles = SORTED_PARTICLE_BYTES * particles * (2.0 * rasterized / surface).min(1.0);
-    let topology = TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
+    let part = (2.0 * rasterized / surface).min(1.0);
+    let particles = SORTED_PARTICLE_BYTES * particles * part;
+    let kept = OCCUPIED_LEAF_BYTES * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
+    let sorting = (SORTED_LEAF_BYTES - OCCUPIED_LEAF_BYTES) * occupied * part + particles;
     let stages = [
-        FIELD_BYTES * RASTERIZING_FIELDS * rasterized + OCCUPIED_LEAF_BYTES * occupied + particles,
+        FIELD_BYTES * RASTERIZING_FIELDS * rasterized + sorting,
         FIELD_BYTES * smoothing_fields(settings) * smoothed,
-        FIELD_BYTES * surface + mesh_bytes(settings) * area + particles,
+        FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
+        // Writing: φ, and φ as it is packed.
+        FIELD_BYTES * 2.0 * surface + mesh_bytes(settings) * area,
     ];
-    (stages.into_iter().fold(0.0, f64::max) + topology) as u64
+    (stages.into_iter().fold(0.0, f64::max) + kept) as u64
 }
 
 /// Memory for a leaf of a field.

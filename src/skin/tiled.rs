@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::IVec3;
 
 use super::shelves::{Shelves, Storage};
-use super::tiles::{self, Tiling, tile_of, tile_voxels};
+use super::tiles::{self, HALO_LEAVES, Tiling, tile_of, tile_voxels};
 use super::{Surface, lattice, radii, report_smoothing, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
@@ -20,9 +20,6 @@ use crate::particles::ParticleSource;
 use crate::rasterize::{self, Occupancy};
 use crate::report::SkinReport;
 use crate::settings::Settings;
-
-/// Leaves around a tile that are rasterized with it, at the usual radii: only the estimate of memory asks.
-pub(super) const RASTERIZED_HALO_LEAVES: i32 = 8;
 
 /// Why a frame could not be skinned in tiles.
 #[derive(Debug)]
@@ -50,6 +47,13 @@ pub struct TiledFrame<S> {
     tiling: Tiling,
     half_width: f32,
     report: SkinReport,
+}
+
+impl<S> TiledFrame<S> {
+    /// Where its particles are.
+    pub fn source(&self) -> &S {
+        &self.source
+    }
 }
 
 /// The first call: particles to level sets, which go onto the storages, of which there must be
@@ -83,7 +87,7 @@ pub fn rasterize<S: ParticleSource>(
         leaf_count: origins.len(),
         ..SkinReport::default()
     };
-    let tiling = Tiling::new(&origins, tile_leaves);
+    let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
     report.seconds.rasterize = started.elapsed().as_secs_f64();
     let half_width = radii.half_width();
     Ok(TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
@@ -195,27 +199,30 @@ mod tests {
         }
     }
 
-    /// A wavy slab with a hole, and a few particles by themselves.
+    /// A long bar of two sheets that come together and part again, much longer than a halo is wide, and a few
+    /// particles by themselves.
     fn particles() -> Particles {
         let mut positions = Vec::new();
-        for index in 0..40 * 40 * 8 {
-            let (x, y, z) = (f64::from(index / 320), f64::from(index / 8 % 40), f64::from(index % 8));
-            if (x - 20.0).hypot(y - 18.0) > 6.0 {
-                let jitter = |seed: f64| 0.3 * (f64::from(index) * seed).sin();
-                let lift = 2.0 * (0.3 * x).sin();
-                positions
-                    .push([x + jitter(12.9), y + jitter(78.2), z + lift + jitter(37.7)].map(|p| p - 13.0));
-            }
+        for index in 0..190 * 5 * 4 {
+            let (x, y, z) = (f64::from(index / 20), f64::from(index / 4 % 5), f64::from(index % 4));
+            let jitter = |seed: f64| 0.3 * (f64::from(index) * seed).sin();
+            let gap = if z > 1.5 { 1.5 + 1.5 * (0.2 * x).sin() } else { 0.0 };
+            let lift = 2.0 * (0.05 * x).sin() + gap;
+            positions.push([x + jitter(12.9), y + jitter(78.2), z + lift + jitter(37.7)].map(|p| p - 13.0));
         }
-        positions.extend([[31.0, -8.0, 3.0], [-20.0, 25.0, -9.0], [20.5, 20.5, 20.5]]);
+        positions.extend([[31.0, -8.0, 8.0], [-20.0, 15.0, -9.0], [120.5, 10.5, 10.5]]);
         Particles::Double(positions)
     }
 
-    fn in_tiles(settings: &Settings, tile_leaves: i32) -> Surface {
-        let storages = || (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
-        let rasterized = rasterize(particles(), settings, tile_leaves, storages()).expect("in memory");
-        assert!(rasterized.tiling.tile_count() > 8, "{}", rasterized.tiling.tile_count());
-        contour(smooth(rasterized, settings).expect("in memory"), settings).expect("in memory").0
+    fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
+        let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
+        let frame = rasterize(particles(), settings, tile_leaves, storages).expect("in memory");
+        assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
+        frame
+    }
+
+    fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> Surface {
+        contour(smooth(frame, settings).expect("in memory"), settings).expect("in memory").0
     }
 
     #[test]
@@ -223,11 +230,13 @@ mod tests {
         let choices = [
             Choices::default(),
             Choices { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..Choices::default() },
+            Choices { redistance_every: Some(2), ..Choices::default() },
             Choices { integrator: Some(Integrator::Explicit), steps: Some(60), ..Choices::default() },
         ];
         for choices in choices {
             let settings = Settings::resolve(0.5, &choices).expect("sound");
-            let (whole, tiled) = (skin(&particles(), &settings), in_tiles(&settings, 4));
+            let whole = skin(&particles(), &settings);
+            let tiled = finished(rasterized(&settings, 4), &settings);
             assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
             assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
             assert!(tiled.mesh == whole.mesh);
@@ -235,5 +244,14 @@ mod tests {
             assert_eq!(timeless(&tiled.report), timeless(&whole.report));
             assert!(whole.report.certificate.holds());
         }
+    }
+
+    /// So the test above can fail: what a tile does not see, it does not get right.
+    #[test]
+    fn a_halo_that_is_too_narrow_shows() {
+        let settings = Settings::resolve(0.5, &Choices::default()).expect("sound");
+        let mut frame = rasterized(&settings, 4);
+        frame.tiling = frame.tiling.with_halo(4, 1);
+        assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);
     }
 }

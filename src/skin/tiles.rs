@@ -21,7 +21,7 @@ use std::sync::Arc;
 use glam::IVec3;
 
 use super::shelves::Shelves;
-use crate::grid::{LEAF_EDGE, Topology};
+use crate::grid::{Field, LEAF_EDGE, Topology};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::smooth::{Act, Config, Memory, SmoothReport, Tally, Work, acts};
 use crate::space::CoordBox;
@@ -58,7 +58,7 @@ pub(super) fn tile_voxels(tile: IVec3, tile_leaves: i32) -> CoordBox {
 
 impl Tiling {
     /// Tiles for the leaves with these origins, whose places are their numbers.
-    pub(super) fn new(origins: &[IVec3], tile_leaves: i32) -> Tiling {
+    pub(super) fn new(origins: &[IVec3], tile_leaves: i32, halo_leaves: i32) -> Tiling {
         let topology = Topology::new(origins.to_vec());
         let mut places = vec![0; topology.len()];
         for (place, &origin) in origins.iter().enumerate() {
@@ -67,7 +67,7 @@ impl Tiling {
         let mut tiles: BTreeMap<[i32; 3], Tile> = BTreeMap::new();
         for (leaf, &origin) in topology.origins().iter().enumerate() {
             let own = tile_of(origin, tile_leaves);
-            let halo = IVec3::splat(HALO_LEAVES * LEAF_EDGE);
+            let halo = IVec3::splat(halo_leaves * LEAF_EDGE);
             let (first, last) = (tile_of(origin - halo, tile_leaves), tile_of(origin + halo, tile_leaves));
             for x in first.x..=last.x {
                 for y in first.y..=last.y {
@@ -83,6 +83,16 @@ impl Tiling {
         }
         let tiles = tiles.into_values().filter(|tile| tile.own.contains(&true)).collect();
         Tiling { topology, places, tiles }
+    }
+
+    /// The same leaves at the same places, with another halo.
+    #[cfg(test)]
+    pub(super) fn with_halo(&self, tile_leaves: i32, halo_leaves: i32) -> Tiling {
+        let mut origins = vec![IVec3::ZERO; self.places.len()];
+        for (&place, &origin) in self.places.iter().zip(self.topology.origins()) {
+            origins[place as usize] = origin;
+        }
+        Tiling::new(&origins, tile_leaves, halo_leaves)
     }
 
     /// Tiles with leaves of their own.
@@ -161,14 +171,11 @@ fn perform(
     let bounds = Bounds { lower, upper };
     let phi = shelves.read(0, &runs)?;
     let mut band = NarrowBand { topology: Arc::new(Topology::new(origins)), phi, half_width };
-    let mut memory = Memory::new(tile.leaves.len());
-    let reads = act.reads();
-    if reads[1] {
-        memory.first = shelves.read(1, &runs)?;
-    }
-    if reads[2] {
-        memory.second = shelves.read(2, &runs)?;
-    }
+    let read = |field: usize| match act.reads()[field] {
+        true => shelves.read(field, &runs),
+        false => Ok(Field::splat(tile.leaves.len(), 0.0)),
+    };
+    let mut memory = Memory { first: read(1)?, second: read(2)? };
     let own = Some(&tile.own[..]);
     let tally = Work { config, band: &mut band, bounds: &bounds, memory: &mut memory, own }.perform(act);
     let fields = [&band.phi, &memory.first, &memory.second];

@@ -46,15 +46,3 @@ impl Kernel for Laplacian<'_> {
         }
     }
 }
-
-/// The set bits, in order.
-pub(super) fn rows_in(rows: u64) -> impl Iterator<Item = usize> {
-    let mut rest = rows;
-    std::iter::from_fn(move || {
-        (rest != 0).then(|| {
-            let row = rest.trailing_zeros() as usize;
-            rest &= rest - 1;
-            row
-        })
-    })
-}

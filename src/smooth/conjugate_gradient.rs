@@ -6,9 +6,10 @@
 use rayon::prelude::*;
 
 use super::band::Band;
-use super::biharmonic::{inner_laplacian, rows_in};
-use crate::grid::{Field, Leaf, LeafMask, Neighborhood};
+use super::biharmonic::inner_laplacian;
+use crate::grid::{Field, Leaf, LeafMask, Neighborhood, slabs_in};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::simd::{self, Kernel, Lanes};
 
 /// The state between iterations.
 pub(super) struct Solver {
@@ -112,16 +113,36 @@ impl Solver {
         let (region, step_size) = (&self.region, self.step_size);
         self.q.leaves.par_iter_mut().enumerate().for_each(|(leaf, q)| {
             *q = Leaf::splat(0.0);
-            let around = Neighborhood::new(&laplacian.leaves, band.topology.neighbors(), leaf);
-            for row in rows_in(region.free_rows[leaf]) {
-                let biharmonic = around.laplacian(row);
-                let free = region.free[leaf].row(row);
-                let q = q.row_mut(row);
-                for z in (0..8).filter(|z| free >> z & 1 == 1) {
-                    q[z] = step_size * biharmonic[z];
-                }
-            }
+            let around = &Neighborhood::new(&laplacian.leaves, band.topology.neighbors(), leaf);
+            let (free, free_rows) = (&region.free[leaf], region.free_rows[leaf]);
+            simd::dispatch(Outer { around, free, free_rows, step_size, q });
         });
+    }
+}
+
+/// The second round of differences on a leaf.
+struct Outer<'a> {
+    around: &'a Neighborhood<'a>,
+    free: &'a LeafMask,
+    free_rows: u64,
+    step_size: f32,
+    /// All zero before.
+    q: &'a mut Leaf,
+}
+
+impl Kernel for Outer<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        for (x, ys) in slabs_in(self.free_rows) {
+            let slab = self.around.slab(x);
+            for y in ys {
+                let row = x * 8 + y;
+                let scaled = V::splat(self.step_size).mul(slab.laplacian(y));
+                V::select(V::mask(self.free.row(row)), scaled, V::splat(0.0)).store(self.q.row_mut(row));
+            }
+        }
     }
 }
 
