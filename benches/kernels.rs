@@ -1,0 +1,496 @@
+//! How near the kernels come to what the machine can do.
+//!
+//! ```text
+//!   ceilings   triad     a = b + s·c        of arrays as large, together, as what a pass streams
+//!              update    a = a + s·b        the same, without the lines that a triad fetches to overwrite
+//!              mul, add  x = x·m + a        in registers, twelve at a time, each rounded by itself
+//!   kernels    smoothing passes over shells of several sizes; sweeps of a redistancing
+//! ```
+//!
+//! A pass reads, of each leaf with a free voxel, φ, φ at the start, the values before, and both bounds, and writes one
+//! field: 12 kB a leaf. Of the rows with free voxels alone that would be less, which is printed beside it. It takes
+//! 22 operations a free voxel: two Laplacians of 7, and 8 for the step. The roof is the time that a machine would take
+//! that moved these bytes as fast as the triad, in arrays that take as much together and on the same threads, and
+//! calculated as fast as the loop in registers, whichever is longer. No kernel fuses multiplications
+//! with additions, so that all processors agree, and nor does that loop.
+//!
+//! By the usual count a triad moves less than it does, for it fetches the lines that it overwrites; an update and
+//! a pass do not, so beside an update a pass looks worse, and it is printed, too. And fields that fit into a cache are streamed from
+//! there, so each shell is also held to the triad of the largest, which is that of memory. Ends with 1 where the
+//! largest shell is below the floor of its triad's roof.
+//!
+//! ```text
+//! cargo bench --bench kernels
+//! ```
+
+#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+
+use std::hint::black_box;
+use std::process::{Command, ExitCode};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use glam::{IVec3, Vec3};
+use meniscus::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
+use meniscus::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
+use meniscus::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
+use meniscus::smooth::{Act, Config, Integrator, Memory, Work};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+/// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the cache that
+/// cores share, and memory.
+const SHELL_RADII: [f32; 3] = [14.0, 55.0, 220.0];
+
+/// The shell on which sweeps are measured, and the levels of vectors compared.
+const MIDDLE_SHELL: usize = 1;
+
+/// Parts of the roof that the project promises.
+const ROOF_TARGET: f64 = 0.5;
+const ROOF_FLOOR: f64 = 0.25;
+
+/// Asks this program for the figures of one level of vectors.
+const LEVEL_FIGURES: &str = "--level-figures";
+
+/// Measurements go on for at least so many seconds and so many times. The best counts, as in STREAM: what a machine can
+/// do is not less for having been interrupted, and the kernels are measured as their ceilings are.
+const MEASURE_S: f64 = 0.5;
+const MEASURE_COUNT: usize = 7;
+
+/// Passes that are timed at once: few, so that some are not interrupted.
+const TIMED_PASSES: u32 = 10;
+
+/// Fields that a pass streams: five are read and one is written.
+const STREAMED_FIELDS: usize = 6;
+
+/// Operations of a pass on a free voxel.
+const PASS_OPERATIONS: f64 = 22.0;
+
+fn main() -> ExitCode {
+    if std::env::args().any(|argument| argument == LEVEL_FIGURES) {
+        print_level_figures();
+        return ExitCode::SUCCESS;
+    }
+    let pools = [1, 2].map(pool);
+    println!("vectors: {}; the best of at least {MEASURE_COUNT}", Level::current().name());
+    let is_kept = print_passes(&pools);
+    print_sweeps(&pools);
+    print_levels();
+    if is_kept {
+        return ExitCode::SUCCESS;
+    }
+    println!("the largest shell is below {:.0} % of the roof", 100.0 * ROOF_FLOOR);
+    ExitCode::FAILURE
+}
+
+fn pool(threads: usize) -> ThreadPool {
+    ThreadPoolBuilder::new().num_threads(threads).build().expect("threads")
+}
+
+/// Measures smoothing passes beside the ceilings. Returns whether the largest shell keeps the floor.
+fn print_passes(pools: &[ThreadPool; 2]) -> bool {
+    let shells = SHELL_RADII.map(Shell::new);
+    println!(
+        "\nsmoothing passes               streamed  of rows     triad   update  mul, add    passes x free         of the roof, %: by"
+    );
+    println!(
+        "threads  free voxels  leaves         MB       MB      GB/s     GB/s   Gflop/s  voxels, M/s     GB/s   triad  update  memory"
+    );
+    let mut is_kept = true;
+    for (threads, pool) in (1..).zip(pools) {
+        let operations = mul_add_rate(pool);
+        let ceilings = shells.each_ref().map(|shell| Ceilings::measure(pool, shell.streamed_bytes()));
+        let [.., of_memory] = &ceilings;
+        for (shell, ceilings) in shells.iter().zip(&ceilings) {
+            let rate = pass_rate(shell, pool);
+            let part = |bandwidth: f64| rate * shell.least_seconds(bandwidth, operations);
+            println!(
+                "{threads:7}{:13}{:8}{:11.1}{:9.1}{:10.1}{:9.1}{:10.1}{:13.1}{:9.1}{:8.0}{:8.0}{:8.0}",
+                shell.free_count,
+                shell.touched_count,
+                shell.streamed_bytes() as f64 / 1e6,
+                shell.row_bytes() as f64 / 1e6,
+                ceilings.triad / 1e9,
+                ceilings.update / 1e9,
+                operations / 1e9,
+                rate / 1e6,
+                rate * shell.bytes_per_voxel() / 1e9,
+                100.0 * part(ceilings.triad),
+                100.0 * part(ceilings.update),
+                100.0 * part(of_memory.triad),
+            );
+            // The last of each pool is the largest.
+            is_kept &= !std::ptr::eq(ceilings, of_memory) || part(ceilings.triad) >= ROOF_FLOOR;
+        }
+    }
+    println!(
+        "promised of the largest: {:.0} %, and at the least {:.0} %",
+        100.0 * ROOF_TARGET,
+        100.0 * ROOF_FLOOR
+    );
+    is_kept
+}
+
+fn print_sweeps(pools: &[ThreadPool; 2]) {
+    let shell = Shell::new(SHELL_RADII[MIDDLE_SHELL]);
+    let rows = swept_row_count(&shell);
+    println!(
+        "\nsweeps of a redistancing, {} leaves, {rows} rows updated in {SWEEP_COUNT} sweeps",
+        shell.leaf_count()
+    );
+    println!("threads  rows, M/s  voxels, M/s");
+    for (threads, pool) in (1..).zip(pools) {
+        let rate = sweep_rate(&shell, rows, pool);
+        println!("{threads:7}{:11.2}{:13.1}", rate / 1e6, 8.0 * rate / 1e6);
+    }
+}
+
+/// Runs this program at each level of vectors, for a level is chosen once in a process.
+fn print_levels() {
+    println!("\nlevels of vectors, 1 thread    passes x free voxels, M/s   gain    sweeps: rows, M/s   gain");
+    let mut plain = None;
+    for level in Level::ALL.into_iter().filter(|level| level.is_available()) {
+        let program = std::env::current_exe().expect("this program");
+        let output = Command::new(program).arg(LEVEL_FIGURES).env(LEVEL_VARIABLE, level.name()).output();
+        let output = output.expect("it starts");
+        let said = String::from_utf8_lossy(&output.stdout);
+        let figures: Vec<f64> = said.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        let [passes, sweeps] = figures[..] else { panic!("two figures from {}: {said}", level.name()) };
+        let [passes_plain, sweeps_plain] = *plain.get_or_insert([passes, sweeps]);
+        println!(
+            "{:26}{:30.1}{:7.2}{:21.2}{:7.2}",
+            level.name(),
+            passes / 1e6,
+            passes / passes_plain,
+            sweeps / 1e6,
+            sweeps / sweeps_plain,
+        );
+    }
+}
+
+/// What a process of [`print_levels`] does.
+fn print_level_figures() {
+    let shell = Shell::new(SHELL_RADII[MIDDLE_SHELL]);
+    let pool = pool(1);
+    let (passes, sweeps) = (pass_rate(&shell, &pool), sweep_rate(&shell, swept_row_count(&shell), &pool));
+    println!("{passes} {sweeps}");
+}
+
+/// The narrow band around a sphere with ripples, and bounds as far away as those of particles.
+struct Shell {
+    band: NarrowBand,
+    bounds: Bounds,
+    free_count: usize,
+    /// Leaves with a free voxel.
+    touched_count: usize,
+    /// Rows with a free voxel.
+    row_count: usize,
+}
+
+/// Voxels nearer to the surface are free.
+const FREE_WIDTH: f32 = 3.0;
+const HALF_WIDTH: f32 = 6.0;
+
+/// Half of r_max − r_min by default, in voxels.
+const BOUND_DISTANCE: f32 = 0.866;
+
+impl Shell {
+    fn new(radius: f32) -> Shell {
+        let edge = (radius + HALF_WIDTH) as i32 / LEAF_EDGE + 1;
+        let axis = || -edge..edge;
+        let origins = axis()
+            .flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z) * LEAF_EDGE)));
+        let topology = Topology::new(origins.filter(|&origin| is_near(origin, radius)).collect());
+        let sphere = Field {
+            leaves: topology.origins().iter().map(|&origin| leaf_of_sphere(origin, radius)).collect(),
+        };
+        let moved = |by: &dyn Fn(usize) -> f32| -> Field {
+            let leaf =
+                |leaf: &Leaf| Leaf { values: std::array::from_fn(|offset| leaf.values[offset] + by(offset)) };
+            Field { leaves: sphere.leaves.iter().map(leaf).collect() }
+        };
+        let bounds = Bounds { lower: moved(&|_| -BOUND_DISTANCE), upper: moved(&|_| BOUND_DISTANCE) };
+        // As wide as the bounds: some voxels will be held by them.
+        let phi = moved(&|offset| BOUND_DISTANCE * (offset as f32 * 0.7).sin());
+        let is_free = |phi: &&f32| phi.abs() <= FREE_WIDTH;
+        let rows = phi
+            .leaves
+            .iter()
+            .map(|leaf| (0..ROW_COUNT).filter(|&row| leaf.row(row).iter().any(|phi| is_free(&phi))).count());
+        let rows: Vec<usize> = rows.collect();
+        Shell {
+            free_count: phi.leaves.iter().flat_map(|leaf| &leaf.values).filter(is_free).count(),
+            touched_count: rows.iter().filter(|&&count| count > 0).count(),
+            row_count: rows.iter().sum(),
+            band: NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH },
+            bounds,
+        }
+    }
+
+    fn leaf_count(&self) -> usize {
+        self.band.topology.len()
+    }
+
+    /// What a pass streams.
+    fn streamed_bytes(&self) -> usize {
+        STREAMED_FIELDS * size_of::<Leaf>() * self.touched_count
+    }
+
+    /// What it would stream if it could take rows alone.
+    fn row_bytes(&self) -> usize {
+        STREAMED_FIELDS * size_of::<[f32; 8]>() * self.row_count
+    }
+
+    fn bytes_per_voxel(&self) -> f64 {
+        self.streamed_bytes() as f64 / self.free_count as f64
+    }
+
+    /// The seconds that a pass takes for each free voxel at the least, where so many bytes are moved, and so many
+    /// operations are done, in a second.
+    fn least_seconds(&self, bandwidth: f64, operations: f64) -> f64 {
+        (self.bytes_per_voxel() / bandwidth).max(PASS_OPERATIONS / operations)
+    }
+}
+
+/// Whether a leaf may hold a voxel of the band.
+fn is_near(origin: IVec3, radius: f32) -> bool {
+    let middle = origin.as_vec3() + 3.5;
+    let corner = Vec3::splat(3.5).length();
+    (middle.length() - radius).abs() < HALF_WIDTH + corner
+        && leaf_of_sphere(origin, radius).values.iter().any(|phi| phi.abs() < HALF_WIDTH)
+}
+
+fn leaf_of_sphere(origin: IVec3, radius: f32) -> Leaf {
+    let phi = |offset| {
+        ((origin + voxel_in_leaf(offset)).as_vec3().length() - radius).clamp(-HALF_WIDTH, HALF_WIDTH)
+    };
+    Leaf { values: std::array::from_fn(phi) }
+}
+
+/// How often a second a free voxel is moved, all together: passes times free voxels.
+fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
+    let config = Config {
+        laplacian_steps: 0,
+        integrator: Integrator::Fast,
+        steps: 1,
+        step_size: 20.0,
+        redistance_every: 1,
+        cg_tolerance: 0.0,
+    };
+    let mut band = shell.band.clone();
+    let mut memory = Memory::new(shell.leaf_count());
+    let mut act = |count: u32| {
+        band.phi.leaves.copy_from_slice(&shell.band.phi.leaves);
+        let start = Instant::now();
+        let mut work =
+            Work { config: &config, band: &mut band, bounds: &shell.bounds, memory: &mut memory, own: None };
+        let tally = pool.install(|| work.perform(Act::Passes { step: 0, first: 0, count }));
+        (start.elapsed().as_secs_f64(), tally.moved_count)
+    };
+    // What acts of several passes and of one differ by is passes alone, without finding out what is free and where to
+    // set out.
+    let mut moved_counts = [0; 2];
+    let [several, one] = [0, 1].map(|which| {
+        best(|| {
+            let (seconds, moved_count) = act([1 + TIMED_PASSES, 1][which]);
+            moved_counts[which] = moved_count;
+            seconds
+        })
+    });
+    (moved_counts[0] - moved_counts[1]) as f64 / (several - one)
+}
+
+/// Sweeps of a redistancing.
+const SWEEP_COUNT: u32 = 8;
+
+/// How often a second a row is updated by sweeps, all together.
+fn sweep_rate(shell: &Shell, row_count: usize, pool: &ThreadPool) -> f64 {
+    let (distance, fixed) = pinned(shell);
+    let timed = |count: u32| {
+        let mut distance = distance.clone();
+        let start = Instant::now();
+        pool.install(|| extend(&shell.band.topology, &mut distance, &fixed, sweeps(count)));
+        black_box(&distance);
+        start.elapsed().as_secs_f64()
+    };
+    // Less what no sweeps take: memory has to be had.
+    let [all, none] = [SWEEP_COUNT, 0].map(|count| best(|| timed(count)));
+    row_count as f64 / (all - none)
+}
+
+/// As after a step of the fast integrator.
+fn sweeps(count: u32) -> Sweeps {
+    Sweeps { count, second_order_within: 1.2 }
+}
+
+/// Distances within a voxel of the sphere, and which voxels these are; of the others the side.
+fn pinned(shell: &Shell) -> (Field, Vec<LeafMask>) {
+    let is_pinned = |phi: f32| phi.abs() < 1.0;
+    let distance = |leaf: &Leaf| Leaf {
+        values: leaf.values.map(|phi| if is_pinned(phi) { phi } else { UNREACHED.copysign(phi) }),
+    };
+    let leaves = &shell.band.phi.leaves;
+    let fixed =
+        leaves.iter().map(|leaf| LeafMask::from_fn(|offset| is_pinned(leaf.values[offset]))).collect();
+    (Field { leaves: leaves.iter().map(distance).collect() }, fixed)
+}
+
+/// How many rows are updated in all sweeps: each time those within two voxels, along an axis, of a row that the last
+/// sweep changed; in the first, of a row with something known.
+fn swept_row_count(shell: &Shell) -> usize {
+    let (start, fixed) = pinned(shell);
+    let mut changed: Vec<u64> = fixed.iter().map(LeafMask::occupied_rows).collect();
+    let (mut row_count, mut last) = (0, start.clone());
+    for count in 1..=SWEEP_COUNT {
+        row_count += dependent_row_count(&shell.band.topology, &changed);
+        let mut distance = start.clone();
+        extend(&shell.band.topology, &mut distance, &fixed, sweeps(count));
+        let differing = |(one, other): (&Leaf, &Leaf)| {
+            (0..ROW_COUNT).fold(0, |rows, row| rows | u64::from(one.row(row) != other.row(row)) << row)
+        };
+        changed = distance.leaves.iter().zip(&last.leaves).map(differing).collect();
+        last = distance;
+    }
+    row_count
+}
+
+fn dependent_row_count(topology: &Topology, changed: &[u64]) -> usize {
+    let is_changed = |voxel: IVec3| {
+        let found = topology.find_voxel(voxel);
+        found.is_some_and(|(leaf, local)| changed[leaf] >> (local.x * 8 + local.y) & 1 == 1)
+    };
+    let steps: Vec<IVec3> = [-2, -1, 0, 1, 2]
+        .into_iter()
+        .flat_map(|step| [IVec3::new(step, 0, 0), IVec3::new(0, step, 0)])
+        .chain([IVec3::new(0, 0, -LEAF_EDGE), IVec3::new(0, 0, LEAF_EDGE)])
+        .collect();
+    let depends = |first: &IVec3| steps.iter().any(|&step| is_changed(*first + step));
+    let rows = topology
+        .origins()
+        .iter()
+        .flat_map(|&origin| (0..64).map(move |row| origin + IVec3::new(row >> 3, row & 7, 0)));
+    rows.filter(depends).count()
+}
+
+/// How fast the machine moves what is in memory, or in a cache.
+struct Ceilings {
+    /// Bytes a second that a triad moves, by the usual count: two arrays read, one written.
+    triad: f64,
+    /// Bytes a second that an update moves.
+    update: f64,
+}
+
+impl Ceilings {
+    /// Those of arrays that have so many bytes together.
+    fn measure(pool: &ThreadPool, size_bytes: usize) -> Ceilings {
+        let [triad, update] = [Streaming::Triad, Streaming::Update].map(|kind| kind.rate(pool, size_bytes));
+        Ceilings { triad, update }
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Streaming {
+    Triad,
+    Update,
+}
+
+impl Streaming {
+    /// Bytes a second, each thread on arrays of its own.
+    fn rate(self, pool: &ThreadPool, size_bytes: usize) -> f64 {
+        let array_count = match self {
+            Streaming::Triad => 3,
+            Streaming::Update => 2,
+        };
+        let length = size_bytes / pool.current_num_threads() / array_count / size_of::<[f32; 8]>();
+        let arrays = || std::array::from_fn(|index| vec![[index as f32; 8]; length]);
+        let of_thread: Vec<Mutex<[Vec<[f32; 8]>; 3]>> = pool.broadcast(|_| Mutex::new(arrays()));
+        // So often that starting the threads does not count.
+        let repeat_count = (64 << 20) / size_bytes + 1;
+        let seconds = best(|| {
+            let start = Instant::now();
+            pool.broadcast(|context| {
+                let mut arrays = of_thread[context.index()].lock().unwrap_or_else(PoisonError::into_inner);
+                let [a, b, c] = &mut *arrays;
+                for _ in 0..repeat_count {
+                    simd::dispatch(Stream { kind: self, a: black_box(a), b: black_box(b), c: black_box(c) });
+                }
+            });
+            start.elapsed().as_secs_f64()
+        });
+        let moved_bytes = 3 * length * size_of::<[f32; 8]>() * pool.current_num_threads() * repeat_count;
+        moved_bytes as f64 / seconds
+    }
+}
+
+struct Stream<'a> {
+    kind: Streaming,
+    a: &'a mut [[f32; 8]],
+    b: &'a [[f32; 8]],
+    c: &'a [[f32; 8]],
+}
+
+impl Kernel for Stream<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) {
+        let scale = V::splat(0.5);
+        match self.kind {
+            Streaming::Triad => {
+                for ((a, b), c) in self.a.iter_mut().zip(self.b).zip(self.c) {
+                    V::load(b).add(scale.mul(V::load(c))).store(a);
+                }
+            }
+            Streaming::Update => {
+                for (a, b) in self.a.iter_mut().zip(self.b) {
+                    V::load(a).add(scale.mul(V::load(b))).store(a);
+                }
+            }
+        }
+    }
+}
+
+/// Multiplications and additions a second in registers, all threads together.
+fn mul_add_rate(pool: &ThreadPool) -> f64 {
+    const ROUNDS: usize = 4_000_000;
+    let seconds = best(|| {
+        let start = Instant::now();
+        pool.broadcast(|_| black_box(simd::dispatch(MulAdd { rounds: ROUNDS })));
+        start.elapsed().as_secs_f64()
+    });
+    (ROUNDS * MUL_ADD_CHAINS * 8 * 2 * pool.current_num_threads()) as f64 / seconds
+}
+
+/// As many as hide how long each takes, and as fit into sixteen registers.
+const MUL_ADD_CHAINS: usize = 12;
+
+struct MulAdd {
+    rounds: usize,
+}
+
+impl Kernel for MulAdd {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> f32 {
+        let (factor, term) = (V::splat(black_box(0.75)), V::splat(black_box(0.25)));
+        let mut chains: [V; MUL_ADD_CHAINS] = std::array::from_fn(|chain| V::splat(chain as f32));
+        for _ in 0..self.rounds {
+            for chain in &mut chains {
+                *chain = chain.mul(factor).add(term);
+            }
+        }
+        let mut row = [0.0; 8];
+        chains.into_iter().fold(V::splat(0.0), V::add).store(&mut row);
+        row.iter().sum()
+    }
+}
+
+/// The least that `measure` returns, seconds.
+fn best(mut measure: impl FnMut() -> f64) -> f64 {
+    let (start, mut least, mut count) = (Instant::now(), f64::INFINITY, 0);
+    while count < MEASURE_COUNT || start.elapsed().as_secs_f64() < MEASURE_S {
+        least = least.min(measure());
+        count += 1;
+    }
+    least
+}

@@ -1,0 +1,132 @@
+"""Whole processes: what they take, what they are given, and where their figures go.
+
+A process is measured from its start to its end: wall-clock seconds, the seconds of all its threads on
+processors, and the most memory it ever held, all as the system counted them. Runs that are compared take
+turns, so that each of them sees the machine as it is in that minute.
+"""
+
+import argparse
+import datetime
+import json
+import os
+import re
+import statistics
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
+PROGRAM = TARGET / "release" / "meniscus"
+# Solids of generated particles, kept from run to run.
+SOLIDS = TARGET / "solids"
+# Frames of other programs. They are not part of the project.
+DATA = Path(os.environ.get("MENISCUS_SHARED", ROOT.parent / "shared")) / "data"
+
+THREADS = 2
+
+
+@dataclass
+class Run:
+    """One process."""
+
+    seconds: float
+    cpu_seconds: float
+    memory_bytes: int
+
+
+def build():
+    """The program, and the generator of solids."""
+    command = ["cargo", "build", "--release", "--quiet", "--bin", "meniscus", "--example", "solid"]
+    subprocess.run(command, cwd=ROOT, check=True)
+
+
+def measured(command):
+    """Runs a command and returns what it took; ends the benchmark where it fails."""
+    command = [str(word) for word in command]
+    launcher = [sys.executable, "-I", "-S", ROOT / "benches" / "one_process.py"]
+    ran = subprocess.run([*launcher, *command], capture_output=True, text=True)
+    *figures, status = json.loads(ran.stdout or "[1]")
+    if status:
+        sys.exit(f"{' '.join(command)}\nended with {status}: {ran.stderr.strip()}")
+    return Run(*figures)
+
+
+def meniscus(frame, voxel_size, out, *options):
+    """The command that skins one frame."""
+    ours = [PROGRAM, "convert", frame, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
+    return [*ours, "--threads", THREADS, *options]
+
+
+def solid(count):
+    """A solid of about so many particles, and their spacing. It is made where it is not there yet."""
+    SOLIDS.mkdir(parents=True, exist_ok=True)
+    path = SOLIDS / f"solid_{count:.0f}.ply"
+    if not path.exists():
+        print(f"writing {path}", flush=True)
+        subprocess.run([TARGET / "release" / "examples" / "solid", str(count), path], check=True)
+    with path.open("rb") as file:
+        header = file.read(300).decode("ascii", errors="replace")
+    return path, float(re.search(r"^comment spacing (\S+)$", header, re.MULTILINE)[1])
+
+
+def particle_count(solid_path):
+    """The number of particles in a solid's header."""
+    with solid_path.open("rb") as file:
+        return int(re.search(rb"element vertex (\d+)", file.read(300))[1])
+
+
+def spread(values, form):
+    """The median, with the least and the greatest where there are several."""
+    middle = format(statistics.median(values), form)
+    return middle if len(values) == 1 else f"{middle} ({min(values):{form}}–{max(values):{form}})"
+
+
+def conditions():
+    """The machine, the day and the commit, in one line."""
+    model = "processor of unknown name"
+    if Path("/proc/cpuinfo").exists():
+        names = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+        model = names[0] if names else model
+    git = ["git", "-C", ROOT]
+    commit = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
+    changed = subprocess.run([*git, "status", "--porcelain", "src", "formats"], capture_output=True).stdout
+    commit = f"{commit or 'unknown'}{' and changes' if changed else ''}"
+    return f"{model}, {os.cpu_count()} cores; {datetime.date.today()}; commit {commit}"
+
+
+class Table:
+    """Rows of text under a heading, printed when all are there."""
+
+    def __init__(self, title, *columns):
+        self.title = title
+        self.rows = [columns]
+
+    def row(self, *cells):
+        self.rows.append([str(cell) for cell in cells])
+
+    def plain(self):
+        widths = [max(map(len, column)) for column in zip(*self.rows)]
+        lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in self.rows]
+        return "\n".join([self.title, *lines])
+
+    def markdown(self):
+        lines = [f"| {' | '.join(row)} |" for row in self.rows]
+        return "\n".join([self.title, "", lines[0], "|" + "---|" * len(self.rows[0]), *lines[1:]])
+
+
+def arguments(doc):
+    """A parser whose help is the module's doc."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables there, too")
+    return parser
+
+
+def publish(tables, markdown):
+    """Prints the tables and writes them where that was asked for."""
+    for table in tables:
+        print(f"\n{table.plain()}")
+    if markdown:
+        text = "\n\n".join([conditions() + ".", *(table.markdown() for table in tables)])
+        markdown.write_text(text + "\n", encoding="utf-8")

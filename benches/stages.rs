@@ -1,0 +1,210 @@
+//! What the stages take, by the particle and by the free voxel, as frames grow.
+//!
+//! ```text
+//!   one lattice, more and more of the same sponge:
+//!
+//!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒         so nothing changes with the size but the size
+//!     ▒▒ ▒▒      ▒▒ ▒▒ ▒▒      ▒▒ ▒▒ ▒▒ ▒▒
+//! ```
+//!
+//! h is half the spacing. Each frame is skinned by turns on one thread and on two. The seconds of smoothing for a free
+//! voxel, and those of rasterization for a particle, should be the same for all sizes; and two threads should smooth
+//! nearly twice as fast as one. Ends with 1 where the floor of either is missed.
+//!
+//! ```text
+//! cargo bench --bench stages                10⁶ to 10⁷ free voxels
+//! cargo bench --bench stages -- 1e8         to 10⁸: some minutes, and 10 GB of memory
+//! ```
+
+#![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
+
+#[path = "../examples/solid/sponge.rs"]
+mod sponge;
+
+use std::f64::consts::{PI, TAU};
+use std::process::ExitCode;
+
+use meniscus::particles::Particles;
+use meniscus::report::SkinReport;
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::skin;
+use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use sponge::Sponge;
+
+const FREE_MIN: f64 = 1e6;
+const FREE_MAX: f64 = 1e7;
+
+/// Free voxels for a particle, at h = spacing/2: 8.6 in the smallest frame, where more of the surface is that of the ball
+/// which closes the sponge, and 7.5 at 10⁷.
+const FREE_PER_PARTICLE: f64 = 8.0;
+
+/// Spacings in a period of the gyroid: walls and gaps are then a dozen spacings wide, and no layer of free voxels meets
+/// another.
+const SPACINGS_PER_PERIOD: f64 = 24.0;
+
+/// Of a ball of radius R + 1, the part that is in the solid.
+const FILLED_PART: f64 = 0.517;
+
+/// Rounds for the smallest frame; larger ones have fewer.
+const ROUND_COUNT: usize = 5;
+
+/// Two threads against one, while smoothing.
+const SPEEDUP_TARGET: f64 = 1.85;
+const SPEEDUP_FLOOR: f64 = 1.7;
+
+/// How far seconds for a free voxel, or for a particle, may be from those of the smallest frame.
+const GROWTH_TARGET: f64 = 0.15;
+const GROWTH_FLOOR: f64 = 0.30;
+
+fn main() -> ExitCode {
+    let asked = std::env::args().filter_map(|argument| argument.parse::<f64>().ok()).next();
+    let free_max = asked.unwrap_or(FREE_MAX).max(FREE_MIN);
+    let pools = [1, 2].map(|threads| ThreadPoolBuilder::new().num_threads(threads).build().expect("threads"));
+    println!(
+        "                                     seconds in each stage        ns a particle:  ns a free voxel:"
+    );
+    println!("threads  particles  free voxels  rasterize   smooth  contour   rasterize      smooth  contour");
+    let mut rows: Vec<[Row; 2]> = Vec::new();
+    let mut free_wanted = FREE_MIN;
+    while free_wanted < 1.5 * free_max {
+        rows.push(measure(free_wanted.min(free_max), &pools));
+        free_wanted *= 10f64.sqrt();
+    }
+    let is_fast = print_speedups(&rows);
+    let is_flat = print_growth(&rows);
+    if is_fast && is_flat { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// What a frame took on some number of threads: medians.
+struct Row {
+    particle_count: f64,
+    free_count: f64,
+    /// Seconds to rasterize, smooth and contour.
+    seconds: [f64; 3],
+}
+
+impl Row {
+    /// Nanoseconds of rasterization for a particle.
+    fn rasterize_ns(&self) -> f64 {
+        1e9 * self.seconds[0] / self.particle_count
+    }
+
+    /// Nanoseconds of smoothing for a free voxel.
+    fn smooth_ns(&self) -> f64 {
+        1e9 * self.seconds[1] / self.free_count
+    }
+}
+
+/// Skins a frame by turns on both pools.
+fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
+    let (particles, spacing) = frame(free_wanted / FREE_PER_PARTICLE);
+    let settings = Settings::resolve(spacing / 2.0, &Choices::default()).expect("valid");
+    let round_count = ((ROUND_COUNT as f64 * FREE_MIN / free_wanted).ceil() as usize).max(1);
+    let mut reports: [Vec<SkinReport>; 2] = Default::default();
+    for _ in 0..round_count {
+        for (pool, reports) in pools.iter().zip(&mut reports) {
+            reports.push(pool.install(|| skinned(&particles, &settings)));
+        }
+    }
+    let rows = reports.map(|reports| row(&reports));
+    for (threads, row) in (1..).zip(&rows) {
+        println!(
+            "{threads:7}{:11}{:13}{:11.3}{:9.3}{:9.3}{:12.1}{:12.1}{:9.1}",
+            row.particle_count,
+            row.free_count,
+            row.seconds[0],
+            row.seconds[1],
+            row.seconds[2],
+            row.rasterize_ns(),
+            row.smooth_ns(),
+            1e9 * row.seconds[2] / row.free_count,
+        );
+    }
+    rows
+}
+
+/// About so many particles on the one lattice, and their spacing.
+fn frame(particle_count: f64) -> (Particles, f64) {
+    let spacing = TAU / SPACINGS_PER_PERIOD;
+    let ball = particle_count * spacing.powi(3) / FILLED_PART;
+    let solid = Sponge::new((ball * 3.0 / 4.0 / PI).cbrt() - 1.0, spacing);
+    let planes = (0..solid.plane_count()).into_par_iter().map(|x| {
+        let mut plane = Vec::with_capacity(solid.count_in_plane(x));
+        solid.for_each_in_plane(x, |particle| plane.push(particle));
+        plane
+    });
+    (Particles::Single(planes.flatten_iter().collect()), solid.spacing)
+}
+
+fn skinned(particles: &Particles, settings: &Settings) -> SkinReport {
+    let surface = skin(particles, settings);
+    assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
+    surface.report
+}
+
+fn row(reports: &[SkinReport]) -> Row {
+    let median = |of: fn(&SkinReport) -> f64| {
+        let mut seconds: Vec<f64> = reports.iter().map(of).collect();
+        seconds.sort_by(f64::total_cmp);
+        seconds[seconds.len() / 2]
+    };
+    Row {
+        particle_count: reports[0].particle_count as f64,
+        free_count: reports[0].free_voxel_count as f64,
+        seconds: [
+            median(|report| report.seconds.rasterize),
+            median(|report| report.seconds.smooth),
+            median(|report| report.seconds.contour),
+        ],
+    }
+}
+
+/// Prints how much faster two threads are than one. Returns whether the floor is kept while smoothing.
+fn print_speedups(rows: &[[Row; 2]]) -> bool {
+    println!("\ntwo threads against one: free voxels, rasterize, smooth, contour");
+    let mut is_kept = true;
+    for [one, two] in rows {
+        let [rasterize, smooth, contour] = [0, 1, 2].map(|stage| one.seconds[stage] / two.seconds[stage]);
+        let verdict = verdict(smooth >= SPEEDUP_TARGET, smooth >= SPEEDUP_FLOOR);
+        println!("{:13}{rasterize:8.2}{smooth:8.2}{contour:8.2}   {verdict}", one.free_count);
+        is_kept &= smooth >= SPEEDUP_FLOOR;
+    }
+    println!("promised while smoothing: {SPEEDUP_TARGET}, and at the least {SPEEDUP_FLOOR}");
+    is_kept
+}
+
+/// Prints how far larger frames are from the smallest. Returns whether the floor is kept on two threads.
+fn print_growth(rows: &[[Row; 2]]) -> bool {
+    println!(
+        "\ngrowth from the smallest, on one thread and on two: rasterization of a particle, smoothing of a free voxel"
+    );
+    let mut is_kept = true;
+    for row in &rows[1..] {
+        let off = |threads: usize, ns: fn(&Row) -> f64| ns(&row[threads]) / ns(&rows[0][threads]) - 1.0;
+        let rasterize = [0, 1].map(|threads| off(threads, Row::rasterize_ns));
+        let smooth = [0, 1].map(|threads| off(threads, Row::smooth_ns));
+        let most = rasterize[1].abs().max(smooth[1].abs());
+        println!(
+            "{:13}{:+8.0} %{:+6.0} %{:+10.0} %{:+6.0} %   {}",
+            row[0].free_count,
+            100.0 * rasterize[0],
+            100.0 * rasterize[1],
+            100.0 * smooth[0],
+            100.0 * smooth[1],
+            verdict(most <= GROWTH_TARGET, most <= GROWTH_FLOOR),
+        );
+        is_kept &= most <= GROWTH_FLOOR;
+    }
+    println!("promised: ± {:.0} %, and at the most ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
+    is_kept
+}
+
+fn verdict(is_target: bool, is_floor: bool) -> &'static str {
+    match (is_target, is_floor) {
+        (true, _) => "target",
+        (_, true) => "floor",
+        _ => "BELOW THE FLOOR",
+    }
+}
