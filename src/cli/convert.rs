@@ -14,6 +14,7 @@ use crate::pipeline::{
     default_memory_bytes, is_own_output,
 };
 use crate::settings::Settings;
+use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{ConvertArgs, OnErrorChoice};
@@ -34,6 +35,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     clean_up_when_interrupted();
     let Selection { sequences, found } = select_frames(args, console)?;
     if let Some(warning) = ignored(&args.solver) {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
     }
     let outputs = Arc::new(output_options(args.out.clone(), args.format.as_deref(), &args.formats));

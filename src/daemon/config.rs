@@ -19,7 +19,8 @@ pub struct Config {
     pub threads: usize,
     /// Frames between their reading and their last byte written, at most.
     pub in_flight: usize,
-    /// Bytes that the frames under way may take together. One that takes more by itself runs alone.
+    /// Bytes that the frames under way may take together. A frame that needs more by itself is skinned in
+    /// tiles that wait on disk; one that cannot be fails, and says what it needs.
     pub memory_bytes: u64,
     /// No frame is begun while the file system of its outputs has less room than this.
     pub disk_floor_bytes: u64,

@@ -107,6 +107,10 @@ impl Daemon<'_> {
                 self.retry_at(id, stamp, now, &error.to_string());
             }
             Remedy::Retry => self.fail_for_now(id, stamp, error, now),
+            Remedy::AwaitRestart => {
+                tracing::error!(frame = %id.path.display(), "{error}");
+                self.fail_until_restart(id, stamp, error.to_string());
+            }
             Remedy::GiveUp => self.fail_for_good(id, stamp, error.to_string()),
         }
     }
@@ -120,14 +124,18 @@ impl Daemon<'_> {
                 tracing::warn!(frame = %id.path.display(), attempt = attempt_count, "{error}; again in {wait:?}");
                 self.retry_at(id, stamp, now + wait, &error.to_string());
             }
-            // Not the file's fault: after a restart it is tried again.
             None => {
                 tracing::error!(frame = %id.path.display(), attempt = attempt_count, "{error}; given up");
-                self.set_phase(id, Phase::Failed(stamp));
-                self.note(id, Standing::Retrying, stamp, Some(error.to_string()));
-                self.failed.insert(id.clone(), error.to_string());
+                self.fail_until_restart(id, stamp, error.to_string());
             }
         }
+    }
+
+    /// Not the file's fault: it is tried again when its file changes, or after a restart.
+    fn fail_until_restart(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
+        self.set_phase(id, Phase::Failed(stamp));
+        self.note(id, Standing::Retrying, stamp, Some(reason.clone()));
+        self.failed.insert(id.clone(), reason);
     }
 
     fn retry_at(&mut self, id: &FrameId, stamp: FileStamp, at: Instant, reason: &str) {

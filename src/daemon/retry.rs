@@ -16,21 +16,31 @@ pub(super) enum Remedy {
     AwaitRoom,
     /// It may pass by itself.
     Retry,
+    /// Nothing helps but another file, or another start: that may allow what this one does not.
+    AwaitRestart,
     /// Nothing helps but another file.
     GiveUp,
 }
 
 /// What to do about this error.
 pub(super) fn remedy(error: &FrameError) -> Remedy {
-    let Cause::File(source) = &error.cause else { return Remedy::GiveUp };
-    match source {
+    match &error.cause {
         _ if error.is_disk_full() => Remedy::AwaitRoom,
-        Error::Io(refusal) if error.during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
+        Cause::File(source) => remedy_of_file(error.during, source),
+        // These are where the outputs will be: who cannot write them could not write those.
+        Cause::Scratch(refusal) if concerns_all(refusal.kind()) => Remedy::AwaitRoom,
+        Cause::Scratch(_) | Cause::Changed => Remedy::Retry,
+        Cause::TooLarge(_) => Remedy::AwaitRestart,
+        Cause::Panic(_) => Remedy::GiveUp,
+    }
+}
+
+fn remedy_of_file(during: Stage, source: &Error) -> Remedy {
+    match source {
+        Error::Io(refusal) if during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
             Remedy::Forget
         }
-        Error::Io(refusal) if error.during == Stage::Write && concerns_all(refusal.kind()) => {
-            Remedy::AwaitRoom
-        }
+        Error::Io(refusal) if during == Stage::Write && concerns_all(refusal.kind()) => Remedy::AwaitRoom,
         Error::Io(_) => Remedy::Retry,
         source if source.is_short() => Remedy::Retry,
         _ => Remedy::GiveUp,
@@ -71,6 +81,7 @@ const ATTEMPTS_MAX_ONCE: u32 = 4;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::skin::TooLarge;
     use meniscus_formats::Place;
     use std::path::Path;
 
@@ -92,8 +103,17 @@ mod tests {
         assert_eq!(after(Stage::Read, Error::invalid("PLY", Place::File, "no")), Remedy::GiveUp);
         assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), Remedy::GiveUp);
         assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), Remedy::GiveUp);
-        let panic = FrameError { path: "a".into(), during: Stage::Smooth, cause: Cause::Panic("no".into()) };
-        assert_eq!(remedy(&panic), Remedy::GiveUp);
+        let smoothing = |cause| remedy(&FrameError { path: "a".into(), during: Stage::Smooth, cause });
+        let scratch = |kind: io::ErrorKind| smoothing(Cause::Scratch(kind.into()));
+        assert_eq!(scratch(io::ErrorKind::StorageFull), Remedy::AwaitRoom);
+        assert_eq!(scratch(io::ErrorKind::QuotaExceeded), Remedy::AwaitRoom);
+        assert_eq!(scratch(io::ErrorKind::ReadOnlyFilesystem), Remedy::AwaitRoom);
+        assert_eq!(scratch(io::ErrorKind::PermissionDenied), Remedy::Retry);
+        assert_eq!(scratch(io::ErrorKind::NotFound), Remedy::Retry);
+        assert_eq!(smoothing(Cause::Changed), Remedy::Retry);
+        let too_large = TooLarge { least_bytes: 2, allowed_bytes: 1, is_coupled: false };
+        assert_eq!(smoothing(Cause::TooLarge(too_large)), Remedy::AwaitRestart);
+        assert_eq!(smoothing(Cause::Panic("no".into())), Remedy::GiveUp);
     }
 
     #[test]

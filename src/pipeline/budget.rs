@@ -13,7 +13,8 @@
 //! thread admits at a time: then at most two frames have memory and are not admitted, of which the earlier
 //! is next.
 //!
-//! A frame that is larger than the whole budget so runs alone, beside at most the particles of the next.
+//! A plan that is larger than the whole budget so runs alone, beside at most the particles of the next. The
+//! method makes none such: it skins in tiles what does not fit, or says that it cannot.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 

@@ -105,7 +105,8 @@ impl fmt::Display for Stage {
 /// Why a frame was not converted.
 #[derive(Debug)]
 pub struct FrameError {
-    /// The file at fault: the input, or the output that could not be written.
+    /// The file at fault: the input, or the output that could not be written. Of [`Cause::Scratch`], the
+    /// outputs without their extension: they lie where what does not fit into memory was to be.
     pub path: PathBuf,
     /// The stage that failed.
     pub during: Stage,
@@ -146,8 +147,12 @@ impl FrameError {
     }
 
     /// A failure of a stage of the method.
-    pub(super) fn of_stage(path: &Path, during: Stage, cause: Cause) -> FrameError {
-        FrameError { path: path.to_owned(), during, cause }
+    pub(super) fn of_stage(frame: &Frame, during: Stage, cause: Cause) -> FrameError {
+        let path = match cause {
+            Cause::Scratch(_) => frame.outputs.folder.join(&frame.stem),
+            _ => frame.input.clone(),
+        };
+        FrameError { path, during, cause }
     }
 
     /// Does `work` on the frame at `path`; a panic becomes an error of this frame.
@@ -175,7 +180,7 @@ impl fmt::Display for FrameError {
             Cause::Changed => write!(f, "{}: changed while it was read", path.display()),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
             Cause::Scratch(source) => {
-                write!(f, "{}: cannot {during}: the files beside the outputs: {source}", path.display())
+                write!(f, "{}: cannot keep what does not fit into memory here: {source}", path.display())
             }
             Cause::Panic(what) => {
                 write!(f, "{}: a fault in this program, in the {during} stage: {what}", path.display())
@@ -192,5 +197,39 @@ impl std::error::Error for FrameError {
             Cause::Scratch(source) => Some(source),
             Cause::Changed | Cause::Panic(_) => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::OutputFormat;
+    use crate::settings::Choices;
+    use meniscus_formats::{gltf::UpAxis, vdb::Compression};
+
+    /// Whoever waits for room looks at the folder of the path.
+    #[test]
+    fn what_cannot_be_kept_is_told_of_where_it_was_to_be() {
+        let settings = Settings::resolve(0.1, &Choices::default()).expect("settings");
+        let outputs = OutputOptions {
+            folder: "out".into(),
+            formats: vec![OutputFormat::Glb],
+            up: UpAxis::Y,
+            vdb_half: false,
+            vdb_compression: Compression::None,
+        };
+        let frame = Frame {
+            input: "in/dam.1.ply".into(),
+            stem: "dam.1".to_owned(),
+            settings: Arc::new(settings),
+            outputs: Arc::new(outputs),
+        };
+        let full = Cause::Scratch(io::ErrorKind::StorageFull.into());
+        let error = FrameError::of_stage(&frame, Stage::Smooth, full);
+        assert_eq!(error.path, Path::new("out").join("dam.1"));
+        assert!(error.is_disk_full());
+        assert!(error.to_string().contains("dam.1: cannot keep what does not fit into memory here: "));
+        let changed = FrameError::of_stage(&frame, Stage::Smooth, Cause::Changed);
+        assert_eq!(changed.path, frame.input);
     }
 }

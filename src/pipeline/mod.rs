@@ -11,7 +11,7 @@
 //!   method      the three stages in the middle        memory   how much there is
 //!
 //!   reading     bytes to particles, of a file that     stamp     what tells one that was written again
-//!               nobody writes meanwhile
+//!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
 //!   writing     surfaces to bytes                      provenance  what made them
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   record      what was measured, as JSON

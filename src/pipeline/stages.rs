@@ -66,8 +66,8 @@ pub struct Conduct<'a> {
     pub skip_done: bool,
     /// As many frames, at most, have been asked for and are not finished; at least one.
     pub in_flight: usize,
-    /// As many bytes, about, the frames under way may take together. One that takes more by itself
-    /// runs alone.
+    /// As many bytes, about, the frames under way may take together. A frame that needs more by itself is
+    /// skinned in tiles that wait on disk; one that cannot be fails, and says what it needs.
     pub memory_bytes: u64,
 }
 
@@ -324,7 +324,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let planned = self.crew.run(number, move || {
             let (particles, mut notes) = parse()?;
             let plan = method.plan(&particles, &frame.settings, allowed_bytes);
-            let plan = plan.map_err(|cause| FrameError::of_stage(&frame.input, Stage::Read, cause))?;
+            let plan = plan.map_err(|cause| FrameError::of_stage(&frame, Stage::Read, cause))?;
             if plan.tile_leaves.is_some() {
                 let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);
                 notes.push(format!(
@@ -416,7 +416,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let computed = FrameError::catch(&label.frame.input, stage, || {
             self.crew.run(label.number, move || work(content, &settings))
         });
-        computed?.map_err(|cause| FrameError::of_stage(&label.frame.input, stage, cause))
+        computed?.map_err(|cause| FrameError::of_stage(&label.frame, stage, cause))
     }
 
     /// Sends a frame to the next stage, or its end if this was it. Returns whether anybody listens.

@@ -95,6 +95,27 @@ impl Level {
     }
 }
 
+/// What a user should know of [`LEVEL_VARIABLE`] where it does not do what it says; without full stop.
+pub fn level_warning() -> Option<String> {
+    let asked = std::env::var_os(LEVEL_VARIABLE)?;
+    warning_of(&asked.to_string_lossy(), Level::current())
+}
+
+/// The warning where one level was asked for and another one is used. Nothing is asked for by nothing.
+fn warning_of(asked: &str, used: Level) -> Option<String> {
+    match Level::ALL.into_iter().find(|level| level.name() == asked) {
+        Some(level) if level <= used => None,
+        Some(_) => {
+            Some(format!("{LEVEL_VARIABLE}={asked}: this processor lacks it, and {} is used", used.name()))
+        }
+        None if asked.is_empty() => None,
+        None => {
+            let [first, second, third] = Level::ALL.map(Level::name);
+            Some(format!("{LEVEL_VARIABLE}={asked} is not {first}, {second} or {third}: it is ignored"))
+        }
+    }
+}
+
 /// The environment variable that holds kernels to a narrower level: to show that the bytes are the same.
 pub const LEVEL_VARIABLE: &str = "MENISCUS_SIMD";
 
@@ -174,6 +195,20 @@ mod tests {
                 all.extend(stored.map(|value| if value.is_nan() { u32::MAX } else { value.to_bits() }));
             }
             all
+        }
+    }
+
+    #[test]
+    fn what_is_asked_for_in_vain_is_told() {
+        for used in Level::ALL {
+            for asked in Level::ALL {
+                let warning = warning_of(asked.name(), used);
+                assert_eq!(warning.is_some(), asked > used, "{asked:?} {used:?}");
+                assert!(warning.is_none_or(|text| text.contains(used.name())), "{asked:?} {used:?}");
+            }
+            assert_eq!(warning_of("", used), None);
+            let unknown = "MENISCUS_SIMD=xyz is not baseline, avx2 or avx512: it is ignored";
+            assert_eq!(warning_of("xyz", used).as_deref(), Some(unknown));
         }
     }
 

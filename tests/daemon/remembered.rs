@@ -145,6 +145,28 @@ fn a_refusal_ends_with_its_reason() {
     assert_eq!(once.converted(), ["dam.1.csv"]);
 }
 
+/// What does not fit into the memory of one start may fit into that of the next.
+#[test]
+fn a_frame_that_was_too_large_is_tried_again_after_a_restart() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let arguments = ["--settle", "10ms", "--format", "obj,vdb", "--voxel-size", "0.05"];
+    let small = [&arguments[..], &["--memory", "10KiB"]].concat();
+    for _ in 0..2 {
+        let once = scene.once(&small);
+        once.assert_status(2);
+        let complaints = once.log.iter().filter(|line| line.message.contains("the frame needs"));
+        assert!(complaints.count() > 0, "it was not tried");
+    }
+    for command in [&["status", "--out", "out"][..], &["why", "in/dam.1.ply", "--out", "out"]] {
+        let told = scene.run(command);
+        assert!(told.out.contains("dam.1.ply") && told.out.contains("the frame needs"), "{}", told.out);
+    }
+    let once = scene.once(&arguments);
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.1.ply"]);
+}
+
 /// A folder that is missing ends the run, also while frames of another are under way.
 #[test]
 fn a_missing_folder_ends_the_run() {

@@ -24,6 +24,7 @@ use tracing::{error, info, warn};
 
 use crate::daemon::{self, Command, Ended, Notice, Summary};
 use crate::pipeline::stop_writing;
+use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
@@ -39,6 +40,9 @@ use service::Service;
 pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
     let mut plan = make_plan(args)?;
     log::start(plan.log)?;
+    if let Some(warning) = level_warning() {
+        warn!("{warning}");
+    }
     // One of each at most is ever waiting: whoever sends never blocks.
     let (sender, commands) = bounded(2);
     let control = Arc::new(Control::new(args.clone(), plan.log, sender));

@@ -1,0 +1,149 @@
+//! One frame by different ways, the same bytes: by any instructions, whole or in tiles, from a file that is
+//! read whole or batch by batch.
+
+use std::fs;
+use std::path::Path;
+
+use tempfile::tempdir;
+
+use crate::scene::{Ran, block, command, meniscus, names_in, write_ply};
+
+/// What is typed to convert `rod.ply`.
+fn typed(out: &str) -> [&str; 8] {
+    ["convert", "rod.ply", "--out", out, "--voxel-size", "0.05", "--format", "glb,vdb"]
+}
+
+fn convert(folder: &Path, out: &str, arguments: &[&str]) -> Ran {
+    meniscus(folder, &[&typed(out)[..], arguments].concat())
+}
+
+/// Converts with instructions of this name: what was said of it.
+fn converted_by(folder: &Path, out: &str, level: &str) -> String {
+    let mut command = command(folder, &typed(out));
+    let output = command.env("MENISCUS_SIMD", level).output().expect("the command starts");
+    let err = String::from_utf8(output.stderr).expect("text");
+    assert!(output.status.success(), "{level}: {err}");
+    err
+}
+
+/// Converts what must go well.
+fn converted(folder: &Path, out: &str, arguments: &[&str]) {
+    let ran = convert(folder, out, arguments);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?}: {}", ran.out);
+}
+
+/// A rod of 2 × 2 × `length` particles: longer than a tile, and thin.
+fn write_rod(folder: &Path, length: usize) {
+    let corners = [[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1]];
+    let slice = |index: usize| corners.map(|[x, y]| [x, y, index as f64 * 0.1]);
+    write_ply(&folder.join("rod.ply"), &(0..length).flat_map(slice).collect::<Vec<_>>());
+}
+
+/// Asserts that two folders hold the same files, to the last byte, and nothing else.
+fn assert_same(folder: &Path, outs: [&str; 2]) {
+    for out in outs {
+        assert_eq!(names_in(&folder.join(out)), ["rod.glb", "rod.vdb"], "{out}");
+    }
+    for name in ["rod.glb", "rod.vdb"] {
+        let [one, other] = outs.map(|out| fs::read(folder.join(out).join(name)).expect("readable"));
+        assert!(one == other, "{name} differs between {outs:?}");
+    }
+}
+
+/// The number of mebibytes that a frame was said to need at least.
+fn mebibytes_needed(ran: &Ran) -> u64 {
+    let after = ran.err.split("the frame needs ").nth(1).unwrap_or_else(|| panic!("{}", ran.err));
+    after.split(' ').next().and_then(|number| number.parse().ok()).expect("a number")
+}
+
+#[test]
+fn by_any_instructions() {
+    let folder = tempdir().expect("a folder");
+    write_rod(folder.path(), 20);
+    for level in ["baseline", "avx2", "avx512"] {
+        let err = converted_by(folder.path(), level, level);
+        // A processor may lack it, and then that is said.
+        assert!(err.is_empty() || err.contains("this processor lacks it"), "{level}: {err}");
+        assert_same(folder.path(), ["baseline", level]);
+    }
+}
+
+#[test]
+fn by_instructions_that_there_are_not() {
+    let folder = tempdir().expect("a folder");
+    write_rod(folder.path(), 20);
+    converted(folder.path(), "plain", &[]);
+    let err = converted_by(folder.path(), "odd", "xyz");
+    assert_eq!(err, "warning: MENISCUS_SIMD=xyz is not baseline, avx2 or avx512: it is ignored\n");
+    assert_same(folder.path(), ["plain", "odd"]);
+}
+
+#[test]
+fn in_the_least_memory_that_is_named() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_rod(path, 600);
+    converted(path, "whole", &[]);
+    let refused = convert(path, "tiled", &["--memory", "1MiB"]);
+    assert_eq!(refused.status, 2, "{}", refused.out);
+    assert!(refused.err.contains("rod.ply: the frame needs "), "{}", refused.err);
+    assert!(refused.err.contains("--memory") && !refused.err.contains("implicit"), "{}", refused.err);
+    assert_eq!(names_in(&path.join("tiled")), [""; 0]);
+
+    let least = mebibytes_needed(&refused);
+    let short = convert(path, "tiled", &["--memory", &format!("{}MiB", least - 1)]);
+    assert_eq!((short.status, mebibytes_needed(&short)), (2, least), "{}", short.err);
+    // What takes this little is in tiles: whole it would take more than half of what implicit takes.
+    let coupled = convert(path, "tiled", &["--memory", "1MiB", "--integrator", "implicit"]);
+    assert_eq!(coupled.status, 2, "{}", coupled.out);
+    assert!(coupled.err.contains("the implicit integrator couples all voxels"), "{}", coupled.err);
+    assert!(2 * least < mebibytes_needed(&coupled), "{least} MiB; {}", coupled.err);
+
+    converted(path, "tiled", &["--memory", &format!("{least}MiB")]);
+    assert_same(path, ["whole", "tiled"]);
+}
+
+/// From this size on files are read in batches where their records have one length.
+const STREAMED_FROM_BYTES: u64 = 16 << 20;
+
+/// Writes particles as binary PLY. With `has_list` each has an empty list, too: such records may differ in
+/// length, and the file is read whole.
+fn write_binary_ply(path: &Path, particles: &[[f64; 3]], has_list: bool) {
+    let list = if has_list { "property list uchar int extra\n" } else { "" };
+    let mut bytes = format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
+         property float x\nproperty float y\nproperty float z\n{list}end_header\n",
+        particles.len()
+    )
+    .into_bytes();
+    for position in particles {
+        bytes.extend(position.iter().flat_map(|&along| (along as f32).to_le_bytes()));
+        bytes.extend(has_list.then_some(0));
+    }
+    fs::write(path, bytes).expect("the frame is written");
+}
+
+/// The surface in an .obj, without the comments: they say what it was made from.
+fn surface_in(obj: &Path) -> Vec<String> {
+    let text = fs::read_to_string(obj).expect("readable");
+    text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect()
+}
+
+#[test]
+fn from_a_file_in_batches() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    // Many particles in few voxels.
+    let particles: Vec<_> = block(113, 0.0).into_iter().map(|at| at.map(|along| along * 0.1)).collect();
+    for (name, has_list) in [("batches.ply", false), ("whole.ply", true)] {
+        write_binary_ply(&path.join(name), &particles, has_list);
+        let arguments = ["convert", name, "--out", "o", "--voxel-size", "0.1", "--format", "obj"];
+        let ran = meniscus(path, &arguments);
+        assert_eq!((ran.status, ran.err.contains("the list `extra`")), (0, has_list), "{}", ran.err);
+    }
+    let file_bytes = path.join("batches.ply").metadata().expect("there").len();
+    assert!(file_bytes >= STREAMED_FROM_BYTES, "{file_bytes} bytes are read whole");
+    let [batches, whole] = ["batches.obj", "whole.obj"].map(|name| surface_in(&path.join("o").join(name)));
+    assert!(batches.len() > 100, "{batches:?}");
+    assert!(batches == whole, "the surfaces differ");
+}
