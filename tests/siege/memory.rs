@@ -1,4 +1,4 @@
-//! Large frames through little memory: as many at once as there is room for, and one in any case.
+//! Large frames through little memory: as many at once as there is room for, and in tiles what has none whole.
 
 use std::fs;
 use std::path::Path;
@@ -8,18 +8,20 @@ use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::scene::{
-    Daemon, block_ply, frame_names, is_long, land, memory_bytes, message, names_in, stage_seconds, tell,
+    Daemon, assert_same_outputs, block_ply, box_ply, convert, frame_names, is_long, land, memory_bytes,
+    meniscus, message, names_in, stage_seconds, tell,
 };
 
 /// The edge of a block of 250 047 particles.
 const EDGE_COUNT: usize = 63;
 
-/// Frames `1..=last` of a block that moves.
-fn write_frames(folder: &Path, last: usize) {
+/// The edges of a beam of which a tile holds a small part.
+const BEAM_COUNTS: [usize; 3] = [1000, 6, 6];
+
+/// Frames `1..=last` of what moves from the first place to the second.
+fn write_frames(folder: &Path, [frame, moved]: [Vec<u8>; 2], last: usize) {
     let inside = folder.join("in");
     fs::create_dir(&inside).expect("made");
-    let frame = block_ply(EDGE_COUNT, 0.0);
-    let moved = block_ply(EDGE_COUNT, 0.03);
     for (index, name) in frame_names(1, last).iter().enumerate() {
         land(&inside, name, if index % 2 == 0 { &frame } else { &moved });
     }
@@ -27,14 +29,12 @@ fn write_frames(folder: &Path, last: usize) {
 
 /// Converts frames `1..=last` within so much memory: how much it took at most, and the lines of the log
 /// about the frames.
-fn converted_within(memory: &str, last: usize) -> (u64, Vec<Value>) {
-    let folder = tempdir().expect("a folder");
-    write_frames(folder.path(), last);
+fn converted_within(folder: &Path, memory: &str, last: usize) -> (u64, Vec<Value>) {
     let arguments = ["in", "--out", "out", "--format", "vdb,glb", "--memory", memory, "--disk-floor", "0"];
-    let mut daemon = Daemon::start(folder.path(), &arguments);
+    let mut daemon = Daemon::start(folder, &arguments);
     daemon.until_converted(&frame_names(1, last));
     let peak_bytes = memory_bytes(daemon.pid(), "VmHWM");
-    assert_eq!(names_in(&folder.path().join("out")).len(), 2 * last);
+    assert_eq!(names_in(&folder.join("out")).len(), 2 * last);
     let lines = daemon.log.iter().filter(|line| message(line) == "converted").cloned().collect();
     daemon.stop();
     (peak_bytes, lines)
@@ -42,7 +42,10 @@ fn converted_within(memory: &str, last: usize) -> (u64, Vec<Value>) {
 
 #[test]
 fn frames_share_the_memory_that_they_may_have() {
-    let (peak_bytes, lines) = converted_within("1GiB", if is_long() { 200 } else { 8 });
+    let folder = tempdir().expect("a folder");
+    let last = if is_long() { 200 } else { 8 };
+    write_frames(folder.path(), [0.0, 0.03].map(|shift| block_ply(EDGE_COUNT, shift)), last);
+    let (peak_bytes, lines) = converted_within(folder.path(), "1GiB", last);
     let allowed_bytes = (1 << 30) + (1 << 30) / 10;
     assert!(peak_bytes <= allowed_bytes, "{} MiB", peak_bytes >> 20);
     let overlap_count = overlap_count(&lines);
@@ -55,11 +58,36 @@ fn frames_share_the_memory_that_they_may_have() {
 }
 
 #[test]
-fn a_frame_that_is_larger_than_the_memory_runs_alone() {
-    let (peak_bytes, lines) = converted_within("50MiB", if is_long() { 20 } else { 2 });
+fn a_frame_that_is_larger_than_the_memory_is_skinned_in_tiles() {
+    let folder = tempdir().expect("a folder");
+    let last = if is_long() { 20 } else { 2 };
+    write_frames(folder.path(), [0.0, 0.03].map(|shift| box_ply(BEAM_COUNTS, shift)), last);
+    let least = mebibytes_needed(folder.path());
+    let (peak_bytes, lines) = converted_within(folder.path(), &format!("{least}MiB"), last);
     assert_eq!(overlap_count(&lines), 0, "{lines:#?}");
-    // More than it may have, for less is not enough; and less than two at once take.
-    assert!((50 << 20..256 << 20).contains(&peak_bytes), "{} MiB", peak_bytes >> 20);
+    let report = folder.path().join("report.json");
+    let arguments = ["--format", "vdb,glb", "--report", "report.json"];
+    convert(folder.path(), "whole", &arguments);
+    assert_same_outputs(&folder.path().join("out"), &folder.path().join("whole"));
+    let report: Value = serde_json::from_slice(&fs::read(report).expect("readable")).expect("JSON");
+    let whole_bytes = report["frames"][0]["peak_memory_bytes"].as_u64().expect("a number");
+    assert!(peak_bytes < whole_bytes, "{} MiB, {} MiB whole", peak_bytes >> 20, whole_bytes >> 20);
+    tell(&format!(
+        "{last} frames that take {} MiB whole took {} MiB in tiles, of {least} MiB",
+        whole_bytes >> 20,
+        peak_bytes >> 20
+    ));
+}
+
+/// The number of mebibytes that the frame in `in` that needs most is said to need at least.
+fn mebibytes_needed(folder: &Path) -> u64 {
+    let arguments = ["convert", "in", "--out", "refused", "--memory", "1MiB"];
+    let output = meniscus(folder).args(arguments).output().expect("it starts");
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && err.contains("dam.1.ply"), "{err}");
+    let needs = err.split("the frame needs ").skip(1);
+    let number = |after: &str| after.split(' ').next().and_then(|number| number.parse().ok());
+    needs.map(|after| number(after).expect("a number")).max().unwrap_or_else(|| panic!("{err}"))
 }
 
 /// How many frames were begun before the one before them had ended. Waiting between stages is not in

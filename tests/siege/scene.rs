@@ -287,14 +287,19 @@ pub(crate) fn land(folder: &Path, name: &str, bytes: &[u8]) {
 
 /// A block of `edge_count`³ particles, 0.1 apart, moved along x, as binary PLY.
 pub(crate) fn block_ply(edge_count: usize, shift: f32) -> Vec<u8> {
-    let count = edge_count.pow(3);
+    box_ply([edge_count; 3], shift)
+}
+
+/// The same of other edges.
+pub(crate) fn box_ply([x_count, y_count, z_count]: [usize; 3], shift: f32) -> Vec<u8> {
+    let count = x_count * y_count * z_count;
     let header = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
          property float x\nproperty float y\nproperty float z\nend_header\n"
     );
     let mut bytes = header.into_bytes();
     for index in 0..count {
-        let [x, y, z] = [index % edge_count, index / edge_count % edge_count, index / edge_count.pow(2)];
+        let [x, y, z] = [index % x_count, index / x_count % y_count, index / (x_count * y_count)];
         for (along, shift) in [(x, shift), (y, 0.0), (z, 0.0)] {
             bytes.extend((along as f32 * 0.1 + shift).to_le_bytes());
         }
