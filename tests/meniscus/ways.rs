@@ -99,7 +99,9 @@ fn in_the_least_memory_that_is_named() {
     assert!(coupled.err.contains("the implicit integrator couples all voxels"), "{}", coupled.err);
     assert!(2 * least < mebibytes_needed(&coupled), "{least} MiB; {}", coupled.err);
 
-    converted(path, "tiled", &["--memory", &format!("{least}MiB")]);
+    let tiled = convert(path, "tiled", &["--memory", &format!("{least}MiB")]);
+    assert_eq!(tiled.status, 0, "{}", tiled.err);
+    assert!(tiled.err.contains("rod.ply: skinned in tiles"), "{}", tiled.err);
     assert_same(path, ["whole", "tiled"]);
 }
 
