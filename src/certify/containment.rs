@@ -13,9 +13,9 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::distances::{nearest_first, nearest_particle};
+use super::distances::nearest_particle;
 use super::particle_checks::Part;
-use crate::grid::{LEAF_EDGE, LeafMask, negative_masks, offset_in_leaf};
+use crate::grid::{LEAF_EDGE, LeafMask, leaf_steps_within, negative_masks, offset_in_leaf};
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// How many particles of a part have φ ≥ 0, interpolated trilinearly.
@@ -119,7 +119,7 @@ fn phi_at_voxel(part: &Part, voxel: IVec3) -> f32 {
         return part.band.phi.leaves[leaf].values[offset_in_leaf(local)];
     }
     let local = voxel & IVec3::splat(LEAF_EDGE - 1);
-    let steps = nearest_first((part.radii.init / LEAF_EDGE as f32).ceil() as i32);
+    let steps = leaf_steps_within(part.radii.init);
     let nearest = nearest_particle(part.bins, voxel - local, local.as_vec3(), &steps);
     if nearest < part.radii.init { -part.band.half_width } else { part.band.half_width }
 }

@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::particle_checks::{Part, ParticleChecks};
-use crate::grid::LEAF_EDGE;
+use crate::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::rasterize::ParticleBins;
 use crate::simd::{Kernel, Lanes, dispatch};
 
@@ -27,7 +27,7 @@ type Column = [f32; LANES];
 
 /// Checks how far the vertices of a part are from its particles.
 pub(super) fn check_vertices(part: &Part) -> ParticleChecks {
-    let steps = nearest_first(((part.radii.max + CELL_MARGIN) / LEAF_EDGE as f32).ceil() as i32);
+    let steps = leaf_steps_within(part.radii.max + CELL_MARGIN);
     let pieces = part.mesh.positions.par_chunks(PIECE);
     let checks = pieces.map(|positions| dispatch(PieceChecks { part, steps: &steps, positions }));
     checks.reduce(|| ParticleChecks::NOTHING, ParticleChecks::and)
@@ -170,13 +170,4 @@ pub(super) fn nearest_particle(bins: &ParticleBins, origin: IVec3, point: Vec3, 
     let mut near = NearLeaves { origin, leaves: Vec::new() };
     near.find(bins, origin, steps);
     near.distances(bins, &point.to_array().map(|axis| [axis; LANES]))[0]
-}
-
-/// Steps to all leaves within so many leaves on each axis, the nearest first.
-pub(super) fn nearest_first(rings: i32) -> Vec<IVec3> {
-    let axis = || -rings..=rings;
-    let mut steps: Vec<IVec3> =
-        axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z)))).collect();
-    steps.sort_by_key(|step| step.length_squared());
-    steps.into_iter().map(|step| step * LEAF_EDGE).collect()
 }

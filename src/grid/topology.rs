@@ -154,6 +154,17 @@ const NEIGHBOR_PATHS: [(usize, [(usize, usize); 3]); 26] = {
     paths
 };
 
+/// The steps, in voxels, from a leaf to all leaves within so many voxels of it on each axis, rounded up to leaves:
+/// the nearest first, so that what is farther than what is known already need not be opened.
+pub fn leaf_steps_within(reach: f32) -> Vec<IVec3> {
+    let rings = (reach / LEAF_EDGE as f32).ceil() as i32;
+    let axis = || -rings..=rings;
+    let mut steps: Vec<IVec3> =
+        axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z)))).collect();
+    steps.sort_by_key(|step| step.length_squared());
+    steps.into_iter().map(|step| step * LEAF_EDGE).collect()
+}
+
 /// The order of an OpenVDB tree's depth-first walk, as one number: root child (4096 voxels), lower
 /// internal node (128), leaf, each in lexicographic order of x, y, z.
 fn tree_order(origin: IVec3) -> u128 {

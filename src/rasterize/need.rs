@@ -42,9 +42,8 @@ use rustc_hash::FxHashSet;
 use super::cover::{Ball, Cover};
 use super::occupancy::{Occupancy, Octants};
 use super::region::Regions;
-use super::sphere::ring_steps;
 use super::{EXACT_MARGIN, Radii};
-use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology};
+use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
 
@@ -113,7 +112,7 @@ impl<'a> Need<'a> {
             return vec![LeafMask::FULL; self.occupied.len()];
         }
         let measured = self.measured_leaves(radii, regions);
-        let rings = ring_steps(radii.max + EXACT_MARGIN);
+        let rings = leaf_steps_within(radii.max + EXACT_MARGIN);
         let around = (rho + 1.5 * 3f32.sqrt() + ROUNDING) as i32;
         let kept = |&origin: &IVec3| {
             if !rings.iter().any(|&step| measured.contains(&(origin + step))) {

@@ -16,7 +16,7 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::bin::ParticleBins;
-use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, Topology};
+use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, Topology, leaf_steps_within};
 use crate::simd::{self, Kernel, Lanes};
 
 /// In place of a distance: no particle is within reach.
@@ -31,7 +31,7 @@ pub(super) fn nearest_distances<'a>(
     settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
     known: impl Fn(IVec3) -> Option<&'a Leaf> + Sync,
 ) -> Field {
-    let steps = ring_steps(reach);
+    let steps = leaf_steps_within(reach);
     let nearest = |&origin: &IVec3| {
         if let Some(leaf) = known(origin) {
             return *leaf;
@@ -80,17 +80,6 @@ fn by_eights(locals: &[Vec3]) -> impl Iterator<Item = Eight> {
         }
         eight
     })
-}
-
-/// Steps to all leaves that may hold a particle within reach of a leaf's voxels, the leaf itself included,
-/// the nearest first.
-pub(super) fn ring_steps(reach: f32) -> Vec<IVec3> {
-    let rings = (reach / LEAF_EDGE as f32).ceil() as i32;
-    let axis = || -rings..=rings;
-    let mut steps: Vec<IVec3> =
-        axis().flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z)))).collect();
-    steps.sort_by_key(|step| step.length_squared());
-    steps.into_iter().map(|step| step * LEAF_EDGE).collect()
 }
 
 /// The distances of one leaf.
@@ -271,7 +260,7 @@ mod tests {
         };
         let some = LeafMask::from_fn(|offset| offset % 7 == 0 || offset < 100);
         for (count, reach) in [(0, 5.5), (1, 5.464), (3, 2.0), (40, 5.464), (900, 5.464), (60, 12.0)] {
-            let steps = ring_steps(reach);
+            let steps = leaf_steps_within(reach);
             let local = |random: &mut dyn FnMut() -> f32| Vec3::new(random(), random(), random()) * 8.0;
             let around: Vec<(Vec3, Vec<Vec3>)> = steps
                 .iter()
@@ -298,7 +287,7 @@ mod tests {
 
     #[test]
     fn the_nearest_leaves_come_first() {
-        let steps = ring_steps(5.464);
+        let steps = leaf_steps_within(5.464);
         assert_eq!((steps.len(), steps[0]), (27, IVec3::ZERO));
         assert!(steps[1..7].iter().all(|step| step.length_squared() == 64));
     }

@@ -110,7 +110,7 @@ struct Distances {
 
 impl Distances {
     fn new(positions: &[[f32; 3]], reach: f32) -> Distances {
-        let steps = sphere::ring_steps(reach);
+        let steps = crate::grid::leaf_steps_within(reach);
         let mut bins: FxHashMap<IVec3, Vec<Vec3>> = FxHashMap::default();
         for &position in positions {
             let position = Vec3::from(position).as_dvec3();

@@ -5,9 +5,9 @@ use std::fmt;
 use glam::IVec3;
 use rustc_hash::FxHashMap;
 
-use super::tiles::{HALO_LEAVES, tile_of};
+use super::tiles::{HALO_LEAVES, tiles_around};
 use super::{TOPOLOGY_LEAF_BYTES, lattice, radii};
-use crate::grid::{LEAF_EDGE, Leaf};
+use crate::grid::Leaf;
 use crate::particles::ParticleSource;
 use crate::rasterize::{self, Footprint};
 use crate::settings::{Contouring, Integrator, Settings};
@@ -159,14 +159,8 @@ fn counts(footprint: &Footprint) -> [f64; 4] {
 /// The number of leaves in the tile, with its halo, that has most of them.
 fn most_in_a_tile(leaves: &[IVec3], tile_leaves: i32, halo_leaves: i32) -> usize {
     let mut counts: FxHashMap<IVec3, usize> = FxHashMap::default();
-    let halo = IVec3::splat(halo_leaves * LEAF_EDGE);
-    for &origin in leaves {
-        let (first, last) = (tile_of(origin - halo, tile_leaves), tile_of(origin + halo, tile_leaves));
-        for x in first.x..=last.x {
-            for y in first.y..=last.y {
-                (first.z..=last.z).for_each(|z| *counts.entry(IVec3::new(x, y, z)).or_default() += 1);
-            }
-        }
+    for tile in leaves.iter().flat_map(|&origin| tiles_around(origin, halo_leaves, tile_leaves)) {
+        *counts.entry(tile).or_default() += 1;
     }
     counts.into_values().max().unwrap_or(0)
 }

@@ -10,7 +10,7 @@ use std::time::Instant;
 use glam::IVec3;
 
 use super::shelves::{Shelves, Storage};
-use super::tiles::{self, HALO_LEAVES, Tiling, tile_of, tile_voxels};
+use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, lattice, radii, report_smoothing, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
@@ -95,17 +95,11 @@ pub fn rasterize<S: ParticleSource>(
 
 /// The tiles that hold leaves within so many voxels of one that holds particles.
 fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<[i32; 3]> {
-    let margin = IVec3::splat(voxels + LEAF_EDGE);
-    let mut tiles = BTreeSet::new();
-    for &origin in occupancy.topology.origins() {
-        let (first, last) = (tile_of(origin - margin, tile_leaves), tile_of(origin + margin, tile_leaves));
-        for x in first.x..=last.x {
-            for y in first.y..=last.y {
-                tiles.extend((first.z..=last.z).map(|z| [x, y, z]));
-            }
-        }
-    }
-    tiles
+    // A particle is up to one voxel from where its leaf counts it, and so is the surface from its voxels.
+    let margin_leaves = (voxels + 2) / LEAF_EDGE + 1;
+    let origins = occupancy.topology.origins().iter();
+    let tiles = origins.flat_map(|&origin| tiles_around(origin, margin_leaves, tile_leaves));
+    tiles.map(|tile| tile.to_array()).collect()
 }
 
 /// The second call: the constrained smoothing.

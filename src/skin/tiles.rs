@@ -50,6 +50,18 @@ pub(super) fn tile_of(origin: IVec3, tile_leaves: i32) -> IVec3 {
     origin.div_euclid(IVec3::splat(tile_leaves * LEAF_EDGE))
 }
 
+/// The tiles that hold leaves within so many leaves of one.
+pub(super) fn tiles_around(
+    origin: IVec3,
+    margin_leaves: i32,
+    tile_leaves: i32,
+) -> impl Iterator<Item = IVec3> {
+    let margin = IVec3::splat(margin_leaves * LEAF_EDGE);
+    let (first, last) = (tile_of(origin - margin, tile_leaves), tile_of(origin + margin, tile_leaves));
+    let axis = move |axis: usize| first[axis]..=last[axis];
+    axis(0).flat_map(move |x| axis(1).flat_map(move |y| axis(2).map(move |z| IVec3::new(x, y, z))))
+}
+
 /// The voxels of a tile.
 pub(super) fn tile_voxels(tile: IVec3, tile_leaves: i32) -> CoordBox {
     let min = tile * tile_leaves * LEAF_EDGE;
@@ -67,18 +79,11 @@ impl Tiling {
         let mut tiles: BTreeMap<[i32; 3], Tile> = BTreeMap::new();
         for (leaf, &origin) in topology.origins().iter().enumerate() {
             let own = tile_of(origin, tile_leaves);
-            let halo = IVec3::splat(halo_leaves * LEAF_EDGE);
-            let (first, last) = (tile_of(origin - halo, tile_leaves), tile_of(origin + halo, tile_leaves));
-            for x in first.x..=last.x {
-                for y in first.y..=last.y {
-                    for z in first.z..=last.z {
-                        let tile = tiles
-                            .entry([x, y, z])
-                            .or_insert_with(|| Tile { leaves: Vec::new(), own: Vec::new() });
-                        tile.leaves.push(leaf as u32);
-                        tile.own.push(IVec3::new(x, y, z) == own);
-                    }
-                }
+            for tile in tiles_around(origin, halo_leaves, tile_leaves) {
+                let empty = || Tile { leaves: Vec::new(), own: Vec::new() };
+                let entry = tiles.entry(tile.to_array()).or_insert_with(empty);
+                entry.leaves.push(leaf as u32);
+                entry.own.push(tile == own);
             }
         }
         let tiles = tiles.into_values().filter(|tile| tile.own.contains(&true)).collect();
