@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 const ARCHITECTURE: &str = include_str!("../../docs/architecture.md");
 
 /// The crate of the file formats is visible from here up.
-const FORMATS_VISIBLE_FROM: u32 = 9;
+const FORMATS_VISIBLE_FROM: u32 = 10;
 
 #[test]
 fn imports_go_down_only() {

@@ -8,10 +8,16 @@
 //! Most particles lie deep inside and are looked at, but never kept. So nobody needs all of them at once,
 //! and a [`ParticleSource`] may as well be a file that is larger than the memory.
 
+mod attributes;
+mod shapes;
+
 use std::borrow::Cow;
 use std::convert::Infallible;
 
 use glam::DVec3;
+
+pub use attributes::{Attribute, AttributeValues, Meaning};
+pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision they came in.
 #[derive(Clone, Debug, PartialEq)]

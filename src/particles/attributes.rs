@@ -1,0 +1,70 @@
+//! What is known of each particle, or of each vertex, beside where it is.
+
+use std::sync::Arc;
+
+/// One named attribute of all particles, or of all vertices.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attribute {
+    /// Its name in the file of particles.
+    pub name: String,
+    /// What it is known to mean.
+    pub meaning: Meaning,
+    /// Values per particle, at least 1.
+    pub arity: usize,
+    /// `arity` values per particle, particle by particle.
+    pub values: AttributeValues,
+}
+
+/// What an attribute means to the method or to who reads what is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Meaning {
+    /// World units per second, arity 3.
+    Velocity,
+    /// Red, green and blue from 0 to 1 as the file has them, perhaps alpha: arity 3 or 4.
+    Color,
+    /// A radius in world units, arity 1.
+    Radius,
+    /// Something else.
+    Other,
+}
+
+/// The values of an attribute.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AttributeValues {
+    /// Numbers that can be averaged.
+    Numbers(Vec<f32>),
+    /// Numbers that name something: identities, kinds, counts.
+    Integers(Vec<i64>),
+    /// Strings, as indices into a table; an index outside it means none.
+    Strings {
+        /// The distinct strings.
+        table: Arc<[String]>,
+        /// One index per value.
+        indices: Vec<i32>,
+    },
+}
+
+impl AttributeValues {
+    /// How many values there are.
+    pub fn len(&self) -> usize {
+        match self {
+            AttributeValues::Numbers(values) => values.len(),
+            AttributeValues::Integers(values) => values.len(),
+            AttributeValues::Strings { indices, .. } => indices.len(),
+        }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The memory that they take, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        match self {
+            AttributeValues::Numbers(values) => size_of_val(&**values),
+            AttributeValues::Integers(values) => size_of_val(&**values),
+            AttributeValues::Strings { indices, .. } => size_of_val(&**indices),
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! What each particle is: a ball, or an ellipsoid.
+//!
+//! The three surfaces of a particle are of one shape and of three sizes: for r = r_min, r_init and r_max
+//!
+//! ```text
+//!   balls        |x − p| = r            all particles alike
+//!   radii        |x − p| = s·r          s: a scale of each particle's own      (paper, Fig. 13)
+//!   ellipsoids   |T(x − p)| = r         T: a symmetric matrix of its own       (paper, Eq. 1, Fig. 11)
+//! ```
+
+use glam::Vec3;
+
+/// What the particles of a frame are.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Shapes {
+    /// Balls of the settings' radii.
+    #[default]
+    Balls,
+    /// Balls of so many times the settings' radii: one scale a particle.
+    Scaled(Vec<f32>),
+    /// Ellipsoids, one a particle.
+    Ellipsoids(Vec<Ellipsoid>),
+}
+
+/// Half axes and directions of an ellipsoid, in units of the settings' radii.
+///
+/// It is stored as the symmetric matrix T that takes it to the unit ball: eigenvalues 1/a, 1/b, 1/c for half axes
+/// a, b and c.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ellipsoid {
+    /// T: xx, yy, zz, xy, xz, yz.
+    pub to_ball: [f32; 6],
+    /// The longest half axis: nothing of the ellipsoid is farther from its centre.
+    pub longest: f32,
+}
+
+impl Ellipsoid {
+    /// The ball whose half axes are all `scale`.
+    pub fn ball(scale: f32) -> Ellipsoid {
+        let inverse = 1.0 / scale;
+        Ellipsoid { to_ball: [inverse, inverse, inverse, 0.0, 0.0, 0.0], longest: scale }
+    }
+
+    /// The ellipsoid with these half axes along these directions, which are of length 1 and orthogonal.
+    pub fn new(half_axes: [f32; 3], directions: [Vec3; 3]) -> Ellipsoid {
+        let mut to_ball = [0.0f32; 6];
+        for (half_axis, direction) in half_axes.into_iter().zip(directions) {
+            let Vec3 { x, y, z } = direction;
+            for (entry, product) in to_ball.iter_mut().zip([x * x, y * y, z * z, x * y, x * z, y * z]) {
+                *entry += product / half_axis;
+            }
+        }
+        Ellipsoid { to_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
+    }
+
+    /// T·`v`.
+    #[inline(always)]
+    pub fn apply(&self, v: Vec3) -> Vec3 {
+        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+        Vec3::new(
+            xx * v.x + xy * v.y + xz * v.z,
+            xy * v.x + yy * v.y + yz * v.z,
+            xz * v.x + yz * v.y + zz * v.z,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_axes_end_on_the_ellipsoid() {
+        let x = Vec3::new(0.6, 0.8, 0.0);
+        let y = Vec3::new(-0.8, 0.6, 0.0);
+        let directions = [x, y, x.cross(y)];
+        let half_axes = [3.0, 0.5, 1.25];
+        let ellipsoid = Ellipsoid::new(half_axes, directions);
+        for (half_axis, direction) in half_axes.into_iter().zip(directions) {
+            let on_ball = ellipsoid.apply(direction * half_axis);
+            assert!((on_ball - direction).length() < 1e-6, "{on_ball} for {direction}");
+        }
+        assert_eq!(ellipsoid.longest, 3.0);
+        assert_eq!(Ellipsoid::ball(2.0).apply(Vec3::new(2.0, -4.0, 1.0)), Vec3::new(1.0, -2.0, 0.5));
+    }
+}
