@@ -105,7 +105,7 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
     report.reach_voxels =
-        smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
+        smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels(1.0)));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
@@ -130,11 +130,8 @@ fn lattice(settings: &Settings) -> Lattice {
 /// The radii in voxels.
 fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
-    Radii {
-        min: voxels(settings.radius_min),
-        init: voxels(settings.radius_init),
-        max: voxels(settings.radius_max),
-    }
+    let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
+    Radii::of_balls(min, init, max)
 }
 
 fn smooth_config(settings: &Settings) -> smooth::Config {
