@@ -63,5 +63,9 @@ fn scale_of(scales: Option<&[f32]>, index: usize) -> f32 {
 
 /// A ball of this scale, but not below the floor; and whether it had to be raised.
 fn ball(scale: f32, floor: f32) -> (Ellipsoid, bool) {
-    (Ellipsoid::ball(scale.max(floor)), scale < floor)
+    (Ellipsoid::ball(scale.max(floor)), scale < RAISED_BELOW * floor)
 }
+
+/// Part of the floor below which a half axis counts as raised. Of any ellipsoid a half axis is shorter than its ball's
+/// radius, be it by what is rounded: what does not show is not to be told.
+const RAISED_BELOW: f32 = 0.999;

@@ -27,7 +27,7 @@ use super::moments::{MOMENT_COUNT, moments};
 use super::{Shaped, ball, scale_of};
 use crate::neighbors::{Neighbors, Surroundings};
 use crate::particles::{Ellipsoid, Particles};
-use crate::simd::{self, Kernel, Lanes};
+use crate::simd::{Kernel, Lanes, Level, dispatch_at};
 
 /// How neighbours make shapes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +49,10 @@ const CELL_MAX: usize = 128;
 /// Shapes particles by their neighbourhoods (Yu and Turk, Eq. 6 and 9 to 16). `scales` has one for each particle. Those
 /// without a place in the range of indices are balls.
 pub fn from_neighbors(particles: &Particles, scales: Option<&[f32]>, config: &NeighborConfig) -> Shaped {
+    shaped(particles, scales, config, Level::current())
+}
+
+fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &NeighborConfig, level: Level) -> Shaped {
     assert!(scales.is_none_or(|scales| scales.len() == particles.len()), "a scale for each particle");
     let neighbors = Neighbors::new(particles, config.radius_world);
     let count = neighbors.indices().len();
@@ -60,14 +64,10 @@ pub fn from_neighbors(particles: &Particles, scales: Option<&[f32]>, config: &Ne
         .zip_eq(pieces_of(&mut means, count))
         .enumerate()
         .map(|(piece, (shapes, means))| {
-            simd::dispatch(Piece {
-                neighbors: &neighbors,
-                scales,
-                config,
-                first: piece * PIECE,
-                shapes,
-                means,
-            })
+            dispatch_at(
+                level,
+                Piece { neighbors: &neighbors, scales, config, first: piece * PIECE, shapes, means },
+            )
         })
         .reduce(Counts::default, Counts::plus);
     let placed = Placed::new(&neighbors, particles.len());
@@ -242,3 +242,6 @@ impl Placed {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

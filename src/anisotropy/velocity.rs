@@ -12,7 +12,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::half_axes::cube_root;
-use super::{Shaped, ball, scale_of};
+use super::{RAISED_BELOW, Shaped, ball, scale_of};
 use crate::particles::Ellipsoid;
 
 /// How velocities make shapes.
@@ -62,7 +62,7 @@ fn stretched(velocity: DVec3, scale: f32, most: f64, config: &VelocityConfig) ->
     }
     let along = (1.0 + s) * (1.0 + s) * scale;
     let across = scale / (1.0 + s);
-    let is_raised = across < config.floor;
+    let is_raised = across < RAISED_BELOW * config.floor;
     let (along, across) = (along.max(config.floor), across.max(config.floor));
     let direction = (velocity / speed).as_vec3();
     let of_ball = 1.0 / across;
