@@ -25,6 +25,7 @@ pub mod skin;
 pub mod report;
 pub mod settings;
 
+pub mod anisotropy;
 pub mod certify;
 pub mod contour;
 pub mod rasterize;
@@ -36,6 +37,7 @@ pub mod obstacle;
 pub mod level_set;
 
 pub mod grid;
+pub mod neighbors;
 
 pub mod mesh;
 pub mod particles;
