@@ -41,18 +41,14 @@ impl ClipBox {
         distance((self.min - world).max(world - self.max))
     }
 
-    /// Moves vertices of a mesh that are beyond a plane onto it, and returns how many were: meant for the few at the
-    /// rims of caps, which are a part of a voxel off.
-    pub fn hold(&self, mesh: &mut Mesh) -> usize {
+    /// Moves vertices of a mesh that are beyond a plane onto it: meant for those at the rims of caps, which are a part
+    /// of a voxel off.
+    pub fn hold(&self, mesh: &mut Mesh) {
         let [least, most] = [self.min - mesh.origin, self.max - mesh.origin].map(|corner| corner.to_array());
         let (least, most) = (Vec3::from(least.map(rounded_up)), Vec3::from(most.map(rounded_down)));
-        let mut held_count = 0;
         for position in &mut mesh.positions {
-            let held = position.max(least).min(most);
-            held_count += usize::from(held != *position);
-            *position = held;
+            *position = position.max(least).min(most);
         }
-        held_count
     }
 }
 
