@@ -22,6 +22,7 @@ mod components;
 mod corners;
 mod decimate;
 mod quads;
+mod smooth_normals;
 mod triangles;
 mod vertices;
 
