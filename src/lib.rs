@@ -32,6 +32,8 @@ pub mod rasterize;
 pub mod smooth;
 pub mod spacing;
 
+pub mod obstacle;
+
 pub mod level_set;
 
 pub mod grid;
