@@ -31,6 +31,7 @@ pub mod contour;
 pub mod rasterize;
 pub mod smooth;
 pub mod spacing;
+pub mod trim;
 
 pub mod obstacle;
 
