@@ -21,7 +21,7 @@ use std::process::{Command, ExitCode, Stdio};
 use std::thread;
 use std::time::Instant;
 
-use meniscus::pipeline::{parse_particles, read_file, write_whole};
+use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::{Surface, skin};
 use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
@@ -134,8 +134,8 @@ fn plain_loop(folder: &Path) {
         let bytes = read_file(&input).expect("readable");
         let stem = input.file_stem().expect("a name").to_string_lossy().into_owned();
         pool.install(|| {
-            let read = parse_particles(&input, &bytes).expect("particles");
-            let surface = skin(&read.particles, &settings);
+            let read = parse_particles(&input, &bytes, &Wanted::default()).expect("particles");
+            let surface = skin(&read.cloud.positions, &settings);
             write_surface(&surface, &settings, &folder.join("out"), &stem);
         });
     }

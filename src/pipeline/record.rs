@@ -4,16 +4,16 @@
 //! changing the file, and the other way round. Lengths are in world units unless the name says
 //! otherwise; what is infinite or unknown is null.
 
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
 use serde::Serialize;
 
 use crate::report::SkinReport;
-use crate::settings::Settings;
+use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
-use super::provenance::{contouring_name, integrator_name};
 use super::sink::write_whole;
 use super::voxel_size::AutomaticVoxelSize;
 
@@ -54,6 +54,8 @@ struct SettingsRecord {
     redistance_every: u32,
     cg_tolerance: f64,
     contour: &'static str,
+    /// What was asked for beyond these, by name, as it is typed.
+    more: BTreeMap<&'static str, String>,
     warnings: Vec<String>,
 }
 
@@ -272,6 +274,7 @@ fn settings_record(settings: &Settings) -> SettingsRecord {
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
         contour: contouring_name(settings.contouring),
+        more: settings.more(),
         warnings: settings.warnings(),
     }
 }

@@ -151,6 +151,10 @@ mod tests {
         fn batch(&self, batch: usize) -> Result<Positions<'_>, &'static str> {
             if batch == 2 { Err("the end is missing") } else { Ok(Positions::Single(vec![[0.0; 3]].into())) }
         }
+
+        fn first_of(&self, batch: usize) -> usize {
+            batch
+        }
     }
 
     #[test]

@@ -36,6 +36,10 @@ impl ParticleSource for Small<'_> {
         let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("there are not so many") };
         Ok(Positions::Single(positions.into()))
     }
+
+    fn first_of(&self, batch: usize) -> usize {
+        7 * batch
+    }
 }
 
 /// Lattice points in a box about the origin that `holds`, each moved by up to a third of the spacing.
