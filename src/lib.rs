@@ -34,6 +34,7 @@ pub mod spacing;
 pub mod level_set;
 
 pub mod grid;
+pub mod neighbors;
 
 pub mod mesh;
 pub mod particles;
