@@ -30,6 +30,7 @@ pub mod contour;
 pub mod rasterize;
 pub mod smooth;
 pub mod spacing;
+pub mod transfer;
 
 pub mod level_set;
 

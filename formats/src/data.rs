@@ -2,6 +2,8 @@
 //!
 //! Everything is a public vector or a borrowed slice; there are no invariants beyond equal lengths.
 
+use std::fmt;
+
 use crate::error::{Error, Place, Result};
 use crate::vertex_attributes::{VertexAttribute, all_finite};
 
@@ -211,7 +213,14 @@ pub struct BandGrid<'a> {
     pub role: Option<Role>,
     /// Values per voxel: 1, or 3 for a vector.
     pub arity: usize,
-    /// Finite values, `arity` of them for each voxel with |φ| < `half_width_voxels` and for no other: leaf by
-    /// leaf as in [`LevelSetView::leaves`], voxel by voxel.
-    pub values: &'a [f32],
+    /// Where they come from.
+    pub values: &'a dyn LeafValues,
+}
+
+/// The values of a grid, leaf by leaf as they are asked for: all of them at once would take several times the
+/// memory of the level set.
+pub trait LeafValues: fmt::Debug + Sync {
+    /// Fills in the values of the 512 voxels of a leaf, which is counted as in [`LevelSetView::leaves`]; as many for
+    /// each as the grid's arity. What voxels beyond the band get is not looked at; others must be finite.
+    fn fill(&self, leaf: usize, out: &mut [f32]);
 }

@@ -32,7 +32,8 @@ pub mod wholeness;
 pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
 pub use completeness::{Completeness, completeness};
 pub use data::{
-    Attribute, BandGrid, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,
+    Attribute, BandGrid, LeafValues, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance,
+    Role, Values,
 };
 pub use error::{Error, Place, Result};
 pub use limits::Limits;

@@ -9,7 +9,7 @@ use std::io::Cursor;
 use meniscus_formats::provenance::Kind;
 use meniscus_formats::vdb::{Compression, WriteOptions, grid_notes, grids, read_level_set, write};
 use meniscus_formats::wholeness::is_whole;
-use meniscus_formats::{BandGrid, LevelSetView, Limits, Role};
+use meniscus_formats::{BandGrid, LeafValues, LevelSetView, Limits, Role};
 use solids::Solid;
 
 const COMPRESSIONS: [Compression; 3] = [Compression::None, Compression::ActiveMask, Compression::Blosc];
@@ -40,8 +40,40 @@ fn voxels(solid: &Solid) -> Vec<[i32; 3]> {
     voxels
 }
 
-fn values(solid: &Solid, arity: usize) -> Vec<f32> {
-    voxels(solid).into_iter().flat_map(|voxel| (0..arity).map(move |k| value_at(voxel, k))).collect()
+/// The values of all voxels of all leaves, but no numbers where the band is not.
+#[derive(Clone, Debug)]
+struct Values {
+    arity: usize,
+    leaves: Vec<Vec<f32>>,
+}
+
+impl LeafValues for Values {
+    fn fill(&self, leaf: usize, out: &mut [f32]) {
+        out.copy_from_slice(&self.leaves[leaf]);
+    }
+}
+
+fn values(solid: &Solid, arity: usize) -> Values {
+    let value = |origin: &[i32; 3], phi: &[f32; 512], index: usize| {
+        let i = (index / arity) as i32;
+        let voxel = [origin[0] + (i >> 6), origin[1] + (i >> 3 & 7), origin[2] + (i & 7)];
+        let in_band = phi[index / arity].abs() < solid.half_width_voxels;
+        if in_band { value_at(voxel, index % arity) } else { f32::NAN }
+    };
+    let leaves = solid.origins.iter().zip(&solid.leaves);
+    let leaves =
+        leaves.map(|(origin, phi)| (0..512 * arity).map(|index| value(origin, phi, index)).collect());
+    Values { arity, leaves: leaves.collect() }
+}
+
+/// The place of a voxel of the band: leaf and index.
+fn place(solid: &Solid, number: usize) -> (usize, usize) {
+    let in_band = |leaf: usize| {
+        (0..512)
+            .filter(move |&i| solid.leaves[leaf][i].abs() < solid.half_width_voxels)
+            .map(move |i| (leaf, i))
+    };
+    (0..solid.leaves.len()).flat_map(in_band).nth(number).expect("so many voxels")
 }
 
 #[test]
@@ -95,9 +127,11 @@ fn openvdb_rs_finds_the_values_where_the_level_set_is_active() {
 fn grids_are_listed_and_the_level_set_is_found() {
     let solid = solids::sphere([0.5; 3], 30.0);
     let (vectors, scalars) = (values(&solid, 3), values(&solid, 1));
-    let grid = |name, role, arity, values| BandGrid { name, role, arity, values };
+    fn grid<'a>(name: &'a str, role: Option<Role>, arity: usize, values: &'a Values) -> BandGrid<'a> {
+        BandGrid { name, role, arity, values }
+    }
     let list = [
-        grid("surface", None, 1, &scalars[..]),
+        grid("surface", None, 1, &scalars),
         grid("vel", Some(Role::Velocity), 3, &vectors),
         grid("Velocity", None, 3, &vectors),
         grid("", None, 1, &scalars),
@@ -165,7 +199,8 @@ fn the_same_bytes_on_any_number_of_threads_and_whole_to_the_end() {
 fn values_beyond_a_half_keep_their_grid_whole() {
     let solid = solids::sphere([0.5; 3], 20.0);
     let mut scalars = values(&solid, 1);
-    scalars[5] = -70_000.25;
+    let (leaf, voxel) = place(&solid, 5);
+    scalars.leaves[leaf][voxel] = -70_000.25;
     let small = values(&solid, 1);
     let list = [
         BandGrid { name: "pressure", role: None, arity: 1, values: &scalars },
@@ -184,12 +219,20 @@ fn values_beyond_a_half_keep_their_grid_whole() {
 fn grids_that_do_not_fit_are_refused() {
     let solid = solids::sphere([0.5; 3], 20.0);
     let good = values(&solid, 3);
-    let mut broken = good.clone();
-    broken[100] = f32::INFINITY;
-    for (arity, values) in [(3, &broken[..]), (3, &good[3..]), (1, &good[..]), (2, &good[..]), (0, &[][..])] {
-        let list = [BandGrid { name: "odd", role: None, arity, values }];
+    let (leaf, voxel) = place(&solid, 100);
+    let broken = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY].map(|broken| {
+        let mut values = good.clone();
+        values.leaves[leaf][3 * voxel + 1] = broken;
+        values
+    });
+    let odd = [0, 2, 4].map(|arity| Values { arity, leaves: vec![Vec::new(); solid.leaves.len()] });
+    for values in broken.iter().chain(&odd) {
+        let list = [BandGrid { name: "odd", role: None, arity: values.arity, values }];
         let view = LevelSetView { grids: &list, ..solid.view() };
-        let error = write(&view, &WriteOptions::default(), &[], &mut Vec::new()).expect_err("refused");
-        assert!(error.to_string().contains("odd"), "{error}");
+        for half in [false, true] {
+            let options = WriteOptions { half, ..WriteOptions::default() };
+            let error = write(&view, &options, &[], &mut Vec::new()).expect_err("refused");
+            assert!(error.to_string().contains("odd"), "{error}");
+        }
     }
 }

@@ -1,148 +1,99 @@
 //! Grids beside a level set, with its active voxels and values of their own.
 //!
-//! The caller has values for the voxels whose |φ| is less than the half width, packed: without gaps, in the
-//! order of the leaves that it gave. The writer goes through leaves in the order of the tree.
-//!
 //! ```text
-//!   leaf 0        leaf 1    leaf 2               of each leaf the voxels in the band
-//!   [v v v v v v][v v][v v v v v v v v] …
-//!    0            6    8                         where the values of each leaf start
+//!   leaf of the level set   − − − + + + +      active: |φ| < half width
+//!   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, also beyond all leaves
 //! ```
-//!
-//! When distances are rounded to the precision of the file, one just below the half width can come out as the
-//! background: then its voxel is not active, in any of the grids.
 
-use half::f16;
 use rayon::prelude::*;
 
 use super::blosc::Encoder;
-use super::encode_leaves::{Encoding, LEAVES_PER_BATCH, Packed, append_chunk, leaf_mask, push_values};
-use super::layout::{count_ones, inactive, is_on, ones};
+use super::encode_leaves::{Encoding, LEAVES_PER_BATCH, Packed, append_chunk, push_values};
+use super::layout::{inactive, ones};
 use super::tree::Leaf;
 use super::{Compression, FORMAT};
-use crate::data::{BandGrid, LevelSetView};
+use crate::data::BandGrid;
 use crate::error::{Error, Place, Result};
-use crate::vertex_attributes::all_finite;
-
-/// Whether 16 bits hold values of this size.
-pub(super) fn is_half(values: &[f32]) -> bool {
-    values.iter().fold(true, |all, value| all & (value.abs() <= f16::MAX.to_f32_const()))
-}
-
-/// Where the voxels of each leaf start among those of the band, and how many there are in all.
-pub(super) fn leaf_starts(levels: &LevelSetView) -> Vec<usize> {
-    let counts: Vec<usize> =
-        levels.leaves.par_iter().map(|leaf| count_ones(&band_of(leaf, levels.half_width_voxels))).collect();
-    let mut starts = Vec::with_capacity(counts.len() + 1);
-    let mut end = 0;
-    starts.push(end);
-    for count in counts {
-        end += count;
-        starts.push(end);
-    }
-    starts
-}
-
-/// The voxels in the band.
-fn band_of(leaf: &[f32; 512], half_width_voxels: f32) -> [u64; 8] {
-    leaf_mask(leaf, |value| value.abs() < half_width_voxels)
-}
 
 /// Encodes the leaves that are stored, which come in the order of the tree with their places in the level set.
+/// Returns the greatest absolute value, too.
 pub(super) fn encode_grid(
     grid: &BandGrid,
-    levels: &LevelSetView,
-    starts: &[usize],
     (order, leaves): (&[u32], &[Leaf]),
     encoding: Encoding,
-) -> Result<Vec<Packed>> {
-    check(grid, starts)?;
-    let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
-    let packed = in_tree.map_init(
-        || (LeafEncoder::new(encoding), Vec::new()),
-        |(encoder, bytes), (order, leaves)| {
-            bytes.clear();
-            for (&index, leaf) in order.iter().zip(leaves).filter(|(_, leaf)| leaf.summary.is_stored()) {
-                let index = index as usize;
-                let band = band_of(&levels.leaves[index], levels.half_width_voxels);
-                let values = &grid.values[starts[index] * grid.arity..starts[index + 1] * grid.arity];
-                encoder.append(&leaf.summary.active, &band, values, bytes);
-            }
-            Packed::new(bytes)
-        },
-    );
-    Ok(packed.collect())
-}
-
-fn check(grid: &BandGrid, starts: &[usize]) -> Result<()> {
-    let BandGrid { name, arity, values, .. } = grid;
-    let voxel_count = starts.last().copied().unwrap_or(0);
+) -> Result<(Vec<Packed>, f32)> {
+    let BandGrid { name, arity, .. } = grid;
     let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
     if *arity != 1 && *arity != 3 {
         return invalid(format!("{arity} values per voxel of {name}; a grid has 1 or 3"));
     }
-    if voxel_count.checked_mul(*arity) != Some(values.len()) {
-        return invalid(format!("{} values of {name} for {voxel_count} voxels of {arity}", values.len()));
-    }
-    if !all_finite(values) {
+    let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
+    let batches: Vec<(Packed, f32)> = in_tree
+        .map_init(
+            || (LeafEncoder::new(encoding), Vec::new()),
+            |(encoder, bytes), (order, leaves)| {
+                bytes.clear();
+                encoder.greatest = 0.0;
+                for (&index, leaf) in order.iter().zip(leaves).filter(|(_, leaf)| leaf.summary.is_stored()) {
+                    grid.values.fill(index as usize, &mut encoder.values);
+                    encoder.append(&leaf.summary.active, bytes);
+                }
+                (Packed::new(bytes), encoder.greatest)
+            },
+        )
+        .collect();
+    let greatest = batches.iter().fold(0.0f32, |greatest, (_, other)| greatest.max(*other));
+    if greatest == f32::INFINITY {
         return invalid(format!("a value of {name} that is not finite"));
     }
-    Ok(())
+    Ok((batches.into_iter().map(|(packed, _)| packed).collect(), greatest))
 }
 
 /// Encodes one leaf after the other, with memory of its own.
 struct LeafEncoder {
     encoding: Encoding,
+    /// Those of all voxels of a leaf.
     values: Vec<f32>,
+    active: Vec<f32>,
     chunk: Vec<u8>,
     blosc: Encoder,
+    /// The greatest absolute value that was met; infinite if one was not finite.
+    greatest: f32,
 }
 
 impl LeafEncoder {
     fn new(encoding: Encoding) -> LeafEncoder {
-        LeafEncoder { encoding, values: Vec::new(), chunk: Vec::new(), blosc: Encoder::new() }
+        let values = vec![0.0; 512 * encoding.arity];
+        let blosc = Encoder::new();
+        LeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
     }
 
-    /// Appends the buffer of a leaf; `values` are those of the voxels in `band`, which has all that are active.
-    fn append(&mut self, active: &[u64; 8], band: &[u64; 8], values: &[f32], out: &mut Vec<u8>) {
+    /// Appends the buffer of the leaf whose values are there.
+    fn append(&mut self, active: &[u64; 8], out: &mut Vec<u8>) {
         for word in active {
             out.extend_from_slice(&word.to_le_bytes());
         }
+        let arity = self.encoding.arity;
+        self.active.clear();
+        for voxel in ones(active) {
+            self.active.extend_from_slice(&self.values[voxel * arity..(voxel + 1) * arity]);
+        }
+        for value in &self.active {
+            let size = if value.is_finite() { value.abs() } else { f32::INFINITY };
+            self.greatest = self.greatest.max(size);
+        }
         if self.encoding.compression == Compression::None {
             out.push(inactive::ALL_VALUES);
-            self.spread(active, band, values);
+            self.values.fill(0.0);
+            for (voxel, value) in ones(active).zip(self.active.chunks(arity)) {
+                self.values[voxel * arity..(voxel + 1) * arity].copy_from_slice(value);
+            }
             push_values(&self.values, self.encoding.half, out);
             return;
         }
         out.push(inactive::PLUS_BACKGROUND);
         self.chunk.clear();
-        if active == band {
-            push_values(values, self.encoding.half, &mut self.chunk);
-        } else {
-            self.select(active, band, values);
-            push_values(&self.values, self.encoding.half, &mut self.chunk);
-        }
+        push_values(&self.active, self.encoding.half, &mut self.chunk);
         append_chunk(&self.chunk, self.encoding, &mut self.blosc, out);
-    }
-
-    /// All values of a leaf, 0 where it is not active.
-    fn spread(&mut self, active: &[u64; 8], band: &[u64; 8], values: &[f32]) {
-        let arity = self.encoding.arity;
-        self.values.clear();
-        self.values.resize(512 * arity, 0.0);
-        for (voxel, value) in ones(band).zip(values.chunks(arity)).filter(|(voxel, _)| is_on(active, *voxel))
-        {
-            self.values[voxel * arity..(voxel + 1) * arity].copy_from_slice(value);
-        }
-    }
-
-    /// The values of the active voxels alone.
-    fn select(&mut self, active: &[u64; 8], band: &[u64; 8], values: &[f32]) {
-        self.values.clear();
-        for (voxel, value) in ones(band).zip(values.chunks(self.encoding.arity)) {
-            if is_on(active, voxel) {
-                self.values.extend_from_slice(value);
-            }
-        }
     }
 }

@@ -21,7 +21,7 @@ use std::io::Write;
 use half::f16;
 use rayon::prelude::*;
 
-use super::band_grids::{encode_grid, is_half, leaf_starts};
+use super::band_grids::encode_grid;
 use super::encode_leaves::{Batch, Encoding, Packed, encode_leaves, to_world};
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, HALF_SUFFIX, LIBRARY_VERSION, MAGIC, META_HALF, NODE4_VOXELS_LOG2,
@@ -114,8 +114,8 @@ pub fn write(
 /// # Errors
 ///
 /// [`Error::Invalid`] if the level set is none: origins that are no distinct multiples of 8, values that are no
-/// numbers, a background that is not positive and finite in the precision of the file; or if a grid has not one
-/// finite value for each component of each voxel of the band, or neither one component nor three.
+/// numbers, a background that is not positive and finite in the precision of the file; or if a grid has a value that
+/// is not finite, or neither one component nor three.
 pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Provenance) -> Result<Encoded> {
     let order = tree_order(levels)?;
     let encoding = encoding(levels, options)?;
@@ -129,25 +129,36 @@ pub fn encode(levels: &LevelSetView, options: &WriteOptions, provenance: &Proven
     }
     let surface = Grid { name: &options.name, encoding, metadata, buffers };
     let mut grids = vec![surface.finish(levels, options, &tree, &leaves)];
-    if !levels.grids.is_empty() {
-        let starts = leaf_starts(levels);
-        let tree = Tree::without_sides(&leaves);
-        for (grid, name) in levels.grids.iter().zip(grid_names(levels.grids, &options.name)) {
-            let half = options.half && is_half(grid.values);
-            let (compression, arity) = (options.compression, grid.arity);
-            let encoding = Encoding { scale: 1.0, background: 0.0, arity, half, compression };
-            let buffers = encode_grid(grid, levels, &starts, (&order, &leaves), encoding)?;
-            let mut metadata = self::metadata(&leaves, &tree, "unknown", &name, encoding);
-            if grid.arity == 3 {
-                let kind =
-                    if grid.role == Some(Role::Velocity) { "contravariant relative" } else { "invariant" };
-                metadata.string("vector_type", kind);
-            }
-            let grid = Grid { name: &name, encoding, metadata, buffers };
-            grids.push(grid.finish(levels, options, &tree, &leaves));
+    let tree = Tree::without_sides(&leaves);
+    for (grid, name) in levels.grids.iter().zip(grid_names(levels.grids, &options.name)) {
+        let (encoding, buffers) = encoded_leaves(grid, (&order, &leaves), options)?;
+        let mut metadata = self::metadata(&leaves, &tree, "unknown", &name, encoding);
+        if grid.arity == 3 {
+            let is_velocity = grid.role == Some(Role::Velocity);
+            let kind = if is_velocity { "contravariant relative" } else { "invariant" };
+            metadata.string("vector_type", kind);
         }
+        let grid = Grid { name: &name, encoding, metadata, buffers };
+        grids.push(grid.finish(levels, options, &tree, &leaves));
     }
     Ok(assembled(grids))
+}
+
+/// The leaves of a grid beside the level set, in 16 bits if these are asked for and will do.
+fn encoded_leaves(
+    grid: &BandGrid,
+    leaves: (&[u32], &[Leaf]),
+    options: &WriteOptions,
+) -> Result<(Encoding, Vec<Packed>)> {
+    let (arity, compression) = (grid.arity, options.compression);
+    let full = Encoding { scale: 1.0, background: 0.0, arity, half: false, compression };
+    let encoding = Encoding { half: options.half, ..full };
+    let (packed, greatest) = encode_grid(grid, leaves, encoding)?;
+    if encoding.half && greatest > f16::MAX.to_f32() {
+        let (packed, _) = encode_grid(grid, leaves, full)?;
+        return Ok((full, packed));
+    }
+    Ok((encoding, packed))
 }
 
 /// What a user should know of the names of grids that are written beside one called `name`.
