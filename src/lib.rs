@@ -25,6 +25,7 @@ pub mod skin;
 pub mod report;
 pub mod settings;
 
+pub mod anisotropy;
 pub mod certify;
 pub mod contour;
 pub mod rasterize;

@@ -11,6 +11,8 @@ pub struct SkinReport {
     pub particle_count: usize,
     /// Particles dropped: not finite, or outside the grid's range of indices.
     pub dropped_count: usize,
+    /// What was done to give particles shapes of their own; all zero where that was not asked for.
+    pub shaping: Shaping,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
@@ -34,6 +36,23 @@ pub struct SkinReport {
     pub bending_energy: f64,
     /// What was measured on the mesh.
     pub mesh: MeshMeasures,
+}
+
+/// What was done to give particles shapes of their own.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shaping {
+    /// Particles with a half axis that the grid could not hold, which was raised to √3·h.
+    pub raised_count: usize,
+    /// Particles so large that their r_max was lowered to the largest there may be.
+    pub lowered_count: usize,
+    /// Particles whose own radius is none: they have the least.
+    pub invalid_radius_count: usize,
+    /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
+    pub ball_count: usize,
+    /// The longest half axis, in units of the settings' radii; 1 where all are balls of these.
+    pub longest: f32,
+    /// Seconds that it took; those of rasterization have them, too.
+    pub seconds: f64,
 }
 
 /// Wall-clock seconds in each stage of the method.

@@ -103,6 +103,12 @@ impl Neighbors {
         self.starts[cell]..self.starts[cell + 1]
     }
 
+    /// The cell that holds this place: its index in `cells()`. As many as there are, for a place beyond the last.
+    pub fn cell_at(&self, place: usize) -> usize {
+        // The first one starts at 0.
+        self.starts.partition_point(|&start| start <= place) - 1
+    }
+
     /// For each place the index of its particle in what the grid was made from.
     pub fn indices(&self) -> &[u32] {
         &self.indices

@@ -108,5 +108,5 @@ fn chosen(count: usize, part: usize, part_count: usize) -> usize {
     let (first, end) = (bound(part), bound(part + 1));
     // Multiplied by the golden ratio, numbers in a row are spread.
     let spread = (part as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 32;
-    first + (spread as u128 * (end - first) as u128 >> 32) as usize
+    first + ((spread as u128 * (end - first) as u128) >> 32) as usize
 }

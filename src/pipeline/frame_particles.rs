@@ -9,6 +9,10 @@ use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, Positions};
 
 use crate::particles::{self, Cloud, ParticleSource, Shapes};
 
+use crate::report::Shaping;
+use crate::settings::Settings;
+use crate::skin;
+
 use super::frame::Cause;
 use super::reading::InputFile;
 
@@ -68,6 +72,18 @@ impl FrameParticles {
         match self {
             FrameParticles::InMemory(cloud) => cloud.size_bytes() as u64,
             FrameParticles::OnDisk(_) => 0,
+        }
+    }
+
+    /// The same particles in the shapes that the settings ask for.
+    pub fn shaped(self, settings: &Settings) -> (FrameParticles, Shaping) {
+        match self {
+            FrameParticles::InMemory(cloud) => {
+                let (cloud, shaping) = skin::shape(cloud, settings);
+                (FrameParticles::InMemory(cloud), shaping)
+            }
+            // What needs more than positions is never read in batches.
+            FrameParticles::OnDisk(_) => (self, Shaping::default()),
         }
     }
 

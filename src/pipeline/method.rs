@@ -81,15 +81,16 @@ impl Method for LevelSetSkinning {
         plan: &Plan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause> {
+        let (particles, shaping) = particles.shaped(settings);
         let Some(tile_leaves) = plan.tile_leaves else {
-            let rasterized = skin::rasterize(&particles, settings)?;
+            let rasterized = skin::rasterize(&particles, settings, shaping)?;
             particles.check_unchanged()?;
             return Ok(Skinned::Whole(rasterized));
         };
         let storages =
             (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
-        let frame = tiled::rasterize(particles, settings, tile_leaves, storages)?;
+        let frame = tiled::rasterize(particles, settings, shaping, tile_leaves, storages)?;
         // It will be read once more; but what follows takes a while.
         frame.source().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))

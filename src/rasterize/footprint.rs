@@ -43,11 +43,11 @@ pub fn footprint<S: ParticleSource>(
     lattice: &Lattice,
     radii: Radii,
 ) -> Result<Footprint, S::Error> {
-    let near = Reach::new(radii.init + radii.half_width());
+    let near = Reach::new(radii.init * radii.roomy + radii.half_width());
     let cells = Cells::new(radii.init);
     let shards: Shards<Occupied> = Shards::new();
     let look = |batch: usize| -> Result<(), S::Error> {
-        let batch = LeafBatch::new(&source.batch(batch)?, lattice);
+        let batch = LeafBatch::new(&source.batch(batch)?, lattice, false);
         for (origin, locals) in batch.leaves() {
             let mut told = Occupied { count: locals.len(), ..Occupied::default() };
             for &local in locals {
@@ -221,7 +221,7 @@ mod tests {
     use crate::particles::Particles;
     use crate::rasterize::rasterize;
 
-    const RADII: Radii = Radii { min: 1.732, init: 2.598, max: 3.464 };
+    const RADII: Radii = Radii::of_balls(1.732, 2.598, 3.464);
     const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
     /// Particles two voxels apart, on average, in a box of so many, each moved by up to a voxel; only every

@@ -24,6 +24,8 @@
 mod batch;
 mod bin;
 mod cover;
+mod distances;
+mod ellipsoid;
 mod footprint;
 mod need;
 mod occupancy;
@@ -33,6 +35,8 @@ mod signed_distance;
 mod sphere;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_shapes;
 
 use std::sync::Arc;
 
@@ -48,12 +52,13 @@ use crate::level_set::{Bounds, NarrowBand};
 use crate::particles::ParticleSource;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
+use distances::{Distances, Gauge, Sphere};
 use need::{Need, leaves_of_boxes};
 use region::Regions;
-use signed_distance::{Below, into_signed_distance, signed_distance};
-use sphere::{Eights, nearest_distances};
+use signed_distance::signed_distance;
 
-/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`.
+/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. Where particles have shapes of their
+/// own, these are the units of their half axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radii {
     /// r_min: the surface stays outside these.
@@ -62,30 +67,48 @@ pub struct Radii {
     pub init: f32,
     /// r_max: the surface stays inside these.
     pub max: f32,
+    /// No half axis of a particle is shorter, in units of the radii: 1 for balls.
+    pub shortest: f32,
+    /// Half axes that the band has room for, in units of the radii: 1 for balls. Particles may have longer ones; then
+    /// the surface cannot move quite as far as their bounds would let it.
+    pub roomy: f32,
 }
 
 /// Exact distances are kept so far beyond r_max, in voxels; farther ones are swept.
 const EXACT_MARGIN: f32 = 2.0;
 
 impl Radii {
+    /// The radii of particles that are all alike.
+    pub const fn of_balls(min: f32, init: f32, max: f32) -> Radii {
+        Radii { min, init, max, shortest: 1.0, roomy: 1.0 }
+    }
+
     /// Half the thickness of the band that smoothing may need (Eq. 7), in voxels: it reads values
     /// up to 5 voxels from the surface, and the surface may move to either bound.
     pub fn half_width(&self) -> f32 {
+        let gap = (self.max - self.init).max(self.init - self.min) * self.roomy;
         // Radii that differ by whole voxels but for rounding need no voxel more.
-        5.0 + ((self.max - self.init).max(self.init - self.min) - 1e-4).max(0.0).ceil()
+        5.0 + (gap - 1e-4).max(0.0).ceil()
     }
 
     /// How far a particle can change φ_0 and the bounds, in voxels: its exact distances; φ_0 swept from
-    /// them, two voxels a sweep; the leaves that come and go with φ_0; and the bounds swept on those.
-    pub fn reach_voxels(&self) -> u32 {
+    /// them, two voxels a sweep; the leaves that come and go with φ_0; and the bounds swept on those. `longest` is the
+    /// longest half axis of any particle, in units of the radii.
+    pub fn reach_voxels(&self, longest: f32) -> u32 {
         let swept = 2 * sweep_count(self.half_width());
-        (self.max + EXACT_MARGIN).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
+        self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
     }
 
     /// How many leaves around a window are rasterized with it.
     pub fn window_halo_leaves(&self) -> i32 {
-        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self);
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.roomy);
         (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
+    }
+
+    /// How far exact distances to a particle are kept from its centre, in voxels; it has no half axis longer than this,
+    /// in units of the radii.
+    fn exact_reach(&self, longest: f32) -> f32 {
+        self.max * longest + EXACT_MARGIN
     }
 
     /// Leaves are stored if a voxel of theirs is so near, on every axis, to one beside the surface.
@@ -114,8 +137,8 @@ pub fn rasterize<S: ParticleSource>(
     lattice: &Lattice,
     radii: Radii,
 ) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(CoordBox::ALL, radii);
     let occupancy = Occupancy::new(source, lattice)?;
+    let regions = Regions::new(CoordBox::ALL, radii, occupancy.longest());
     let measured = measure(source, &occupancy, lattice, radii, &regions)?;
     drop(occupancy);
     Ok(level_sets(measured, radii, &regions))
@@ -133,7 +156,7 @@ pub fn rasterize_window<S: ParticleSource>(
     radii: Radii,
     window: CoordBox,
 ) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(window, radii);
+    let regions = Regions::new(window, radii, occupancy.longest());
     let measured = measure(source, occupancy, lattice, radii, &regions)?;
     Ok(level_sets(measured, radii, &regions))
 }
@@ -149,15 +172,15 @@ pub fn particles_of_window<S: ParticleSource>(
     radii: Radii,
     window: CoordBox,
 ) -> Result<ParticleBins, S::Error> {
-    let regions = Regions::new(window, radii);
+    let regions = Regions::new(window, radii, occupancy.longest());
     ParticleBins::new(source, lattice, occupancy, &Need::new(occupancy, radii, &regions), &regions)
 }
 
-/// The leaves around the surface, and the distances from their voxels to the nearest particles.
+/// The leaves around the surface, and how far their voxels are from the particles.
 struct Measured {
     bins: ParticleBins,
     topology: Topology,
-    nearest: Field,
+    distances: Distances,
 }
 
 fn measure<S: ParticleSource>(
@@ -169,22 +192,18 @@ fn measure<S: ParticleSource>(
 ) -> Result<Measured, S::Error> {
     let need = Need::new(occupancy, radii, regions);
     let bins = ParticleBins::new(source, lattice, occupancy, &need, regions)?;
-    let reach = radii.max + EXACT_MARGIN;
-    let eights = Eights::new(&bins);
-    let settled = |origin| need.settled(origin);
-    let near = nearest_distances(&eights, &need.near, reach, settled, |_| None);
+    let gauge = Gauge::new(&bins, radii);
+    let near = gauge.distances(&need.near, &need, None);
     let topology = Topology::new(leaves_near_surface(&need, &near, radii, regions));
-    let known = |origin| need.near.find(origin).map(|leaf| &near.leaves[leaf]);
-    let nearest = nearest_distances(&eights, &topology, reach, settled, known);
-    Ok(Measured { bins, topology, nearest })
+    let distances = gauge.distances(&topology, &need, Some((&need.near, &near)));
+    Ok(Measured { bins, topology, distances })
 }
 
 /// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has
 /// a face neighbour outside.
-fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Regions) -> Vec<IVec3> {
+fn leaves_near_surface(need: &Need, distances: &Distances, radii: Radii, regions: &Regions) -> Vec<IVec3> {
     let near = &need.near;
-    let inside: Vec<LeafMask> =
-        nearest.leaves.par_iter().map(|leaf| simd::dispatch(Below { leaf, limit: radii.init })).collect();
+    let inside = distances.inside(Sphere::Init, radii);
     let surface = |(leaf, &origin): (usize, &IVec3)| {
         let faces = std::array::from_fn(|face| match near.neighbors()[leaf][face] {
             // What is not near is inside altogether, or outside.
@@ -205,18 +224,19 @@ fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Reg
 
 /// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
 fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized {
-    let Measured { bins, topology, mut nearest } = measured;
+    let Measured { bins, topology, mut distances } = measured;
     let half_width = radii.half_width();
-    let mut phi = signed_distance(&topology, &nearest, radii.init, half_width);
+    let mut phi = signed_distance(&topology, &mut distances, Sphere::Init, radii);
     let is_banded = |leaf: usize| {
         regions.banded.contains(topology.origins()[leaf])
             && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
-    rayon::join(|| keep(&mut phi, &kept), || keep(&mut nearest, &kept));
+    rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
-    let mut lower = signed_distance(&topology, &nearest, radii.max, half_width);
-    let mut upper = into_signed_distance(&topology, nearest, radii.min, half_width);
+    let mut lower = signed_distance(&topology, &mut distances, Sphere::Max, radii);
+    let mut upper = signed_distance(&topology, &mut distances, Sphere::Min, radii);
+    drop(distances);
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
     for field in [&mut phi, &mut lower, &mut upper] {

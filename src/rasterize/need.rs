@@ -30,6 +30,10 @@
 //!   ρ + 3/2·√3. All of them are in S_min, where φ is negative; there is no vertex in such a cell.
 //! - The corners of its own cell are within √3 of it: it is inside of whatever surface is found.
 //!
+//! Where particles have shapes of their own, all of this is said of the balls that each holds for certain: what is
+//! deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
+//! may be the nearest to what is far away.
+//!
 //! The certificate asks of particles what is around them where φ is not stored. With r_init above √3 each tells
 //! that by itself; below that, none is left out.
 
@@ -39,10 +43,10 @@ use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
+use super::Radii;
 use super::cover::{Ball, Cover};
 use super::occupancy::{Occupancy, Octants};
 use super::region::Regions;
-use super::{EXACT_MARGIN, Radii};
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
@@ -77,13 +81,19 @@ impl<'a> Need<'a> {
     /// What can matter to the leaves of a window.
     pub(super) fn new(occupancy: &'a Occupancy, radii: Radii, regions: &Regions) -> Need<'a> {
         let occupied = populated(&occupancy.topology, &regions.populated);
-        let rho = radii.min.min(RHO_MAX);
-        let covers = covers(occupancy, &occupied, [&Ball::new(radii.init), &Ball::new(rho)]);
+        // Whatever its shape, a particle holds a ball of this many radii.
+        let rho = (radii.min * radii.shortest).min(RHO_MAX);
+        let sure = radii.init * radii.shortest;
+        let covers = covers(occupancy, &occupied, [&Ball::new(sure), &Ball::new(rho)]);
         let inside = surrounded(&occupied, &covers, |[init, _]| init);
         let settled = surrounded(&occupied, &covers, |[_, min]| min);
         let near = near_leaves(occupancy, &occupied, &inside, radii.init, &regions.measured);
-        let mut need = Need { near, occupied, inside, settled, kept: Vec::new() };
-        need.kept = need.kept_cells(&covers, radii, rho, regions);
+        let kept = Vec::new();
+        let mut need = Need { near, occupied, inside, settled, kept };
+        need.kept = match occupancy.has_shapes {
+            false => need.kept_cells(&covers, radii, rho, regions),
+            true => need.kept_leaves(occupancy, radii, regions),
+        };
         need
     }
 
@@ -112,7 +122,7 @@ impl<'a> Need<'a> {
             return vec![LeafMask::FULL; self.occupied.len()];
         }
         let measured = self.measured_leaves(radii, regions);
-        let rings = leaf_steps_within(radii.max + EXACT_MARGIN);
+        let rings = leaf_steps_within(radii.exact_reach(1.0));
         let around = (rho + 1.5 * 3f32.sqrt() + ROUNDING) as i32;
         let kept = |&origin: &IVec3| {
             if !rings.iter().any(|&step| measured.contains(&(origin + step))) {
@@ -127,13 +137,27 @@ impl<'a> Need<'a> {
         self.occupied.origins().par_iter().map(kept).collect()
     }
 
+    /// The leaves whose particles reach one where distances may be needed: all of their cells.
+    fn kept_leaves(&self, occupancy: &Occupancy, radii: Radii, regions: &Regions) -> Vec<LeafMask> {
+        let measured = self.measured_leaves(radii, regions);
+        let rings = |doublings: i32| leaf_steps_within(radii.exact_reach(2f32.powi(doublings)));
+        let doublings = |longest: f32| longest.max(1.0).log2().ceil() as i32;
+        let rings: Vec<Vec<IVec3>> = (0..=doublings(occupancy.longest())).map(rings).collect();
+        let kept = |&origin: &IVec3| {
+            let steps = &rings[doublings(occupancy.longest_of(origin)) as usize];
+            let is_near = steps.iter().any(|&step| measured.contains(&(origin + step)));
+            if is_near { LeafMask::FULL } else { LeafMask::EMPTY }
+        };
+        self.occupied.origins().par_iter().map(kept).collect()
+    }
+
     /// Leaves whose distances may be needed: those that are near, and those that may be in the band.
     fn measured_leaves(&self, radii: Radii, regions: &Regions) -> FxHashSet<IVec3> {
         let surface = |&origin: &IVec3| {
             let leaf = self.occupied.find(origin);
             // A voxel whose neighbours are all inside is none that the surface is next to.
             let inside = leaf.map_or(LeafMask::EMPTY, |leaf| self.inside[leaf]);
-            let voxels = LeafMask { words: inside.words.map(|word| !word) }.bounding_box();
+            let voxels = inside.complement().bounding_box();
             (origin, voxels.expanded(radii.band_margin()))
         };
         let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().map(surface).collect();
@@ -184,7 +208,8 @@ fn surrounded(
     leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
 }
 
-/// The leaves of a region with a voxel that may be within `radius` of a particle, but for the deep ones.
+/// The leaves of a region with a voxel that may be within `radius` of a particle, in units of its half axes, but for
+/// the deep ones.
 fn near_leaves(
     occupancy: &Occupancy,
     occupied: &Topology,
@@ -193,7 +218,8 @@ fn near_leaves(
     region: &CoordBox,
 ) -> Topology {
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
-    let reach = (radius + ROUNDING) as i32;
+    let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
+    let reach = reach_of(occupancy.longest());
     // Deep among deep ones: what its particles are near to is deep, too. Steps through three faces lead to
     // every leaf that is next to it at all.
     let mut is_buried: Vec<bool> = (0..occupied.len()).map(is_deep).collect();
@@ -208,6 +234,7 @@ fn near_leaves(
             return None;
         }
         let cells = occupancy.octants_of(origin)?.cells();
+        let reach = reach_of(occupancy.longest_of(origin));
         // A particle is up to one voxel beyond its cell's own.
         let voxels = CoordBox { min: cells.min - reach, max: cells.max + 1 + reach };
         Some((origin, voxels))

@@ -100,7 +100,7 @@ pub enum Anisotropy {
 pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
 /// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
-const RADIUS_MAX_VOXELS: f64 = 64.0;
+pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
 /// Narrower gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 2.0;
@@ -218,6 +218,11 @@ impl Settings {
         within("number of rounds of --smooth-normals", f64::from(settings.smooth_normals), 0.0, ROUNDS_MAX)?;
         settings.check_quads()?;
         Ok(settings)
+    }
+
+    /// Whether particles have shapes of their own.
+    pub fn has_shapes(&self) -> bool {
+        self.own_radii.is_some() || self.anisotropy != Anisotropy::None
     }
 
     /// The choices that make these settings, every one of them, but for the voxel size and what is not used.

@@ -6,6 +6,7 @@
 //! three calls for one that is larger than memory.
 
 mod plan;
+mod shape;
 mod shelves;
 pub mod tiled;
 mod tiles;
@@ -13,6 +14,7 @@ mod tiles;
 use std::time::Instant;
 
 pub use plan::{Plan, TooLarge, plan};
+pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
 use crate::certify::certify;
@@ -20,10 +22,10 @@ use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
-use crate::particles::{ParticleSource, Particles};
+use crate::particles::{Cloud, ParticleSource, Particles};
 use crate::rasterize::{self, ParticleBins, Radii};
-use crate::report::SkinReport;
-use crate::settings::Settings;
+use crate::report::{Shaping, SkinReport};
+use crate::settings::{Anisotropy, Settings};
 use crate::smooth;
 use crate::space::Lattice;
 
@@ -68,15 +70,26 @@ pub struct Smoothed {
 
 /// Skins one frame: rasterize, smooth, contour.
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
-    let Ok(rasterized) = rasterize(particles, settings);
+    let Ok(rasterized) = rasterize(particles, settings, Shaping::default());
     contour(smooth(rasterized, settings), settings)
 }
 
-/// The first stage: particles to level sets.
+/// Skins one frame whose particles have attributes: shape, rasterize, smooth, contour.
+pub fn skin_cloud(cloud: Cloud, settings: &Settings) -> Surface {
+    let (cloud, shaping) = shape(cloud, settings);
+    let Ok(rasterized) = rasterize(&cloud, settings, shaping);
+    contour(smooth(rasterized, settings), settings)
+}
+
+/// The first stage: particles to level sets. `shaping` tells how they got their [shapes](shape).
 ///
 /// # Errors
 /// Those of the source; what is in memory has none.
-pub fn rasterize<S: ParticleSource>(source: &S, settings: &Settings) -> Result<Rasterized, S::Error> {
+pub fn rasterize<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    shaping: Shaping,
+) -> Result<Rasterized, S::Error> {
     let started = Instant::now();
     let rasterize::Rasterized { bins, band, bounds } =
         rasterize::rasterize(source, &lattice(settings), radii(settings))?;
@@ -84,9 +97,10 @@ pub fn rasterize<S: ParticleSource>(source: &S, settings: &Settings) -> Result<R
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
         leaf_count: band.topology.len(),
+        shaping,
         ..SkinReport::default()
     };
-    report.seconds.rasterize = started.elapsed().as_secs_f64();
+    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
     Ok(Rasterized { bins, band, bounds, report })
 }
 
@@ -104,8 +118,8 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
-    report.reach_voxels =
-        smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
+    let reach_before = radii(settings).reach_voxels(report.shaping.longest.max(1.0)) + shape_reach(settings);
+    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
@@ -130,10 +144,25 @@ fn lattice(settings: &Settings) -> Lattice {
 /// The radii in voxels.
 fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
-    Radii {
-        min: voxels(settings.radius_min),
-        init: voxels(settings.radius_init),
-        max: voxels(settings.radius_max),
+    let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
+    match settings.has_shapes() {
+        false => Radii::of_balls(min, init, max),
+        // Half axes come back from a matrix, not quite as long as they were.
+        true => Radii {
+            min,
+            init,
+            max,
+            shortest: 0.9999 * shape::shortest(settings),
+            roomy: shape::roomy(settings),
+        },
+    }
+}
+
+/// How far the particles are, in voxels, that one's shape depends on.
+fn shape_reach(settings: &Settings) -> u32 {
+    match settings.anisotropy {
+        Anisotropy::None | Anisotropy::Velocity { .. } => 0,
+        Anisotropy::Neighbors { radius, .. } => (radius / settings.voxel_size).ceil() as u32,
     }
 }
 

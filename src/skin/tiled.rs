@@ -18,7 +18,7 @@ use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::particles::ParticleSource;
 use crate::rasterize::{self, Occupancy};
-use crate::report::SkinReport;
+use crate::report::{Shaping, SkinReport};
 use crate::settings::Settings;
 
 /// Why a frame could not be skinned in tiles.
@@ -64,14 +64,18 @@ impl<S> TiledFrame<S> {
 pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
+    shaping: Shaping,
     tile_leaves: i32,
     storages: Vec<Box<dyn Storage>>,
 ) -> Result<TiledFrame<S>, TiledError<S::Error>> {
     let started = Instant::now();
     let (lattice, radii) = (lattice(settings), radii(settings));
     let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
-    let tiles =
-        tiles_near(&occupancy, tile_leaves, radii.init.ceil() as i32 + radii.half_width().ceil() as i32);
+    let tiles = tiles_near(
+        &occupancy,
+        tile_leaves,
+        (radii.init * occupancy.longest() + radii.half_width()).ceil() as i32 + 1,
+    );
     let shelves = Shelves::new(storages);
     let mut origins: Vec<IVec3> = Vec::new();
     for &tile in &tiles {
@@ -85,10 +89,11 @@ pub fn rasterize<S: ParticleSource>(
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
         leaf_count: origins.len(),
+        shaping,
         ..SkinReport::default()
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
-    report.seconds.rasterize = started.elapsed().as_secs_f64();
+    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
     let half_width = radii.half_width();
     Ok(TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
 }
@@ -211,7 +216,8 @@ mod tests {
 
     fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
         let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
-        let frame = rasterize(particles(), settings, tile_leaves, storages).expect("in memory");
+        let frame =
+            rasterize(particles(), settings, Shaping::default(), tile_leaves, storages).expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }

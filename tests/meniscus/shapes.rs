@@ -16,7 +16,7 @@ pub(crate) const SPACING: f64 = 2.0;
 /// The radii that follow from the voxel size alone (paper, §3.7).
 pub(crate) fn default_radii() -> Radii {
     let min = 3f32.sqrt();
-    Radii { min, init: 1.5 * min, max: 2.0 * min }
+    Radii::of_balls(min, 1.5 * min, 2.0 * min)
 }
 
 /// The defaults of each integrator.

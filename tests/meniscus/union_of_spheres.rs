@@ -62,8 +62,7 @@ fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
     let lattice = Lattice { voxel_size: 1.0 };
     let particle = Particles::Double(vec![center.to_array()]);
-    let Ok(Rasterized { band, .. }) =
-        rasterize(&particle, &lattice, Radii { min: 9.5, init: 10.0, max: 10.5 });
+    let Ok(Rasterized { band, .. }) = rasterize(&particle, &lattice, Radii::of_balls(9.5, 10.0, 10.5));
     let error = |(voxel, phi): (IVec3, f32)| {
         let exact = voxel.as_dvec3().distance(center) - 10.0;
         (exact.abs() < f64::from(band.half_width) - 0.5).then_some((f64::from(phi) - exact).abs())
