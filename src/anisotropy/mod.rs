@@ -6,10 +6,9 @@
 //!   ∙→  ∙⟶  ∙⟶⟶     velocity     ●  ⬬  ⬬    a drop is longer, the faster it is
 //! ```
 //!
-//! Two ways that do not exclude nor know each other, and a third number that both take: a scale of each particle's
-//! own. All end in half axes in units of the settings' radii, whose product is 1 times the cube of the scale. Then,
-//! and only then, those that the grid could not hold are raised to a floor, and the particles to which that happened
-//! are counted.
+//! Neither way knows of the other, and both take a scale of each particle's own. All end in half axes in units of the
+//! settings' radii, whose product is the cube of the scale. Then, and only then, those that the grid could not hold are
+//! raised to a floor, and the particles to which that happened are counted.
 //!
 //! A shape depends on particles within a radius, or on its own particle alone: to the bit, on any number of threads
 //! and at any width of vectors.
@@ -45,7 +44,8 @@ pub struct Shaped {
 }
 
 /// No half axis is longer than this, for a particle of scale 1: with half axes a ≥ b ≥ c, a·b·c = 1 and a ≤ m·c, the
-/// longest is that of a cigar, m^⅔. Both ways to shapes keep to it: (1 + s)² is ((1 + s)³)^⅔.
+/// longest is that of a cigar, m^⅔; or else it is the floor. Both ways to shapes keep to it, for (1 + s)² is
+/// ((1 + s)³)^⅔. `max_stretch` is finite.
 pub fn longest_bound(max_stretch: f32, floor: f32) -> f32 {
     let root = half_axes::cube_root(max_stretch.max(1.0));
     // Products of three numbers that were rounded are not exactly 1.

@@ -60,6 +60,7 @@ fn cells_are_sorted_and_their_particles_in_the_order_of_the_file() {
         let places = neighbors.places(cell);
         assert!(!places.is_empty() && neighbors.indices()[places.clone()].is_sorted());
         for place in places {
+            assert_eq!(neighbors.cell_at(place), cell);
             let [x, y, z] = neighbors.locals().map(|along| f64::from(along[place]));
             let world = (coord.as_dvec3() + DVec3::new(x, y, z)) * 0.25;
             let original = DVec3::from(positions[neighbors.indices()[place] as usize]);
