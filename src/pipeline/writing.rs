@@ -100,6 +100,7 @@ fn encode_levels(
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: VDB_HALF_WIDTH_VOXELS,
         voxel_size: frame.settings.voxel_size,
+        grids: &[],
     };
     let options = vdb::WriteOptions {
         half: frame.outputs.vdb_half,
@@ -119,6 +120,7 @@ fn mesh_view(mesh: &Mesh) -> MeshView<'_> {
         normals: bytemuck::cast_slice(&mesh.normals),
         triangles: &mesh.triangles,
         origin: mesh.origin.to_array(),
+        attributes: &[],
     }
 }
 

@@ -17,4 +17,3 @@ mod stream; // frames that come one by one: order, bounds, and what goes wrong o
 mod union_of_spheres; // rasterization against what is known of spheres
 mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell
 mod ways;
-mod zz; // one frame by any instructions, whole or in tiles, from a file read whole or in batches
