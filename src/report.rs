@@ -2,6 +2,7 @@
 
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
+pub use crate::obstacle::ContactTally;
 pub use crate::smooth::Convergence;
 
 /// Everything measured while skinning one frame.
@@ -13,6 +14,8 @@ pub struct SkinReport {
     pub dropped_count: usize,
     /// What was done to give particles shapes of their own; all zero where that was not asked for.
     pub shaping: Shaping,
+    /// What obstacles changed of the level sets.
+    pub contact: ContactTally,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.

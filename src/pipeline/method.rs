@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use crate::obstacle::Obstacles;
 use crate::settings::Settings;
 use crate::skin::tiled::{self, TiledError, TiledFrame};
 use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, TooLarge};
@@ -83,14 +84,15 @@ impl Method for LevelSetSkinning {
     ) -> Result<Self::Rasterized, Cause> {
         let (particles, shaping) = particles.shaped(settings);
         let Some(tile_leaves) = plan.tile_leaves else {
-            let rasterized = skin::rasterize(&particles, settings, shaping)?;
+            let rasterized = skin::rasterize(&particles, settings, shaping, Obstacles::default())?;
             particles.check_unchanged()?;
             return Ok(Skinned::Whole(rasterized));
         };
         let storages =
             (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
-        let frame = tiled::rasterize(particles, settings, shaping, tile_leaves, storages)?;
+        let frame =
+            tiled::rasterize(particles, settings, shaping, Obstacles::default(), tile_leaves, storages)?;
         // It will be read once more; but what follows takes a while.
         frame.source().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))

@@ -22,8 +22,9 @@ use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
+use crate::obstacle::Obstacles;
 use crate::particles::{Cloud, ParticleSource, Particles};
-use crate::rasterize::{self, ParticleBins, Radii};
+use crate::rasterize::{self, ParticleBins, Radii, Scene};
 use crate::report::{Shaping, SkinReport};
 use crate::settings::{Anisotropy, Settings};
 use crate::smooth;
@@ -51,33 +52,35 @@ impl Surface {
 }
 
 /// What rasterization hands to smoothing.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Rasterized {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
+    obstacles: Obstacles,
     report: SkinReport,
 }
 
 /// What smoothing hands to contouring.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Smoothed {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
+    obstacles: Obstacles,
     report: SkinReport,
 }
 
 /// Skins one frame: rasterize, smooth, contour.
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
-    let Ok(rasterized) = rasterize(particles, settings, Shaping::default());
+    let Ok(rasterized) = rasterize(particles, settings, Shaping::default(), Obstacles::default());
     contour(smooth(rasterized, settings), settings)
 }
 
-/// Skins one frame whose particles have attributes: shape, rasterize, smooth, contour.
-pub fn skin_cloud(cloud: Cloud, settings: &Settings) -> Surface {
+/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour.
+pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
     let (cloud, shaping) = shape(cloud, settings);
-    let Ok(rasterized) = rasterize(&cloud, settings, shaping);
+    let Ok(rasterized) = rasterize(&cloud, settings, shaping, obstacles.clone());
     contour(smooth(rasterized, settings), settings)
 }
 
@@ -89,29 +92,31 @@ pub fn rasterize<S: ParticleSource>(
     source: &S,
     settings: &Settings,
     shaping: Shaping,
+    obstacles: Obstacles,
 ) -> Result<Rasterized, S::Error> {
     let started = Instant::now();
-    let rasterize::Rasterized { bins, band, bounds } =
-        rasterize::rasterize(source, &lattice(settings), radii(settings))?;
+    let rasterize::Rasterized { bins, band, bounds, contact } =
+        rasterize::rasterize(source, &scene(settings, &obstacles))?;
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
         leaf_count: band.topology.len(),
         shaping,
+        contact,
         ..SkinReport::default()
     };
     report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
-    Ok(Rasterized { bins, band, bounds, report })
+    Ok(Rasterized { bins, band, bounds, obstacles, report })
 }
 
 /// The second stage: the constrained smoothing.
 pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let started = Instant::now();
-    let Rasterized { bins, mut band, bounds, mut report } = rasterized;
+    let Rasterized { bins, mut band, bounds, obstacles, mut report } = rasterized;
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
     report_smoothing(&mut report, smoothed, settings);
     report.seconds.smooth = started.elapsed().as_secs_f64();
-    Smoothed { bins, band, bounds, report }
+    Smoothed { bins, band, bounds, obstacles, report }
 }
 
 fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
@@ -127,7 +132,7 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 /// The third stage: the mesh, its measures and the certificate.
 pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let started = Instant::now();
-    let Smoothed { bins, band, bounds, mut report } = smoothed;
+    let Smoothed { bins, band, bounds, obstacles: _, mut report } = smoothed;
     let lattice = lattice(settings);
     let mesh = contour::contour(&band, &lattice, settings.contouring);
     report.mesh = mesh.measure();
@@ -139,6 +144,16 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
 
 fn lattice(settings: &Settings) -> Lattice {
     Lattice { voxel_size: settings.voxel_size }
+}
+
+/// What particles are rasterized into.
+fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
+    Scene {
+        lattice: lattice(settings),
+        radii: radii(settings),
+        obstacles,
+        void_threshold: settings.void_threshold as f32,
+    }
 }
 
 /// The radii in voxels.

@@ -3,6 +3,7 @@
 #![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
 
 use glam::{DVec3, Vec3};
+use meniscus::obstacle::Obstacles;
 use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
 use meniscus::settings::{AnisotropyKind, Choices, Settings};
 use meniscus::skin::{Surface, skin_cloud};
@@ -31,7 +32,7 @@ fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
 /// Skins with a voxel of 1.
 fn skinned(cloud: Cloud, choices: &Choices) -> Surface {
     let settings = Settings::resolve(1.0, choices).expect("sound");
-    let surface = skin_cloud(cloud, &settings);
+    let surface = skin_cloud(cloud, &settings, &Obstacles::default());
     let certificate = &surface.report.certificate;
     assert!(certificate.holds(), "{certificate:?}");
     surface

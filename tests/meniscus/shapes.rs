@@ -32,7 +32,7 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
 pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
     let Ok(Rasterized { band, bounds, .. }) =
-        rasterize(&particles, &Lattice { voxel_size: 1.0 }, default_radii());
+        rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
     (band, bounds)
 }
 
