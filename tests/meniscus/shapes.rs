@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
 use meniscus::level_set::{Bounds, NarrowBand};
 use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, rasterize};
+use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
 use meniscus::smooth::{Config, Integrator, SmoothReport, smooth};
 use meniscus::space::Lattice;
 

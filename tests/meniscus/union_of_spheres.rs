@@ -4,7 +4,7 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, rasterize};
+use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
 use meniscus::smooth::{Integrator, smooth};
 use meniscus::space::{INDEX_LIMIT, Lattice};
 
