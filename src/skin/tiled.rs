@@ -11,7 +11,7 @@ use glam::IVec3;
 
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, lattice, radii, report_smoothing, smooth_config};
+use super::{Surface, SurfaceAttributes, lattice, radii, report_smoothing, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
 use crate::grid::LEAF_EDGE;
@@ -148,7 +148,7 @@ pub fn contour<S: ParticleSource>(
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.seconds.contour = started.elapsed().as_secs_f64();
-    Ok((Surface { band, mesh, report }, source))
+    Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
 
 /// How many values lie outside their bounds.
