@@ -32,6 +32,9 @@ pub mod rasterize;
 pub mod smooth;
 pub mod spacing;
 pub mod transfer;
+pub mod trim;
+
+pub mod obstacle;
 
 pub mod level_set;
 

@@ -57,15 +57,17 @@ pub struct TransferReport {
 /// What was done to give particles shapes of their own.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shaping {
-    /// Particles with a half axis that the grid could not hold, which was raised to √3·h.
+    /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
+    pub small_radius_count: usize,
+    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
     pub raised_count: usize,
     /// Particles so large that their r_max was lowered to the largest there may be.
-    pub lowered_count: usize,
+    pub large_radius_count: usize,
     /// Particles whose own radius is none: they have the least.
     pub invalid_radius_count: usize,
     /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
     pub ball_count: usize,
-    /// The longest half axis, in units of the settings' radii; 1 where all are balls of these.
+    /// The longest half axis, in units of the settings' radii.
     pub longest: f32,
     /// Seconds that it took; those of rasterization have them, too.
     pub seconds: f64,

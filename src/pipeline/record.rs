@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::report::SkinReport;
+use crate::report::{Shaping, SkinReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
@@ -85,6 +85,8 @@ struct MeasuredRecord {
     notes: Vec<String>,
     particles: usize,
     dropped: usize,
+    /// Null where all particles are alike.
+    shapes: Option<ShapesRecord>,
     leaves: usize,
     voxels: usize,
     free_voxels: usize,
@@ -108,6 +110,17 @@ struct MeasuredRecord {
     degenerate_triangles: usize,
     components: usize,
     euler_characteristic: i64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct ShapesRecord {
+    small_radii: usize,
+    large_radii: usize,
+    invalid_radii: usize,
+    raised: usize,
+    balls: usize,
+    longest: f64,
+    seconds: f64,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -286,6 +299,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         notes: report.notes.clone(),
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
+        shapes: shapes_record(&report.skin),
         leaves: report.skin.leaf_count,
         voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
         free_voxels: report.skin.free_voxel_count,
@@ -321,6 +335,19 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         components: mesh.component_count,
         euler_characteristic: mesh.euler_characteristic,
     }
+}
+
+fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
+    let shaping = &report.shaping;
+    (*shaping != Shaping::default()).then_some(ShapesRecord {
+        small_radii: shaping.small_radius_count,
+        large_radii: shaping.large_radius_count,
+        invalid_radii: shaping.invalid_radius_count,
+        raised: shaping.raised_count,
+        balls: shaping.ball_count,
+        longest: f64::from(shaping.longest),
+        seconds: shaping.seconds,
+    })
 }
 
 fn certificate_record(report: &SkinReport) -> CertificateRecord {

@@ -30,6 +30,8 @@ pub struct Footprint {
     pub occupied_count: usize,
     /// Area of the surface, in faces of voxels.
     pub area_voxels: usize,
+    /// All particles that were not dropped.
+    pub particle_count: usize,
     /// Particles in leaves that are not deep inside: about those that are kept.
     pub near_particle_count: usize,
 }
@@ -78,6 +80,7 @@ pub fn footprint<S: ParticleSource>(
     Ok(Footprint {
         surface: surface.into_iter().collect(),
         occupied_count: occupied.len(),
+        particle_count: occupied.iter().map(|(_, leaf)| leaf.count).sum(),
         near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
         area_voxels: occupied
             .iter()

@@ -125,7 +125,7 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
-    let reach_before = radii(settings).reach_voxels(report.shaping.longest.max(1.0)) + shape_reach(settings);
+    let reach_before = radii(settings).reach_voxels(longest_of(&report.shaping)) + shape_reach(settings);
     report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
@@ -163,6 +163,11 @@ fn radii(settings: &Settings) -> Radii {
             roomy: shape::roomy(settings),
         },
     }
+}
+
+/// The longest half axis of the particles, in units of the radii.
+fn longest_of(shaping: &Shaping) -> f32 {
+    if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
 }
 
 /// How far the particles are, in voxels, that one's shape depends on.

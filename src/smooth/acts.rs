@@ -117,7 +117,10 @@ pub fn acts(config: &Config, reach_max: u32) -> Vec<Act> {
         // Something has to take the grain off what the first step holds fixed: noise there costs a
         // sphere of radius 20 one per cent of its volume.
         0 => acts.push(Act::Restore),
-        steps => acts.extend(portions(steps, reach_max).map(|(_, steps)| Act::Laplacian { steps })),
+        steps => {
+            acts.extend(portions(steps, reach_max).map(|(_, steps)| Act::Laplacian { steps }));
+            acts.push(Act::Restore)
+        }
     }
     let mut since_redistance = 0;
     for step in 0..config.steps {

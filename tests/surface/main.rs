@@ -4,6 +4,8 @@
 //! outward, unit normals.
 
 mod bands;
+mod decimate;
+mod trim;
 
 use std::f64::consts::PI;
 
