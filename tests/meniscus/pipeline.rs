@@ -68,7 +68,7 @@ impl Method for Quick {
         Ok(self.pass(Stage::Smooth, count))
     }
 
-    fn contour(&self, count: usize, settings: &Settings) -> Result<Surface, Cause> {
+    fn contour(&self, count: usize, settings: &Settings, _outputs: &OutputOptions) -> Result<Surface, Cause> {
         Ok(tetrahedron(self.pass(Stage::Contour, count), settings))
     }
 }
