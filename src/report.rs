@@ -4,6 +4,7 @@ pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::ContactTally;
 pub use crate::smooth::Convergence;
+pub use crate::transfer::TransferCounts;
 
 /// Everything measured while skinning one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -39,6 +40,21 @@ pub struct SkinReport {
     pub bending_energy: f64,
     /// What was measured on the mesh.
     pub mesh: MeshMeasures,
+    /// What the surface got of the particles' attributes, if that was asked for.
+    pub transfer: Option<TransferReport>,
+}
+
+/// What a surface got of the particles' attributes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TransferReport {
+    /// The names of the attributes.
+    pub attributes: Vec<String>,
+    /// At the vertices.
+    pub vertices: TransferCounts,
+    /// At the places in the band that voxels have their values from.
+    pub band: TransferCounts,
+    /// Seconds that it took.
+    pub seconds: f64,
 }
 
 /// What was done to give particles shapes of their own.

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::report::{Shaping, SkinReport};
+use crate::report::{Shaping, SkinReport, TransferCounts, TransferReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
@@ -95,6 +95,9 @@ struct MeasuredRecord {
     reach_voxels: Option<u32>,
     convergence: Option<ConvergenceRecord>,
     cfl_exceeded: usize,
+    /// Only where attributes were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attributes: Option<AttributesRecord>,
     seconds: SecondsRecord,
     peak_memory_bytes: Option<u64>,
     certificate: CertificateRecord,
@@ -121,6 +124,27 @@ struct ShapesRecord {
     balls: usize,
     longest: f64,
     seconds: f64,
+}
+
+/// What the surface got of the particles' attributes.
+#[derive(Clone, Debug, Serialize)]
+struct AttributesRecord {
+    names: Vec<String>,
+    vertices: TransferRecord,
+    /// At the places from which voxels of the .vdb have their values.
+    band: TransferRecord,
+    seconds: f64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct TransferRecord {
+    places: usize,
+    /// With no particle within the radius: they have what the nearest one has.
+    lonely: usize,
+    /// With no particle at all near them: 0, or none.
+    empty: usize,
+    /// Values of particles that are not finite, and have no part.
+    left_out: usize,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -313,6 +337,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
             reached: convergence.reached,
         }),
         cfl_exceeded: report.skin.cfl_exceeded_count,
+        attributes: report.skin.transfer.as_ref().map(attributes_record),
         seconds: SecondsRecord {
             read: report.read_seconds,
             rasterize: seconds.rasterize,
@@ -348,6 +373,21 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
         longest: f64::from(shaping.longest),
         seconds: shaping.seconds,
     })
+}
+
+fn attributes_record(transfer: &TransferReport) -> AttributesRecord {
+    let counts = |counts: &TransferCounts| TransferRecord {
+        places: counts.place_count,
+        lonely: counts.lonely_count,
+        empty: counts.empty_count,
+        left_out: counts.left_out_count,
+    };
+    AttributesRecord {
+        names: transfer.attributes.clone(),
+        vertices: counts(&transfer.vertices),
+        band: counts(&transfer.band),
+        seconds: transfer.seconds,
+    }
 }
 
 fn certificate_record(report: &SkinReport) -> CertificateRecord {

@@ -5,6 +5,7 @@
 //! whatever rayon pool the caller is in. [`plan`] tells what a frame will take, and [`tiled`] has the same
 //! three calls for one that is larger than memory.
 
+mod attributes;
 mod plan;
 mod shape;
 mod shelves;
@@ -13,6 +14,7 @@ mod tiles;
 
 use std::time::Instant;
 
+pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use plan::{Plan, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
@@ -37,6 +39,8 @@ pub struct Surface {
     pub band: NarrowBand,
     /// The mesh.
     pub mesh: Mesh,
+    /// What else is known of it; empty unless it was [transferred](transfer).
+    pub attributes: SurfaceAttributes,
     /// What was measured on the way.
     pub report: SkinReport,
 }
@@ -47,7 +51,7 @@ impl Surface {
         let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
         let Mesh { positions, normals, triangles, .. } = &self.mesh;
         let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
-        (leaves + mesh) as u64
+        (leaves + mesh + self.attributes.size_bytes()) as u64
     }
 }
 
@@ -77,11 +81,14 @@ pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
     contour(smooth(rasterized, settings), settings)
 }
 
-/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour.
+/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
+/// vertices those that the settings ask for.
 pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
     let (cloud, shaping) = shape(cloud, settings);
     let Ok(rasterized) = rasterize(&cloud, settings, shaping, obstacles.clone());
-    contour(smooth(rasterized, settings), settings)
+    let mut surface = contour(smooth(rasterized, settings), settings);
+    transfer(&mut surface, &cloud, settings, Targets { vertices: true, band_half_width_voxels: None });
+    surface
 }
 
 /// The first stage: particles to level sets. `shaping` tells how they got their [shapes](shape).
@@ -139,7 +146,7 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.seconds.contour = started.elapsed().as_secs_f64();
-    Surface { band, mesh, report }
+    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
 fn lattice(settings: &Settings) -> Lattice {

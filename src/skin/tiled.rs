@@ -11,7 +11,7 @@ use glam::IVec3;
 
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, report_smoothing, scene, smooth_config};
+use super::{Surface, SurfaceAttributes, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
 use crate::grid::LEAF_EDGE;
@@ -167,7 +167,7 @@ pub fn contour<S: ParticleSource>(
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.seconds.contour = started.elapsed().as_secs_f64();
-    Ok((Surface { band, mesh, report }, source))
+    Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
 
 /// How many values lie outside their bounds.

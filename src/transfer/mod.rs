@@ -71,13 +71,12 @@ pub struct TransferCounts {
 /// Panics if an attribute has not one value for each component of each particle.
 pub fn to_vertices(
     particles: &Particles,
-    attributes: &[Attribute],
+    attributes: &[&Attribute],
     mesh: &Mesh,
     reach: Reach,
 ) -> (Vec<Attribute>, TransferCounts) {
     let place_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
-    let attributes: Vec<&Attribute> = attributes.iter().collect();
-    let source = Source::new(particles, attributes, reach, (mesh.positions.len(), &place_of));
+    let source = Source::new(particles, attributes.to_vec(), reach, (mesh.positions.len(), &place_of));
     let (blended, counts) = at_places(&source, mesh.positions.len(), &place_of);
     let mut numbers = blended.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {

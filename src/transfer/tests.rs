@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 
-use super::*;
+use super::{to_vertices as to_vertices_of, *};
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
 use crate::level_set::NarrowBand;
 use crate::particles::Meaning;
@@ -12,6 +12,16 @@ use crate::space::Lattice;
 
 const REACH: Reach = Reach { radius_world: 0.26, limit_world: 0.6 };
 const VOXEL: f64 = 0.05;
+
+fn to_vertices(
+    particles: &Particles,
+    attributes: &[Attribute],
+    mesh: &Mesh,
+    reach: Reach,
+) -> (Vec<Attribute>, TransferCounts) {
+    let attributes: Vec<&Attribute> = attributes.iter().collect();
+    to_vertices_of(particles, &attributes, mesh, reach)
+}
 
 fn random(state: &mut u32) -> f64 {
     *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
