@@ -21,6 +21,7 @@
 mod components;
 mod corners;
 mod decimate;
+mod quads;
 mod triangles;
 mod vertices;
 
