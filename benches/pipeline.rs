@@ -19,8 +19,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, default_in_flight,
-    parse_particles, read_file, run, write_whole,
+    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, Wanted,
+    default_in_flight, parse_particles, read_file, run, write_whole,
 };
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::{Surface, skin};
@@ -119,8 +119,8 @@ fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn 
 /// One turn of the loop.
 fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>> {
     let bytes = read_file(&frame.input)?;
-    let read = parse_particles(&frame.input, &bytes)?;
-    let surface = pool.install(|| skin(&read.particles, &frame.settings));
+    let read = parse_particles(&frame.input, &bytes, &Wanted::default())?;
+    let surface = pool.install(|| skin(&read.cloud.positions, &frame.settings));
     let path =
         |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };
     write_whole(&path("glb"), |out| {
@@ -132,6 +132,7 @@ fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>>
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: 3.0,
         voxel_size: frame.settings.voxel_size,
+        grids: &[],
     };
     write_whole(&path("vdb"), |out| {
         pool.install(|| vdb::write(&levels, &vdb::WriteOptions::default(), &[], out))
@@ -145,5 +146,6 @@ fn mesh(surface: &Surface) -> MeshView<'_> {
         normals: bytemuck::cast_slice(&surface.mesh.normals),
         triangles: &surface.mesh.triangles,
         origin: surface.mesh.origin.to_array(),
+        attributes: &[],
     }
 }

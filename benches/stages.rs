@@ -11,6 +11,8 @@
 //! voxel, and those of rasterization for a particle, should be the same for all sizes; and two threads should smooth
 //! nearly twice as fast as one. Ends with 1 where the floor of either is missed.
 //!
+//! Then the shapes of 600 000 particles by their neighbours, beside a plain loop that only sums what they are made of.
+//!
 //! ```text
 //! cargo bench --bench stages                10⁶ to 10⁷ free voxels
 //! cargo bench --bench stages -- 1e8         to 10⁸: some minutes, and 10 GB of memory
@@ -23,7 +25,11 @@ mod sponge;
 
 use std::f64::consts::{PI, TAU};
 use std::process::ExitCode;
+use std::time::Instant;
 
+use glam::Vec3;
+use meniscus::anisotropy::{NeighborConfig, from_neighbors};
+use meniscus::neighbors::Neighbors;
 use meniscus::particles::Particles;
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
@@ -74,6 +80,7 @@ fn main() -> ExitCode {
     }
     let is_fast = print_speedups(&rows);
     let is_flat = print_growth(&rows);
+    print_shapes(&pools);
     if is_fast && is_flat { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
@@ -199,6 +206,84 @@ fn print_growth(rows: &[[Row; 2]]) -> bool {
     }
     println!("promised: ± {:.0} %, and at the most ± {:.0} %", 100.0 * GROWTH_TARGET, 100.0 * GROWTH_FLOOR);
     is_kept
+}
+
+/// Particles that are shaped.
+const SHAPED_COUNT: f64 = 6e5;
+
+/// Prints what shapes by neighbours take.
+fn print_shapes(pools: &[ThreadPool; 2]) {
+    let (particles, spacing) = frame(SHAPED_COUNT);
+    // 3·r_min, where r_min is √3·h and h half the spacing.
+    let config = NeighborConfig {
+        radius_world: 1.5 * 3f64.sqrt() * spacing,
+        max_stretch: 4.0,
+        position_smoothing: 0.0,
+        floor: 1.0,
+    };
+    let count = particles.len() as f64;
+    println!("\nshapes of {count} particles by their neighbours: ns a particle");
+    println!("threads  sorted into cells      shapes  of a plain loop");
+    for (threads, pool) in (1..).zip(pools) {
+        let [sort, shapes, plain] = pool.install(|| {
+            [
+                median_s(|| Neighbors::new(&particles, config.radius_world).cells().len() as f32),
+                median_s(|| from_neighbors(&particles, None, &config).shapes[0].longest),
+                median_s(|| plain_moments(&Neighbors::new(&particles, config.radius_world))),
+            ]
+        });
+        println!(
+            "{threads:7}{:19.0}{:12.0}{:15.0} %",
+            1e9 * sort / count,
+            1e9 * shapes / count,
+            100.0 * shapes / plain
+        );
+    }
+}
+
+/// The median of some rounds.
+fn median_s(mut work: impl FnMut() -> f32) -> f64 {
+    let mut seconds: Vec<f64> = (0..ROUND_COUNT)
+        .map(|_| {
+            let start = Instant::now();
+            std::hint::black_box(work());
+            start.elapsed().as_secs_f64()
+        })
+        .collect();
+    seconds.sort_by(f64::total_cmp);
+    seconds[ROUND_COUNT / 2]
+}
+
+/// Moments around each particle, pair by pair. Returns something that needs them all.
+fn plain_moments(neighbors: &Neighbors) -> f32 {
+    let [x, y, z] = neighbors.locals();
+    let local = |place: usize| Vec3::new(x[place], y[place], z[place]);
+    let of_cell = |cell: usize| {
+        let runs: Vec<_> = neighbors.runs(neighbors.cells()[cell]).collect();
+        let mut sum = 0.0;
+        for place in neighbors.places(cell) {
+            let mut moments = [0.0f32; 10];
+            for run in &runs {
+                let from = local(place) - run.step.as_vec3();
+                for other in run.places.clone() {
+                    let apart = local(other) - from;
+                    let squared = apart.length_squared();
+                    if squared < 1.0 {
+                        let weight = 1.0 - squared * squared.sqrt();
+                        let [x, y, z] = (apart * weight).to_array();
+                        let second = [x * apart.x, y * apart.y, z * apart.z];
+                        let mixed = [x * apart.y, x * apart.z, y * apart.z];
+                        moments[0] += weight;
+                        let terms = [x, y, z].into_iter().chain(second).chain(mixed);
+                        moments[1..].iter_mut().zip(terms).for_each(|(moment, term)| *moment += term);
+                    }
+                }
+            }
+            sum += moments.iter().sum::<f32>();
+        }
+        sum
+    };
+    (0..neighbors.cells().len()).into_par_iter().map(of_cell).sum()
 }
 
 fn verdict(is_target: bool, is_floor: bool) -> &'static str {

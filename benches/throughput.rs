@@ -21,7 +21,7 @@ use std::process::{Command, ExitCode, Stdio};
 use std::thread;
 use std::time::Instant;
 
-use meniscus::pipeline::{parse_particles, read_file, write_whole};
+use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::{Surface, skin};
 use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
@@ -134,8 +134,8 @@ fn plain_loop(folder: &Path) {
         let bytes = read_file(&input).expect("readable");
         let stem = input.file_stem().expect("a name").to_string_lossy().into_owned();
         pool.install(|| {
-            let read = parse_particles(&input, &bytes).expect("particles");
-            let surface = skin(&read.particles, &settings);
+            let read = parse_particles(&input, &bytes, &Wanted::default()).expect("particles");
+            let surface = skin(&read.cloud.positions, &settings);
             write_surface(&surface, &settings, &folder.join("out"), &stem);
         });
     }
@@ -148,6 +148,7 @@ fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &s
         normals: bytemuck::cast_slice(&surface.mesh.normals),
         triangles: &surface.mesh.triangles,
         origin: surface.mesh.origin.to_array(),
+        attributes: &[],
     };
     write_whole(&folder.join(format!("{stem}.glb")), |out| {
         gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out)
@@ -160,6 +161,7 @@ fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &s
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: 3.0,
         voxel_size: settings.voxel_size,
+        grids: &[],
     };
     let options = vdb::WriteOptions::default();
     write_whole(&folder.join(format!("{stem}.vdb")), |out| vdb::write(&levels, &options, &[], out))

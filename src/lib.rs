@@ -26,15 +26,21 @@ pub mod report;
 pub mod settings;
 
 pub mod certify;
+
+pub mod anisotropy;
 pub mod contour;
 pub mod rasterize;
 pub mod smooth;
 pub mod spacing;
+pub mod transfer;
 pub mod trim;
+
+pub mod obstacle;
 
 pub mod level_set;
 
 pub mod grid;
+pub mod neighbors;
 
 pub mod mesh;
 pub mod particles;

@@ -2,7 +2,9 @@
 
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
+pub use crate::obstacle::ContactTally;
 pub use crate::smooth::Convergence;
+pub use crate::transfer::TransferCounts;
 
 /// Everything measured while skinning one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,6 +13,10 @@ pub struct SkinReport {
     pub particle_count: usize,
     /// Particles dropped: not finite, or outside the grid's range of indices.
     pub dropped_count: usize,
+    /// What was done to give particles shapes of their own; all zero where that was not asked for.
+    pub shaping: Shaping,
+    /// What obstacles changed of the level sets.
+    pub contact: ContactTally,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
@@ -34,6 +40,40 @@ pub struct SkinReport {
     pub bending_energy: f64,
     /// What was measured on the mesh.
     pub mesh: MeshMeasures,
+    /// What the surface got of the particles' attributes, if that was asked for.
+    pub transfer: Option<TransferReport>,
+}
+
+/// What a surface got of the particles' attributes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TransferReport {
+    /// The names of the attributes.
+    pub attributes: Vec<String>,
+    /// At the vertices.
+    pub vertices: TransferCounts,
+    /// At the places in the band that voxels have their values from.
+    pub band: TransferCounts,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+/// What was done to give particles shapes of their own.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shaping {
+    /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
+    pub small_radius_count: usize,
+    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
+    pub raised_count: usize,
+    /// Particles so large that their r_max was lowered to the largest there may be.
+    pub large_radius_count: usize,
+    /// Particles whose own radius is none: they have the least.
+    pub invalid_radius_count: usize,
+    /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
+    pub ball_count: usize,
+    /// The longest half axis, in units of the settings' radii.
+    pub longest: f32,
+    /// Seconds that it took; those of rasterization have them, too.
+    pub seconds: f64,
 }
 
 /// Wall-clock seconds in each stage of the method.

@@ -25,6 +25,7 @@ impl Mesh {
             normals: &self.normals,
             triangles: &self.triangles,
             origin: self.origin,
+            attributes: &[],
         }
     }
 
@@ -208,6 +209,7 @@ fn provenance_comes_back_from_the_head() {
         leaves: &[leaf],
         half_width_voxels: 3.0,
         voxel_size: 0.1,
+        grids: &[],
     };
     let mut vdb = Vec::new();
     let options = meniscus_formats::vdb::WriteOptions::default();

@@ -13,22 +13,26 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::distances::nearest_particle;
+use super::distances::is_inside_one;
 use super::particle_checks::Part;
-use crate::grid::{LEAF_EDGE, LeafMask, leaf_steps_within, negative_masks, offset_in_leaf};
+use super::surfaces::Bodies;
+use crate::grid::{LEAF_EDGE, LeafMask, negative_masks, offset_in_leaf};
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// How many particles of a part have φ ≥ 0, interpolated trilinearly.
 pub(super) fn particles_outside(part: &Part) -> usize {
     let signs = negative_masks(&part.band.phi);
+    let bodies = Bodies::of(part.bins);
+    let bodies = bodies.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
     let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
-    owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, signs: &signs, leaf, origin })).sum()
+    owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, bodies, signs: &signs, leaf, origin })).sum()
 }
 
 /// Counts the particles of a leaf that are outside.
 struct LeafParticles<'a> {
     part: &'a Part<'a>,
+    bodies: Option<&'a Bodies<'a>>,
     /// For each leaf of the band the voxels inside.
     signs: &'a [LeafMask],
     leaf: usize,
@@ -45,7 +49,7 @@ impl Kernel for LeafParticles<'_> {
             let cell = position.floor().as_ivec3();
             // Rounding may have put a particle on the leaf's far side, into a cell of the next one.
             let is_settled = cell.max_element() < LEAF_EDGE && inside.contains(offset_in_leaf(cell));
-            !is_settled && phi_at(self.part, self.origin, **position) >= 0.0
+            !is_settled && phi_at(self.part, self.bodies, self.origin, **position) >= 0.0
         };
         self.part.bins.in_leaf(self.leaf).iter().filter(is_outside).count()
     }
@@ -59,7 +63,11 @@ impl LeafParticles<'_> {
     /// The leaf's cells that have all corners inside.
     #[inline(always)]
     fn inside_cells(&self) -> LeafMask {
-        let beyond = if self.part.radii.init > SURE_RADIUS { LeafMask::FULL } else { LeafMask::EMPTY };
+        let beyond = if self.part.radii.init * self.part.radii.shortest > SURE_RADIUS {
+            LeafMask::FULL
+        } else {
+            LeafMask::EMPTY
+        };
         let topology = &self.part.band.topology;
         let mut masks = [beyond; 8];
         for (place, mask) in masks.iter_mut().enumerate() {
@@ -99,14 +107,14 @@ fn corner(number: usize) -> IVec3 {
 }
 
 /// φ at a particle, given relative to a leaf's origin, in voxels.
-fn phi_at(part: &Part, origin: IVec3, position: Vec3) -> f64 {
+fn phi_at(part: &Part, bodies: Option<&Bodies>, origin: IVec3, position: Vec3) -> f64 {
     let cell = position.floor();
     let fraction = (position - cell).as_dvec3();
     let mut phi = 0.0;
     for step in (0..8).map(corner) {
         let weight = DVec3::select(step.cmpeq(IVec3::ONE), fraction, 1.0 - fraction).element_product();
         if weight > 0.0 {
-            phi += weight * f64::from(phi_at_voxel(part, origin + cell.as_ivec3() + step));
+            phi += weight * f64::from(phi_at_voxel(part, bodies, origin + cell.as_ivec3() + step));
         }
     }
     phi
@@ -114,12 +122,11 @@ fn phi_at(part: &Part, origin: IVec3, position: Vec3) -> f64 {
 
 /// φ at a voxel. Where it is not stored there is no surface near: deep inside if φ_0 is negative,
 /// and outside otherwise, as around spheres so small that they fall between the voxels.
-fn phi_at_voxel(part: &Part, voxel: IVec3) -> f32 {
+fn phi_at_voxel(part: &Part, bodies: Option<&Bodies>, voxel: IVec3) -> f32 {
     if let Some((leaf, local)) = part.band.topology.find_voxel(voxel) {
         return part.band.phi.leaves[leaf].values[offset_in_leaf(local)];
     }
     let local = voxel & IVec3::splat(LEAF_EDGE - 1);
-    let steps = leaf_steps_within(part.radii.init);
-    let nearest = nearest_particle(part.bins, voxel - local, local.as_vec3(), &steps);
-    if nearest < part.radii.init { -part.band.half_width } else { part.band.half_width }
+    let is_inside = is_inside_one(part.bins, bodies, voxel - local, local.as_vec3(), part.radii.init);
+    if is_inside { -part.band.half_width } else { part.band.half_width }
 }

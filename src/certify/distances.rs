@@ -9,8 +9,9 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::particle_checks::{Part, ParticleChecks};
+use super::surfaces::Bodies;
 use crate::grid::{LEAF_EDGE, leaf_steps_within};
-use crate::rasterize::ParticleBins;
+use crate::rasterize::{ParticleBins, Radii};
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// What a cell may hide, in voxels.
@@ -20,22 +21,27 @@ const CELL_MARGIN: f32 = 0.5;
 const PIECE: usize = 4096;
 
 /// Vertices that meet particles at once.
-const LANES: usize = 8;
+pub(super) const LANES: usize = 8;
 
 /// One coordinate of each of these vertices.
-type Column = [f32; LANES];
+pub(super) type Column = [f32; LANES];
 
 /// Checks how far the vertices of a part are from its particles.
 pub(super) fn check_vertices(part: &Part) -> ParticleChecks {
-    let steps = leaf_steps_within(part.radii.max + CELL_MARGIN);
+    let bodies = Bodies::of(part.bins);
+    let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
+    let steps = leaf_steps_within(part.radii.max * longest + CELL_MARGIN);
     let pieces = part.mesh.positions.par_chunks(PIECE);
-    let checks = pieces.map(|positions| dispatch(PieceChecks { part, steps: &steps, positions }));
+    let checks = pieces
+        .map(|positions| dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, positions }));
     checks.reduce(|| ParticleChecks::NOTHING, ParticleChecks::and)
 }
 
 /// Checks some vertices.
 struct PieceChecks<'a> {
     part: &'a Part<'a>,
+    /// The particles, where they have shapes of their own.
+    bodies: Option<&'a Bodies<'a>>,
     steps: &'a [IVec3],
     positions: &'a [Vec3],
 }
@@ -74,7 +80,16 @@ impl Kernel for PieceChecks<'_> {
                 near.find(self.part.bins, origin, self.steps);
             }
             let distances = near.distances(self.part.bins, &locals);
-            checks = checks.and(self.check(&distances[..count]));
+            let mut of_vertices = self.check(&distances[..count]);
+            if let Some(bodies) = self.bodies {
+                let Radii { min, max, .. } = self.part.radii;
+                let [outer, inner] = bodies.distances(&near, &locals, [max, min], CELL_MARGIN);
+                of_vertices.vertices_inside_min =
+                    inner[..count].iter().filter(|&&distance| distance < -CELL_MARGIN).count();
+                of_vertices.vertices_outside_max =
+                    outer[..count].iter().filter(|&&distance| distance > CELL_MARGIN).count();
+            }
+            checks = checks.and(of_vertices);
         }
         checks
     }
@@ -105,10 +120,10 @@ impl PieceChecks<'_> {
 }
 
 /// The leaves around one that hold particles, the nearest first.
-struct NearLeaves {
+pub(super) struct NearLeaves {
     origin: IVec3,
     /// The step to each, in voxels, and its place in the bins.
-    leaves: Vec<(Vec3, usize)>,
+    pub(super) leaves: Vec<(Vec3, usize)>,
 }
 
 impl NearLeaves {
@@ -151,7 +166,7 @@ impl NearLeaves {
 /// The square of the distance between a leaf and a box around points given relative to it. No less than that is
 /// what is computed for any of the points and any particle of the leaf: rounding keeps the order of numbers.
 #[inline(always)]
-fn squared_gap(points: &[Column; 3]) -> f32 {
+pub(super) fn squared_gap(points: &[Column; 3]) -> f32 {
     let gap = |axis: usize| {
         let column = &points[axis];
         let (mut least, mut most) = (column[0], column[0]);
@@ -164,10 +179,21 @@ fn squared_gap(points: &[Column; 3]) -> f32 {
     Vec3::new(gap(0), gap(1), gap(2)).length_squared()
 }
 
-/// The distance from a point, given relative to the leaf at `origin`, to the nearest particle in
-/// the leaves at `steps` from it.
-pub(super) fn nearest_particle(bins: &ParticleBins, origin: IVec3, point: Vec3, steps: &[IVec3]) -> f32 {
+/// Whether a point, given relative to the leaf at `origin`, is inside a particle's sphere of this radius, or what
+/// takes its place.
+pub(super) fn is_inside_one(
+    bins: &ParticleBins,
+    bodies: Option<&Bodies>,
+    origin: IVec3,
+    point: Vec3,
+    radius: f32,
+) -> bool {
+    let longest = bodies.map_or(1.0, Bodies::longest);
     let mut near = NearLeaves { origin, leaves: Vec::new() };
-    near.find(bins, origin, steps);
-    near.distances(bins, &point.to_array().map(|axis| [axis; LANES]))[0]
+    near.find(bins, origin, &leaf_steps_within(radius * longest));
+    let points = point.to_array().map(|axis| [axis; LANES]);
+    match bodies {
+        None => near.distances(bins, &points)[0] < radius,
+        Some(bodies) => bodies.distances(&near, &points, [radius], 0.0)[0][0] < 0.0,
+    }
 }

@@ -2,8 +2,8 @@
 //!
 //! ```text
 //!   φ within its bounds at every voxel                    (Eq. 6)
-//!   no vertex nearer to a particle than r_min − h/2       the surface stays outside S_min
-//!   none farther from all of them than r_max + h/2        and inside S_max, but for what a cell hides
+//!   no vertex deeper inside S_min than h/2                the surface stays outside of it
+//!   none farther outside of S_max than h/2                and inside of this, but for what a cell hides
 //!   every particle inside
 //!   the mesh closed and 2-manifold
 //! ```
@@ -14,6 +14,7 @@
 mod containment;
 mod distances;
 mod particle_checks;
+mod surfaces;
 
 use rayon::prelude::*;
 
@@ -24,7 +25,8 @@ use crate::mesh::{Mesh, MeshMeasures};
 use crate::rasterize::{ParticleBins, Radii};
 use crate::space::{CoordBox, Lattice};
 
-/// What is checked of every result. Distances are in voxels, to the nearest particle's centre.
+/// What is checked of every result. Distances are in voxels, to the nearest particle's centre. What is said of r_min and
+/// r_max is, of particles with shapes of their own, said of their surfaces.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Certificate {
     /// Voxels where φ leaves its bounds (Eq. 6). Always 0.

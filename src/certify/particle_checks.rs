@@ -83,7 +83,7 @@ mod tests {
     use super::*;
     use crate::contour::{Contouring, contour};
     use crate::particles::Particles;
-    use crate::rasterize::{Rasterized, rasterize};
+    use crate::rasterize::{Rasterized, Scene, rasterize};
 
     /// Particles in a wavy sheet and a few beside it.
     fn particles(spacing: f64) -> Particles {
@@ -97,12 +97,12 @@ mod tests {
     #[test]
     fn the_parts_of_a_frame_make_the_whole() {
         let lattice = Lattice { voxel_size: 1.0 };
-        let made = Radii { min: 1.7, init: 2.6, max: 3.4 };
-        let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &lattice, made);
+        let made = Radii::of_balls(1.7, 2.6, 3.4);
+        let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
         let mesh = contour(&band, &lattice, Contouring::Dual);
         // What was made from these particles holds; from others, and with other radii, nothing does.
-        let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &lattice, made);
-        let other_radii = Radii { min: 3.0, init: 1.0, max: 2.2 };
+        let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
+        let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
             let part = |owned: CoordBox| {
                 ParticleChecks::of(&Part { bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned })

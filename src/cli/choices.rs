@@ -5,40 +5,126 @@ use std::path::PathBuf;
 use meniscus_formats::{gltf, vdb};
 
 use crate::pipeline::{OutputFormat, OutputOptions};
-use crate::settings::{Choices, Contouring, Integrator};
+use crate::settings::{AnisotropyKind, Choices, Contouring, Integrator, Preset};
 
 use super::args::{
-    CompressionChoice, ContourChoice, Format, FormatArgs, IntegratorChoice, SolverArgs, SurfaceArgs, UpChoice,
+    AnisotropyChoice, CompressionChoice, ContourChoice, FirstArgs, Format, FormatArgs, IntegratorChoice,
+    MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs, UpChoice,
 };
 
 /// The choices of the method.
-pub(super) fn choices(surface: &SurfaceArgs, solver: &SolverArgs) -> Choices {
+pub(super) fn choices(args: &MethodArgs) -> Choices {
+    let MethodArgs { first, surface, particles, obstacles, mesh, solver } = args.clone();
+    let FirstArgs { preset, voxel_size: _ } = first;
+    let SurfaceArgs { radius_min, radius_ratio, radius_init, drop_islands, fill_cavities, clip } = surface;
+    let ParticleArgs {
+        radius_attribute,
+        radius_scale,
+        anisotropy,
+        max_stretch,
+        neighbor_radius,
+        position_smoothing,
+        velocity_gain,
+        attributes,
+    } = particles;
+    let ObstacleArgs { obstacle: _, void_threshold } = obstacles;
+    let MeshArgs { contour, decimate, smooth_normals, quads } = mesh;
+    let SolverArgs { integrator, laplacian_steps, steps, step_size, redistance_every, cg_tolerance } = solver;
     Choices {
-        radius_min: surface.radius_min,
-        radius_ratio: surface.radius_ratio,
-        radius_init: surface.radius_init,
-        integrator: solver.integrator.map(|integrator| match integrator {
-            IntegratorChoice::Fast => Integrator::Fast,
-            IntegratorChoice::Implicit => Integrator::Implicit,
-            IntegratorChoice::Explicit => Integrator::Explicit,
-        }),
-        laplacian_steps: solver.laplacian_steps,
-        steps: solver.steps,
-        step_size: solver.step_size,
-        redistance_every: solver.redistance_every,
-        cg_tolerance: solver.cg_tolerance,
-        contouring: surface.contour.map(|contour| match contour {
-            ContourChoice::Dual => Contouring::Dual,
-            ContourChoice::Tetrahedra => Contouring::Tetrahedra,
-        }),
+        preset: preset.map(preset_of),
+        radius_min,
+        radius_ratio,
+        radius_init,
+        radius_attribute,
+        radius_scale,
+        anisotropy: anisotropy.map(anisotropy_of),
+        max_stretch,
+        neighbor_radius,
+        position_smoothing,
+        velocity_gain,
+        void_threshold,
+        attributes,
+        drop_islands,
+        fill_cavities,
+        clip,
+        contouring: contour.map(contouring_of),
+        decimate,
+        smooth_normals,
+        quads: quads.then_some(true),
+        integrator: integrator.map(integrator_of),
+        laplacian_steps,
+        steps,
+        step_size,
+        redistance_every,
+        cg_tolerance,
+    }
+}
+
+fn preset_of(preset: PresetChoice) -> Preset {
+    match preset {
+        PresetChoice::Water => Preset::Water,
+        PresetChoice::Splash => Preset::Splash,
+        PresetChoice::Granular => Preset::Granular,
+        PresetChoice::Preview => Preset::Preview,
+        PresetChoice::Faithful => Preset::Faithful,
+        PresetChoice::Smooth => Preset::Smooth,
+    }
+}
+
+fn anisotropy_of(anisotropy: AnisotropyChoice) -> AnisotropyKind {
+    match anisotropy {
+        AnisotropyChoice::None => AnisotropyKind::None,
+        AnisotropyChoice::Neighbors => AnisotropyKind::Neighbors,
+        AnisotropyChoice::Velocity => AnisotropyKind::Velocity,
+    }
+}
+
+fn integrator_of(integrator: IntegratorChoice) -> Integrator {
+    match integrator {
+        IntegratorChoice::Fast => Integrator::Fast,
+        IntegratorChoice::Implicit => Integrator::Implicit,
+        IntegratorChoice::Explicit => Integrator::Explicit,
+    }
+}
+
+fn contouring_of(contour: ContourChoice) -> Contouring {
+    match contour {
+        ContourChoice::Dual => Contouring::Dual,
+        ContourChoice::Tetrahedra => Contouring::Tetrahedra,
     }
 }
 
 /// What was typed and changes nothing, a sentence each.
-pub(super) fn ignored(solver: &SolverArgs) -> Option<&'static str> {
-    let is_used = solver.integrator == Some(IntegratorChoice::Implicit);
-    (solver.cg_tolerance.is_some() && !is_used)
-        .then_some("--cg-tolerance is ignored: it is for --integrator implicit only")
+pub(super) fn ignored(args: &MethodArgs) -> Vec<String> {
+    let choices = choices(args);
+    let choices = choices.clone().over(choices.preset.map_or_else(Choices::default, Preset::choices));
+    let ParticleArgs {
+        radius_scale, max_stretch, neighbor_radius, position_smoothing, velocity_gain, ..
+    } = &args.particles;
+    let anisotropy = choices.anisotropy.unwrap_or(AnisotropyKind::None);
+    let by_neighbors = anisotropy == AnisotropyKind::Neighbors;
+    let is_implicit = choices.integrator == Some(Integrator::Implicit);
+    let cases = [
+        ("--cg-tolerance", args.solver.cg_tolerance.is_some(), is_implicit, "--integrator implicit"),
+        ("--radius-scale", radius_scale.is_some(), choices.radius_attribute.is_some(), "--radius-attribute"),
+        ("--max-stretch", max_stretch.is_some(), anisotropy != AnisotropyKind::None, "--anisotropy"),
+        ("--neighbor-radius", neighbor_radius.is_some(), by_neighbors, "--anisotropy neighbors"),
+        ("--position-smoothing", position_smoothing.is_some(), by_neighbors, "--anisotropy neighbors"),
+        (
+            "--velocity-gain",
+            velocity_gain.is_some(),
+            anisotropy == AnisotropyKind::Velocity,
+            "--anisotropy velocity",
+        ),
+        (
+            "--void-threshold",
+            args.obstacles.void_threshold.is_some(),
+            !args.obstacles.obstacle.is_empty(),
+            "--obstacle",
+        ),
+    ];
+    let ignored = cases.into_iter().filter(|(_, is_given, is_used, _)| *is_given && !is_used);
+    ignored.map(|(option, _, _, with)| format!("{option} is ignored: it is for {with} only")).collect()
 }
 
 /// What is written, to `folder`: .glb and .vdb by default.

@@ -24,6 +24,7 @@ use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
+use super::print_settings::print_settings;
 use super::wording::{counted, described, notes, significant};
 
 /// Converts what the arguments ask for.
@@ -33,14 +34,22 @@ use super::wording::{counted, described, notes, significant};
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdict> {
     let start = Instant::now();
     clean_up_when_interrupted();
+    if args.print_settings && args.inputs.is_empty() {
+        return print_settings(&[], &args.method, &thread_pool(args.threads)?, console);
+    }
     let Selection { sequences, found } = select_frames(args, console)?;
-    if let Some(warning) = ignored(&args.solver) {
+    for warning in ignored(&args.method) {
         console.warn(format_args!("warning: {warning}"));
     }
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
     }
-    let outputs = Arc::new(output_options(args.out.clone(), args.format.as_deref(), &args.formats));
+    if args.print_settings {
+        let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
+        return print_settings(&sequences, &args.method, &thread_pool(args.threads)?, console);
+    }
+    let folder = args.out.clone().context("--out is missing: the folder for the results")?;
+    let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     refuse_conflicts(&sequences, &found, &outputs, args.report.as_deref())?;
@@ -156,7 +165,7 @@ fn resolve_settings(
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Result<(Settings, SequenceRecord), String>> {
-    let automatic = match args.surface.voxel_size {
+    let automatic = match args.method.first.voxel_size {
         Some(_) => None,
         None => {
             let paths = || sequence.frames.iter().map(|file| &*file.path);
@@ -166,8 +175,9 @@ fn resolve_settings(
             }
         }
     };
-    let voxel_size = args.surface.voxel_size.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
-    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(&args.surface, &args.solver))
+    let given = args.method.first.voxel_size;
+    let voxel_size = given.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
+    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(&args.method))
         .with_context(|| sequence.name.clone())?;
     say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
     if automatic.is_some() {

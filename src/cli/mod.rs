@@ -15,6 +15,7 @@ mod info;
 mod inputs;
 mod interrupt;
 mod out_folder;
+mod print_settings;
 mod quantities;
 mod status;
 mod watch;

@@ -31,7 +31,7 @@ pub(super) fn remedy(error: &FrameError) -> Remedy {
         Cause::Scratch(refusal) if concerns_all(refusal.kind()) => Remedy::AwaitRoom,
         Cause::Scratch(_) | Cause::Changed => Remedy::Retry,
         Cause::TooLarge(_) => Remedy::AwaitRestart,
-        Cause::Panic(_) => Remedy::GiveUp,
+        Cause::Missing(_) | Cause::Panic(_) => Remedy::GiveUp,
     }
 }
 

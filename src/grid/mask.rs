@@ -106,6 +106,11 @@ impl LeafMask {
         }
     }
 
+    /// The voxels that are not in it.
+    pub fn complement(&self) -> LeafMask {
+        LeafMask { words: self.words.map(|word| !word) }
+    }
+
     /// The voxels that are in either.
     pub fn or(&self, other: &LeafMask) -> LeafMask {
         LeafMask { words: std::array::from_fn(|x| self.words[x] | other.words[x]) }

@@ -24,6 +24,8 @@ pub enum Meaning {
     Color,
     /// A radius in world units, arity 1.
     Radius,
+    /// The identity of a particle over time, arity 1.
+    Id,
     /// Something else.
     Other,
 }
@@ -42,6 +44,27 @@ pub enum AttributeValues {
         /// One index per value.
         indices: Vec<i32>,
     },
+}
+
+impl Attribute {
+    /// Whether it goes by this name: its own, whatever the case, or one of its meaning.
+    pub fn is_called(&self, name: &str) -> bool {
+        let is = |other: &&str| name.eq_ignore_ascii_case(other);
+        is(&&*self.name) || self.meaning.names().iter().any(|other| is(other))
+    }
+}
+
+impl Meaning {
+    /// What users call it.
+    fn names(self) -> &'static [&'static str] {
+        match self {
+            Meaning::Velocity => &["velocity", "v"],
+            Meaning::Color => &["color", "colour", "Cd"],
+            Meaning::Radius => &["radius", "pscale"],
+            Meaning::Id => &["id"],
+            Meaning::Other => &[],
+        }
+    }
 }
 
 impl AttributeValues {

@@ -28,6 +28,42 @@ pub enum Particles {
     Double(Vec<[f64; 3]>),
 }
 
+/// A frame of particles: where they are, what they are, and what else is known of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cloud {
+    /// Where they are.
+    pub positions: Particles,
+    /// What they are.
+    pub shapes: Shapes,
+    /// What is known of each of them.
+    pub attributes: Vec<Attribute>,
+}
+
+impl Cloud {
+    /// The attribute that goes by this name: one whose own it is before one that means it.
+    pub fn attribute(&self, name: &str) -> Option<&Attribute> {
+        let own = self.attributes.iter().find(|attribute| attribute.name == name);
+        own.or_else(|| self.attributes.iter().find(|attribute| attribute.is_called(name)))
+    }
+
+    /// The memory that they take, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        let shapes = match &self.shapes {
+            Shapes::Balls => 0,
+            Shapes::Scaled(scales) => size_of_val(&**scales),
+            Shapes::Ellipsoids(ellipsoids) => size_of_val(&**ellipsoids),
+        };
+        let attributes: usize = self.attributes.iter().map(|attribute| attribute.values.size_bytes()).sum();
+        self.positions.size_bytes() + shapes + attributes
+    }
+}
+
+impl From<Particles> for Cloud {
+    fn from(positions: Particles) -> Cloud {
+        Cloud { positions, shapes: Shapes::Balls, attributes: Vec::new() }
+    }
+}
+
 /// Particles that can be gone through more than once, in batches.
 pub trait ParticleSource: Sync {
     /// Why a batch cannot be had. [`Infallible`] for what is in memory.
@@ -42,6 +78,14 @@ pub trait ParticleSource: Sync {
     /// # Errors
     /// Whatever keeps the source from having them.
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error>;
+
+    /// What the particles are, in the order of the batches and of the particles in them.
+    fn shapes(&self) -> &Shapes {
+        &Shapes::Balls
+    }
+
+    /// How many particles come before those of a batch. Asked for only where particles differ in shape.
+    fn first_of(&self, batch: usize) -> usize;
 }
 
 /// The positions of a batch in world units, in the precision they came in.
@@ -100,5 +144,29 @@ impl ParticleSource for Particles {
             Particles::Single(positions) => Positions::Single(Cow::Borrowed(&positions[range])),
             Particles::Double(positions) => Positions::Double(Cow::Borrowed(&positions[range])),
         })
+    }
+
+    fn first_of(&self, batch: usize) -> usize {
+        batch * BATCH
+    }
+}
+
+impl ParticleSource for Cloud {
+    type Error = Infallible;
+
+    fn batch_count(&self) -> usize {
+        self.positions.batch_count()
+    }
+
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
+        self.positions.batch(batch)
+    }
+
+    fn shapes(&self) -> &Shapes {
+        &self.shapes
+    }
+
+    fn first_of(&self, batch: usize) -> usize {
+        self.positions.first_of(batch)
     }
 }

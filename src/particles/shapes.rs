@@ -22,6 +22,35 @@ pub enum Shapes {
     Ellipsoids(Vec<Ellipsoid>),
 }
 
+impl Shapes {
+    /// Whether all particles are alike.
+    pub fn are_balls(&self) -> bool {
+        matches!(self, Shapes::Balls)
+    }
+
+    /// How far particle `index` reaches from its centre, in units of the settings' radii.
+    pub fn longest(&self, index: usize) -> f32 {
+        match self {
+            Shapes::Balls => 1.0,
+            Shapes::Scaled(scales) => scales[index],
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].longest,
+        }
+    }
+
+    /// Those of these particles.
+    pub fn of(&self, indices: &[u32]) -> Shapes {
+        match self {
+            Shapes::Balls => Shapes::Balls,
+            Shapes::Scaled(scales) => {
+                Shapes::Scaled(indices.iter().map(|&index| scales[index as usize]).collect())
+            }
+            Shapes::Ellipsoids(ellipsoids) => {
+                Shapes::Ellipsoids(indices.iter().map(|&index| ellipsoids[index as usize]).collect())
+            }
+        }
+    }
+}
+
 /// Half axes and directions of an ellipsoid, in units of the settings' radii.
 ///
 /// It is stored as the symmetric matrix T that takes it to the unit ball: eigenvalues 1/a, 1/b, 1/c for half axes
@@ -53,6 +82,19 @@ impl Ellipsoid {
         Ellipsoid { to_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
     }
 
+    /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows of T⁻¹.
+    pub fn extents(&self) -> Vec3 {
+        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+        let cofactors = [
+            Vec3::new(yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy),
+            Vec3::new(xz * yz - xy * zz, xx * zz - xz * xz, xy * xz - xx * yz),
+            Vec3::new(xy * yz - xz * yy, xy * xz - xx * yz, xx * yy - xy * xy),
+        ];
+        let determinant = xx * cofactors[0].x + xy * cofactors[0].y + xz * cofactors[0].z;
+        let [x, y, z] = cofactors.map(|row| row.length() / determinant);
+        Vec3::new(x, y, z).min(Vec3::splat(self.longest))
+    }
+
     /// T·`v`.
     #[inline(always)]
     pub fn apply(&self, v: Vec3) -> Vec3 {
@@ -81,6 +123,12 @@ mod tests {
             assert!((on_ball - direction).length() < 1e-6, "{on_ball} for {direction}");
         }
         assert_eq!(ellipsoid.longest, 3.0);
+        let reach = |along: Vec3| {
+            let squares = half_axes.into_iter().zip(directions).map(|(a, d)| (a * d.dot(along)).powi(2));
+            squares.sum::<f32>().sqrt()
+        };
+        let expected = Vec3::new(reach(Vec3::X), reach(Vec3::Y), reach(Vec3::Z));
+        assert!((ellipsoid.extents() - expected).length() < 1e-5, "{expected}");
         assert_eq!(Ellipsoid::ball(2.0).apply(Vec3::new(2.0, -4.0, 1.0)), Vec3::new(1.0, -2.0, 0.5));
     }
 }

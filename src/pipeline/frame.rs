@@ -121,6 +121,8 @@ pub enum Cause {
     File(meniscus_formats::Error),
     /// The input was written, replaced or removed while it was read.
     Changed,
+    /// The particles lack an attribute without which they cannot be skinned as asked.
+    Missing(String),
     /// The frame does not fit into the memory that it may take.
     TooLarge(TooLarge),
     /// What does not fit into memory could not be put on the disk, beside the outputs.
@@ -178,6 +180,7 @@ impl fmt::Display for FrameError {
             Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path.display()),
             Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path.display()),
             Cause::Changed => write!(f, "{}: changed while it was read", path.display()),
+            Cause::Missing(what) => write!(f, "{}: {what}", path.display()),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
             Cause::Scratch(source) => {
                 write!(f, "{}: cannot keep what does not fit into memory here: {source}", path.display())
@@ -195,7 +198,7 @@ impl std::error::Error for FrameError {
             Cause::File(source) => Some(source),
             Cause::TooLarge(source) => Some(source),
             Cause::Scratch(source) => Some(source),
-            Cause::Changed | Cause::Panic(_) => None,
+            Cause::Changed | Cause::Missing(_) | Cause::Panic(_) => None,
         }
     }
 }

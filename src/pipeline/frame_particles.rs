@@ -7,7 +7,11 @@ use std::sync::Arc;
 
 use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, Positions};
 
-use crate::particles::{self, ParticleSource, Particles};
+use crate::particles::{self, Cloud, ParticleSource, Shapes};
+
+use crate::report::Shaping;
+use crate::settings::Settings;
+use crate::skin;
 
 use super::frame::Cause;
 use super::reading::InputFile;
@@ -16,7 +20,7 @@ use super::reading::InputFile;
 #[derive(Debug)]
 pub enum FrameParticles {
     /// All of them.
-    InMemory(Particles),
+    InMemory(Cloud),
     /// Those in a file whose records can be read one by one.
     OnDisk(Box<FileParticles>),
 }
@@ -53,7 +57,7 @@ impl FrameParticles {
     /// The number of particles.
     pub fn len(&self) -> usize {
         match self {
-            FrameParticles::InMemory(particles) => particles.len(),
+            FrameParticles::InMemory(cloud) => cloud.positions.len(),
             FrameParticles::OnDisk(file) => file.batches.particle_count(),
         }
     }
@@ -66,8 +70,20 @@ impl FrameParticles {
     /// Memory that is taken while they wait, in bytes.
     pub(super) fn size_bytes(&self) -> u64 {
         match self {
-            FrameParticles::InMemory(particles) => particles.size_bytes() as u64,
+            FrameParticles::InMemory(cloud) => cloud.size_bytes() as u64,
             FrameParticles::OnDisk(_) => 0,
+        }
+    }
+
+    /// The same particles in the shapes that the settings ask for.
+    pub fn shaped(self, settings: &Settings) -> (FrameParticles, Shaping) {
+        match self {
+            FrameParticles::InMemory(cloud) => {
+                let (cloud, shaping) = skin::shape(cloud, settings);
+                (FrameParticles::InMemory(cloud), shaping)
+            }
+            // What needs more than positions is never read in batches.
+            FrameParticles::OnDisk(_) => (self, Shaping::default()),
         }
     }
 
@@ -92,15 +108,15 @@ impl ParticleSource for FrameParticles {
 
     fn batch_count(&self) -> usize {
         match self {
-            FrameParticles::InMemory(particles) => particles.batch_count(),
+            FrameParticles::InMemory(cloud) => cloud.batch_count(),
             FrameParticles::OnDisk(file) => file.batches.batch_count(),
         }
     }
 
     fn batch(&self, index: usize) -> Result<particles::Positions<'_>, Cause> {
         match self {
-            FrameParticles::InMemory(particles) => {
-                let Ok(positions) = particles.batch(index);
+            FrameParticles::InMemory(cloud) => {
+                let Ok(positions) = cloud.batch(index);
                 Ok(positions)
             }
             FrameParticles::OnDisk(file) => {
@@ -111,6 +127,20 @@ impl ParticleSource for FrameParticles {
                     Positions::F64(positions) => particles::Positions::Double(Cow::Owned(positions)),
                 })
             }
+        }
+    }
+
+    fn shapes(&self) -> &Shapes {
+        match self {
+            FrameParticles::InMemory(cloud) => cloud.shapes(),
+            FrameParticles::OnDisk(_) => &Shapes::Balls,
+        }
+    }
+
+    fn first_of(&self, batch: usize) -> usize {
+        match self {
+            FrameParticles::InMemory(cloud) => cloud.first_of(batch),
+            FrameParticles::OnDisk(file) => file.batches.particles_of(batch).start,
         }
     }
 }

@@ -10,6 +10,7 @@
 //!   crew        whose turn it is to compute           budget   who may take how much memory
 //!   method      the three stages in the middle        memory   how much there is
 //!
+//!   attributes  what else is needed of each particle
 //!   reading     bytes to particles, of a file that     stamp     what tells one that was written again
 //!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
 //!   writing     surfaces to bytes                      provenance  what made them
@@ -20,6 +21,7 @@
 //! One command for one file, a sequence and a daemon run this same pipeline; they differ only in
 //! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
 
+mod attributes;
 mod budget;
 mod crew;
 mod frame;
@@ -38,6 +40,7 @@ mod temporary;
 mod voxel_size;
 mod writing;
 
+pub use attributes::Wanted;
 pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
 pub use frame_particles::FrameParticles;
 pub use memory::default_memory_bytes;

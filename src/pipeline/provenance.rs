@@ -13,7 +13,7 @@ use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
 use twox_hash::XxHash3_64;
 
-use crate::settings::{Contouring, Integrator, Settings};
+use crate::settings::{Pairs, Settings};
 
 use super::frame::Frame;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
@@ -110,59 +110,13 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static 
     }
 }
 
-/// Every setting that matters to an output in `format`, numbers in the shortest form that reads
-/// back as the same number. What does not matter is left out: changing it would make the same bytes
-/// again.
-fn settings_pairs(settings: &Settings, format: OutputFormat) -> Vec<(&'static str, String)> {
-    let Settings {
-        voxel_size,
-        radius_min,
-        radius_init,
-        radius_max,
-        integrator,
-        laplacian_steps,
-        steps,
-        step_size,
-        redistance_every,
-        cg_tolerance,
-        contouring,
-    } = settings;
-    let mut pairs = vec![
-        ("voxel_size", voxel_size.to_string()),
-        ("radius_min", radius_min.to_string()),
-        ("radius_init", radius_init.to_string()),
-        ("radius_max", radius_max.to_string()),
-        ("integrator", integrator_name(*integrator).to_owned()),
-        ("laplacian_steps", laplacian_steps.to_string()),
-        ("steps", steps.to_string()),
-        ("step_size", step_size.to_string()),
-        ("redistance_every", redistance_every.to_string()),
-    ];
-    if *integrator == Integrator::Implicit {
-        pairs.push(("cg_tolerance", cg_tolerance.to_string()));
-    }
-    // A level set is written as it is, before it becomes a mesh.
-    if format != OutputFormat::Vdb {
-        pairs.push(("contour", contouring_name(*contouring).to_owned()));
+/// Every setting that matters to an output in `format`.
+fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
+    let mut pairs = settings.pairs(format != OutputFormat::Vdb);
+    if format == OutputFormat::Obj && settings.quads {
+        pairs.push(("quads", true.to_string()));
     }
     pairs
-}
-
-/// As it is typed.
-pub(super) fn integrator_name(integrator: Integrator) -> &'static str {
-    match integrator {
-        Integrator::Fast => "fast",
-        Integrator::Implicit => "implicit",
-        Integrator::Explicit => "explicit",
-    }
-}
-
-/// As it is typed.
-pub(super) fn contouring_name(contouring: Contouring) -> &'static str {
-    match contouring {
-        Contouring::Dual => "dual",
-        Contouring::Tetrahedra => "tetrahedra",
-    }
 }
 
 fn compression_name(compression: vdb::Compression) -> &'static str {

@@ -7,16 +7,17 @@ use std::path::{Path, PathBuf};
 use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, read_particles};
 use twox_hash::xxhash3_128::Hasher;
 
-use crate::particles::Particles;
+use crate::particles::{Cloud, Particles, Shapes};
 
-use super::frame::{FrameError, Stage};
+use super::attributes::Wanted;
+use super::frame::{Cause, FrameError, Stage};
 use super::stamp::FileStamp;
 
 /// What the pipeline needs of a file.
 #[derive(Clone, Debug)]
 pub struct ReadFrame {
     /// The particles.
-    pub particles: Particles,
+    pub cloud: Cloud,
     /// What a user should know though the file was read.
     pub notes: Vec<String>,
 }
@@ -172,16 +173,21 @@ impl ReadAt for InputFile {
 /// Bytes that are hashed at once: few enough to be in the cache, many enough for the system's calls not to matter.
 const HASHED_BYTES: usize = 1 << 18;
 
-/// The particles in the bytes of the file at `path`.
+/// The particles in the bytes of the file at `path`, with the attributes that are wanted.
 ///
 /// # Errors
-/// When they are no particles that can be read.
-pub fn parse_particles(path: &Path, bytes: &[u8]) -> Result<ReadFrame, FrameError> {
+/// When they are no particles that can be read, or lack what is needed.
+pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<ReadFrame, FrameError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(bytes, &name, &Limits::default())
         .map_err(|error| FrameError::file(path, Stage::Read, error))?;
-    let ParticleFrame { positions, notes, .. } = frame;
-    Ok(ReadFrame { particles: particles(positions), notes })
+    let ParticleFrame { positions, attributes, mut notes } = frame;
+    let missing =
+        |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
+    let (attributes, more) = wanted.of(attributes).map_err(missing)?;
+    notes.extend(more);
+    let cloud = Cloud { positions: particles(positions), shapes: Shapes::Balls, attributes };
+    Ok(ReadFrame { cloud, notes })
 }
 
 /// The same vectors under the method's own type.

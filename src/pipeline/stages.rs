@@ -31,9 +31,10 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use rayon::ThreadPool;
 use twox_hash::XxHash3_128;
 
-use crate::settings::Settings;
+use crate::settings::{Anisotropy, Settings};
 use crate::skin::{Plan, Surface};
 
+use super::attributes::Wanted;
 use super::budget::{Budget, Reservation};
 use super::crew::{Crew, Tasks};
 use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
@@ -42,7 +43,7 @@ use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::provenance::is_done;
 use super::reading::{InputFile, parse_particles, read_unchanged};
-use super::writing::{Written, write_files, write_surface};
+use super::writing::{Written, attribute_notes, write_files, write_surface};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -282,7 +283,11 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let failed = |error: io::Error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let file = InputFile::open(&frame.input).map_err(failed)?;
-        if file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES {
+        let wanted = Wanted::by(&frame.settings);
+        if file.is_regular()
+            && file.stamp().size >= STREAMED_FROM_BYTES
+            && needs_positions_only(&frame.settings)
+        {
             let input = ReadInput { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
@@ -306,8 +311,8 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         }
         let path = frame.input.clone();
         let parse = move || {
-            let read = parse_particles(&path, &bytes)?;
-            Ok((FrameParticles::InMemory(read.particles), read.notes))
+            let read = parse_particles(&path, &bytes, &wanted)?;
+            Ok((FrameParticles::InMemory(read.cloud), read.notes))
         };
         self.planned(number, frame, parse, input)
     }
@@ -391,8 +396,9 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         ended: &Sender<Ended<K>>,
     ) {
         let method = self.method;
-        let work = move |smoothed, settings: &Settings| method.contour(smoothed, settings);
         for Parcel { label, mut known, content } in from {
+            let outputs = Arc::clone(&label.frame.outputs);
+            let work = move |smoothed, settings: &Settings| method.contour(smoothed, settings, &outputs);
             let computed = self.compute(Stage::Contour, &label, content, work);
             if let Ok(surface) = &computed {
                 known.seat = None;
@@ -467,7 +473,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: known.notes,
+                notes: [known.notes, attribute_notes(&surface, &frame.outputs.formats)].concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }
@@ -484,6 +490,11 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     fn is_stopped_before(&self, number: usize) -> bool {
         self.conduct.on_error == OnError::Stop && self.failed_first.load(Ordering::Relaxed) < number
     }
+}
+
+/// Whether a frame needs nothing of its particles but their positions, and these not all at once.
+fn needs_positions_only(settings: &Settings) -> bool {
+    Wanted::by(settings).is_nothing() && settings.anisotropy == Anisotropy::None
 }
 
 /// What became of a frame with this error.

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use crate::spacing::estimate_spacing;
 
+use super::attributes::Wanted;
 use super::frame::{FrameError, Stage};
 use super::reading::{parse_particles, read_file};
 
@@ -72,7 +73,8 @@ pub fn automatic_voxel_size<'a>(
     for path in files {
         let spacing_of_file = || {
             let bytes = read_file(path)?;
-            Ok(estimate_spacing(&parse_particles(path, &bytes)?.particles))
+            let read = parse_particles(path, &bytes, &Wanted::default())?;
+            Ok(estimate_spacing(&read.cloud.positions))
         };
         match FrameError::catch(path, Stage::Read, spacing_of_file).flatten() {
             Ok(Some(spacing)) => {

@@ -9,6 +9,8 @@
 //! Both passes over the particles begin with this. Neighbours in a file are mostly neighbours in space: a
 //! leaf is looked up only where it is not that of the particle before.
 
+use std::ops::Range;
+
 use glam::{IVec3, Vec3};
 use rustc_hash::FxHashMap;
 
@@ -25,13 +27,15 @@ pub(super) struct LeafBatch {
     starts: Vec<u32>,
     /// Positions in voxels relative to the origin of their leaf, 0 to 8 on each axis.
     locals: Vec<Vec3>,
+    /// For each of them which particle of the batch it is; empty unless asked for.
+    places: Vec<u32>,
     /// Particles left out: positions that are not finite, or outside the grid's range of indices.
     pub(super) dropped_count: usize,
 }
 
 impl LeafBatch {
-    /// Sorts a batch. Particles of a leaf keep their order.
-    pub(super) fn new(positions: &Positions, lattice: &Lattice) -> LeafBatch {
+    /// Sorts a batch. Particles of a leaf keep their order. `with_places` where it will matter which particle is which.
+    pub(super) fn new(positions: &Positions, lattice: &Lattice, with_places: bool) -> LeafBatch {
         let placed = match positions {
             Positions::Single(positions) => Placed::new(positions, lattice),
             Positions::Double(positions) => Placed::new(positions, lattice),
@@ -39,27 +43,32 @@ impl LeafBatch {
         let mut origins: Vec<IVec3> = Vec::new();
         let mut starts = vec![0u32];
         let mut leaves: FxHashMap<IVec3, u32> = FxHashMap::default();
-        let mut runs: Vec<(u32, &[Vec3])> = Vec::new();
-        for (origin, locals) in placed.runs() {
+        let mut runs: Vec<(u32, Range<usize>)> = Vec::new();
+        for (origin, run) in placed.runs() {
             let leaf = *leaves.entry(origin).or_insert_with(|| {
                 origins.push(origin);
                 starts.push(0);
                 origins.len() as u32 - 1
             });
-            starts[leaf as usize + 1] += locals.len() as u32;
-            runs.push((leaf, locals));
+            starts[leaf as usize + 1] += run.len() as u32;
+            runs.push((leaf, run));
         }
         for leaf in 0..origins.len() {
             starts[leaf + 1] += starts[leaf];
         }
         let mut cursors = starts.clone();
         let mut locals = vec![Vec3::ZERO; starts[origins.len()] as usize];
+        let mut places = vec![0; if with_places { locals.len() } else { 0 }];
         for (leaf, run) in runs {
             let cursor = &mut cursors[leaf as usize];
-            locals[*cursor as usize..][..run.len()].copy_from_slice(run);
+            let to = *cursor as usize..*cursor as usize + run.len();
             *cursor += run.len() as u32;
+            if with_places {
+                places[to.clone()].iter_mut().zip(run.clone()).for_each(|(to, place)| *to = place as u32);
+            }
+            locals[to].copy_from_slice(&placed.locals[run]);
         }
-        LeafBatch { dropped_count: placed.locals.len() - locals.len(), origins, starts, locals }
+        LeafBatch { dropped_count: placed.locals.len() - locals.len(), origins, starts, locals, places }
     }
 
     /// The particles that were not dropped.
@@ -71,6 +80,15 @@ impl LeafBatch {
     pub(super) fn leaves(&self) -> impl Iterator<Item = (IVec3, &[Vec3])> {
         let ranges = self.starts.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
         self.origins.iter().zip(ranges).map(|(&origin, range)| (origin, &self.locals[range]))
+    }
+
+    /// The same, and which particles of the batch these are: none unless that was asked for.
+    pub(super) fn leaves_with_places(&self) -> impl Iterator<Item = (IVec3, &[Vec3], &[u32])> {
+        let ranges = self.starts.windows(2).map(|ends| ends[0] as usize..ends[1] as usize);
+        self.origins.iter().zip(ranges).map(|(&origin, range)| {
+            let places = if self.places.is_empty() { &[] } else { &self.places[range.clone()] };
+            (origin, &self.locals[range], places)
+        })
     }
 }
 
@@ -95,14 +113,14 @@ impl Placed {
     }
 
     /// Particles in a row that lie in one leaf, for all that have a place.
-    fn runs(&self) -> impl Iterator<Item = (IVec3, &[Vec3])> {
-        let mut rest = self.locals.as_slice();
+    fn runs(&self) -> impl Iterator<Item = (IVec3, Range<usize>)> {
+        let mut end = 0;
         let runs = self.origins.chunk_by(|one, other| one == other).map(move |origins| {
-            let (run, after) = rest.split_at(origins.len());
-            rest = after;
-            (origins[0], run)
+            let start = end;
+            end += origins.len();
+            (origins[0], start..end)
         });
-        runs.filter(|(_, run)| !run[0].is_nan())
+        runs.filter(|(_, run)| !self.locals[run.start].is_nan())
     }
 }
 
@@ -147,7 +165,7 @@ mod tests {
         positions.extend([[limit, 0.0, 0.0], [0.0, -limit, 0.0], [0.999 * limit, 0.0, -0.999 * limit]]);
         let particles = Particles::Double(positions.clone());
         let Ok(batch) = particles.batch(0);
-        let batch = LeafBatch::new(&batch, &lattice);
+        let batch = LeafBatch::new(&batch, &lattice, true);
         let mut found = 0;
         for (origin, locals) in batch.leaves() {
             let expected: Vec<Vec3> = positions
@@ -158,6 +176,12 @@ mod tests {
                 .collect();
             assert_eq!(locals, expected, "{origin}");
             found += locals.len();
+        }
+        for (origin, locals, places) in batch.leaves_with_places() {
+            for (local, &place) in locals.iter().zip(places) {
+                let index = lattice.index_from_world(positions[place as usize].into()).expect("not dropped");
+                assert_eq!(*local, (index - origin.as_dvec3()).as_vec3());
+            }
         }
         assert_eq!((found, batch.len(), batch.dropped_count), (302, 302, 4));
     }

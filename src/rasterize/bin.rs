@@ -13,6 +13,8 @@
 //! batches, in their order. So the order within a leaf is that of the source, and what there is at once is
 //! the batches under way, and twice the particles that are kept.
 
+use std::ops::Range;
+
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
@@ -21,7 +23,7 @@ use super::need::Need;
 use super::occupancy::Occupancy;
 use super::region::{Regions, meet};
 use crate::grid::{LeafMask, Topology, offset_in_leaf};
-use crate::particles::ParticleSource;
+use crate::particles::{ParticleSource, Shapes};
 use crate::space::Lattice;
 
 /// The particles that matter to a surface, by leaf.
@@ -36,6 +38,8 @@ pub struct ParticleBins {
     starts: Vec<usize>,
     /// Positions in voxels relative to the origin of their leaf, 0 to 8 on each axis.
     positions: Vec<Vec3>,
+    /// What they are, in the same order.
+    pub shapes: Shapes,
     /// All particles of the source that were not dropped, whether they are here or not.
     pub particle_count: usize,
     /// Particles left out: positions that are not finite, or outside the grid's range of indices.
@@ -58,12 +62,14 @@ impl ParticleBins {
             if !meet(&occupancy.batches[batch].voxels, &regions.populated) {
                 return Ok(KeptBatch::default());
             }
-            Ok(KeptBatch::new(&LeafBatch::new(&source.batch(batch)?, lattice), need))
+            let sorted = LeafBatch::new(&source.batch(batch)?, lattice, occupancy.has_shapes);
+            let first = if occupancy.has_shapes { source.first_of(batch) } else { 0 };
+            Ok(KeptBatch::new(&sorted, first, need))
         };
         let batches = (0..source.batch_count()).into_par_iter().map(keep).collect::<Result<Vec<_>, _>>()?;
         let mut counts = vec![0usize; need.occupied().len()];
-        for (leaf, positions) in batches.iter().flat_map(KeptBatch::leaves) {
-            counts[leaf] += positions.len();
+        for (leaf, range) in batches.iter().flat_map(KeptBatch::leaves) {
+            counts[leaf] += range.len();
         }
         let leaves: Vec<usize> = (0..counts.len()).filter(|&leaf| counts[leaf] > 0).collect();
         let topology = Topology::new(leaves.iter().map(|&leaf| need.occupied().origins()[leaf]).collect());
@@ -71,14 +77,23 @@ impl ParticleBins {
         for (place, &leaf) in leaves.iter().enumerate() {
             starts[place + 1] = starts[place] + counts[leaf];
         }
-        let positions = gather(&batches, &leaves, &starts);
+        let positions = gather(&batches, &leaves, &starts, |batch| &batch.positions);
+        let shapes = match source.shapes() {
+            Shapes::Balls => Shapes::Balls,
+            shapes => shapes.of(&gather(&batches, &leaves, &starts, |batch| &batch.indices)),
+        };
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
-        Ok(ParticleBins { topology, starts, positions, particle_count, dropped_count })
+        Ok(ParticleBins { topology, starts, positions, shapes, particle_count, dropped_count })
     }
 
     /// The particles of a leaf, relative to its origin, in voxels.
     pub fn in_leaf(&self, leaf: usize) -> &[Vec3] {
         &self.positions[self.starts[leaf]..self.starts[leaf + 1]]
+    }
+
+    /// Which of the particles that are here lie in a leaf.
+    pub fn range(&self, leaf: usize) -> Range<usize> {
+        self.starts[leaf]..self.starts[leaf + 1]
     }
 
     /// The number of particles that are here.
@@ -98,40 +113,48 @@ struct KeptBatch {
     /// Each leaf that has any, and where its particles end in `positions`.
     leaves: Vec<(u32, u32)>,
     positions: Vec<Vec3>,
+    /// Which particles of the source they are, where they have shapes of their own.
+    indices: Vec<u32>,
 }
 
 impl KeptBatch {
-    fn new(batch: &LeafBatch, need: &Need) -> KeptBatch {
-        let needed = |(origin, locals)| {
+    /// `first` particles of the source come before the batch.
+    fn new(batch: &LeafBatch, first: usize, need: &Need) -> KeptBatch {
+        let needed = |(origin, locals, places)| {
             let leaf = need.occupied().find(origin)?;
             let kept = need.kept(leaf);
-            (*kept != LeafMask::EMPTY).then_some((leaf, kept, locals))
+            (*kept != LeafMask::EMPTY).then_some((leaf, kept, locals, places))
         };
-        let mut needed: Vec<(usize, &LeafMask, &[Vec3])> = batch.leaves().filter_map(needed).collect();
+        let mut needed: Vec<(usize, &LeafMask, &[Vec3], &[u32])> =
+            batch.leaves_with_places().filter_map(needed).collect();
         needed.sort_unstable_by_key(|&(leaf, ..)| leaf);
-        let mut positions = Vec::with_capacity(needed.iter().map(|(.., locals)| locals.len()).sum());
+        let mut positions = Vec::with_capacity(needed.iter().map(|(_, _, locals, _)| locals.len()).sum());
+        let mut indices = Vec::new();
         let mut leaves = Vec::with_capacity(needed.len());
-        for (leaf, kept, locals) in needed {
-            positions.extend(locals.iter().filter(|local| kept.contains(cell_of(**local))));
+        for (leaf, kept, locals, places) in needed {
+            let is_kept = |local: &Vec3| kept.contains(cell_of(*local));
+            positions.extend(locals.iter().filter(|local| is_kept(local)));
+            let particles = locals.iter().zip(places).filter(|(local, _)| is_kept(local));
+            indices.extend(particles.map(|(_, &place)| first as u32 + place));
             leaves.push((leaf as u32, positions.len() as u32));
         }
         positions.shrink_to_fit();
-        KeptBatch { leaves, positions }
+        KeptBatch { leaves, positions, indices }
     }
 
-    /// The leaves, and the particles in them.
-    fn leaves(&self) -> impl Iterator<Item = (usize, &[Vec3])> {
+    /// The leaves, and which of the particles are in them.
+    fn leaves(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
         self.leaves_from(0)
     }
 
     /// Those from this leaf on.
-    fn leaves_from(&self, first: usize) -> impl Iterator<Item = (usize, &[Vec3])> {
+    fn leaves_from(&self, first: usize) -> impl Iterator<Item = (usize, Range<usize>)> {
         let first = self.leaves.partition_point(|&(leaf, _)| (leaf as usize) < first);
         let mut start = first.checked_sub(1).map_or(0, |before| self.leaves[before].1 as usize);
         self.leaves[first..].iter().map(move |&(leaf, end)| {
             let range = start..end as usize;
             start = range.end;
-            (leaf as usize, &self.positions[range])
+            (leaf as usize, range)
         })
     }
 }
@@ -142,13 +165,18 @@ fn cell_of(local: Vec3) -> usize {
     offset_in_leaf(local.as_ivec3().min(IVec3::splat(7)))
 }
 
-/// The particles of these leaves from all batches; `starts` tells where each leaf's are to be.
-fn gather(batches: &[KeptBatch], leaves: &[usize], starts: &[usize]) -> Vec<Vec3> {
-    let mut positions = vec![Vec3::ZERO; starts[leaves.len()]];
+/// What there is of the particles of these leaves in all batches; `starts` tells where each leaf's are to be.
+fn gather<T: Copy + Default + Send + Sync>(
+    batches: &[KeptBatch],
+    leaves: &[usize],
+    starts: &[usize],
+    of: impl Fn(&KeptBatch) -> &Vec<T> + Sync,
+) -> Vec<T> {
+    let mut gathered = vec![T::default(); starts[leaves.len()]];
     // A piece for each of so many leaves that searching the batches for the first of them does not count.
     let piece_leaves = leaves.len().div_ceil(PIECES).max(1);
     let mut pieces = Vec::new();
-    let mut rest = positions.as_mut_slice();
+    let mut rest = gathered.as_mut_slice();
     for first in (0..leaves.len()).step_by(piece_leaves) {
         let last = leaves.len().min(first + piece_leaves);
         let (piece, after) = rest.split_at_mut(starts[last] - starts[first]);
@@ -167,12 +195,12 @@ fn gather(batches: &[KeptBatch], leaves: &[usize], starts: &[usize]) -> Vec<Vec3
                 }
                 place += leaves[place..].partition_point(|&other| other < leaf);
                 let cursor = &mut cursors[place];
-                piece[*cursor..*cursor + from.len()].copy_from_slice(from);
+                piece[*cursor..*cursor + from.len()].copy_from_slice(&of(batch)[from.clone()]);
                 *cursor += from.len();
             }
         }
     });
-    positions
+    gathered
 }
 
 /// Pieces in which particles are gathered.

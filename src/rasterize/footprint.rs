@@ -30,6 +30,8 @@ pub struct Footprint {
     pub occupied_count: usize,
     /// Area of the surface, in faces of voxels.
     pub area_voxels: usize,
+    /// All particles that were not dropped.
+    pub particle_count: usize,
     /// Particles in leaves that are not deep inside: about those that are kept.
     pub near_particle_count: usize,
 }
@@ -43,11 +45,11 @@ pub fn footprint<S: ParticleSource>(
     lattice: &Lattice,
     radii: Radii,
 ) -> Result<Footprint, S::Error> {
-    let near = Reach::new(radii.init + radii.half_width());
+    let near = Reach::new(radii.init * radii.roomy + radii.half_width());
     let cells = Cells::new(radii.init);
     let shards: Shards<Occupied> = Shards::new();
     let look = |batch: usize| -> Result<(), S::Error> {
-        let batch = LeafBatch::new(&source.batch(batch)?, lattice);
+        let batch = LeafBatch::new(&source.batch(batch)?, lattice, false);
         for (origin, locals) in batch.leaves() {
             let mut told = Occupied { count: locals.len(), ..Occupied::default() };
             for &local in locals {
@@ -78,6 +80,7 @@ pub fn footprint<S: ParticleSource>(
     Ok(Footprint {
         surface: surface.into_iter().collect(),
         occupied_count: occupied.len(),
+        particle_count: occupied.iter().map(|(_, leaf)| leaf.count).sum(),
         near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
         area_voxels: occupied
             .iter()
@@ -219,9 +222,9 @@ impl Cells {
 mod tests {
     use super::*;
     use crate::particles::Particles;
-    use crate::rasterize::rasterize;
+    use crate::rasterize::{Scene, rasterize};
 
-    const RADII: Radii = Radii { min: 1.732, init: 2.598, max: 3.464 };
+    const RADII: Radii = Radii::of_balls(1.732, 2.598, 3.464);
     const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
     /// Particles two voxels apart, on average, in a box of so many, each moved by up to a voxel; only every
@@ -242,7 +245,7 @@ mod tests {
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
             let Ok(Footprint { surface, near_particle_count, .. }) = footprint(&particles, &LATTICE, RADII);
-            let Ok(rasterized) = rasterize(&particles, &LATTICE, RADII);
+            let Ok(rasterized) = rasterize(&particles, &Scene::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
             assert!((1.0..1.7).contains(&ratio), "{found} leaves for {real} in {counts:?} / {every}");

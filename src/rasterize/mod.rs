@@ -24,6 +24,8 @@
 mod batch;
 mod bin;
 mod cover;
+mod distances;
+mod ellipsoid;
 mod footprint;
 mod need;
 mod occupancy;
@@ -33,6 +35,8 @@ mod signed_distance;
 mod sphere;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_shapes;
 
 use std::sync::Arc;
 
@@ -45,15 +49,17 @@ pub use occupancy::Occupancy;
 
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::obstacle::{ContactTally, ObstacleLeaf, Obstacles, hold_contact};
 use crate::particles::ParticleSource;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
+use distances::{Distances, Gauge, Sphere};
 use need::{Need, leaves_of_boxes};
 use region::Regions;
-use signed_distance::{Below, into_signed_distance, signed_distance};
-use sphere::{Eights, nearest_distances};
+use signed_distance::signed_distance;
 
-/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`.
+/// The radii of the three unions of spheres, in voxels: `min` ≤ `init` ≤ `max`. Where particles have shapes of their
+/// own, these are the units of their half axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Radii {
     /// r_min: the surface stays outside these.
@@ -62,30 +68,48 @@ pub struct Radii {
     pub init: f32,
     /// r_max: the surface stays inside these.
     pub max: f32,
+    /// No half axis of a particle is shorter, in units of the radii: 1 for balls.
+    pub shortest: f32,
+    /// Half axes that the band has room for, in units of the radii: 1 for balls. Particles may have longer ones; then
+    /// the surface cannot move quite as far as their bounds would let it.
+    pub roomy: f32,
 }
 
 /// Exact distances are kept so far beyond r_max, in voxels; farther ones are swept.
 const EXACT_MARGIN: f32 = 2.0;
 
 impl Radii {
+    /// The radii of particles that are all alike.
+    pub const fn of_balls(min: f32, init: f32, max: f32) -> Radii {
+        Radii { min, init, max, shortest: 1.0, roomy: 1.0 }
+    }
+
     /// Half the thickness of the band that smoothing may need (Eq. 7), in voxels: it reads values
     /// up to 5 voxels from the surface, and the surface may move to either bound.
     pub fn half_width(&self) -> f32 {
+        let gap = (self.max - self.init).max(self.init - self.min) * self.roomy;
         // Radii that differ by whole voxels but for rounding need no voxel more.
-        5.0 + ((self.max - self.init).max(self.init - self.min) - 1e-4).max(0.0).ceil()
+        5.0 + (gap - 1e-4).max(0.0).ceil()
     }
 
     /// How far a particle can change φ_0 and the bounds, in voxels: its exact distances; φ_0 swept from
-    /// them, two voxels a sweep; the leaves that come and go with φ_0; and the bounds swept on those.
-    pub fn reach_voxels(&self) -> u32 {
+    /// them, two voxels a sweep; the leaves that come and go with φ_0; and the bounds swept on those. `longest` is the
+    /// longest half axis of any particle, in units of the radii.
+    pub fn reach_voxels(&self, longest: f32) -> u32 {
         let swept = 2 * sweep_count(self.half_width());
-        (self.max + EXACT_MARGIN).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
+        self.exact_reach(longest).ceil() as u32 + swept + 2 * LEAF_EDGE as u32 + swept
     }
 
     /// How many leaves around a window are rasterized with it.
     pub fn window_halo_leaves(&self) -> i32 {
-        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self);
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::ZERO }, *self, self.roomy);
         (regions.own.min.x - regions.measured.min.x) / LEAF_EDGE
+    }
+
+    /// How far exact distances to a particle are kept from its centre, in voxels; it has no half axis longer than this,
+    /// in units of the radii.
+    fn exact_reach(&self, longest: f32) -> f32 {
+        self.max * longest + EXACT_MARGIN
     }
 
     /// Leaves are stored if a voxel of theirs is so near, on every axis, to one beside the surface.
@@ -93,6 +117,41 @@ impl Radii {
         self.half_width() as i32 + 1
     }
 }
+
+/// What particles are rasterized into.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    /// What positions are in voxels.
+    pub lattice: Lattice,
+    /// The radii of the spheres.
+    pub radii: Radii,
+    /// What stands in the way.
+    pub obstacles: &'a Obstacles,
+    /// Gaps between fluid and obstacles that are narrower than this, in voxels, are filled.
+    pub void_threshold: f32,
+}
+
+impl Scene<'_> {
+    /// One without obstacles.
+    pub fn open(lattice: Lattice, radii: Radii) -> Scene<'static> {
+        static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
+        Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0 }
+    }
+
+    /// Their signed distances in the leaf with this origin.
+    fn obstacle(&self, origin: IVec3) -> ObstacleLeaf {
+        self.obstacles.leaf(origin, &self.lattice, self.radii.half_width())
+    }
+
+    /// Whether the surface of an obstacle may pass by a voxel of the leaf with this origin.
+    fn is_at_obstacle(&self, origin: IVec3) -> bool {
+        self.obstacles.touches(origin, &self.lattice, OBSTACLE_MARGIN)
+    }
+}
+
+/// A surface that is nearer to a leaf than this, in voxels, may pass between two of its voxels, or the neighbours of
+/// these.
+const OBSTACLE_MARGIN: f32 = 1.5;
 
 /// What there is after this stage.
 #[derive(Clone, Debug)]
@@ -103,22 +162,20 @@ pub struct Rasterized {
     pub band: NarrowBand,
     /// The bounds on the same leaves.
     pub bounds: Bounds,
+    /// What obstacles changed of them.
+    pub contact: ContactTally,
 }
 
 /// Rasterizes a frame.
 ///
 /// # Errors
 /// Those of the source.
-pub fn rasterize<S: ParticleSource>(
-    source: &S,
-    lattice: &Lattice,
-    radii: Radii,
-) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(CoordBox::ALL, radii);
-    let occupancy = Occupancy::new(source, lattice)?;
-    let measured = measure(source, &occupancy, lattice, radii, &regions)?;
+pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasterized, S::Error> {
+    let occupancy = Occupancy::new(source, &scene.lattice)?;
+    let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
+    let measured = measure(source, &occupancy, scene, &regions)?;
     drop(occupancy);
-    Ok(level_sets(measured, radii, &regions))
+    Ok(level_sets(measured, scene, &regions))
 }
 
 /// Rasterizes the leaves that touch a window, a box of voxels: those that the whole frame has there, and their
@@ -129,13 +186,12 @@ pub fn rasterize<S: ParticleSource>(
 pub fn rasterize_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    lattice: &Lattice,
-    radii: Radii,
+    scene: &Scene,
     window: CoordBox,
 ) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(window, radii);
-    let measured = measure(source, occupancy, lattice, radii, &regions)?;
-    Ok(level_sets(measured, radii, &regions))
+    let regions = Regions::new(window, scene.radii, occupancy.longest());
+    let measured = measure(source, occupancy, scene, &regions)?;
+    Ok(level_sets(measured, scene, &regions))
 }
 
 /// The particles that what is in a window comes from.
@@ -145,50 +201,52 @@ pub fn rasterize_window<S: ParticleSource>(
 pub fn particles_of_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    lattice: &Lattice,
-    radii: Radii,
+    scene: &Scene,
     window: CoordBox,
 ) -> Result<ParticleBins, S::Error> {
-    let regions = Regions::new(window, radii);
-    ParticleBins::new(source, lattice, occupancy, &Need::new(occupancy, radii, &regions), &regions)
+    let regions = Regions::new(window, scene.radii, occupancy.longest());
+    let need = Need::new(occupancy, scene, &regions);
+    ParticleBins::new(source, &scene.lattice, occupancy, &need, &regions)
 }
 
-/// The leaves around the surface, and the distances from their voxels to the nearest particles.
+/// The leaves around the surface, and how far their voxels are from the particles.
 struct Measured {
     bins: ParticleBins,
     topology: Topology,
-    nearest: Field,
+    distances: Distances,
 }
 
 fn measure<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    lattice: &Lattice,
-    radii: Radii,
+    scene: &Scene,
     regions: &Regions,
 ) -> Result<Measured, S::Error> {
-    let need = Need::new(occupancy, radii, regions);
-    let bins = ParticleBins::new(source, lattice, occupancy, &need, regions)?;
-    let reach = radii.max + EXACT_MARGIN;
-    let eights = Eights::new(&bins);
-    let settled = |origin| need.settled(origin);
-    let near = nearest_distances(&eights, &need.near, reach, settled, |_| None);
-    let topology = Topology::new(leaves_near_surface(&need, &near, radii, regions));
-    let known = |origin| need.near.find(origin).map(|leaf| &near.leaves[leaf]);
-    let nearest = nearest_distances(&eights, &topology, reach, settled, known);
-    Ok(Measured { bins, topology, nearest })
+    let need = Need::new(occupancy, scene, regions);
+    let bins = ParticleBins::new(source, &scene.lattice, occupancy, &need, regions)?;
+    let gauge = Gauge::new(&bins, scene.radii);
+    let near = gauge.distances(&need.near, &need, None);
+    let topology = Topology::new(leaves_near_surface(&need, &near, scene, regions));
+    let distances = gauge.distances(&topology, &need, Some((&need.near, &near)));
+    Ok(Measured { bins, topology, distances })
 }
 
-/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has
-/// a face neighbour outside.
-fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Regions) -> Vec<IVec3> {
-    let near = &need.near;
-    let inside: Vec<LeafMask> =
-        nearest.leaves.par_iter().map(|leaf| simd::dispatch(Below { leaf, limit: radii.init })).collect();
+/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0, and in no
+/// obstacle, that has a face neighbour of which this is not so.
+fn leaves_near_surface(need: &Need, distances: &Distances, scene: &Scene, regions: &Regions) -> Vec<IVec3> {
+    let (near, radii) = (&need.near, scene.radii);
+    let mut inside = distances.inside(Sphere::Init, radii);
+    if !scene.obstacles.is_empty() {
+        let leaves = inside.par_iter_mut().zip(near.origins());
+        leaves.for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
+    }
+    let is_deep = |origin: IVec3| {
+        need.is_deep(origin) && (scene.obstacles.is_empty() || scene.obstacle(origin) != ObstacleLeaf::Inside)
+    };
     let surface = |(leaf, &origin): (usize, &IVec3)| {
         let faces = std::array::from_fn(|face| match near.neighbors()[leaf][face] {
             // What is not near is inside altogether, or outside.
-            NO_LEAF if need.is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
+            NO_LEAF if is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
             NO_LEAF => &LeafMask::EMPTY,
             neighbor => &inside[neighbor as usize],
         });
@@ -203,20 +261,35 @@ fn leaves_near_surface(need: &Need, nearest: &Field, radii: Radii, regions: &Reg
     leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
 }
 
+/// Leaves no voxel that is in an obstacle.
+fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
+    match obstacle {
+        ObstacleLeaf::Outside => {}
+        ObstacleLeaf::Inside => *inside = LeafMask::EMPTY,
+        ObstacleLeaf::Near(distances) => {
+            let outside = LeafMask::from_fn(|offset| distances.values[offset] > 0.0);
+            *inside = inside.and(&outside);
+        }
+    }
+}
+
 /// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
-fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized {
-    let Measured { bins, topology, mut nearest } = measured;
+fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterized {
+    let Measured { bins, topology, mut distances } = measured;
+    let radii = scene.radii;
     let half_width = radii.half_width();
-    let mut phi = signed_distance(&topology, &nearest, radii.init, half_width);
+    let mut phi = signed_distance(&topology, &mut distances, Sphere::Init, radii);
     let is_banded = |leaf: usize| {
-        regions.banded.contains(topology.origins()[leaf])
-            && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
+        let origin = topology.origins()[leaf];
+        regions.banded.contains(origin)
+            && has_value_within(&phi.leaves[leaf], half_width, &scene.obstacle(origin))
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
-    rayon::join(|| keep(&mut phi, &kept), || keep(&mut nearest, &kept));
+    rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
     let topology = subset(topology, &kept);
-    let mut lower = signed_distance(&topology, &nearest, radii.max, half_width);
-    let mut upper = into_signed_distance(&topology, nearest, radii.min, half_width);
+    let mut lower = signed_distance(&topology, &mut distances, Sphere::Max, radii);
+    let mut upper = signed_distance(&topology, &mut distances, Sphere::Min, radii);
+    drop(distances);
     let own: Vec<usize> =
         (0..topology.len()).filter(|&leaf| regions.own.contains(topology.origins()[leaf])).collect();
     for field in [&mut phi, &mut lower, &mut upper] {
@@ -226,7 +299,23 @@ fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
     finish(&mut band, &mut bounds);
-    Rasterized { bins, band, bounds }
+    let contact = match scene.obstacles.is_empty() {
+        true => ContactTally::default(),
+        false => hold_contact(scene.obstacles, &scene.lattice, scene.void_threshold, &mut band, &mut bounds),
+    };
+    Rasterized { bins, band, bounds, contact }
+}
+
+/// Whether a leaf has a value within the half width, once an obstacle has cut it (Eq. 12).
+fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> bool {
+    match obstacle {
+        ObstacleLeaf::Outside => phi.values.iter().any(|phi| phi.abs() < half_width),
+        ObstacleLeaf::Inside => false,
+        ObstacleLeaf::Near(distances) => {
+            let cut = phi.values.iter().zip(&distances.values).map(|(phi, distance)| phi.max(-distance));
+            cut.into_iter().any(|phi| phi.abs() < half_width)
+        }
+    }
 }
 
 /// Leaves only these of a field, in order.

@@ -30,6 +30,12 @@
 //!   ρ + 3/2·√3. All of them are in S_min, where φ is negative; there is no vertex in such a cell.
 //! - The corners of its own cell are within √3 of it: it is inside of whatever surface is found.
 //!
+//! Where particles have shapes of their own, all of this is said of the balls that each holds for certain: what is
+//! deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
+//! may be the nearest to what is far away.
+//!
+//! Where an obstacle's surface passes through what is deep, that is a surface of the fluid, too: these leaves are near.
+//!
 //! The certificate asks of particles what is around them where φ is not stored. With r_init above √3 each tells
 //! that by itself; below that, none is left out.
 
@@ -42,7 +48,7 @@ use rustc_hash::FxHashSet;
 use super::cover::{Ball, Cover};
 use super::occupancy::{Occupancy, Octants};
 use super::region::Regions;
-use super::{EXACT_MARGIN, Radii};
+use super::{Radii, Scene};
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
@@ -75,15 +81,22 @@ const ROUNDING: f32 = 1e-2;
 
 impl<'a> Need<'a> {
     /// What can matter to the leaves of a window.
-    pub(super) fn new(occupancy: &'a Occupancy, radii: Radii, regions: &Regions) -> Need<'a> {
+    pub(super) fn new(occupancy: &'a Occupancy, scene: &Scene, regions: &Regions) -> Need<'a> {
+        let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
-        let rho = radii.min.min(RHO_MAX);
-        let covers = covers(occupancy, &occupied, [&Ball::new(radii.init), &Ball::new(rho)]);
+        // Whatever its shape, a particle holds a ball of this many radii.
+        let rho = (radii.min * radii.shortest).min(RHO_MAX);
+        let sure = radii.init * radii.shortest;
+        let covers = covers(occupancy, &occupied, [&Ball::new(sure), &Ball::new(rho)]);
         let inside = surrounded(&occupied, &covers, |[init, _]| init);
         let settled = surrounded(&occupied, &covers, |[_, min]| min);
-        let near = near_leaves(occupancy, &occupied, &inside, radii.init, &regions.measured);
-        let mut need = Need { near, occupied, inside, settled, kept: Vec::new() };
-        need.kept = need.kept_cells(&covers, radii, rho, regions);
+        let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
+        let kept = Vec::new();
+        let mut need = Need { near, occupied, inside, settled, kept };
+        need.kept = match occupancy.has_shapes {
+            false => need.kept_cells(&covers, radii, rho, regions),
+            true => need.kept_leaves(occupancy, radii, regions),
+        };
         need
     }
 
@@ -112,7 +125,7 @@ impl<'a> Need<'a> {
             return vec![LeafMask::FULL; self.occupied.len()];
         }
         let measured = self.measured_leaves(radii, regions);
-        let rings = leaf_steps_within(radii.max + EXACT_MARGIN);
+        let rings = leaf_steps_within(radii.exact_reach(1.0));
         let around = (rho + 1.5 * 3f32.sqrt() + ROUNDING) as i32;
         let kept = |&origin: &IVec3| {
             if !rings.iter().any(|&step| measured.contains(&(origin + step))) {
@@ -127,13 +140,31 @@ impl<'a> Need<'a> {
         self.occupied.origins().par_iter().map(kept).collect()
     }
 
+    /// The leaves whose particles reach one where distances may be needed: all of their cells.
+    fn kept_leaves(&self, occupancy: &Occupancy, radii: Radii, regions: &Regions) -> Vec<LeafMask> {
+        let measured = self.measured_leaves(radii, regions);
+        let rings = |doublings: i32| leaf_steps_within(radii.exact_reach(2f32.powi(doublings)));
+        let doublings = |longest: f32| longest.max(1.0).log2().ceil() as i32;
+        let rings: Vec<Vec<IVec3>> = (0..=doublings(occupancy.longest())).map(rings).collect();
+        let kept = |&origin: &IVec3| {
+            let steps = &rings[doublings(occupancy.longest_of(origin)) as usize];
+            let is_near = steps.iter().any(|&step| measured.contains(&(origin + step)));
+            if is_near { LeafMask::FULL } else { LeafMask::EMPTY }
+        };
+        self.occupied.origins().par_iter().map(kept).collect()
+    }
+
     /// Leaves whose distances may be needed: those that are near, and those that may be in the band.
     fn measured_leaves(&self, radii: Radii, regions: &Regions) -> FxHashSet<IVec3> {
         let surface = |&origin: &IVec3| {
             let leaf = self.occupied.find(origin);
             // A voxel whose neighbours are all inside is none that the surface is next to.
             let inside = leaf.map_or(LeafMask::EMPTY, |leaf| self.inside[leaf]);
-            let voxels = LeafMask { words: inside.words.map(|word| !word) }.bounding_box();
+            let voxels = match inside == LeafMask::FULL {
+                // An obstacle cuts through it.
+                true => LeafMask::FULL.bounding_box(),
+                false => inside.complement().bounding_box(),
+            };
             (origin, voxels.expanded(radii.band_margin()))
         };
         let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().map(surface).collect();
@@ -184,16 +215,19 @@ fn surrounded(
     leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
 }
 
-/// The leaves of a region with a voxel that may be within `radius` of a particle, but for the deep ones.
+/// The leaves of a region with a voxel that may be within r_init of a particle, but for the deep ones; and of these
+/// those that the surface of an obstacle passes through.
 fn near_leaves(
     occupancy: &Occupancy,
     occupied: &Topology,
     inside: &[LeafMask],
-    radius: f32,
+    scene: &Scene,
     region: &CoordBox,
 ) -> Topology {
+    let radius = scene.radii.init;
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
-    let reach = (radius + ROUNDING) as i32;
+    let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
+    let reach = reach_of(occupancy.longest());
     // Deep among deep ones: what its particles are near to is deep, too. Steps through three faces lead to
     // every leaf that is next to it at all.
     let mut is_buried: Vec<bool> = (0..occupied.len()).map(is_deep).collect();
@@ -208,6 +242,7 @@ fn near_leaves(
             return None;
         }
         let cells = occupancy.octants_of(origin)?.cells();
+        let reach = reach_of(occupancy.longest_of(origin));
         // A particle is up to one voxel beyond its cell's own.
         let voxels = CoordBox { min: cells.min - reach, max: cells.max + 1 + reach };
         Some((origin, voxels))
@@ -215,7 +250,13 @@ fn near_leaves(
     let reached: Vec<(IVec3, CoordBox)> =
         occupied.origins().par_iter().enumerate().filter_map(reached).collect();
     let is_near = |origin| region.contains(origin) && !occupied.find(origin).is_some_and(is_deep);
-    Topology::new(leaves_of_boxes(&reached, is_near))
+    let mut near = leaves_of_boxes(&reached, is_near);
+    if !scene.obstacles.is_empty() {
+        let deep = occupied.origins().par_iter().enumerate().filter(|(leaf, _)| is_deep(*leaf));
+        let at_obstacle = |&origin: &IVec3| region.contains(origin) && scene.is_at_obstacle(origin);
+        near.par_extend(deep.map(|(_, &origin)| origin).filter(at_obstacle));
+    }
+    Topology::new(near)
 }
 
 /// Origins of the leaves that boxes touch and that are wanted; each box is given relative to an origin. Few of

@@ -25,8 +25,10 @@ use crate::space::{CoordBox, Lattice};
 pub struct Occupancy {
     /// The leaves that hold at least one particle.
     pub topology: Topology,
-    /// For each of them, where in it.
-    octants: Told<Box<Octants>>,
+    /// For each of them, where in it, and the longest half axis of any of them in units of the radii.
+    octants: Told<(Box<Octants>, f32)>,
+    /// Whether particles have shapes of their own.
+    pub(super) has_shapes: bool,
     /// What each batch told.
     pub(super) batches: Vec<BatchSummary>,
 }
@@ -74,17 +76,25 @@ impl Occupancy {
     /// # Errors
     /// Those of the source.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
-        let shards: Shards<Box<Octants>> = Shards::new();
+        let shards: Shards<(Box<Octants>, f32)> = Shards::new();
+        let shapes = source.shapes();
+        let has_shapes = !shapes.are_balls();
         let look = |batch: usize| -> Result<BatchSummary, S::Error> {
-            let batch = LeafBatch::new(&source.batch(batch)?, lattice);
+            let first = if has_shapes { source.first_of(batch) } else { 0 };
+            let batch = LeafBatch::new(&source.batch(batch)?, lattice, has_shapes);
             let mut voxels = CoordBox::EMPTY;
-            for (origin, locals) in batch.leaves() {
+            for (origin, locals, places) in batch.leaves_with_places() {
+                let longest = places.iter().map(|&place| shapes.longest(first + place as usize));
+                let longest = longest.fold(if has_shapes { 0.0 } else { 1.0 }, f32::max);
                 voxels.include(origin);
                 voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
                 shards.add(
                     origin,
-                    || Box::new(Octants::EMPTY),
-                    |octants| locals.iter().for_each(|&local| octants.insert(local)),
+                    || (Box::new(Octants::EMPTY), 0.0f32),
+                    |(octants, reach)| {
+                        locals.iter().for_each(|&local| octants.insert(local));
+                        *reach = reach.max(longest);
+                    },
                 );
             }
             Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count: batch.dropped_count })
@@ -92,7 +102,7 @@ impl Occupancy {
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
         let octants = shards.into_told();
         let topology = Topology::new(octants.iter().map(|(&origin, _)| origin).collect());
-        Ok(Occupancy { topology, octants, batches })
+        Ok(Occupancy { topology, octants, has_shapes, batches })
     }
 
     /// The number of particles that were not dropped.
@@ -107,7 +117,17 @@ impl Occupancy {
 
     /// The octants of the leaf with this origin.
     pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
-        self.octants.get(origin).map(|octants| &**octants)
+        self.octants.get(origin).map(|(octants, _)| &**octants)
+    }
+
+    /// The longest half axis of any particle in the leaf with this origin, in units of the radii.
+    pub(super) fn longest_of(&self, origin: IVec3) -> f32 {
+        self.octants.get(origin).map_or(0.0, |&(_, longest)| longest)
+    }
+
+    /// The longest half axis of any particle, in units of the radii.
+    pub fn longest(&self) -> f32 {
+        self.octants.iter().map(|(_, &(_, longest))| longest).fold(0.0, f32::max)
     }
 }
 
@@ -150,6 +170,10 @@ mod tests {
 
         fn batch(&self, batch: usize) -> Result<Positions<'_>, &'static str> {
             if batch == 2 { Err("the end is missing") } else { Ok(Positions::Single(vec![[0.0; 3]].into())) }
+        }
+
+        fn first_of(&self, batch: usize) -> usize {
+            batch
         }
     }
 

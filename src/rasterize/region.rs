@@ -15,7 +15,7 @@
 
 use glam::IVec3;
 
-use super::{EXACT_MARGIN, Radii, sweep_count};
+use super::{Radii, sweep_count};
 use crate::grid::LEAF_EDGE;
 use crate::space::CoordBox;
 
@@ -34,8 +34,9 @@ pub(super) struct Regions {
 }
 
 impl Regions {
-    /// Those of the leaves that a window touches.
-    pub(super) fn new(window: CoordBox, radii: Radii) -> Regions {
+    /// Those of the leaves that a window touches. No particle has a half axis longer than `longest`, in units of the
+    /// radii.
+    pub(super) fn new(window: CoordBox, radii: Radii, longest: f32) -> Regions {
         let swept_voxels = 2 * sweep_count(radii.half_width()) as i32 + 1;
         let window = CoordBox { min: window.min.max(EVERYWHERE.min), max: window.max.min(EVERYWHERE.max) };
         let own = leaves_around(window, 0);
@@ -44,7 +45,7 @@ impl Regions {
         let crossed = leaves_around(swept, radii.band_margin());
         let measured = leaves_around(crossed, 1);
         // A particle at the far end of its cell belongs to a voxel one less.
-        let populated = leaves_around(measured, (radii.max + EXACT_MARGIN).ceil() as i32 + 1);
+        let populated = leaves_around(measured, radii.exact_reach(longest).ceil() as i32 + 1);
         Regions { own, banded, swept, crossed, measured, populated }
     }
 }
@@ -69,8 +70,8 @@ mod tests {
 
     #[test]
     fn a_window_of_one_leaf_needs_what_is_around_it() {
-        let radii = Radii { min: 1.732, init: 2.598, max: 3.464 };
-        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii);
+        let radii = Radii::of_balls(1.732, 2.598, 3.464);
+        let regions = Regions::new(CoordBox { min: IVec3::ZERO, max: IVec3::splat(7) }, radii, 1.0);
         // 23 voxels for each of the sweeps: three leaves; then 7 voxels, 1 voxel and 7 voxels.
         let rings = [0, 3, 6, 7, 8, 9];
         let found = [
@@ -91,8 +92,8 @@ mod tests {
 
     #[test]
     fn everywhere_is_no_less_than_all_there_is() {
-        let radii = Radii { min: 32.0, init: 48.0, max: 64.0 };
-        let own = Regions::new(CoordBox::ALL, radii).own;
+        let radii = Radii::of_balls(32.0, 48.0, 64.0);
+        let own = Regions::new(CoordBox::ALL, radii, 1.0).own;
         let farthest = IVec3::splat(crate::space::INDEX_LIMIT + 1000);
         assert!(own.contains(farthest) && own.contains(-farthest));
     }

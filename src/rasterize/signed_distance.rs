@@ -9,55 +9,67 @@
 
 use rayon::prelude::*;
 
+use super::distances::{Distances, Sphere};
 use super::sphere::OUT_OF_REACH;
-use super::sweep_count;
+use super::{Radii, sweep_count};
 use crate::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Sweeps, UNREACHED, extend};
 use crate::simd::{self, Kernel, Lanes};
 
-/// The signed distance to the union of spheres of this radius, swept as far as the half width; farther values
-/// are those of some place between.
-pub(super) fn signed_distance(topology: &Topology, nearest: &Field, radius: f32, half_width: f32) -> Field {
-    let known = known_voxels(topology, nearest, radius);
-    let of_leaf = |(nearest, known)| simd::dispatch(SignedDistance { nearest, known, radius });
-    let leaves = nearest.leaves.par_iter().zip(&known).map(of_leaf).collect();
-    swept(topology, Field { leaves }, &known, half_width)
-}
-
-/// The same in place of the distances to the nearest centres, which nobody needs any more.
-pub(super) fn into_signed_distance(
+/// The signed distance to one of the unions, swept as far as the half width; farther values are those of some place
+/// between. The field that nobody needs after this becomes the result: the unions are to be asked for in the order
+/// S_0, S_max, S_min.
+pub(super) fn signed_distance(
     topology: &Topology,
-    mut nearest: Field,
-    radius: f32,
-    half_width: f32,
+    distances: &mut Distances,
+    sphere: Sphere,
+    radii: Radii,
 ) -> Field {
-    let known = known_voxels(topology, &nearest, radius);
-    nearest.leaves.par_iter_mut().zip(&known).for_each(|(leaf, known)| {
-        *leaf = simd::dispatch(SignedDistance { nearest: leaf, known, radius });
-    });
-    swept(topology, nearest, &known, half_width)
-}
-
-fn swept(topology: &Topology, mut distance: Field, known: &[LeafMask], half_width: f32) -> Field {
-    extend(topology, &mut distance, known, Sweeps::accurate(sweep_count(half_width)));
-    distance
-}
-
-/// The voxels whose signed distance the nearest centre tells. Where a leaf is not stored, nothing is beside it.
-fn known_voxels(topology: &Topology, nearest: &Field, radius: f32) -> Vec<LeafMask> {
-    let inside: Vec<LeafMask> =
-        nearest.leaves.par_iter().map(|leaf| simd::dispatch(Below { leaf, limit: radius })).collect();
-    let known = |(leaf, neighbors): (usize, &[u32; 6])| {
-        let face = |neighbor: u32| match neighbor {
-            NO_LEAF => &LeafMask::FULL,
-            neighbor => &inside[neighbor as usize],
-        };
-        let deep = inside[leaf].surrounded(neighbors.map(face));
-        let mut known = simd::dispatch(Below { leaf: &nearest.leaves[leaf], limit: OUT_OF_REACH });
-        known.remove_all(&deep);
-        known
+    let level = distances.level(sphere, radii);
+    let known = known_voxels(topology, distances, sphere, radii);
+    let mut field = if distances.is_last(sphere) {
+        let mut field = distances.take(sphere);
+        field.leaves.par_iter_mut().zip(&known).for_each(|(leaf, known)| {
+            *leaf = simd::dispatch(SignedDistance { values: leaf, known, level });
+        });
+        field
+    } else {
+        let of_leaf = |(values, known)| simd::dispatch(SignedDistance { values, known, level });
+        let leaves = distances.field(sphere).leaves.par_iter().zip(&known).map(of_leaf).collect();
+        Field { leaves }
     };
-    topology.neighbors().par_iter().enumerate().map(known).collect()
+    extend(topology, &mut field, &known, Sweeps::accurate(sweep_count(radii.half_width())));
+    field
+}
+
+/// The voxels whose signed distance is known. Where a leaf is not stored, nothing is beside it.
+fn known_voxels(topology: &Topology, distances: &Distances, sphere: Sphere, radii: Radii) -> Vec<LeafMask> {
+    let inside = distances.inside(sphere, radii);
+    let values = distances.field(sphere);
+    let of_side = |mut side: LeafMask, leaf: usize, of: &dyn Fn(u32) -> LeafMask| {
+        let faces = topology.neighbors()[leaf].map(of);
+        side.remove_all(&side.surrounded(faces.each_ref()));
+        side
+    };
+    let known = |leaf: usize| {
+        let beside = of_side(inside[leaf], leaf, &|neighbor| match neighbor {
+            NO_LEAF => LeafMask::FULL,
+            neighbor => inside[neighbor as usize],
+        });
+        let outside = |leaf: usize| inside[leaf].complement();
+        let known_outside = if distances.is_exact_outside() {
+            let mut told = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
+            told.remove_all(&inside[leaf]);
+            told
+        } else {
+            of_side(outside(leaf), leaf, &|neighbor| match neighbor {
+                NO_LEAF => LeafMask::FULL,
+                neighbor => outside(neighbor as usize),
+            })
+        };
+        beside.or(&known_outside)
+    };
+    (0..topology.len()).into_par_iter().map(known).collect()
 }
 
 /// Finds the voxels with less than a limit.
@@ -86,9 +98,9 @@ impl Kernel for Below<'_> {
 
 /// Signed distances of the voxels where they are known; of the others the side.
 struct SignedDistance<'a> {
-    nearest: &'a Leaf,
+    values: &'a Leaf,
     known: &'a LeafMask,
-    radius: f32,
+    level: f32,
 }
 
 impl Kernel for SignedDistance<'_> {
@@ -96,14 +108,14 @@ impl Kernel for SignedDistance<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Leaf {
-        let radius = V::splat(self.radius);
+        let level = V::splat(self.level);
         let mut leaf = Leaf::splat(0.0);
         for row in 0..ROW_COUNT {
-            let nearest = V::load(self.nearest.row(row));
+            let values = V::load(self.values.row(row));
             // What is out of reach is as far from the spheres.
-            let side = V::select(nearest.lt(radius), V::splat(-UNREACHED), V::splat(UNREACHED));
+            let side = V::select(values.lt(level), V::splat(-UNREACHED), V::splat(UNREACHED));
             let is_known = V::mask(self.known.row(row));
-            V::select(is_known, nearest.sub(radius), side).store(leaf.row_mut(row));
+            V::select(is_known, values.sub(level), side).store(leaf.row_mut(row));
         }
         leaf
     }

@@ -10,16 +10,16 @@ use crate::grid::{Leaf, voxel_in_leaf};
 use crate::level_set::{Sweeps, UNREACHED, extend};
 use crate::particles::{Particles, Positions};
 
-const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
+pub(super) const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
 
 /// The usual radii; some so small that no particle may be left out; larger ones, far apart; all the same; and
 /// such that reach over the next leaf.
-const RADII: [Radii; 5] = [
-    Radii { min: 1.732_050_8, init: 2.598_076, max: 3.464_101_6 },
-    Radii { min: 1.1, init: 1.3, max: 1.8 },
-    Radii { min: 3.0, init: 5.5, max: 9.0 },
-    Radii { min: 2.0, init: 2.0, max: 2.0 },
-    Radii { min: 11.5, init: 12.0, max: 12.5 },
+pub(super) const RADII: [Radii; 5] = [
+    Radii::of_balls(1.732_050_8, 2.598_076, 3.464_101_6),
+    Radii::of_balls(1.1, 1.3, 1.8),
+    Radii::of_balls(3.0, 5.5, 9.0),
+    Radii::of_balls(2.0, 2.0, 2.0),
+    Radii::of_balls(11.5, 12.0, 12.5),
 ];
 
 /// Particles in batches of seven.
@@ -36,10 +36,14 @@ impl ParticleSource for Small<'_> {
         let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("there are not so many") };
         Ok(Positions::Single(positions.into()))
     }
+
+    fn first_of(&self, batch: usize) -> usize {
+        7 * batch
+    }
 }
 
 /// Lattice points in a box about the origin that `holds`, each moved by up to a third of the spacing.
-fn jittered(half_edge: i32, spacing: f32, holds: impl Fn(Vec3) -> bool) -> Vec<[f32; 3]> {
+pub(super) fn jittered(half_edge: i32, spacing: f32, holds: impl Fn(Vec3) -> bool) -> Vec<[f32; 3]> {
     let mut state = 7u32;
     let mut moved = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -53,7 +57,7 @@ fn jittered(half_edge: i32, spacing: f32, holds: impl Fn(Vec3) -> bool) -> Vec<[
 }
 
 /// Solids with a deep inside, a hollow one, a sheet, spray, next to nothing, and nothing.
-fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
+pub(super) fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
     let ball = |center: Vec3, radius: f32| move |place: Vec3| (place - center).length() < radius;
     let mut spray = jittered(40, 11.0, |_| true);
     spray.extend([[40.0, 40.5, 41.0], [40.1, 40.4, 41.5]]);
@@ -179,15 +183,15 @@ impl Distances {
 }
 
 /// The bits of φ_0 and of both bounds, by leaf.
-type Values = Vec<(IVec3, [[u32; 512]; 3])>;
+pub(super) type Values = Vec<(IVec3, [[u32; 512]; 3])>;
 
-fn values(band: &NarrowBand, bounds: &Bounds) -> Values {
+pub(super) fn values(band: &NarrowBand, bounds: &Bounds) -> Values {
     let fields = [&band.phi, &bounds.lower, &bounds.upper];
     let of_leaf = |leaf: usize| fields.map(|field| field.leaves[leaf].values.map(f32::to_bits));
     band.topology.origins().iter().enumerate().map(|(leaf, &origin)| (origin, of_leaf(leaf))).collect()
 }
 
-fn values_of(rasterized: &Rasterized) -> Values {
+pub(super) fn values_of(rasterized: &Rasterized) -> Values {
     values(&rasterized.band, &rasterized.bounds)
 }
 
@@ -197,7 +201,7 @@ fn what_is_left_out_changes_no_bit() {
         // By the definition, many particles with a long reach take long.
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0 || positions.len() < 1000) {
             let (band, bounds) = reference(&positions, radii);
-            let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &LATTICE, radii);
+            let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, positions.len());
             // Something is left out where there is much inside, and nothing where nobody could tell.
@@ -220,14 +224,14 @@ fn windows_are_parts_of_the_whole() {
     positions.extend(jittered(14, 1.0, |place| place.length() < 14.0));
     let mut whole_count = 0;
     for radii in [RADII[0], RADII[2]] {
-        let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &LATTICE, radii);
+        let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
         let source = Small(&positions);
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
         let (mut parts, mut fewest) = (Values::new(), usize::MAX);
         for (first, last) in [(-200, -137), (-136, -41), (-40, -33), (-32, -1), (0, 23), (24, 199)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) = rasterize_window(&source, &occupancy, &LATTICE, radii, window);
+                let Ok(part) = rasterize_window(&source, &occupancy, &Scene::open(LATTICE, radii), window);
                 parts.extend(values_of(&part));
                 fewest = fewest.min(part.bins.len());
             }

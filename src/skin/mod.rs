@@ -5,14 +5,18 @@
 //! whatever rayon pool the caller is in. [`plan`] tells what a frame will take, and [`tiled`] has the same
 //! three calls for one that is larger than memory.
 
+mod attributes;
 mod plan;
+mod shape;
 mod shelves;
 pub mod tiled;
 mod tiles;
 
 use std::time::Instant;
 
+pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use plan::{Plan, TooLarge, plan};
+pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
 use crate::certify::certify;
@@ -20,10 +24,11 @@ use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
-use crate::particles::{ParticleSource, Particles};
-use crate::rasterize::{self, ParticleBins, Radii};
-use crate::report::SkinReport;
-use crate::settings::Settings;
+use crate::obstacle::Obstacles;
+use crate::particles::{Cloud, ParticleSource, Particles};
+use crate::rasterize::{self, ParticleBins, Radii, Scene};
+use crate::report::{Shaping, SkinReport};
+use crate::settings::{Anisotropy, Settings};
 use crate::smooth;
 use crate::space::Lattice;
 
@@ -34,6 +39,8 @@ pub struct Surface {
     pub band: NarrowBand,
     /// The mesh.
     pub mesh: Mesh,
+    /// What else is known of it; empty unless it was [transferred](transfer).
+    pub attributes: SurfaceAttributes,
     /// What was measured on the way.
     pub report: SkinReport,
 }
@@ -44,68 +51,87 @@ impl Surface {
         let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
         let Mesh { positions, normals, triangles, .. } = &self.mesh;
         let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
-        (leaves + mesh) as u64
+        (leaves + mesh + self.attributes.size_bytes()) as u64
     }
 }
 
 /// What rasterization hands to smoothing.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Rasterized {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
+    obstacles: Obstacles,
     report: SkinReport,
 }
 
 /// What smoothing hands to contouring.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Smoothed {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
+    obstacles: Obstacles,
     report: SkinReport,
 }
 
 /// Skins one frame: rasterize, smooth, contour.
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
-    let Ok(rasterized) = rasterize(particles, settings);
+    let Ok(rasterized) = rasterize(particles, settings, Shaping::default(), Obstacles::default());
     contour(smooth(rasterized, settings), settings)
 }
 
-/// The first stage: particles to level sets.
+/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
+/// vertices those that the settings ask for.
+pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
+    let (cloud, shaping) = shape(cloud, settings);
+    let Ok(rasterized) = rasterize(&cloud, settings, shaping, obstacles.clone());
+    let mut surface = contour(smooth(rasterized, settings), settings);
+    transfer(&mut surface, &cloud, settings, Targets { vertices: true, band_half_width_voxels: None });
+    surface
+}
+
+/// The first stage: particles to level sets. `shaping` tells how they got their [shapes](shape).
 ///
 /// # Errors
 /// Those of the source; what is in memory has none.
-pub fn rasterize<S: ParticleSource>(source: &S, settings: &Settings) -> Result<Rasterized, S::Error> {
+pub fn rasterize<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    shaping: Shaping,
+    obstacles: Obstacles,
+) -> Result<Rasterized, S::Error> {
     let started = Instant::now();
-    let rasterize::Rasterized { bins, band, bounds } =
-        rasterize::rasterize(source, &lattice(settings), radii(settings))?;
+    let rasterize::Rasterized { bins, band, bounds, contact } =
+        rasterize::rasterize(source, &scene(settings, &obstacles))?;
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
         leaf_count: band.topology.len(),
+        shaping,
+        contact,
         ..SkinReport::default()
     };
-    report.seconds.rasterize = started.elapsed().as_secs_f64();
-    Ok(Rasterized { bins, band, bounds, report })
+    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
+    Ok(Rasterized { bins, band, bounds, obstacles, report })
 }
 
 /// The second stage: the constrained smoothing.
 pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let started = Instant::now();
-    let Rasterized { bins, mut band, bounds, mut report } = rasterized;
+    let Rasterized { bins, mut band, bounds, obstacles, mut report } = rasterized;
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
     report_smoothing(&mut report, smoothed, settings);
     report.seconds.smooth = started.elapsed().as_secs_f64();
-    Smoothed { bins, band, bounds, report }
+    Smoothed { bins, band, bounds, obstacles, report }
 }
 
 fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
-    report.reach_voxels =
-        smoothed.reach_voxels.map(|reach| reach.saturating_add(radii(settings).reach_voxels()));
+    let reach_before = radii(settings).reach_voxels(longest_of(&report.shaping)) + shape_reach(settings);
+    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
@@ -113,27 +139,57 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 /// The third stage: the mesh, its measures and the certificate.
 pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let started = Instant::now();
-    let Smoothed { bins, band, bounds, mut report } = smoothed;
+    let Smoothed { bins, band, bounds, obstacles: _, mut report } = smoothed;
     let lattice = lattice(settings);
     let mesh = contour::contour(&band, &lattice, settings.contouring);
     report.mesh = mesh.measure();
     report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.seconds.contour = started.elapsed().as_secs_f64();
-    Surface { band, mesh, report }
+    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
 fn lattice(settings: &Settings) -> Lattice {
     Lattice { voxel_size: settings.voxel_size }
 }
 
+/// What particles are rasterized into.
+fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
+    Scene {
+        lattice: lattice(settings),
+        radii: radii(settings),
+        obstacles,
+        void_threshold: settings.void_threshold as f32,
+    }
+}
+
 /// The radii in voxels.
 fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
-    Radii {
-        min: voxels(settings.radius_min),
-        init: voxels(settings.radius_init),
-        max: voxels(settings.radius_max),
+    let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
+    match settings.has_shapes() {
+        false => Radii::of_balls(min, init, max),
+        // Half axes come back from a matrix, not quite as long as they were.
+        true => Radii {
+            min,
+            init,
+            max,
+            shortest: 0.9999 * shape::shortest(settings),
+            roomy: shape::roomy(settings),
+        },
+    }
+}
+
+/// The longest half axis of the particles, in units of the radii.
+fn longest_of(shaping: &Shaping) -> f32 {
+    if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
+}
+
+/// How far the particles are, in voxels, that one's shape depends on.
+fn shape_reach(settings: &Settings) -> u32 {
+    match settings.anisotropy {
+        Anisotropy::None | Anisotropy::Velocity { .. } => 0,
+        Anisotropy::Neighbors { radius, .. } => (radius / settings.voxel_size).ceil() as u32,
     }
 }
 

@@ -11,14 +11,15 @@ use glam::IVec3;
 
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, lattice, radii, report_smoothing, smooth_config};
+use super::{Surface, SurfaceAttributes, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
+use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::ParticleSource;
-use crate::rasterize::{self, Occupancy};
-use crate::report::SkinReport;
+use crate::rasterize::{self, Occupancy, Scene};
+use crate::report::{Shaping, SkinReport};
 use crate::settings::Settings;
 
 /// Why a frame could not be skinned in tiles.
@@ -39,6 +40,7 @@ impl<E> From<io::Error> for TiledError<E> {
 /// A frame between two calls.
 pub struct TiledFrame<S> {
     source: S,
+    obstacles: Obstacles,
     occupancy: Occupancy,
     /// The tiles that particles are in or near.
     tiles: BTreeSet<[i32; 3]>,
@@ -64,20 +66,29 @@ impl<S> TiledFrame<S> {
 pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
+    shaping: Shaping,
+    obstacles: Obstacles,
     tile_leaves: i32,
     storages: Vec<Box<dyn Storage>>,
 ) -> Result<TiledFrame<S>, TiledError<S::Error>> {
     let started = Instant::now();
-    let (lattice, radii) = (lattice(settings), radii(settings));
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
     let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
-    let tiles =
-        tiles_near(&occupancy, tile_leaves, radii.init.ceil() as i32 + radii.half_width().ceil() as i32);
+    let tiles = tiles_near(
+        &occupancy,
+        tile_leaves,
+        (radii.init * occupancy.longest() + radii.half_width()).ceil() as i32 + 1,
+    );
     let shelves = Shelves::new(storages);
     let mut origins: Vec<IVec3> = Vec::new();
+    let mut contact = ContactTally::default();
     for &tile in &tiles {
         let window = tile_voxels(IVec3::from(tile), tile_leaves);
-        let rasterized = rasterize::rasterize_window(&source, &occupancy, &lattice, radii, window);
-        let rasterize::Rasterized { band, bounds, .. } = rasterized.map_err(TiledError::Source)?;
+        let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
+        let rasterized = rasterized.map_err(TiledError::Source)?;
+        let rasterize::Rasterized { band, bounds, contact: of_tile, .. } = rasterized;
+        contact = contact.and(of_tile);
         shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
@@ -85,12 +96,14 @@ pub fn rasterize<S: ParticleSource>(
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
         leaf_count: origins.len(),
+        shaping,
+        contact,
         ..SkinReport::default()
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
-    report.seconds.rasterize = started.elapsed().as_secs_f64();
+    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
     let half_width = radii.half_width();
-    Ok(TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
+    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
 }
 
 /// The tiles that hold leaves within so many voxels of one that holds particles.
@@ -124,8 +137,19 @@ pub fn contour<S: ParticleSource>(
     settings: &Settings,
 ) -> Result<(Surface, S), TiledError<S::Error>> {
     let started = Instant::now();
-    let TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, mut report } = frame;
-    let (lattice, radii) = (lattice(settings), radii(settings));
+    let TiledFrame {
+        source,
+        obstacles,
+        occupancy,
+        tiles,
+        tile_leaves,
+        shelves,
+        tiling,
+        half_width,
+        mut report,
+    } = frame;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
     let bound_violation_count = bound_violations(&shelves, &tiling)?;
     let phi = shelves.read(0, &tiling.all_places())?;
     drop(shelves);
@@ -135,15 +159,15 @@ pub fn contour<S: ParticleSource>(
     let mut checks = ParticleChecks::NOTHING;
     for tile in tiles {
         let owned = tile_voxels(IVec3::from(tile), tile_leaves);
-        let bins = rasterize::particles_of_window(&source, &occupancy, &lattice, radii, owned)
-            .map_err(TiledError::Source)?;
+        let bins =
+            rasterize::particles_of_window(&source, &occupancy, &scene, owned).map_err(TiledError::Source)?;
         let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned };
         checks = checks.and(ParticleChecks::of(&part));
     }
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     report.seconds.contour = started.elapsed().as_secs_f64();
-    Ok((Surface { band, mesh, report }, source))
+    Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
 
 /// How many values lie outside their bounds.
@@ -211,7 +235,9 @@ mod tests {
 
     fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
         let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
-        let frame = rasterize(particles(), settings, tile_leaves, storages).expect("in memory");
+        let frame =
+            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
+                .expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }

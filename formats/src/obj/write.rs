@@ -3,6 +3,8 @@
 //! Reals are the shortest decimals that read back as the same number. Lines are formatted in
 //! parallel, a run of elements per task, and written in order. The last line is a comment that says
 //! how much there was, for nothing else in the format tells a whole file from a part of one.
+//! Of what is known of the vertices only the colour has a place, behind the position: an old habit that most
+//! readers share.
 //!
 //! ```text
 //!   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
@@ -21,6 +23,7 @@ use super::FORMAT;
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Place, Result};
 use crate::provenance::{GENERATOR, comments};
+use crate::vertex_attributes::{Purpose, VertexAttribute, purposes};
 
 /// Elements that are formatted as one task, and tasks whose text is held at once.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
@@ -45,7 +48,7 @@ impl Default for WriteOptions {
     }
 }
 
-/// Writes positions, normals and faces. If the mesh has an origin, it is added in 64 bits and the
+/// Writes positions, with the colour if there is one, normals and faces. If the mesh has an origin, it is added in 64 bits and the
 /// sums are printed. Axes are left as they are.
 ///
 /// # Errors
@@ -127,12 +130,50 @@ fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
         });
     }
     let positions = run_of(mesh.positions, task);
-    if mesh.origin == [0.0; 3] {
-        return lines_of(positions, |line, position| line.reals("v", *position));
-    }
-    let world =
-        |p: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|axis| mesh.origin[axis] + f64::from(p[axis])) };
-    lines_of(positions, |line, position| line.reals("v", world(position)))
+    let Some(color) = colors_of(mesh) else {
+        return match mesh.origin {
+            [0.0, 0.0, 0.0] => lines_of(positions, |line, position| line.reals("v", *position)),
+            origin => lines_of(positions, |line, position| line.reals("v", world(origin, position))),
+        };
+    };
+    let vertices: Vec<(&[f32; 3], [f32; 3])> =
+        positions.iter().zip(task * ELEMENTS_PER_TASK..).map(|(p, vertex)| (p, color(vertex))).collect();
+    lines_of(&vertices, |line, (position, color)| {
+        match mesh.origin {
+            [0.0, 0.0, 0.0] => line.reals_open("v", **position),
+            origin => line.reals_open("v", world(origin, position)),
+        }
+        line.reals("", *color);
+    })
+}
+
+fn world(origin: [f64; 3], position: &[f32; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
+}
+
+/// Red, green and blue of a vertex, if the vertices have a colour.
+fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a> {
+    let found =
+        purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
+            match purpose {
+                Purpose::Color(values) => Some((values, attribute.arity)),
+                Purpose::Velocity | Purpose::Other => None,
+            }
+        });
+    let (values, arity) = found?;
+    Some(move |vertex| std::array::from_fn(|channel| values[vertex * arity + channel]))
+}
+
+/// What becomes of vertex attributes that an OBJ file does not hold; nothing where all come through.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let note = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
+        Purpose::Color(_) if attribute.arity == 3 => None,
+        Purpose::Color(_) => Some(format!("{} is without its alpha in the .obj", attribute.name)),
+        Purpose::Velocity | Purpose::Other => {
+            Some(format!("{} is not in the .obj, which has a place for colours only", attribute.name))
+        }
+    };
+    attributes.iter().zip(purposes(attributes)).filter_map(note).collect()
 }
 
 /// The elements of one task.
@@ -201,14 +242,20 @@ struct Lines {
 }
 
 impl Lines {
+    /// A line, or the rest of one.
     fn reals<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
+        self.reals_open(keyword, numbers);
+        self.text.push(b'\n');
+    }
+
+    /// A line that goes on.
+    fn reals_open<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.text.extend_from_slice(keyword.as_bytes());
         for number in numbers {
             let digits = self.real.format_finite(number);
             self.text.push(b' ');
             self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
         }
-        self.text.push(b'\n');
     }
 
     /// Vertices count from one; each has the normal of the same number.

@@ -4,7 +4,8 @@
 //! checked, and not as an option called `-1`.
 
 mod ask;
-mod surface;
+mod formats;
+mod method;
 mod watch;
 
 use std::path::PathBuf;
@@ -15,8 +16,10 @@ use super::frame_selection::FrameSelection;
 use super::quantities::parse_bytes;
 
 pub(super) use ask::{StatusArgs, WhyArgs};
-pub(super) use surface::{
-    CompressionChoice, ContourChoice, Format, FormatArgs, IntegratorChoice, SolverArgs, SurfaceArgs, UpChoice,
+pub(super) use formats::{CompressionChoice, Format, FormatArgs, UpChoice};
+pub(super) use method::{
+    AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,
+    ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs,
 };
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 
@@ -50,15 +53,15 @@ pub(super) struct ConvertArgs {
     /// PLY, classic BGEO and delimited text, gzipped or not; the content decides, not the name.
     /// Frames run in natural order; files whose names differ only in the last number are one
     /// sequence, and share their settings.
-    #[arg(required = true, value_name = "INPUT")]
+    #[arg(required_unless_present = "print_settings", value_name = "INPUT")]
     pub(super) inputs: Vec<PathBuf>,
 
     /// Folder for the results; it is made if it is not there
     ///
     /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on. A file appears under its name only when it
     /// is whole. A result that would replace an input is refused.
-    #[arg(long, value_name = "DIR")]
-    pub(super) out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "print_settings")]
+    pub(super) out: Option<PathBuf>,
 
     /// What to write: a list of glb, gltf, vdb, obj, ply [default: glb,vdb]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
@@ -92,11 +95,14 @@ pub(super) struct ConvertArgs {
     #[arg(long)]
     pub(super) skip_done: bool,
 
-    #[command(flatten, next_help_heading = "Surface")]
-    pub(super) surface: SurfaceArgs,
+    /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
+    ///
+    /// Without INPUT and --voxel-size, lengths are in units of h.
+    #[arg(long)]
+    pub(super) print_settings: bool,
 
-    #[command(flatten, next_help_heading = "Solver")]
-    pub(super) solver: SolverArgs,
+    #[command(flatten)]
+    pub(super) method: MethodArgs,
 
     #[command(flatten, next_help_heading = "Formats")]
     pub(super) formats: FormatArgs,

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 
-use super::surface::{Format, FormatArgs, SolverArgs, SurfaceArgs};
+use super::formats::{Format, FormatArgs};
+use super::method::MethodArgs;
 use crate::cli::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
 use crate::daemon::Poll;
 
@@ -71,11 +72,8 @@ pub(in crate::cli) struct FrameArgs {
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub(in crate::cli) format: Option<Vec<Format>>,
 
-    #[command(flatten, next_help_heading = "Surface")]
-    pub(in crate::cli) surface: SurfaceArgs,
-
-    #[command(flatten, next_help_heading = "Solver")]
-    pub(in crate::cli) solver: SolverArgs,
+    #[command(flatten)]
+    pub(in crate::cli) method: MethodArgs,
 
     #[command(flatten, next_help_heading = "Formats")]
     pub(in crate::cli) formats: FormatArgs,
@@ -168,8 +166,7 @@ impl FrameArgs {
             recursive: self.recursive || below.recursive,
             sentinel: self.sentinel.clone().or_else(|| below.sentinel.clone()),
             format: self.format.clone().or_else(|| below.format.clone()),
-            surface: self.surface.over(&below.surface),
-            solver: self.solver.over(&below.solver),
+            method: self.method.over(&below.method),
             formats: self.formats.over(&below.formats),
         }
     }

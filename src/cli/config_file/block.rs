@@ -117,15 +117,30 @@ impl<'a> Block<'a> {
     /// A path, from the file's folder if it is relative.
     pub(super) fn path(&self, key: &str) -> Result<Option<PathBuf>> {
         let Some((text, start)) = self.string(key, "a path in quotes")? else { return Ok(None) };
+        self.path_of(key, text, start).map(Some)
+    }
+
+    /// Paths, from the file's folder where they are relative; none where the key is not there.
+    pub(super) fn paths(&self, key: &str) -> Result<Vec<PathBuf>> {
+        let wanted = "a list of paths in brackets, each in quotes";
+        let Some((array, _)) = self.get(key, wanted, DeValue::as_array)? else { return Ok(Vec::new()) };
+        let path = |value: &'a Spanned<DeValue<'a>>| match value.get_ref().as_str() {
+            Some(text) => self.path_of(key, text, value.span().start),
+            None => Err(self.wrong(key, wanted, value.get_ref(), value.span().start)),
+        };
+        array.iter().map(path).collect()
+    }
+
+    fn path_of(&self, key: &str, text: &str, start: usize) -> Result<PathBuf> {
         if text.is_empty() {
             return Err(self.source.error(start, format_args!("`{key}` is empty: it wants a path")));
         }
-        Ok(Some(self.source.path.parent().unwrap_or(Path::new("")).join(text)))
+        Ok(self.source.path.parent().unwrap_or(Path::new("")).join(text))
     }
 
     /// What `parse` makes of text.
     pub(super) fn parsed<T>(&self, key: &str, parse: fn(&str) -> Result<T, String>) -> Result<Option<T>> {
-        self.string(key, "text in quotes, with a unit")?
+        self.string(key, "text in quotes")?
             .map(|(text, start)| self.understood(key, parse(text), start))
             .transpose()
     }

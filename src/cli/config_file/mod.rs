@@ -18,7 +18,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use toml::de::DeTable;
 
-use super::args::{DaemonArgs, FormatArgs, FrameArgs, SolverArgs, SurfaceArgs};
+use super::args::{
+    DaemonArgs, FirstArgs, FormatArgs, FrameArgs, MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs,
+    SolverArgs, SurfaceArgs,
+};
 use super::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
 
 use block::{Block, Source};
@@ -75,26 +78,54 @@ fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
             recursive: block.switch("recursive")?,
             sentinel: block.text("sentinel")?,
             format: block.choices("formats")?,
-            surface: SurfaceArgs {
-                voxel_size: block.number("voxel_size")?,
-                radius_min: block.number("radius_min")?,
-                radius_ratio: block.number("radius_ratio")?,
-                radius_init: block.number("radius_init")?,
-                contour: block.choice("contour")?,
-            },
-            solver: SolverArgs {
-                integrator: block.choice("integrator")?,
-                laplacian_steps: block.count("laplacian_steps", 0..=u32::MAX)?,
-                steps: block.count("steps", 0..=u32::MAX)?,
-                step_size: block.number("step_size")?,
-                redistance_every: block.count("redistance_every", 0..=u32::MAX)?,
-                cg_tolerance: block.number("cg_tolerance")?,
-            },
+            method: method_args(block)?,
             formats: FormatArgs {
                 up: block.choice("up")?,
                 vdb_half: block.switch("vdb_half")?,
                 vdb_compression: block.choice("vdb_compression")?,
             },
+        },
+    })
+}
+
+fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
+    Ok(MethodArgs {
+        first: FirstArgs { preset: block.choice("preset")?, voxel_size: block.number("voxel_size")? },
+        surface: SurfaceArgs {
+            radius_min: block.number("radius_min")?,
+            radius_ratio: block.number("radius_ratio")?,
+            radius_init: block.number("radius_init")?,
+            drop_islands: block.count("drop_islands", 0..=u32::MAX)?,
+            fill_cavities: block.number("fill_cavities")?,
+            clip: block.parsed("clip", str::parse)?,
+        },
+        particles: ParticleArgs {
+            radius_attribute: block.text("radius_attribute")?,
+            radius_scale: block.number("radius_scale")?,
+            anisotropy: block.choice("anisotropy")?,
+            max_stretch: block.number("max_stretch")?,
+            neighbor_radius: block.number("neighbor_radius")?,
+            position_smoothing: block.number("position_smoothing")?,
+            velocity_gain: block.number("velocity_gain")?,
+            attributes: block.parsed("attributes", str::parse)?,
+        },
+        obstacles: ObstacleArgs {
+            obstacle: block.paths("obstacles")?,
+            void_threshold: block.number("void_threshold")?,
+        },
+        mesh: MeshArgs {
+            contour: block.choice("contour")?,
+            decimate: block.number("decimate")?,
+            smooth_normals: block.count("smooth_normals", 0..=u32::MAX)?,
+            quads: block.switch("quads")?,
+        },
+        solver: SolverArgs {
+            integrator: block.choice("integrator")?,
+            laplacian_steps: block.count("laplacian_steps", 0..=u32::MAX)?,
+            steps: block.count("steps", 0..=u32::MAX)?,
+            step_size: block.number("step_size")?,
+            redistance_every: block.count("redistance_every", 0..=u32::MAX)?,
+            cg_tolerance: block.number("cg_tolerance")?,
         },
     })
 }
@@ -128,18 +159,35 @@ fn keys_of(block: &str) -> &'static [&'static str] {
 
 const ROOT_KEYS: [&str; 2] = ["watch", "daemon"];
 
-const WATCH_KEYS: [&str; 20] = [
+const WATCH_KEYS: [&str; 37] = [
     "input",
     "output",
     "pattern",
     "recursive",
     "sentinel",
     "formats",
+    "preset",
     "voxel_size",
     "radius_min",
     "radius_ratio",
     "radius_init",
+    "drop_islands",
+    "fill_cavities",
+    "clip",
+    "radius_attribute",
+    "radius_scale",
+    "anisotropy",
+    "max_stretch",
+    "neighbor_radius",
+    "position_smoothing",
+    "velocity_gain",
+    "attributes",
+    "obstacles",
+    "void_threshold",
     "contour",
+    "decimate",
+    "smooth_normals",
+    "quads",
     "integrator",
     "laplacian_steps",
     "steps",

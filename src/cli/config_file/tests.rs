@@ -36,8 +36,11 @@ fn blocks_become_options() {
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
     assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
     assert_eq!(first.frames.format, Some(vec![Format::Glb, Format::Ply]));
-    assert_eq!(first.frames.surface.contour, Some(ContourChoice::Tetrahedra));
-    assert_eq!((first.frames.surface.voxel_size, first.frames.solver.steps), (Some(1.0), Some(10)));
+    assert_eq!(first.frames.method.mesh.contour, Some(ContourChoice::Tetrahedra));
+    assert_eq!(
+        (first.frames.method.first.voxel_size, first.frames.method.solver.steps),
+        (Some(1.0), Some(10))
+    );
     let expected = FrameArgs { recursive: true, ..FrameArgs::default() };
     assert_eq!(second.frames, expected);
 }

@@ -3,6 +3,7 @@
 //! As in all lines, names and structs are their own, and numbers that results depend on are text: what
 //! `why` compares must be the settings to the last bit.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use meniscus_formats::vdb::Compression;
 
 use crate::daemon::config::{Patience, Watch};
 use crate::pipeline::{OutputFormat, OutputOptions};
-use crate::settings::{Choices, Contouring, Integrator};
+use crate::settings::Choices;
 
 use super::line::WirePath;
 use super::state::PlanRecord;
@@ -36,7 +37,8 @@ struct WireWatch {
     outputs: WireOutputs,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     voxel_size: Option<String>,
-    choices: WireChoices,
+    /// By name, as text: see [`Choices::to_pairs`].
+    choices: BTreeMap<String, String>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -46,30 +48,6 @@ struct WireOutputs {
     up: WireUp,
     vdb_half: bool,
     vdb_compression: WireCompression,
-}
-
-#[derive(Serialize, Deserialize)]
-struct WireChoices {
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    radius_min: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    radius_ratio: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    radius_init: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    integrator: Option<WireIntegrator>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    laplacian_steps: Option<u32>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    steps: Option<u32>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    step_size: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    redistance_every: Option<u32>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    cg_tolerance: Option<String>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    contouring: Option<WireContouring>,
 }
 
 /// The lines' own form of an enum, and the ways there and back.
@@ -102,8 +80,6 @@ macro_rules! wire_enum {
 wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply);
 wire_enum!(WireUp of UpAxis: Y, Z);
 wire_enum!(WireCompression of Compression: None, ActiveMask, Blosc);
-wire_enum!(WireIntegrator of Integrator: Fast, Implicit, Explicit);
-wire_enum!(WireContouring of Contouring: Dual, Tetrahedra);
 
 impl WirePlan {
     pub(super) fn of(record: &PlanRecord) -> WirePlan {
@@ -128,7 +104,7 @@ impl WireWatch {
             sentinel: sentinel.clone(),
             outputs: WireOutputs::of(outputs),
             voxel_size: text(*voxel_size),
-            choices: WireChoices::of(choices),
+            choices: choices.to_pairs().into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
         }
     }
 
@@ -140,7 +116,9 @@ impl WireWatch {
             sentinel: self.sentinel,
             outputs: self.outputs.into_options()?,
             voxel_size: number(self.voxel_size)?,
-            choices: self.choices.into_choices()?,
+            choices: Choices::from_pairs(
+                self.choices.iter().map(|(name, value)| (name.as_str(), value.as_str())),
+            )?,
         })
     }
 }
@@ -164,50 +142,6 @@ impl WireOutputs {
             up: self.up.into(),
             vdb_half: self.vdb_half,
             vdb_compression: self.vdb_compression.into(),
-        })
-    }
-}
-
-impl WireChoices {
-    fn of(choices: &Choices) -> WireChoices {
-        let Choices {
-            radius_min,
-            radius_ratio,
-            radius_init,
-            integrator,
-            laplacian_steps,
-            steps,
-            step_size,
-            redistance_every,
-            cg_tolerance,
-            contouring,
-        } = *choices;
-        WireChoices {
-            radius_min: text(radius_min),
-            radius_ratio: text(radius_ratio),
-            radius_init: text(radius_init),
-            integrator: integrator.map(Into::into),
-            laplacian_steps,
-            steps,
-            step_size: text(step_size),
-            redistance_every,
-            cg_tolerance: text(cg_tolerance),
-            contouring: contouring.map(Into::into),
-        }
-    }
-
-    fn into_choices(self) -> Option<Choices> {
-        Some(Choices {
-            radius_min: number(self.radius_min)?,
-            radius_ratio: number(self.radius_ratio)?,
-            radius_init: number(self.radius_init)?,
-            integrator: self.integrator.map(Into::into),
-            laplacian_steps: self.laplacian_steps,
-            steps: self.steps,
-            step_size: number(self.step_size)?,
-            redistance_every: self.redistance_every,
-            cg_tolerance: number(self.cg_tolerance)?,
-            contouring: self.contouring.map(Into::into),
         })
     }
 }
@@ -275,15 +209,10 @@ mod tests {
             voxel_size: Some(0.1_f64.next_up()),
             choices: Choices {
                 radius_min: Some(1.0 / 3.0),
-                radius_ratio: Some(1.5),
                 radius_init: Some(f64::MIN_POSITIVE / 3.0),
-                integrator: None,
-                laplacian_steps: Some(0),
+                radius_attribute: Some("p \"é\"".to_owned()),
                 steps: Some(u32::MAX),
-                step_size: Some(1e-300),
-                redistance_every: Some(7),
-                cg_tolerance: Some(1e-4_f64.next_down()),
-                contouring: None,
+                ..Choices::default()
             },
             ..bare()
         });
@@ -299,16 +228,6 @@ mod tests {
                 outputs: OutputOptions { formats: vec![format], ..bare().outputs },
                 ..bare()
             });
-        }
-        for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit] {
-            for contouring in [Contouring::Dual, Contouring::Tetrahedra] {
-                let choices = Choices {
-                    integrator: Some(integrator),
-                    contouring: Some(contouring),
-                    ..Choices::default()
-                };
-                comes_back(Watch { choices, ..bare() });
-            }
         }
     }
 

@@ -118,12 +118,12 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
 }
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
-    let choices = choices(&frames.surface, &frames.solver);
-    match frames.surface.voxel_size {
+    let choices = choices(&frames.method);
+    match frames.method.first.voxel_size {
         Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
         None => Settings::check(&choices)?,
     }
-    warnings.extend(ignored(&frames.solver).map(str::to_owned));
+    warnings.extend(ignored(&frames.method));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
@@ -138,7 +138,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         recursive: frames.recursive,
         sentinel: frames.sentinel.clone(),
         outputs: output_options(folder, frames.format.as_deref(), &frames.formats),
-        voxel_size: frames.surface.voxel_size,
+        voxel_size: frames.method.first.voxel_size,
         choices,
     })
 }

@@ -1,0 +1,64 @@
+//! The options of what is written: the same for every command that converts, and for the keys of a file.
+//!
+//! Nothing here has a default of its own, so that it is known what was given: an option overrides
+//! what stands in a file.
+
+use clap::{Args, ValueEnum};
+
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct FormatArgs {
+    /// Which axis of the particles points up: in glTF it must be y, and z is turned there [default: y]
+    #[arg(long, value_name = "AXIS")]
+    pub(in crate::cli) up: Option<UpChoice>,
+
+    /// Store 16-bit values in .vdb: smaller, with three decimal digits
+    #[arg(long)]
+    pub(in crate::cli) vdb_half: bool,
+
+    /// How values are packed in .vdb [default: blosc]
+    #[arg(long, value_name = "HOW")]
+    pub(in crate::cli) vdb_compression: Option<CompressionChoice>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum Format {
+    /// Binary glTF: positions, normals
+    Glb,
+    /// Text glTF
+    Gltf,
+    /// The level set, for OpenVDB
+    Vdb,
+    /// Wavefront OBJ
+    Obj,
+    /// Binary PLY
+    Ply,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum UpChoice {
+    /// As glTF has it
+    Y,
+    /// As Blender and many simulators have it
+    Z,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum CompressionChoice {
+    /// All values as they are
+    None,
+    /// Active values only
+    Active,
+    /// Active values only, compressed: OpenVDB's default
+    Blosc,
+}
+
+impl FormatArgs {
+    /// These, and where one is not given, that of `below`.
+    pub(in crate::cli) fn over(&self, below: &FormatArgs) -> FormatArgs {
+        FormatArgs {
+            up: self.up.or(below.up),
+            vdb_half: self.vdb_half || below.vdb_half,
+            vdb_compression: self.vdb_compression.or(below.vdb_compression),
+        }
+    }
+}

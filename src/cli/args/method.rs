@@ -1,0 +1,296 @@
+//! The options of the method: the same for every command that converts, and for the keys of a file.
+//!
+//! Nothing here has a default of its own, so that it is known what was given: an option overrides
+//! what stands in a file, and that what a preset says.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use crate::settings::{AttributeSelection, ClipBox};
+
+/// All of them, by heading.
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct MethodArgs {
+    #[command(flatten)]
+    pub(in crate::cli) first: FirstArgs,
+
+    #[command(flatten, next_help_heading = "Surface")]
+    pub(in crate::cli) surface: SurfaceArgs,
+
+    #[command(flatten, next_help_heading = "Particles")]
+    pub(in crate::cli) particles: ParticleArgs,
+
+    #[command(flatten, next_help_heading = "Obstacles")]
+    pub(in crate::cli) obstacles: ObstacleArgs,
+
+    #[command(flatten, next_help_heading = "Mesh")]
+    pub(in crate::cli) mesh: MeshArgs,
+
+    #[command(flatten, next_help_heading = "Solver")]
+    pub(in crate::cli) solver: SolverArgs,
+}
+
+/// What most people need, and no more.
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct FirstArgs {
+    /// A bundle of choices for what is skinned; options beside it override what it says
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) preset: Option<PresetChoice>,
+
+    /// Edge of a voxel h, in the particles' unit of length; half the particle spacing by default
+    #[arg(long, value_name = "H", allow_negative_numbers = true)]
+    pub(in crate::cli) voxel_size: Option<f64>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct SurfaceArgs {
+    /// Radius r_min around each particle that is always inside; √3·h by default
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
+    pub(in crate::cli) radius_min: Option<f64>,
+
+    /// r_max / r_min: nothing farther than r_max from all particles is inside [default: 2]
+    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
+    pub(in crate::cli) radius_ratio: Option<f64>,
+
+    /// Radius of the spheres that smoothing starts from; (r_min + r_max) / 2 by default
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
+    pub(in crate::cli) radius_init: Option<f64>,
+
+    /// Drop pieces of surface with fewer particles than this [default: 0]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub(in crate::cli) drop_islands: Option<u32>,
+
+    /// Fill enclosed cavities of less volume than V·h³ [default: 0]
+    #[arg(long, value_name = "V", allow_negative_numbers = true)]
+    pub(in crate::cli) fill_cavities: Option<f64>,
+
+    /// Cut off what is outside the box x0,y0,z0,x1,y1,z1, in the particles' unit of length
+    #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
+    pub(in crate::cli) clip: Option<ClipBox>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct ParticleArgs {
+    /// The attribute that has each particle's own radius, in the particles' unit of length, such as pscale: its r_min is
+    /// then that radius, and r_init and r_max are larger by the same ratios as without
+    #[arg(long, value_name = "NAME")]
+    pub(in crate::cli) radius_attribute: Option<String>,
+
+    /// r_min of a particle in units of its own radius [default: 1]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub(in crate::cli) radius_scale: Option<f64>,
+
+    /// What stretches particles, so that sheets and jets are smooth [default: none]
+    #[arg(long, value_name = "BY")]
+    pub(in crate::cli) anisotropy: Option<AnisotropyChoice>,
+
+    /// The longest half axis of a particle in units of its shortest, at most [default: 4]
+    #[arg(long, value_name = "K", allow_negative_numbers = true)]
+    pub(in crate::cli) max_stretch: Option<f64>,
+
+    /// How far neighbours count, for --anisotropy neighbors, in the particles' unit of length; 3 r_min by default
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
+    pub(in crate::cli) neighbor_radius: Option<f64>,
+
+    /// Move particles so far to the mean of their neighbours, 0 to 1, for --anisotropy neighbors [default: 0]
+    #[arg(long, value_name = "L", allow_negative_numbers = true)]
+    pub(in crate::cli) position_smoothing: Option<f64>,
+
+    /// Seconds of movement by which particles are stretched, for --anisotropy velocity [default: 0.01]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub(in crate::cli) velocity_gain: Option<f64>,
+
+    /// Attributes that the surface gets: a list of names, such as velocity,Cd,id; or all
+    ///
+    /// Numbers are averaged over the particles around, identities and words are those of the nearest. They are written
+    /// as vertex attributes, and to .vdb as grids beside the level set.
+    #[arg(long, value_name = "LIST")]
+    pub(in crate::cli) attributes: Option<AttributeSelection>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct ObstacleArgs {
+    /// What the surface must not enter: .obj, .glb, .gltf, .ply, or a level set in .vdb; more than one if given again
+    ///
+    /// One file for all frames, or a numbered pattern such as body.####.obj, of which each frame takes the file with its
+    /// own number.
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) obstacle: Vec<PathBuf>,
+
+    /// Fill gaps between the surface and obstacles that are narrower than this, in units of h [default: 2]
+    #[arg(long, value_name = "T", allow_negative_numbers = true)]
+    pub(in crate::cli) void_threshold: Option<f64>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct MeshArgs {
+    /// How the level set becomes triangles [default: dual]
+    #[arg(long, value_name = "HOW")]
+    pub(in crate::cli) contour: Option<ContourChoice>,
+
+    /// Save triangles where the mesh moves by no more than this, in units of h [default: 0]
+    #[arg(long, value_name = "ERROR", allow_negative_numbers = true)]
+    pub(in crate::cli) decimate: Option<f64>,
+
+    /// Average normals with their neighbours, in so many rounds; 10 without a number [default: 0]
+    #[arg(long, value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
+    pub(in crate::cli) smooth_normals: Option<u32>,
+
+    /// Write quads to .obj, as dual contouring makes them
+    #[arg(long)]
+    pub(in crate::cli) quads: bool,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct SolverArgs {
+    /// How the smoothing is integrated [default: fast]
+    #[arg(long, value_name = "WHICH")]
+    pub(in crate::cli) integrator: Option<IntegratorChoice>,
+
+    /// Laplacian steps before the biharmonic ones; with 0 distances are restored instead [default: 15]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub(in crate::cli) laplacian_steps: Option<u32>,
+
+    /// Biharmonic steps [default: 5; explicit: 500]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub(in crate::cli) steps: Option<u32>,
+
+    /// Size of a biharmonic step, in units of h⁴ [default: 20; explicit: 0.01]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    pub(in crate::cli) step_size: Option<f64>,
+
+    /// Restore distances after so many biharmonic steps [default: 1; explicit: 50]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    pub(in crate::cli) redistance_every: Option<u32>,
+
+    /// Relative tolerance of the conjugate gradients, for implicit only [default: 0.0001]
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    pub(in crate::cli) cg_tolerance: Option<f64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum PresetChoice {
+    /// Bodies of water: the defaults, and small cavities filled
+    Water,
+    /// Sheets, threads and drops: as water, and particles stretched along their neighbours
+    Splash,
+    /// Sand, snow, grain: near the particles, and little smoothing
+    Granular,
+    /// A quick look: little smoothing
+    Preview,
+    /// As near to the particles as can be
+    Faithful,
+    /// As smooth as can be
+    Smooth,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum AnisotropyChoice {
+    /// Nothing: spheres
+    None,
+    /// Where the neighbours are: flat in sheets, long in threads
+    Neighbors,
+    /// The velocity: long along it
+    Velocity,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum IntegratorChoice {
+    /// Implicit steps without reductions: the quickest
+    Fast,
+    /// The paper's implicit steps: conjugate gradients with a growing active set
+    Implicit,
+    /// The paper's explicit steps: many small ones
+    Explicit,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum ContourChoice {
+    /// Dual contouring: fewer and better shaped triangles
+    Dual,
+    /// Marching tetrahedra: as the paper does
+    Tetrahedra,
+}
+
+impl MethodArgs {
+    /// These, and where one is not given, that of `below`.
+    pub(in crate::cli) fn over(&self, below: &MethodArgs) -> MethodArgs {
+        MethodArgs {
+            first: self.first.over(&below.first),
+            surface: self.surface.over(&below.surface),
+            particles: self.particles.over(&below.particles),
+            obstacles: self.obstacles.over(&below.obstacles),
+            mesh: self.mesh.over(&below.mesh),
+            solver: self.solver.over(&below.solver),
+        }
+    }
+}
+
+impl FirstArgs {
+    fn over(&self, below: &FirstArgs) -> FirstArgs {
+        FirstArgs { preset: self.preset.or(below.preset), voxel_size: self.voxel_size.or(below.voxel_size) }
+    }
+}
+
+impl SurfaceArgs {
+    fn over(&self, below: &SurfaceArgs) -> SurfaceArgs {
+        SurfaceArgs {
+            radius_min: self.radius_min.or(below.radius_min),
+            radius_ratio: self.radius_ratio.or(below.radius_ratio),
+            radius_init: self.radius_init.or(below.radius_init),
+            drop_islands: self.drop_islands.or(below.drop_islands),
+            fill_cavities: self.fill_cavities.or(below.fill_cavities),
+            clip: self.clip.or(below.clip),
+        }
+    }
+}
+
+impl ParticleArgs {
+    fn over(&self, below: &ParticleArgs) -> ParticleArgs {
+        ParticleArgs {
+            radius_attribute: self.radius_attribute.clone().or_else(|| below.radius_attribute.clone()),
+            radius_scale: self.radius_scale.or(below.radius_scale),
+            anisotropy: self.anisotropy.or(below.anisotropy),
+            max_stretch: self.max_stretch.or(below.max_stretch),
+            neighbor_radius: self.neighbor_radius.or(below.neighbor_radius),
+            position_smoothing: self.position_smoothing.or(below.position_smoothing),
+            velocity_gain: self.velocity_gain.or(below.velocity_gain),
+            attributes: self.attributes.clone().or_else(|| below.attributes.clone()),
+        }
+    }
+}
+
+impl ObstacleArgs {
+    fn over(&self, below: &ObstacleArgs) -> ObstacleArgs {
+        let given = if self.obstacle.is_empty() { below } else { self };
+        ObstacleArgs {
+            obstacle: given.obstacle.clone(),
+            void_threshold: self.void_threshold.or(below.void_threshold),
+        }
+    }
+}
+
+impl MeshArgs {
+    fn over(&self, below: &MeshArgs) -> MeshArgs {
+        MeshArgs {
+            contour: self.contour.or(below.contour),
+            decimate: self.decimate.or(below.decimate),
+            smooth_normals: self.smooth_normals.or(below.smooth_normals),
+            quads: self.quads || below.quads,
+        }
+    }
+}
+
+impl SolverArgs {
+    fn over(&self, below: &SolverArgs) -> SolverArgs {
+        SolverArgs {
+            integrator: self.integrator.or(below.integrator),
+            laplacian_steps: self.laplacian_steps.or(below.laplacian_steps),
+            steps: self.steps.or(below.steps),
+            step_size: self.step_size.or(below.step_size),
+            redistance_every: self.redistance_every.or(below.redistance_every),
+            cg_tolerance: self.cg_tolerance.or(below.cg_tolerance),
+        }
+    }
+}

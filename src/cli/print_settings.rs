@@ -1,0 +1,58 @@
+//! `--print-settings`: what options and presets stand for, as keys of a file.
+
+use anyhow::{Context, Result};
+use rayon::ThreadPool;
+
+use crate::pipeline::{Sequence, automatic_voxel_size};
+use crate::settings::{Choices, Settings};
+
+use super::Verdict;
+use super::args::MethodArgs;
+use super::choices::choices;
+use super::console::Console;
+
+/// Prints the settings of each sequence; where there is none, those of any, with lengths in units of the voxel size
+/// unless that was given.
+///
+/// # Errors
+/// When the options make no sense, or no voxel size can be found.
+pub(super) fn print_settings(
+    sequences: &[&Sequence],
+    args: &MethodArgs,
+    pool: &ThreadPool,
+    console: &mut Console,
+) -> Result<Verdict> {
+    let choices = choices(args);
+    let given = args.first.voxel_size;
+    if sequences.is_empty() {
+        if given.is_none() {
+            console.say(format_args!("# lengths are in units of the voxel size"));
+        }
+        print(&Settings::resolve(given.unwrap_or(1.0), &choices)?, given.is_some(), console);
+    }
+    for sequence in sequences {
+        let paths = || sequence.frames.iter().map(|file| &*file.path);
+        let voxel_size = match given {
+            Some(voxel_size) => voxel_size,
+            None => pool.install(|| automatic_voxel_size(paths()))?.voxel_size,
+        };
+        let settings = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
+        console.say(format_args!("# {}", sequence.name));
+        print(&settings, true, console);
+    }
+    Ok(Verdict::Done)
+}
+
+fn print(settings: &Settings, has_voxel_size: bool, console: &mut Console) {
+    if has_voxel_size {
+        console.say(format_args!("voxel_size = {}", settings.voxel_size));
+    }
+    let made: Choices = settings.to_choices();
+    for (name, value) in made.to_pairs() {
+        let is_plain = value.parse::<f64>().is_ok() || value.parse::<bool>().is_ok();
+        match is_plain {
+            true => console.say(format_args!("{name} = {value}")),
+            false => console.say(format_args!("{name} = {value:?}")),
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! A level set as an obstacle: sampled at our voxels, whatever its own are.
+//!
+//! ```text
+//!   its voxels   ·   ·   ·   ·          ours lie anywhere between: values are interpolated along the
+//!   ours           x  x  x  x           three axes from the eight voxels around
+//! ```
+//!
+//! Its values are known within a band around the surface, and are the background beyond: what is farther is
+//! taken to be farther than anyone asks. So where the band is narrower than ours, distances are right as far as
+//! it goes, and jump at its end.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3, IVec3};
+use rustc_hash::FxHashMap;
+
+use super::leaf::ObstacleLeaf;
+use crate::grid::{LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
+use crate::space::{INDEX_LIMIT, Lattice};
+
+/// A level set as it comes: signed distances in world units, negative inside.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LevelSetSource {
+    /// Origins of the leaves of 8³ voxels, multiples of 8.
+    pub origins: Vec<IVec3>,
+    /// The values of each, z fastest.
+    pub leaves: Vec<[f32; LEAF_VOXELS]>,
+    /// Cubes of voxels with one value: least voxel, edge, value. The edges are powers of two.
+    pub tiles: Vec<(IVec3, i32, f32)>,
+    /// The value where there is nothing else: half the thickness of the band, positive.
+    pub background: f32,
+    /// Steps from a voxel to the next along each index, world units.
+    pub axes: [DVec3; 3],
+    /// World position of voxel (0, 0, 0).
+    pub translation: DVec3,
+}
+
+/// What a level set encloses.
+pub struct Sampled {
+    source: LevelSetSource,
+    leaf_of: FxHashMap<IVec3, u32>,
+    tile_of: FxHashMap<(IVec3, i32), f32>,
+    tile_sizes: Vec<i32>,
+    to_index: DMat3,
+}
+
+/// Steps that differ by more than this part are of different lengths, or not at right angles.
+const SKEW_MAX: f64 = 1e-4;
+
+/// Values of so large a part of the background are it.
+const BACKGROUND: f32 = 0.9999;
+
+impl Sampled {
+    /// What a level set encloses.
+    ///
+    /// # Errors
+    /// What is wrong with it, in a sentence without subject: voxels that are no cubes, a background that is not
+    /// positive.
+    pub fn new(source: LevelSetSource) -> Result<Sampled, String> {
+        let [x, y, z] = source.axes;
+        let size_squared = x.length_squared();
+        let is_even = |squared: f64| (squared - size_squared).abs() <= SKEW_MAX * size_squared;
+        let is_square = |product: f64| product.abs() <= SKEW_MAX * size_squared;
+        let is_finite = source.translation.is_finite() && size_squared.is_finite() && size_squared > 0.0;
+        if !(is_finite && is_even(y.length_squared()) && is_even(z.length_squared())) {
+            return Err("has voxels that are no cubes".into());
+        }
+        if !(is_square(x.dot(y)) && is_square(y.dot(z)) && is_square(z.dot(x))) {
+            return Err("has voxels that are no cubes".into());
+        }
+        if !(source.background.is_finite() && source.background > 0.0) {
+            return Err(format!("has the background {}; a level set has a positive one", source.background));
+        }
+        if source.origins.len() != source.leaves.len() {
+            return Err("has leaves without values".into());
+        }
+        let leaf_of = source.origins.iter().copied().zip(0..).collect();
+        let tile_of = source.tiles.iter().map(|&(origin, size, value)| ((origin, size), value)).collect();
+        let mut tile_sizes: Vec<i32> = source
+            .tiles
+            .iter()
+            .map(|tile| tile.1)
+            .filter(|&size| size > 0 && size & (size - 1) == 0)
+            .collect();
+        tile_sizes.sort_unstable();
+        tile_sizes.dedup();
+        let to_index = DMat3::from_cols(x, y, z).inverse();
+        Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index })
+    }
+
+    /// The edge of its voxels, world units.
+    pub fn voxel_size(&self) -> f64 {
+        self.source.axes[0].length()
+    }
+
+    /// How far from the surface its values are known, world units.
+    pub fn band_width(&self) -> f64 {
+        f64::from(self.source.background)
+    }
+
+    /// The memory that it takes, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        size_of_val(&*self.source.leaves) + 40 * self.source.origins.len() + 60 * self.source.tiles.len()
+    }
+
+    /// The signed distances of a leaf.
+    pub(super) fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
+        if let Some(side) = self.side(origin, lattice) {
+            return side;
+        }
+        let mut leaf = Leaf::splat(half_width);
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            let voxel = origin + voxel_in_leaf(offset);
+            let sample = self.sample(self.index_of(voxel.as_dvec3(), lattice));
+            let is_known = sample.abs() < BACKGROUND * self.source.background;
+            let distance =
+                if is_known { (f64::from(sample) / lattice.voxel_size) as f32 } else { half_width };
+            *value = distance.abs().min(half_width).copysign(sample);
+        }
+        ObstacleLeaf::of_values(Arc::new(leaf), half_width)
+    }
+
+    /// How deep a point is inside, in world units, and the nearest place on the surface.
+    pub(super) fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
+        let at = |point: DVec3| f64::from(self.sample(self.to_index * (point - self.source.translation)));
+        let depth = -at(point);
+        let step = 0.5 * self.voxel_size();
+        let slope = DVec3::AXES.map(|axis| at(point + axis * step) - at(point - axis * step));
+        (depth > 0.0).then(|| (depth, point + DVec3::from(slope).normalize_or_zero() * depth))
+    }
+
+    /// Whether the surface may come within `margin_voxels` of a leaf's voxels.
+    pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
+        let (min, max) = self.around(origin, lattice, f64::from(margin_voxels));
+        self.has_leaf_between(min, max)
+    }
+
+    /// The side that a leaf is on, if there is nothing but one value around it.
+    fn side(&self, origin: IVec3, lattice: &Lattice) -> Option<ObstacleLeaf> {
+        let (min, max) = self.around(origin, lattice, 0.0);
+        if self.has_leaf_between(min, max) {
+            return None;
+        }
+        // Tiles meet only where there are leaves between those of both sides.
+        Some(if self.value(min) < 0.0 { ObstacleLeaf::Inside } else { ObstacleLeaf::Outside })
+    }
+
+    /// The box of its voxels that a leaf's samples, and those so many voxels around it, are taken from.
+    fn around(&self, origin: IVec3, lattice: &Lattice, margin: f64) -> (IVec3, IVec3) {
+        let half = 0.5 * f64::from(LEAF_EDGE - 1);
+        let center = self.index_of(origin.as_dvec3() + half, lattice);
+        let scale = lattice.voxel_size / self.voxel_size();
+        // Turned by whatever angle, a cube stays within the ball around it.
+        let reach = DVec3::splat((half + margin) * scale * 3f64.sqrt());
+        ((center - reach).floor().as_ivec3(), (center + reach).ceil().as_ivec3())
+    }
+
+    /// Whether a leaf of a box of voxels is stored.
+    fn has_leaf_between(&self, min: IVec3, max: IVec3) -> bool {
+        let edge = IVec3::splat(LEAF_EDGE);
+        let (first, last) = (min.div_euclid(edge), max.div_euclid(edge));
+        let is_between = |origin: &IVec3| {
+            let place = origin.div_euclid(edge);
+            place.cmpge(first).all() && place.cmple(last).all()
+        };
+        // Its voxels may be much smaller than ours.
+        let spans = last.as_dvec3() - first.as_dvec3() + 1.0;
+        if spans.element_product() > self.source.origins.len() as f64 {
+            return self.source.origins.iter().any(is_between);
+        }
+        (first.x..=last.x).any(|x| {
+            (first.y..=last.y)
+                .any(|y| (first.z..=last.z).any(|z| self.leaf_of.contains_key(&(IVec3::new(x, y, z) * edge))))
+        })
+    }
+
+    fn index_of(&self, voxel: DVec3, lattice: &Lattice) -> DVec3 {
+        self.to_index * (voxel * lattice.voxel_size - self.source.translation)
+    }
+
+    /// The value between voxels.
+    fn sample(&self, at: DVec3) -> f32 {
+        let low = at.floor();
+        if !(low.abs().max_element() < f64::from(INDEX_LIMIT)) {
+            return self.source.background;
+        }
+        let [x, y, z] = (at - low).as_vec3().to_array();
+        let low = low.as_ivec3();
+        let corner = |dx: i32, dy: i32, dz: i32| self.value(low + IVec3::new(dx, dy, dz));
+        let mix = |a: f32, b: f32, t: f32| a + (b - a) * t;
+        let along_z = |dx, dy| mix(corner(dx, dy, 0), corner(dx, dy, 1), z);
+        let along_y = |dx| mix(along_z(dx, 0), along_z(dx, 1), y);
+        mix(along_y(0), along_y(1), x)
+    }
+
+    /// The value of a voxel.
+    fn value(&self, voxel: IVec3) -> f32 {
+        let local = voxel & (LEAF_EDGE - 1);
+        if let Some(&leaf) = self.leaf_of.get(&(voxel - local)) {
+            let value = self.source.leaves[leaf as usize][offset_in_leaf(local)];
+            // What is not a number is nothing.
+            return if value.is_nan() { self.source.background } else { value };
+        }
+        let of_size = |&size: &i32| self.tile_of.get(&(voxel & -size, size)).copied();
+        self.tile_sizes.iter().find_map(of_size).unwrap_or(self.source.background)
+    }
+}

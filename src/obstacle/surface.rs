@@ -1,0 +1,278 @@
+//! The triangles of an obstacle, mended as far as they can be without guessing a shape.
+//!
+//! Meshes of scenes are made to be looked at. Vertices are repeated along seams, parts are drawn twice, some face
+//! the wrong way. Here vertices at one place become one, a triangle that is there twice is kept once, and
+//! neighbours are made to agree on which side is outside:
+//!
+//! ```text
+//!    ──▶ ◀──        an edge of two triangles is walked in both directions if they agree:
+//!    │ 1 │ 2 │      of those that can be reached over such edges, the lesser part by area is turned
+//!
+//!    ┌─────────┐    a part whose volume is negative is turned as a whole,
+//!    │  ┌───┐  │    unless it lies within another one: there it bounds a cavity
+//!    │  └───┘  │
+//!    └─────────┘
+//! ```
+//!
+//! What is left open stays open: the [rim](Surface::rim) says where, and the winding number closes it.
+
+use glam::DVec3;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use super::tree::Tree;
+use super::winding::winding;
+
+/// What was found in a mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeshFindings {
+    /// Triangles that bound the obstacle.
+    pub triangle_count: usize,
+    /// Triangles left out since a corner is not finite, or is no vertex.
+    pub broken_count: usize,
+    /// Triangles without an area.
+    pub degenerate_count: usize,
+    /// Triangles left out since they are there already.
+    pub duplicate_count: usize,
+    /// Triangles that were turned to agree with their neighbours, or with their volume.
+    pub turned_count: usize,
+    /// Edges where the surface ends, as at a hole.
+    pub open_edge_count: usize,
+}
+
+/// Triangles that agree on what is outside.
+pub(super) struct Surface {
+    pub(super) tree: Tree,
+    /// The edges where it ends: what is inside changes gradually near these only.
+    pub(super) rim: Vec<[DVec3; 2]>,
+    pub(super) findings: MeshFindings,
+}
+
+/// Positions beyond this are taken for garbage: squares of squares of them would not be numbers.
+const FARTHEST: f64 = 1e60;
+
+/// A height below this part of the longest edge is none.
+const FLAT: f64 = 1e-12;
+
+impl Surface {
+    /// The surface of these triangles, in world units.
+    pub(super) fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Surface {
+        let mut findings = MeshFindings::default();
+        let (points, welded) = weld(positions);
+        let mut faces = distinct_faces(&points, &welded, triangles, &mut findings);
+        let edges = Edges::new(&faces);
+        let mut turned = vec![false; faces.len()];
+        let parts = agree(&points, &faces, &edges, &mut turned);
+        turn(&mut faces, &turned);
+        turn_parts(&points, &mut faces, &parts, &mut turned);
+        findings.turned_count = turned.iter().filter(|&&turned| turned).count();
+        let rim = rim(&points, &faces);
+        findings.open_edge_count = rim.len();
+        let corners: Vec<[DVec3; 3]> = faces
+            .iter()
+            .map(|face| face.map(|corner| points[corner as usize]))
+            .filter(|corners| !is_flat(corners))
+            .collect();
+        findings.triangle_count = corners.len();
+        findings.degenerate_count += faces.len() - corners.len();
+        Surface { tree: Tree::new(corners), rim, findings }
+    }
+}
+
+/// The distinct positions, and for each position which of them it is. What is not finite is none.
+fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {
+    let mut places: FxHashMap<[u64; 3], u32> = FxHashMap::default();
+    let mut points = Vec::new();
+    let welded = positions
+        .iter()
+        .map(|position| {
+            if !position.iter().all(|c| c.abs() < FARTHEST) {
+                return None;
+            }
+            let next = u32::try_from(points.len()).ok()?;
+            // Adding zero makes one of both zeros.
+            let place = *places.entry(position.map(|c| (c + 0.0).to_bits())).or_insert(next);
+            if place == next {
+                points.push(DVec3::from(*position));
+            }
+            Some(place)
+        })
+        .collect();
+    (points, welded)
+}
+
+/// The triangles by distinct positions, each once. Flat ones stay, for they join what is beside them.
+fn distinct_faces(
+    points: &[DVec3],
+    welded: &[Option<u32>],
+    triangles: &[[u32; 3]],
+    findings: &mut MeshFindings,
+) -> Vec<[u32; 3]> {
+    let corner = |index: u32| welded.get(index as usize).copied().flatten();
+    let mut seen: FxHashSet<[u32; 3]> = FxHashSet::default();
+    let mut faces = Vec::with_capacity(triangles.len());
+    for &[a, b, c] in triangles {
+        let (Some(a), Some(b), Some(c)) = (corner(a), corner(b), corner(c)) else {
+            findings.broken_count += 1;
+            continue;
+        };
+        if a == b || b == c || c == a {
+            findings.degenerate_count += 1;
+            continue;
+        }
+        let mut sorted = [a, b, c];
+        sorted.sort_unstable();
+        if seen.insert(sorted) {
+            faces.push([a, b, c]);
+        } else {
+            findings.duplicate_count += 1;
+        }
+    }
+    debug_assert!(faces.iter().flatten().all(|&corner| (corner as usize) < points.len()));
+    faces
+}
+
+/// The triangles at each edge.
+struct Edges {
+    /// Both ends, the lesser first; the triangle; whether it walks from the lesser to the greater.
+    uses: Vec<([u32; 2], u32, bool)>,
+}
+
+impl Edges {
+    fn new(faces: &[[u32; 3]]) -> Edges {
+        let mut uses: Vec<([u32; 2], u32, bool)> = Vec::with_capacity(3 * faces.len());
+        for (face, &[a, b, c]) in faces.iter().enumerate() {
+            for [from, to] in [[a, b], [b, c], [c, a]] {
+                uses.push(([from.min(to), from.max(to)], face as u32, from < to));
+            }
+        }
+        uses.sort_unstable();
+        Edges { uses }
+    }
+
+    /// The edges, each with its uses.
+    fn iter(&self) -> impl Iterator<Item = &[([u32; 2], u32, bool)]> {
+        self.uses.chunk_by(|one, other| one.0 == other.0)
+    }
+}
+
+/// Decides which triangles are turned so that neighbours agree; returns which part each belongs to.
+fn agree(points: &[DVec3], faces: &[[u32; 3]], edges: &Edges, turned: &mut [bool]) -> Vec<u32> {
+    const NONE: u32 = u32::MAX;
+    let mut neighbors = vec![[(NONE, false); 3]; faces.len()];
+    for uses in edges.iter() {
+        // Where more than two meet, nobody can tell who belongs together.
+        let &[(_, one, one_up), (_, other, other_up)] = uses else { continue };
+        for (from, to) in [(one, other), (other, one)] {
+            if let Some(free) = neighbors[from as usize].iter_mut().find(|slot| slot.0 == NONE) {
+                *free = (to, one_up == other_up);
+            }
+        }
+    }
+    let mut parts = vec![NONE; faces.len()];
+    let mut part_count = 0;
+    for start in 0..faces.len() {
+        if parts[start] != NONE {
+            continue;
+        }
+        parts[start] = part_count;
+        let mut members = vec![start as u32];
+        let mut done = 0;
+        while let Some(&face) = members.get(done) {
+            done += 1;
+            for (neighbor, disagrees) in neighbors[face as usize] {
+                if neighbor != NONE && parts[neighbor as usize] == NONE {
+                    parts[neighbor as usize] = part_count;
+                    turned[neighbor as usize] = turned[face as usize] != disagrees;
+                    members.push(neighbor);
+                }
+            }
+        }
+        let area = |wanted: bool| -> f64 {
+            let members = members.iter().filter(|&&face| turned[face as usize] == wanted);
+            members.map(|&face| area_vector(&corners(points, faces[face as usize])).length()).sum()
+        };
+        if area(true) > area(false) {
+            members.iter().for_each(|&face| turned[face as usize] ^= true);
+        }
+        part_count += 1;
+    }
+    parts
+}
+
+fn turn(faces: &mut [[u32; 3]], turned: &[bool]) {
+    faces.iter_mut().zip(turned).filter(|(_, turned)| **turned).for_each(|(face, _)| face.swap(1, 2));
+}
+
+/// More parts than this are left as they are: it is rubble, or the triangles share no vertices at all.
+const PARTS_MAX: usize = 4096;
+
+/// A part is a cavity if so many of its corners, or all, are inside other parts.
+const PLACES_ASKED: usize = 64;
+
+/// Turns parts with a negative volume, but for cavities.
+fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &mut [bool]) {
+    let part_count = parts.iter().max().map_or(0, |&last| last as usize + 1);
+    let Some(&anchor) = points.first() else { return };
+    let mut volumes = vec![0.0; part_count];
+    for (face, &part) in faces.iter().zip(parts) {
+        let [a, b, c] = corners(points, *face).map(|corner| corner - anchor);
+        volumes[part as usize] += a.dot(b.cross(c)) / 6.0;
+    }
+    let is_inside_out = volumes.iter().sum::<f64>() < 0.0;
+    let mut wrong: Vec<bool> = vec![is_inside_out; part_count];
+    if is_inside_out {
+        volumes.iter_mut().for_each(|volume| *volume = -*volume);
+    }
+    let suspects: Vec<usize> = (0..part_count).filter(|&part| volumes[part] < 0.0).collect();
+    if !suspects.is_empty() && part_count <= PARTS_MAX {
+        for suspect in suspects {
+            let others = faces.iter().zip(parts).filter(|&(face, &part)| {
+                part as usize != suspect && volumes[part as usize] > 0.0 && !is_flat(&corners(points, *face))
+            });
+            let outward = |(face, &part): (&[u32; 3], &u32)| {
+                let [a, b, c] = corners(points, *face);
+                if wrong[part as usize] { [a, c, b] } else { [a, b, c] }
+            };
+            let others = Tree::new(others.map(outward).collect());
+            let places = || {
+                let members = faces.iter().zip(parts).filter(|&(_, &part)| part as usize == suspect);
+                members.map(|(face, _)| points[face[0] as usize])
+            };
+            let every = places().count().div_ceil(PLACES_ASKED);
+            if !places().step_by(every).all(|place| winding(&others, place) > 0.5) {
+                wrong[suspect] ^= true;
+            }
+        }
+    }
+    for ((face, &part), turned) in faces.iter_mut().zip(parts).zip(turned) {
+        if wrong[part as usize] {
+            face.swap(1, 2);
+            *turned ^= true;
+        }
+    }
+}
+
+/// The edges that are not walked as often one way as the other.
+fn rim(points: &[DVec3], faces: &[[u32; 3]]) -> Vec<[DVec3; 2]> {
+    let edges = Edges::new(faces);
+    let is_open = |uses: &&[([u32; 2], u32, bool)]| {
+        uses.iter().map(|(_, _, up)| if *up { 1 } else { -1 }).sum::<i32>() != 0
+    };
+    edges.iter().filter(is_open).map(|uses| uses[0].0.map(|end| points[end as usize])).collect()
+}
+
+fn corners(points: &[DVec3], face: [u32; 3]) -> [DVec3; 3] {
+    face.map(|corner| points[corner as usize])
+}
+
+/// The normal, as long as the area.
+pub(super) fn area_vector([a, b, c]: &[DVec3; 3]) -> DVec3 {
+    0.5 * (b - a).cross(c - a)
+}
+
+fn is_flat(corners: &[DVec3; 3]) -> bool {
+    let [a, b, c] = *corners;
+    let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
+    // Written so that what is not a number is flat.
+    !(2.0 * area_vector(corners).length() > FLAT * longest)
+}

@@ -1,0 +1,166 @@
+//! Which attributes of a file a frame needs, and their values as the method has them.
+
+use std::sync::Arc;
+
+use meniscus_formats::{Attribute as FileAttribute, Role, Values};
+
+use crate::particles::{Attribute, AttributeValues, Meaning};
+use crate::settings::{Anisotropy, AttributeSelection, Settings};
+
+/// What a frame needs of the attributes in its file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Wanted {
+    /// The attributes without which it cannot be skinned, and what asks for them.
+    needed: Vec<(String, &'static str)>,
+    /// Those that its surface is to have.
+    selected: Option<AttributeSelection>,
+}
+
+impl Wanted {
+    /// What these settings ask for.
+    pub fn by(settings: &Settings) -> Wanted {
+        let mut needed = Vec::new();
+        if let Some(own) = &settings.own_radii {
+            needed.push((own.attribute.clone(), "--radius-attribute"));
+        }
+        if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
+            needed.push(("velocity".to_owned(), "--anisotropy velocity"));
+        }
+        Wanted { needed, selected: settings.attributes.clone() }
+    }
+
+    /// Whether positions are enough.
+    pub fn is_nothing(&self) -> bool {
+        self.needed.is_empty() && self.selected.is_none()
+    }
+
+    /// Those of a file's attributes that are wanted, and what a user should know of them.
+    ///
+    /// # Errors
+    /// What is missing, where the frame cannot be skinned without.
+    pub(super) fn of(&self, attributes: Vec<FileAttribute>) -> Result<(Vec<Attribute>, Vec<String>), String> {
+        if self.is_nothing() {
+            return Ok((Vec::new(), Vec::new()));
+        }
+        let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
+        let there = || match &all[..] {
+            [] => "it has none".to_owned(),
+            all => {
+                let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
+                format!("it has {}", names.join(", "))
+            }
+        };
+        let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
+        if let Some((name, option)) = self.needed.iter().find(|(name, _)| !is_there(name)) {
+            return Err(format!(
+                "the particles have no attribute `{name}`, which {option} needs: {}",
+                there()
+            ));
+        }
+        let named: &[String] = match &self.selected {
+            Some(AttributeSelection::Named(names)) => names,
+            _ => &[],
+        };
+        let missing = named.iter().filter(|name| !is_there(name));
+        let notes =
+            missing.map(|name| format!("no attribute `{name}` for the surface: {}", there())).collect();
+        let is_wanted = |attribute: &Attribute| {
+            let is_needed = self.needed.iter().any(|(name, _)| attribute.is_called(name));
+            is_needed || self.is_selected(attribute)
+        };
+        Ok((all.into_iter().filter(is_wanted).collect(), notes))
+    }
+
+    /// Whether the surface is to have this attribute.
+    pub fn is_selected(&self, attribute: &Attribute) -> bool {
+        self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
+    }
+}
+
+/// A file's attribute as the method has it: reals in 32 bits, colours from 0 to 1.
+fn attribute(attribute: FileAttribute) -> Attribute {
+    let FileAttribute { name, arity, role, values } = attribute;
+    let meaning = match role {
+        Some(Role::Velocity) => Meaning::Velocity,
+        Some(Role::Color) => Meaning::Color,
+        Some(Role::Radius) => Meaning::Radius,
+        Some(Role::Id) => Meaning::Id,
+        Some(Role::Normal | Role::Density | Role::Mass | Role::Kind) | None => Meaning::Other,
+    };
+    let is_color = meaning == Meaning::Color;
+    let values = match values {
+        Values::F32(values) => AttributeValues::Numbers(values),
+        Values::F64(values) => {
+            AttributeValues::Numbers(values.into_iter().map(|value| value as f32).collect())
+        }
+        Values::U8(values) if is_color => {
+            AttributeValues::Numbers(values.into_iter().map(|value| f32::from(value) / 255.0).collect())
+        }
+        Values::U8(values) => AttributeValues::Integers(values.into_iter().map(i64::from).collect()),
+        Values::I32(values) => AttributeValues::Integers(values.into_iter().map(i64::from).collect()),
+        Values::I64(values) => AttributeValues::Integers(values),
+        Values::Strings { table, indices } => AttributeValues::Strings { table: Arc::from(table), indices },
+    };
+    Attribute { name, meaning, arity, values }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::Choices;
+
+    fn file_attribute(name: &str, role: Option<Role>, arity: usize, values: Values) -> FileAttribute {
+        FileAttribute { name: name.to_owned(), arity, role, values }
+    }
+
+    fn two_particles() -> Vec<FileAttribute> {
+        vec![
+            file_attribute("vel", Some(Role::Velocity), 3, Values::F64(vec![1.0, 2.0, 3.0, -1.0, 0.0, 0.5])),
+            file_attribute("rgb", Some(Role::Color), 3, Values::U8(vec![255, 0, 51, 0, 0, 0])),
+            file_attribute("pscale", Some(Role::Radius), 1, Values::F32(vec![0.5, 1.0])),
+            file_attribute("Kind", None, 1, Values::I32(vec![7, -1])),
+        ]
+    }
+
+    fn wanted(choices: Choices) -> Wanted {
+        Wanted::by(&Settings::resolve(1.0, &choices).expect("sound"))
+    }
+
+    #[test]
+    fn what_is_wanted_is_kept_under_any_of_its_names() {
+        let named = |names: &[&str]| {
+            let names = names.iter().map(|&name| name.to_owned()).collect();
+            wanted(Choices { attributes: Some(AttributeSelection::Named(names)), ..Choices::default() })
+        };
+        let kept = |wanted: &Wanted| -> Vec<String> {
+            let (kept, _) = wanted.of(two_particles()).expect("nothing is needed");
+            kept.into_iter().map(|attribute| attribute.name).collect()
+        };
+        assert_eq!(kept(&wanted(Choices::default())), [""; 0]);
+        assert_eq!(kept(&named(&["velocity", "kind"])), ["vel", "Kind"]);
+        assert_eq!(kept(&named(&["Cd", "VEL"])), ["vel", "rgb"]);
+        let all = wanted(Choices { attributes: Some(AttributeSelection::All), ..Choices::default() });
+        assert_eq!(kept(&all), ["vel", "rgb", "pscale", "Kind"]);
+        let (_, notes) = named(&["age"]).of(two_particles()).expect("nothing is needed");
+        assert!(notes[0].contains("`age`") && notes[0].contains("vel, rgb, pscale, Kind"), "{notes:?}");
+    }
+
+    #[test]
+    fn what_is_needed_must_be_there() {
+        let by_radius =
+            |name: &str| wanted(Choices { radius_attribute: Some(name.to_owned()), ..Choices::default() });
+        let (kept, _) = by_radius("radius").of(two_particles()).expect("there");
+        assert_eq!(kept.len(), 1);
+        assert_eq!(kept[0].values, AttributeValues::Numbers(vec![0.5, 1.0]));
+        let error = by_radius("size").of(two_particles()).expect_err("not there");
+        assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
+    }
+
+    #[test]
+    fn values_are_those_of_the_method() {
+        let all = wanted(Choices { attributes: Some(AttributeSelection::All), ..Choices::default() });
+        let (kept, _) = all.of(two_particles()).expect("nothing is needed");
+        assert_eq!(kept[1].values, AttributeValues::Numbers(vec![1.0, 0.0, 0.2, 0.0, 0.0, 0.0]));
+        assert_eq!(kept[3].values, AttributeValues::Integers(vec![7, -1]));
+    }
+}

@@ -1,0 +1,385 @@
+//! Signed distances to unions of balls of their own sizes, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
+//!
+//! A particle's value at a voxel x, for each of the three radii r, is
+//!
+//! ```text
+//!   ball        |x − p| − s·r                             exact
+//!   ellipsoid   (q − r)·q / |T²(x − p)|,  q = |T(x − p)|   exact on the surface, right to first order beside it
+//! ```
+//!
+//! and that of the union is the least of them. What is asked of it are signs everywhere, and values beside the
+//! surface; so a particle is looked at no farther than a voxel outside of its outermost surface, and what is
+//! deeper inside than [`DEEP`] is not made any deeper:
+//!
+//! ```text
+//!   ┌──────────┐        the box around the ellipsoid and a margin: T⁻¹ tells it exactly.
+//!   │   ╭────╮ │        Of the rows that it touches those are passed by that are deep already, in all three:
+//!   │ ╭─╯ ╭──╯ │        the innermost surface decides
+//!   │ ╰───╯    │
+//!   └──────────┘
+//! ```
+//!
+//! The ellipsoid's distance is that of:
+//! Gabriel Taubin. Estimation of planar curves, surfaces, and nonplanar space curves defined by implicit
+//! equations. 1991
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::EXACT_MARGIN;
+use super::bin::ParticleBins;
+use super::sphere::OUT_OF_REACH;
+use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, Topology, leaf_steps_within};
+use crate::particles::Ellipsoid;
+use crate::simd::{self, Kernel, Lanes};
+
+/// Voxels beside the surface are less deep than this, in voxels: by 1, as a rule.
+const DEEP: f32 = 1.25;
+
+/// Beyond an ellipsoid only voxels next to it count, in voxels.
+const ELLIPSOID_MARGIN: f32 = 1.125;
+
+/// Particles of up to so many times the unit's half axes are looked up together, and then of each power of two times
+/// that.
+const CLASS_LONGEST: f32 = 1.5;
+
+/// What is known of a particle's shape.
+pub(super) trait Form: Copy + Sync + Send {
+    /// The longest half axis, in units of the radii.
+    fn longest(&self) -> f32;
+
+    /// How far from the centre it counts along each axis, in voxels, where its outermost radius is `outermost`.
+    fn extents(&self, outermost: f32) -> Vec3;
+
+    /// Lowers the rows of the three leaves to the particle's values; it lies at `center`, in voxels from the
+    /// leaves' first.
+    fn lower<V: Lanes>(&self, leaves: &mut [Leaf; 3], center: Vec3, extents: Vec3, radii: [f32; 3]);
+}
+
+/// A ball: its radii in units of the settings'.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ball(pub(super) f32);
+
+/// Particles of any shape, to be found around a leaf.
+pub(super) struct Bodies<F> {
+    classes: Vec<Class<F>>,
+    /// r_max, r_init, r_min.
+    radii: [f32; 3],
+}
+
+/// Particles of about one size.
+struct Class<F> {
+    /// The leaves with any of them.
+    topology: Topology,
+    /// Where each leaf's eights start; one more entry than leaves.
+    starts: Vec<usize>,
+    boxes: Vec<EightBoxes>,
+    /// Eight for each of the boxes.
+    bodies: Vec<Body<F>>,
+    /// How far one of them counts, in voxels.
+    reach: f32,
+    /// The steps to leaves so near.
+    steps: Vec<IVec3>,
+}
+
+/// Centres and extents of eight particles: x, y, z of each. Nowhere, where there are fewer.
+type EightBoxes = [[f32; 8]; 6];
+
+#[derive(Clone, Copy)]
+struct Body<F> {
+    /// In voxels from the origin of its leaf.
+    center: Vec3,
+    extents: Vec3,
+    form: F,
+}
+
+impl<F: Form> Bodies<F> {
+    /// Those of the bins; `radii` are r_max, r_init and r_min.
+    pub(super) fn new(bins: &ParticleBins, radii: [f32; 3], form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
+        let class_of = |particle: usize| {
+            let doublings = (form(particle).longest() / CLASS_LONGEST).log2().ceil();
+            // A float is no smaller than 0 here, and far below 256.
+            doublings.max(0.0) as u8
+        };
+        let class_of: Vec<u8> = (0..bins.len()).into_par_iter().map(class_of).collect();
+        let mut numbers = class_of.clone();
+        numbers.par_sort_unstable();
+        numbers.dedup();
+        let class = |&number: &u8| {
+            Class::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| form(particle)))
+        };
+        Bodies { classes: numbers.iter().map(class).collect(), radii }
+    }
+
+    /// The signed distances to the three unions for all of these leaves, in the order of the radii; deep inside
+    /// something less than −1, also where voxels are `settled`. What is `known` of a leaf already is copied.
+    pub(super) fn distances<'a>(
+        &self,
+        leaves: &Topology,
+        settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
+        known: impl Fn(IVec3) -> Option<[&'a Leaf; 3]> + Sync,
+    ) -> [Field; 3] {
+        let mut fields = [0.0; 3].map(|value| Field::splat(leaves.len(), value));
+        let [max, init, min] = &mut fields;
+        let leaf_fields = max.leaves.par_iter_mut().zip(&mut init.leaves).zip(&mut min.leaves);
+        leaf_fields.zip(leaves.origins()).for_each(|(((max, init), min), &origin)| {
+            if let Some(known) = known(origin) {
+                (*max, *init, *min) = (*known[0], *known[1], *known[2]);
+                return;
+            }
+            let around = self.around(origin);
+            let settled = settled(origin);
+            [*max, *init, *min] = simd::dispatch(Signed { around: &around, radii: self.radii, settled });
+        });
+        fields
+    }
+
+    /// The particles that may count in a leaf.
+    fn around(&self, origin: IVec3) -> Vec<Around<'_, F>> {
+        let mut around = Vec::new();
+        for class in &self.classes {
+            // A few large particles are sooner looked through than the leaves that they might be in.
+            if class.steps.len() <= class.topology.len() {
+                let found = class.steps.iter().filter_map(|&step| {
+                    let leaf = class.topology.find(origin + step)?;
+                    Some(class.leaf(leaf, step))
+                });
+                around.extend(found);
+            } else {
+                let reach = class.reach as i32 + LEAF_EDGE;
+                let is_near = |step: IVec3| step.abs().max_element() <= reach;
+                let leaves = class.topology.origins().iter().enumerate();
+                let near = leaves.filter(|(_, other)| is_near(**other - origin));
+                around.extend(near.map(|(leaf, &other)| class.leaf(leaf, other - origin)));
+            }
+        }
+        around
+    }
+}
+
+impl<F: Form> Class<F> {
+    /// The particles of a class: those that have a form for it.
+    fn new(bins: &ParticleBins, outermost: f32, form: impl Fn(usize) -> Option<F> + Sync) -> Class<F> {
+        let of_leaf = |leaf: usize| {
+            let (range, positions) = (bins.range(leaf), bins.in_leaf(leaf));
+            let bodies = range.zip(positions).filter_map(|(particle, &center)| {
+                let form = form(particle)?;
+                Some(Body { center, extents: form.extents(outermost), form })
+            });
+            (bins.topology.origins()[leaf], bodies.collect::<Vec<_>>())
+        };
+        let leaves: Vec<(IVec3, Vec<Body<F>>)> = (0..bins.topology.len())
+            .into_par_iter()
+            .map(of_leaf)
+            .filter(|(_, bodies)| !bodies.is_empty())
+            .collect();
+        let (mut starts, mut boxes, mut bodies) = (vec![0], Vec::new(), Vec::new());
+        let mut reach = 0f32;
+        for (_, of_leaf) in &leaves {
+            for eight in of_leaf.chunks(8) {
+                boxes.push(boxes_of(eight));
+                bodies.extend((0..8).map(|place| eight[place.min(eight.len() - 1)]));
+            }
+            starts.push(boxes.len());
+            reach = of_leaf.iter().fold(reach, |reach, body| reach.max(body.extents.max_element()));
+        }
+        let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
+        Class { topology, starts, boxes, bodies, reach, steps: leaf_steps_within(reach) }
+    }
+
+    fn leaf(&self, leaf: usize, step: IVec3) -> Around<'_, F> {
+        let (first, last) = (self.starts[leaf], self.starts[leaf + 1]);
+        Around {
+            step: step.as_vec3(),
+            boxes: &self.boxes[first..last],
+            bodies: &self.bodies[8 * first..8 * last],
+        }
+    }
+}
+
+fn boxes_of<F>(bodies: &[Body<F>]) -> EightBoxes {
+    let mut boxes =
+        [[f32::INFINITY; 8], [f32::INFINITY; 8], [f32::INFINITY; 8], [0.0; 8], [0.0; 8], [0.0; 8]];
+    for (place, body) in bodies.iter().enumerate() {
+        for axis in 0..3 {
+            boxes[axis][place] = body.center[axis];
+            boxes[3 + axis][place] = body.extents[axis];
+        }
+    }
+    boxes
+}
+
+/// The particles of a leaf that may count in another.
+struct Around<'a, F> {
+    /// From that to theirs, in voxels.
+    step: Vec3,
+    boxes: &'a [EightBoxes],
+    /// Eight for each of the boxes.
+    bodies: &'a [Body<F>],
+}
+
+/// The signed distances of a leaf.
+struct Signed<'a, F> {
+    around: &'a [Around<'a, F>],
+    radii: [f32; 3],
+    settled: &'a LeafMask,
+}
+
+impl<F: Form> Kernel for Signed<'_, F> {
+    type Output = [Leaf; 3];
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> [Leaf; 3] {
+        let mut leaves = [Leaf::splat(OUT_OF_REACH); 3];
+        for leaf in &mut leaves {
+            for row in 0..64 {
+                let settled = V::mask(self.settled.row(row));
+                V::select(settled, V::splat(-DEEP), V::splat(OUT_OF_REACH)).store(leaf.row_mut(row));
+            }
+        }
+        for around in self.around {
+            for (eight, boxes) in around.boxes.iter().enumerate() {
+                for place in Bits(near_bits::<V>(boxes, around.step)) {
+                    let body = &around.bodies[8 * eight + (place & 7)];
+                    let center = body.center + around.step;
+                    body.form.lower::<V>(&mut leaves, center, body.extents, self.radii);
+                }
+            }
+        }
+        for leaf in &mut leaves {
+            for row in 0..64 {
+                let row = leaf.row_mut(row);
+                V::load(row).max(V::splat(-DEEP)).store(row);
+            }
+        }
+        leaves
+    }
+}
+
+/// Which of eight boxes, moved by a step, touch that of a leaf's voxels.
+#[inline(always)]
+fn near_bits<V: Lanes>(boxes: &EightBoxes, step: Vec3) -> u8 {
+    let x = touches::<V>(&boxes[0], step.x, &boxes[3]);
+    let y = touches::<V>(&boxes[1], step.y, &boxes[4]);
+    let z = touches::<V>(&boxes[2], step.z, &boxes[5]);
+    x & y & z
+}
+
+#[inline(always)]
+fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
+    let along = V::load(centers).add(V::splat(step));
+    let aside = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
+    V::bits(V::not(V::load(extents).lt(aside.abs())))
+}
+
+/// The first and one past the last of a leaf's voxels along an axis that are within `extent` of a place.
+#[inline(always)]
+fn voxels_within(center: f32, extent: f32) -> std::ops::Range<usize> {
+    let first = (center - extent).ceil().max(0.0) as usize;
+    let last = (center + extent).floor().min((LEAF_EDGE - 1) as f32) as i32;
+    first..(last + 1).max(0) as usize
+}
+
+/// From a place to a leaf's voxels along z.
+#[inline(always)]
+fn along_z<V: Lanes>(center: f32) -> V {
+    V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(center))
+}
+
+/// Whether all of a row is deep inside S_min, and so inside the others.
+#[inline(always)]
+fn is_deep<V: Lanes>(leaves: &[Leaf; 3], row: usize) -> bool {
+    V::bits(V::splat(-DEEP).lt(V::load(leaves[2].row(row)))) == 0
+}
+
+/// Takes the lesser of a row's values and these, where they count.
+#[inline(always)]
+fn lower_row<V: Lanes>(row: &mut [f32; 8], counts: V::Mask, values: V) {
+    let there = V::load(row);
+    V::select(counts, values.min(there), there).store(row);
+}
+
+impl Form for Ball {
+    #[inline(always)]
+    fn longest(&self) -> f32 {
+        self.0
+    }
+
+    fn extents(&self, outermost: f32) -> Vec3 {
+        Vec3::splat(outermost * self.0 + EXACT_MARGIN)
+    }
+
+    #[inline(always)]
+    fn lower<V: Lanes>(&self, leaves: &mut [Leaf; 3], center: Vec3, extents: Vec3, radii: [f32; 3]) {
+        let reach_squared = extents.x * extents.x;
+        let dz = along_z::<V>(center.z);
+        let dz_squared = dz.mul(dz);
+        for x in voxels_within(center.x, extents.x) {
+            let dx = x as f32 - center.x;
+            for y in voxels_within(center.y, extents.y) {
+                let dy = y as f32 - center.y;
+                let (row, across) = (x * 8 + y, dx * dx + dy * dy);
+                if across > reach_squared || is_deep::<V>(leaves, row) {
+                    continue;
+                }
+                let squared = V::splat(across).add(dz_squared);
+                let counts = V::not(V::splat(reach_squared).lt(squared));
+                let distance = squared.sqrt();
+                for (leaf, radius) in leaves.iter_mut().zip(radii) {
+                    let values = distance.sub(V::splat(self.0 * radius));
+                    lower_row::<V>(leaf.row_mut(row), counts, values);
+                }
+            }
+        }
+    }
+}
+
+impl Form for Ellipsoid {
+    #[inline(always)]
+    fn longest(&self) -> f32 {
+        self.longest
+    }
+
+    fn extents(&self, outermost: f32) -> Vec3 {
+        outermost * Ellipsoid::extents(self) + ELLIPSOID_MARGIN
+    }
+
+    #[inline(always)]
+    fn lower<V: Lanes>(&self, leaves: &mut [Leaf; 3], center: Vec3, extents: Vec3, radii: [f32; 3]) {
+        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+        // No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
+        let ratio_min = 1.0 / (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
+        let dz = along_z::<V>(center.z);
+        let counts = V::not(V::splat(extents.z).lt(dz.abs()));
+        let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
+        for x in voxels_within(center.x, extents.x) {
+            let dx = x as f32 - center.x;
+            for y in voxels_within(center.y, extents.y) {
+                let row = x * 8 + y;
+                if is_deep::<V>(leaves, row) {
+                    continue;
+                }
+                let dy = y as f32 - center.y;
+                let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
+                let (tx, ty, tz) =
+                    (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y), V::splat(at.z).add(along_z));
+                let q_squared = length_squared(tx, ty, tz);
+                let wx = V::splat(xx).mul(tx).add(V::splat(xy).mul(ty)).add(V::splat(xz).mul(tz));
+                let wy = V::splat(xy).mul(tx).add(V::splat(yy).mul(ty)).add(V::splat(yz).mul(tz));
+                let wz = V::splat(xz).mul(tx).add(V::splat(yz).mul(ty)).add(V::splat(zz).mul(tz));
+                let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
+                let ratio = q_squared.div(w_squared).sqrt().max(V::splat(ratio_min));
+                let q = q_squared.sqrt();
+                for (leaf, radius) in leaves.iter_mut().zip(radii) {
+                    let values = q.sub(V::splat(radius)).mul(ratio);
+                    lower_row::<V>(leaf.row_mut(row), counts, values);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn length_squared<V: Lanes>(x: V, y: V, z: V) -> V {
+    x.mul(x).add(y.mul(y)).add(z.mul(z))
+}

@@ -1,0 +1,439 @@
+//! Every number of the method, resolved and checked once.
+//!
+//! [`Choices`] is what somebody asked for; [`Settings`] is what is meant. A sequence has one
+//! `Settings` for all its frames: an estimate for each frame would flicker.
+
+mod choices;
+mod pairs;
+mod presets;
+
+use std::fmt;
+
+pub use crate::contour::Contouring;
+use crate::smooth::EIGENVALUE_MAX;
+pub use crate::smooth::Integrator;
+pub use choices::{AnisotropyKind, AttributeSelection, Choices, ClipBox, contouring_name, integrator_name};
+pub use pairs::Pairs;
+pub use presets::Preset;
+
+/// All settings of a sequence, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Edge length h of a voxel, world units.
+    pub voxel_size: f64,
+    /// r_min, world units.
+    pub radius_min: f64,
+    /// r_init, world units.
+    pub radius_init: f64,
+    /// r_max, world units.
+    pub radius_max: f64,
+    /// Where particles have radii of their own: then the three above are those of a particle whose
+    /// radius is `radius_min` / `scale`.
+    pub own_radii: Option<OwnRadii>,
+    /// What stretches particles.
+    pub anisotropy: Anisotropy,
+    /// Gaps between the surface and obstacles are filled where they are narrower, in units of h.
+    pub void_threshold: f64,
+    /// Attributes of the particles that the surface gets.
+    pub attributes: Option<AttributeSelection>,
+    /// Pieces of surface with fewer particles are dropped.
+    pub drop_islands: u32,
+    /// Cavities of a smaller volume are filled, in units of h³.
+    pub fill_cavities: f64,
+    /// What is outside this box is cut off.
+    pub clip: Option<ClipBox>,
+    /// By how much the mesh may move so that triangles are saved, in units of h; 0 for not at all.
+    pub decimate: f64,
+    /// Rounds in which normals are averaged with their neighbours.
+    pub smooth_normals: u32,
+    /// Whether .obj has quads.
+    pub quads: bool,
+    /// Which integrator.
+    pub integrator: Integrator,
+    /// Laplacian steps before the biharmonic ones.
+    pub laplacian_steps: u32,
+    /// Biharmonic steps.
+    pub steps: u32,
+    /// Size of a biharmonic step, in units of h⁴.
+    pub step_size: f64,
+    /// Redistance after so many biharmonic steps.
+    pub redistance_every: u32,
+    /// Relative tolerance of the conjugate gradients (`Implicit` only).
+    pub cg_tolerance: f64,
+    /// Which contouring.
+    pub contouring: Contouring,
+}
+
+/// Where particles have radii of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnRadii {
+    /// The attribute that tells them, world units.
+    pub attribute: String,
+    /// A particle's r_min in units of its own radius.
+    pub scale: f64,
+}
+
+/// What stretches particles (paper, Eq. 1 and 16, Fig. 11).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Anisotropy {
+    /// Nothing: balls.
+    None,
+    /// Where the neighbours are.
+    Neighbors {
+        /// How far neighbours count, world units.
+        radius: f64,
+        /// The longest half axis in units of the shortest, at most.
+        max_stretch: f64,
+        /// How far particles are moved to the mean of their neighbours, 0 to 1.
+        position_smoothing: f64,
+    },
+    /// The velocity.
+    Velocity {
+        /// Seconds of movement by which it stretches.
+        gain: f64,
+        /// The longest half axis in units of the shortest, at most.
+        max_stretch: f64,
+    },
+}
+
+/// Explicit steps of this much and more, in units of h⁴, are unstable.
+pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
+
+/// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
+pub const RADIUS_MAX_VOXELS: f64 = 64.0;
+
+/// Narrower gaps between the surface and obstacles are filled, in units of h.
+const VOID_THRESHOLD: f64 = 2.0;
+
+/// Distances to obstacles are known no farther, in units of h.
+const VOID_THRESHOLD_MAX: f64 = 4.0;
+
+/// As Yu and Turk limit it.
+const MAX_STRETCH: f64 = 4.0;
+
+/// Beyond it a particle would reach over several leaves.
+const MAX_STRETCH_MAX: f64 = 8.0;
+
+/// How far neighbours count, in units of r_min.
+const NEIGHBOR_RADIUS: f64 = 3.0;
+
+/// Seconds of movement by which velocities stretch: a quarter of a frame of film.
+const VELOCITY_GAIN: f64 = 0.01;
+
+/// Cavities of this many voxels are rooms.
+const CAVITY_VOXELS_MAX: f64 = 1e6;
+
+/// A mesh that moves by more than this, in units of h, is another one.
+const DECIMATE_MAX: f64 = 1.0;
+
+/// Rounds after which normals tell nothing of the surface.
+const ROUNDS_MAX: f64 = 1000.0;
+
+/// Steps of either kind: a hundred times what the paper takes.
+const STEPS_MAX: f64 = 1e6;
+
+/// Why choices make no settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingsError {
+    /// What is wrong, and what would be right.
+    pub what: String,
+}
+
+impl fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)
+    }
+}
+
+impl std::error::Error for SettingsError {}
+
+impl Settings {
+    /// Fills in the defaults and checks every number.
+    ///
+    /// # Errors
+    /// When a number is not finite or out of its range, or when the radii are out of order.
+    pub fn resolve(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
+        let below = choices.preset.map_or_else(Choices::default, Preset::choices);
+        let choices = choices.clone().over(below);
+        let h = positive("voxel size", voxel_size)?;
+        let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
+        let ratio = choices.radius_ratio.unwrap_or(2.0);
+        require(ratio.is_finite() && ratio >= 1.0, || {
+            format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
+        })?;
+        let radius_max = ratio * radius_min;
+        let radius_init = choices.radius_init.unwrap_or(0.5 * (radius_min + radius_max));
+        let radius_init = positive("radius r_init", radius_init)?;
+        // A product of two numbers as typed may miss a third as typed by a rounding.
+        let slack = 1e-9 * radius_max;
+        require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
+            format!(
+                "r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}"
+            )
+        })?;
+        require(radius_max <= RADIUS_MAX_VOXELS * h, || {
+            format!(
+                "r_max is {} voxels; more than {RADIUS_MAX_VOXELS} is not supported: choose a larger voxel size",
+                radius_max / h
+            )
+        })?;
+        let integrator = choices.integrator.unwrap_or(Integrator::Fast);
+        let explicit = integrator == Integrator::Explicit;
+        let settings = Settings {
+            voxel_size: h,
+            radius_min,
+            radius_init: radius_init.clamp(radius_min, radius_max),
+            radius_max,
+            own_radii: own_radii(&choices)?,
+            anisotropy: anisotropy(&choices, radius_min)?,
+            void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
+            drop_islands: choices.drop_islands.unwrap_or(0),
+            fill_cavities: choices.fill_cavities.unwrap_or(0.0),
+            clip: choices.clip.map(checked_box).transpose()?,
+            decimate: choices.decimate.unwrap_or(0.0),
+            smooth_normals: choices.smooth_normals.unwrap_or(0),
+            quads: choices.quads.unwrap_or(false),
+            attributes: choices.attributes,
+            integrator,
+            laplacian_steps: choices.laplacian_steps.unwrap_or(15),
+            steps: choices.steps.unwrap_or(if explicit { 500 } else { 5 }),
+            step_size: positive(
+                "step size",
+                choices.step_size.unwrap_or(if explicit { 0.01 } else { 20.0 }),
+            )?,
+            redistance_every: choices.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            cg_tolerance: positive("conjugate gradient tolerance", choices.cg_tolerance.unwrap_or(1e-4))?,
+            contouring: choices.contouring.unwrap_or(Contouring::Dual),
+        };
+        require(settings.redistance_every > 0, || {
+            "redistance at least every so many steps: 1 or more".into()
+        })?;
+        within("number of steps", f64::from(settings.steps), 0.0, STEPS_MAX)?;
+        within("number of Laplacian steps", f64::from(settings.laplacian_steps), 0.0, STEPS_MAX)?;
+        within("step size in h⁴", settings.step_size, 1e-6, 1e4)?;
+        within("conjugate gradient tolerance", settings.cg_tolerance, 1e-12, 0.5)?;
+        within("void threshold in h", settings.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
+        within("volume of cavities to fill in h³", settings.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
+        within("error of decimation in h", settings.decimate, 0.0, DECIMATE_MAX)?;
+        within("number of rounds of --smooth-normals", f64::from(settings.smooth_normals), 0.0, ROUNDS_MAX)?;
+        settings.check_quads()?;
+        Ok(settings)
+    }
+
+    /// Whether particles have shapes of their own.
+    pub fn has_shapes(&self) -> bool {
+        self.own_radii.is_some() || self.anisotropy != Anisotropy::None
+    }
+
+    /// The choices that make these settings, every one of them, but for the voxel size and what is not used.
+    pub fn to_choices(&self) -> Choices {
+        let (kind, neighbor_radius, position_smoothing, velocity_gain, max_stretch) = match self.anisotropy {
+            Anisotropy::None => (AnisotropyKind::None, None, None, None, None),
+            Anisotropy::Neighbors { radius, max_stretch, position_smoothing } => {
+                (AnisotropyKind::Neighbors, Some(radius), Some(position_smoothing), None, Some(max_stretch))
+            }
+            Anisotropy::Velocity { gain, max_stretch } => {
+                (AnisotropyKind::Velocity, None, None, Some(gain), Some(max_stretch))
+            }
+        };
+        let is_implicit = self.integrator == Integrator::Implicit;
+        Choices {
+            preset: None,
+            radius_min: Some(self.radius_min),
+            radius_ratio: Some(self.radius_max / self.radius_min),
+            radius_init: Some(self.radius_init),
+            radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
+            radius_scale: self.own_radii.as_ref().map(|own| own.scale),
+            anisotropy: Some(kind),
+            max_stretch,
+            neighbor_radius,
+            position_smoothing,
+            velocity_gain,
+            void_threshold: Some(self.void_threshold),
+            attributes: self.attributes.clone(),
+            drop_islands: Some(self.drop_islands),
+            fill_cavities: Some(self.fill_cavities),
+            clip: self.clip,
+            contouring: Some(self.contouring),
+            decimate: Some(self.decimate),
+            smooth_normals: Some(self.smooth_normals),
+            quads: Some(self.quads),
+            integrator: Some(self.integrator),
+            laplacian_steps: Some(self.laplacian_steps),
+            steps: Some(self.steps),
+            step_size: Some(self.step_size),
+            redistance_every: Some(self.redistance_every),
+            cg_tolerance: is_implicit.then_some(self.cg_tolerance),
+        }
+    }
+
+    /// Quads are what dual contouring makes, until somebody changes them.
+    fn check_quads(&self) -> Result<(), SettingsError> {
+        require(!self.quads || self.contouring == Contouring::Dual, || {
+            "quads come of dual contouring only: leave out --contour tetrahedra".into()
+        })?;
+        require(!self.quads || self.decimate == 0.0, || {
+            "decimation leaves no quads: choose one of --quads and --decimate".into()
+        })
+    }
+
+    /// Whether there is a voxel size with which these choices make sense: for a voxel size that is
+    /// not yet known.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn check(choices: &Choices) -> Result<(), SettingsError> {
+        let sound = |radius: &f64| radius.is_finite() && *radius > 0.0;
+        let ratio = choices.radius_ratio.unwrap_or(2.0);
+        // One that puts a radius that was given between the others. What is wrong with the ratio
+        // is told by `resolve`.
+        let voxel_size = match (choices.radius_min.filter(sound), choices.radius_init.filter(sound)) {
+            (Some(radius_min), _) => radius_min * ratio,
+            (None, Some(radius_init)) => radius_init / (3f64.sqrt() * 0.5 * (1.0 + ratio)),
+            (None, None) => 1.0,
+        };
+        let voxel_size = Some(voxel_size).filter(sound).unwrap_or(1.0);
+        Settings::resolve(voxel_size, choices).map(|_| ())
+    }
+
+    /// What a user should be told before work begins, one sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
+            warnings.push(format!(
+                "explicit steps of {} h⁴ are beyond the stable bound of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
+                self.step_size
+            ));
+        }
+        if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
+            warnings.push(format!(
+                "r_min is {:.3} voxels: below √3 a particle may fall between the voxels and be left outside",
+                self.radius_min / self.voxel_size
+            ));
+        }
+        warnings
+    }
+}
+
+fn own_radii(choices: &Choices) -> Result<Option<OwnRadii>, SettingsError> {
+    let Some(attribute) = &choices.radius_attribute else { return Ok(None) };
+    let scale = positive("radius scale", choices.radius_scale.unwrap_or(1.0))?;
+    Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+}
+
+fn anisotropy(choices: &Choices, radius_min: f64) -> Result<Anisotropy, SettingsError> {
+    let max_stretch = choices.max_stretch.unwrap_or(MAX_STRETCH);
+    within("greatest stretch", max_stretch, 1.0, MAX_STRETCH_MAX)?;
+    match choices.anisotropy {
+        None | Some(AnisotropyKind::None) => Ok(Anisotropy::None),
+        Some(AnisotropyKind::Neighbors) => {
+            let radius = choices.neighbor_radius.unwrap_or(NEIGHBOR_RADIUS * radius_min);
+            let radius = positive("radius within which neighbours count", radius)?;
+            let position_smoothing = choices.position_smoothing.unwrap_or(0.0);
+            within("smoothing of positions", position_smoothing, 0.0, 1.0)?;
+            Ok(Anisotropy::Neighbors { radius, max_stretch, position_smoothing })
+        }
+        Some(AnisotropyKind::Velocity) => {
+            let gain = positive("velocity gain", choices.velocity_gain.unwrap_or(VELOCITY_GAIN))?;
+            Ok(Anisotropy::Velocity { gain, max_stretch })
+        }
+    }
+}
+
+fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
+    let is_sound = |axis: usize| {
+        let (min, max) = (clip.min[axis], clip.max[axis]);
+        min.is_finite() && max.is_finite() && min < max
+    };
+    require((0..3).all(is_sound), || {
+        format!("the box {clip} is empty: each number of its first corner must be below that of the second")
+    })?;
+    Ok(clip)
+}
+
+fn within(name: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
+    require((least..=most).contains(&value), || {
+        format!("the {name} is {value}; it must be from {least} to {most}")
+    })
+}
+
+fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+    require(value.is_finite() && value > 0.0, || {
+        format!("the {name} is {value}; it must be a positive number")
+    })?;
+    Ok(value)
+}
+
+fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
+    if holds { Ok(()) } else { Err(SettingsError { what: what() }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_are_made_again_of_their_choices() {
+        let presets = Preset::ALL.map(|preset| Choices { preset: Some(preset), ..Choices::default() });
+        let others = [
+            Choices {
+                anisotropy: Some(AnisotropyKind::Velocity),
+                max_stretch: Some(2.0),
+                ..Choices::default()
+            },
+            Choices { radius_attribute: Some("pscale".into()), quads: Some(true), ..Choices::default() },
+            Choices { integrator: Some(Integrator::Implicit), decimate: Some(0.1), ..Choices::default() },
+        ];
+        let all: Vec<Settings> = presets
+            .iter()
+            .chain(&others)
+            .map(|choices| Settings::resolve(0.5, choices).expect("sound"))
+            .collect();
+        for (index, settings) in all.iter().enumerate() {
+            assert_eq!(Settings::resolve(0.5, &settings.to_choices()).as_ref(), Ok(settings));
+            assert!(!all[..index].contains(settings), "{settings:?} twice");
+        }
+    }
+
+    #[test]
+    fn choices_are_checked_before_a_voxel_size_is_known() {
+        let choices = |radius_min, radius_ratio, radius_init| Choices {
+            radius_min,
+            radius_ratio,
+            radius_init,
+            ..Choices::default()
+        };
+        for sound in [
+            choices(None, None, None),
+            choices(Some(1e-9), None, None),
+            choices(Some(1e9), Some(30.0), None),
+            choices(None, None, Some(1e-9)),
+            choices(None, Some(1.0), Some(1e9)),
+            choices(None, Some(4.0), Some(0.3)),
+            choices(Some(0.1), Some(4.0), Some(0.3)),
+        ] {
+            assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
+        }
+        for (senseless, word) in [
+            (choices(None, Some(0.5), None), "ratio"),
+            (choices(None, Some(-1.0), Some(1.0)), "ratio"),
+            (choices(None, Some(f64::NAN), Some(1.0)), "ratio"),
+            (choices(Some(-1.0), None, None), "r_min"),
+            (choices(Some(f64::INFINITY), None, None), "r_min"),
+            (choices(None, None, Some(0.0)), "r_init"),
+            (choices(Some(0.1), Some(2.0), Some(0.3)), "r_init is 0.3"),
+            (choices(None, Some(1000.0), None), "voxels"),
+            (Choices { steps: Some(u32::MAX), ..Choices::default() }, "steps"),
+            (Choices { max_stretch: Some(0.5), ..Choices::default() }, "stretch"),
+            (Choices { void_threshold: Some(-1.0), ..Choices::default() }, "void"),
+            (Choices { quads: Some(true), decimate: Some(0.1), ..Choices::default() }, "quads"),
+            (
+                Choices { clip: Some(ClipBox { min: [0.0; 3], max: [1.0, 0.0, 1.0] }), ..Choices::default() },
+                "box",
+            ),
+        ] {
+            let error = Settings::check(&senseless).expect_err("senseless");
+            assert!(error.what.contains(word), "{senseless:?}: {error}");
+        }
+    }
+}

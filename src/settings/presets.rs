@@ -1,0 +1,60 @@
+//! Bundles of choices, for what people do most.
+
+use super::choices::{AnisotropyKind, Choices};
+
+/// A bundle of choices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Preset {
+    /// Bodies of water: the paper's parameters, and no bubbles.
+    Water,
+    /// Sheets, threads and drops: particles stretched along them.
+    Splash,
+    /// Sand, snow, grain: every bump is meant.
+    Granular,
+    /// A quick look.
+    Preview,
+    /// As near to the particles as can be.
+    Faithful,
+    /// As smooth as can be.
+    Smooth,
+}
+
+impl Preset {
+    /// Every preset there is.
+    pub const ALL: [Preset; 6] =
+        [Preset::Water, Preset::Splash, Preset::Granular, Preset::Preview, Preset::Faithful, Preset::Smooth];
+
+    /// As it is typed.
+    pub fn name(self) -> &'static str {
+        match self {
+            Preset::Water => "water",
+            Preset::Splash => "splash",
+            Preset::Granular => "granular",
+            Preset::Preview => "preview",
+            Preset::Faithful => "faithful",
+            Preset::Smooth => "smooth",
+        }
+    }
+
+    /// The preset of this name.
+    pub fn named(name: &str) -> Option<Preset> {
+        Preset::ALL.into_iter().find(|preset| preset.name() == name)
+    }
+
+    /// What it stands for.
+    pub fn choices(self) -> Choices {
+        let none = Choices::default();
+        match self {
+            Preset::Water => Choices { fill_cavities: Some(200.0), ..none },
+            Preset::Splash => {
+                Choices { anisotropy: Some(AnisotropyKind::Neighbors), fill_cavities: Some(200.0), ..none }
+            }
+            Preset::Granular => Choices { radius_ratio: Some(1.25), steps: Some(1), ..none },
+            Preset::Preview => Choices { steps: Some(1), ..none },
+            Preset::Faithful => Choices { radius_ratio: Some(1.25), ..none },
+            Preset::Smooth => {
+                Choices { radius_ratio: Some(3.0), steps: Some(10), fill_cavities: Some(200.0), ..none }
+            }
+        }
+    }
+}
