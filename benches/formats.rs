@@ -341,6 +341,7 @@ impl HeightField {
             normals: &self.normals,
             triangles: &self.triangles,
             origin: [0.0; 3],
+            attributes: &[],
         }
     }
 }
@@ -401,6 +402,7 @@ impl Ball {
             leaves: &self.leaves,
             half_width_voxels: Ball::HALF_WIDTH_VOXELS,
             voxel_size: 0.025,
+            grids: &[],
         }
     }
 }

@@ -132,6 +132,7 @@ fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>>
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: 3.0,
         voxel_size: frame.settings.voxel_size,
+        grids: &[],
     };
     write_whole(&path("vdb"), |out| {
         pool.install(|| vdb::write(&levels, &vdb::WriteOptions::default(), &[], out))
@@ -145,5 +146,6 @@ fn mesh(surface: &Surface) -> MeshView<'_> {
         normals: bytemuck::cast_slice(&surface.mesh.normals),
         triangles: &surface.mesh.triangles,
         origin: surface.mesh.origin.to_array(),
+        attributes: &[],
     }
 }

@@ -148,6 +148,7 @@ fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &s
         normals: bytemuck::cast_slice(&surface.mesh.normals),
         triangles: &surface.mesh.triangles,
         origin: surface.mesh.origin.to_array(),
+        attributes: &[],
     };
     write_whole(&folder.join(format!("{stem}.glb")), |out| {
         gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out)
@@ -160,6 +161,7 @@ fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &s
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: 3.0,
         voxel_size: settings.voxel_size,
+        grids: &[],
     };
     let options = vdb::WriteOptions::default();
     write_whole(&folder.join(format!("{stem}.vdb")), |out| vdb::write(&levels, &options, &[], out))

@@ -25,12 +25,15 @@ pub mod skin;
 pub mod report;
 pub mod settings;
 
-pub mod anisotropy;
 pub mod certify;
+
+pub mod anisotropy;
 pub mod contour;
 pub mod rasterize;
 pub mod smooth;
 pub mod spacing;
+pub mod transfer;
+pub mod trim;
 
 pub mod obstacle;
 

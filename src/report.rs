@@ -2,7 +2,9 @@
 
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
+pub use crate::obstacle::ContactTally;
 pub use crate::smooth::Convergence;
+pub use crate::transfer::TransferCounts;
 
 /// Everything measured while skinning one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -13,6 +15,10 @@ pub struct SkinReport {
     pub dropped_count: usize,
     /// What was done to give particles shapes of their own; all zero where that was not asked for.
     pub shaping: Shaping,
+    /// What obstacles changed of the level sets.
+    pub contact: ContactTally,
+    /// What was taken from the surface, or added, because somebody asked for it.
+    pub edits: EditReport,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
@@ -36,23 +42,63 @@ pub struct SkinReport {
     pub bending_energy: f64,
     /// What was measured on the mesh.
     pub mesh: MeshMeasures,
+    /// What the surface got of the particles' attributes, if that was asked for.
+    pub transfer: Option<TransferReport>,
+}
+
+/// What a surface got of the particles' attributes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TransferReport {
+    /// The names of the attributes.
+    pub attributes: Vec<String>,
+    /// At the vertices.
+    pub vertices: TransferCounts,
+    /// At the places in the band that voxels have their values from.
+    pub band: TransferCounts,
+    /// Seconds that it took.
+    pub seconds: f64,
 }
 
 /// What was done to give particles shapes of their own.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Shaping {
-    /// Particles with a half axis that the grid could not hold, which was raised to √3·h.
+    /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
+    pub small_radius_count: usize,
+    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
     pub raised_count: usize,
     /// Particles so large that their r_max was lowered to the largest there may be.
-    pub lowered_count: usize,
+    pub large_radius_count: usize,
     /// Particles whose own radius is none: they have the least.
     pub invalid_radius_count: usize,
     /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
     pub ball_count: usize,
-    /// The longest half axis, in units of the settings' radii; 1 where all are balls of these.
+    /// The longest half axis, in units of the settings' radii.
     pub longest: f32,
     /// Seconds that it took; those of rasterization have them, too.
     pub seconds: f64,
+}
+
+/// What was taken from the surface, or added, because somebody asked for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EditReport {
+    /// Pieces that were dropped: they had too few particles.
+    pub island_count: usize,
+    /// The particles in them.
+    pub island_particle_count: u64,
+    /// Cavities that were filled.
+    pub cavity_count: usize,
+    /// Their volume, in voxels.
+    pub cavity_voxel_count: u64,
+    /// Voxels inside that a box cut off.
+    pub clipped_voxel_count: u64,
+    /// How deep the deepest vertex is in an obstacle, in voxels; 0 if none is.
+    pub obstacle_depth_voxels: f64,
+    /// Vertices that were moved to the surface of an obstacle with edges sharper than the grid.
+    pub cleared_vertex_count: u64,
+    /// Triangles that were saved.
+    pub removed_triangle_count: usize,
+    /// How far the mesh may have moved for that, in voxels.
+    pub decimation_error_voxels: f64,
 }
 
 /// Wall-clock seconds in each stage of the method.

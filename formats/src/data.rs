@@ -2,7 +2,10 @@
 //!
 //! Everything is a public vector or a borrowed slice; there are no invariants beyond equal lengths.
 
+use std::fmt;
+
 use crate::error::{Error, Place, Result};
+use crate::vertex_attributes::{VertexAttribute, all_finite};
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -143,6 +146,8 @@ pub struct MeshView<'a> {
     pub triangles: &'a [[u32; 3]],
     /// World position of the point that `positions` are relative to.
     pub origin: [f64; 3],
+    /// What else is known of the vertices.
+    pub attributes: &'a [VertexAttribute<'a>],
 }
 
 impl MeshView<'_> {
@@ -157,14 +162,13 @@ impl MeshView<'_> {
         if let Some(index) = self.triangles.as_flattened().iter().find(|index| **index as usize >= vertices) {
             return invalid(format!("a triangle with vertex {index} of {vertices}"));
         }
-        let finite = |numbers: &[f32]| numbers.iter().fold(true, |all, number| all & number.is_finite());
-        if !finite(self.positions.as_flattened()) || !finite(self.normals.as_flattened()) {
+        if !all_finite(self.positions.as_flattened()) || !all_finite(self.normals.as_flattened()) {
             return invalid("a vertex whose position or normal is not finite".into());
         }
         if !self.origin.iter().all(|c| c.is_finite()) {
             return invalid(format!("an origin at {:?}", self.origin));
         }
-        Ok(())
+        self.attributes.iter().try_for_each(|attribute| attribute.check(vertices, format))
     }
 }
 
@@ -196,4 +200,27 @@ pub struct LevelSetView<'a> {
     /// Edge length of a voxel, world units. Voxel (0, 0, 0) is centred on the world's origin,
     /// unless the writer is told otherwise.
     pub voxel_size: f64,
+    /// What else is known of the voxels of the band.
+    pub grids: &'a [BandGrid<'a>],
+}
+
+/// Values at the voxels of a level set's band: a grid of its own beside it, active where the level set is.
+#[derive(Clone, Copy, Debug)]
+pub struct BandGrid<'a> {
+    /// Its name among the particles. A velocity's grid is called `velocity`, whatever its name.
+    pub name: &'a str,
+    /// What it was recognised as.
+    pub role: Option<Role>,
+    /// Values per voxel: 1, or 3 for a vector.
+    pub arity: usize,
+    /// Where they come from.
+    pub values: &'a dyn LeafValues,
+}
+
+/// The values of a grid, leaf by leaf as they are asked for: all of them at once would take several times the
+/// memory of the level set.
+pub trait LeafValues: fmt::Debug + Sync {
+    /// Fills in the values of the 512 voxels of a leaf, which is counted as in [`LevelSetView::leaves`]; as many for
+    /// each as the grid's arity. What voxels beyond the band get is not looked at; others must be finite.
+    fn fill(&self, leaf: usize, out: &mut [f32]);
 }

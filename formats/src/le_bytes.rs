@@ -26,7 +26,8 @@ pub(crate) fn write_u16s(numbers: &[u32], out: &mut impl Write) -> Result<()> {
     write_pieces(numbers, narrow, out)
 }
 
-fn write_pieces<T: Copy, const N: usize>(
+/// Writes what `to_bytes` makes of each number.
+pub(crate) fn write_pieces<T: Copy, const N: usize>(
     numbers: &[T],
     to_bytes: impl Fn(T) -> [u8; N],
     out: &mut impl Write,

@@ -27,17 +27,20 @@ pub mod provenance;
 pub mod scalar;
 mod text;
 pub mod vdb;
+mod vertex_attributes;
 pub mod wholeness;
 
 pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
 pub use completeness::{Completeness, completeness};
 pub use data::{
-    Attribute, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance, Role, Values,
+    Attribute, BandGrid, LeafValues, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance,
+    Role, Values,
 };
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
 pub use obstacle::{ObstacleData, read_obstacle};
 pub use probe::{Kind, Probe, looks_like_particles, probe};
+pub use vertex_attributes::{VertexAttribute, VertexValues};
 
 /// Reads a frame of particles from a file of any format that can be read, packed with gzip or not.
 ///

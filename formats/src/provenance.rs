@@ -98,7 +98,7 @@ fn from_metadata(metadata: Vec<(String, MetaValue)>) -> Vec<(String, String)> {
 }
 
 /// One line of printable ASCII: backslash, control characters and what is not ASCII as `\u{hex}`.
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -8,7 +8,7 @@
 //!   .gltf   the document parses to its end
 //!   .obj    the last line is the writer's own     # end: 642 vertices, 1280 triangles
 //!   .ply    the header says what follows; faces are triangles
-//!   .vdb    the descriptor says where the grid ends
+//!   .vdb    each grid's descriptor says where it ends, and where the next one is
 //! ```
 //!
 //! Bytes that were overwritten are not looked for: a file of the right length may still be damaged
@@ -36,7 +36,7 @@ pub fn is_whole(kind: Kind, file: &mut (impl Read + Seek)) -> Result<bool> {
         Kind::Obj => return Ok(obj::ends_as_written(&tail(file, file_bytes)?)),
         Kind::Glb => gltf::glb_bytes_claimed(&head(file)?)?,
         Kind::Ply => ply::mesh_bytes_claimed(&head(file)?, &Limits::default())?,
-        Kind::Vdb => vdb::only_grid_end(&head(file)?)?,
+        Kind::Vdb => vdb::last_grid_end(&head(file)?, |start| piece(file, start, DESCRIPTOR_BYTES_MAX))?,
     };
     Ok(expected_bytes == Some(file_bytes))
 }
@@ -49,17 +49,22 @@ fn is_whole_json(file: &mut (impl Read + Seek)) -> Result<bool> {
     Ok(text.ends_with(b"\n") && serde_json::from_slice::<IgnoredAny>(&text).is_ok())
 }
 
+/// More bytes than the descriptor of a grid has that a writer of this crate made.
+const DESCRIPTOR_BYTES_MAX: u64 = 64 << 10;
+
 fn head(file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
-    let mut head = Vec::new();
-    file.seek(SeekFrom::Start(0))?;
-    file.take(HEAD_BYTES_MAX).read_to_end(&mut head)?;
-    Ok(head)
+    piece(file, 0, HEAD_BYTES_MAX)
+}
+
+/// The bytes from `start` on, so many if there are.
+fn piece(file: &mut (impl Read + Seek), start: u64, byte_count: u64) -> Result<Vec<u8>> {
+    let mut piece = Vec::new();
+    file.seek(SeekFrom::Start(start))?;
+    file.take(byte_count).read_to_end(&mut piece)?;
+    Ok(piece)
 }
 
 fn tail(file: &mut (impl Read + Seek), file_bytes: u64) -> Result<Vec<u8>> {
     const TAIL_BYTES: u64 = 256; // more than the last line has
-    let mut tail = Vec::new();
-    file.seek(SeekFrom::Start(file_bytes.saturating_sub(TAIL_BYTES)))?;
-    file.take(TAIL_BYTES).read_to_end(&mut tail)?;
-    Ok(tail)
+    piece(file, file_bytes.saturating_sub(TAIL_BYTES), TAIL_BYTES)
 }

@@ -123,7 +123,13 @@ fn damaged_level_sets_are_survived() {
     };
     let leaves: Vec<[f32; 512]> =
         origins.iter().map(|&origin| std::array::from_fn(|offset| phi(origin, offset))).collect();
-    let levels = LevelSetView { origins: &origins, leaves: &leaves, half_width_voxels: 3.0, voxel_size: 0.1 };
+    let levels = LevelSetView {
+        origins: &origins,
+        leaves: &leaves,
+        half_width_voxels: 3.0,
+        voxel_size: 0.1,
+        grids: &[],
+    };
     for compression in [vdb::Compression::None, vdb::Compression::ActiveMask, vdb::Compression::Blosc] {
         let mut bytes = Vec::new();
         let options = vdb::WriteOptions { compression, half: true, ..vdb::WriteOptions::default() };
@@ -178,7 +184,13 @@ fn damaged_meshes_are_survived() {
     let positions = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let normals = [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let triangles = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]];
-    let mesh = MeshView { positions: &positions, normals: &normals, triangles: &triangles, origin: [0.0; 3] };
+    let mesh = MeshView {
+        positions: &positions,
+        normals: &normals,
+        triangles: &triangles,
+        origin: [0.0; 3],
+        attributes: &[],
+    };
     let mut bytes = Vec::new();
     gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).unwrap();
     sweep("written.glb", &bytes, |bytes| gltf::read_mesh(bytes, &Limits::default()));

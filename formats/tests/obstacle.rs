@@ -179,7 +179,13 @@ fn buffers_may_be_files_beside() {
 fn level_sets_are_obstacles_and_clouds_are_not() {
     let phi = |offset: usize| ((offset >> 6) as f32 - 3.5).clamp(-3.0, 3.0);
     let leaves = [std::array::from_fn(phi)];
-    let view = LevelSetView { origins: &[[0; 3]], leaves: &leaves, half_width_voxels: 3.0, voxel_size: 0.5 };
+    let view = LevelSetView {
+        origins: &[[0; 3]],
+        leaves: &leaves,
+        half_width_voxels: 3.0,
+        voxel_size: 0.5,
+        grids: &[],
+    };
     let mut bytes = Vec::new();
     vdb::write(&view, &vdb::WriteOptions::default(), &[], &mut bytes).expect("in memory");
     let found = read(&bytes, "wall.vdb").expect("a level set");

@@ -361,8 +361,13 @@ fn rules_that_readers_do_not_check() {
 #[test]
 fn what_is_no_level_set_is_refused() {
     let leaf = [0.5f32; 512];
-    let view =
-        LevelSetView { origins: &[[0, 8, 16]], leaves: &[leaf], half_width_voxels: 3.0, voxel_size: 0.1 };
+    let view = LevelSetView {
+        origins: &[[0, 8, 16]],
+        leaves: &[leaf],
+        half_width_voxels: 3.0,
+        voxel_size: 0.1,
+        grids: &[],
+    };
     let refuse = |view: LevelSetView, options: WriteOptions, part: &str| {
         let error = write(&view, &options, &[], &mut Vec::new()).expect_err(part).to_string();
         assert!(error.contains(part), "{error}");

@@ -1,7 +1,7 @@
 //! Numbers and measurements in words.
 
 use crate::pipeline::FrameReport;
-use crate::report::SkinReport;
+use crate::report::{Shaping, SkinReport, TransferReport};
 
 /// One line about a frame that was converted.
 pub(super) fn described(report: &FrameReport) -> String {
@@ -10,6 +10,7 @@ pub(super) fn described(report: &FrameReport) -> String {
         + skin.seconds.rasterize
         + skin.seconds.smooth
         + skin.seconds.contour
+        + skin.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds)
         + report.write_seconds;
     format!(
         "{}, {}, {}, {seconds:.2} s",
@@ -29,6 +30,8 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
             counted(skin.dropped_count, "particle")
         ));
     }
+    notes.extend(shape_notes(&skin.shaping));
+    notes.extend(skin.transfer.iter().flat_map(transfer_notes));
     if skin.convergence.is_some_and(|convergence| !convergence.reached) {
         notes.push("the conjugate gradients did not reach their tolerance".to_owned());
     }
@@ -46,6 +49,42 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
     }
     let broken = broken_guarantees(skin).into_iter();
     notes.extend(broken.map(|what| format!("the result breaks a guarantee: {what}")));
+    notes
+}
+
+/// What a user should know of the shapes of particles. That stretched ones are raised to what the grid can hold is
+/// nothing to tell: at the default radii nearly all are.
+fn shape_notes(shaping: &Shaping) -> Vec<String> {
+    let mut notes = Vec::new();
+    let mut tell = |count: usize, what: &str| {
+        if count > 0 {
+            notes.push(format!("{} {what}", counted(count, "particle")));
+        }
+    };
+    tell(shaping.small_radius_count, "too small for the grid: r_min = √3·h was taken");
+    tell(shaping.invalid_radius_count, "without a radius that is a positive number: the least was taken");
+    tell(shaping.large_radius_count, "too large for the grid: the largest radius that it holds was taken");
+    tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
+    notes
+}
+
+/// What a user should know of attributes on the surface.
+fn transfer_notes(transfer: &TransferReport) -> Vec<String> {
+    let mut notes = Vec::new();
+    let TransferReport { vertices, band, .. } = transfer;
+    let left_out = vertices.left_out_count.max(band.left_out_count);
+    if left_out > 0 {
+        let values = counted(left_out, "value");
+        notes.push(format!("{values} of particles not finite: no part of the surface's attributes"));
+    }
+    if vertices.empty_count > 0 {
+        let vertices = counted(vertices.empty_count, "vertex");
+        notes.push(format!("{vertices} too far from all particles for attributes: 0, or none"));
+    }
+    if band.empty_count > 0 {
+        let places = counted(band.empty_count, "place");
+        notes.push(format!("{places} in the .vdb too far from all particles for attributes: 0"));
+    }
     notes
 }
 

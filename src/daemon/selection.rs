@@ -241,6 +241,7 @@ mod tests {
             normals: &[[0.0, 0.0, 1.0]; 3],
             triangles: &[[0, 1, 2]],
             origin: [0.0; 3],
+            attributes: &[],
         };
         let maker = [("generator".to_owned(), "meniscus".to_owned())];
         let mut bytes = Vec::new();

@@ -20,6 +20,9 @@
 
 mod components;
 mod corners;
+mod decimate;
+mod quads;
+mod smooth_normals;
 mod triangles;
 mod vertices;
 
@@ -28,6 +31,7 @@ use rayon::prelude::*;
 
 use crate::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, Touching};
+pub use decimate::{DecimateReport, decimate};
 pub(crate) use triangles::{LANES, TriangleBatch};
 
 /// A triangle mesh in world units.

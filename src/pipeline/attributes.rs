@@ -73,11 +73,7 @@ impl Wanted {
 
     /// Whether the surface is to have this attribute.
     pub fn is_selected(&self, attribute: &Attribute) -> bool {
-        match &self.selected {
-            None => false,
-            Some(AttributeSelection::All) => true,
-            Some(AttributeSelection::Named(names)) => names.iter().any(|name| attribute.is_called(name)),
-        }
+        self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
 }
 

@@ -4,12 +4,15 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
+use crate::obstacle::Obstacles;
 use crate::settings::Settings;
 use crate::skin::tiled::{self, TiledError, TiledFrame};
-use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, TooLarge};
+use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Targets, TooLarge};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
+use super::outputs::{OutputFormat, OutputOptions};
+use super::writing::VDB_HALF_WIDTH_VOXELS;
 
 /// The three stages of the method. Tests put a quick or a failing one in its place.
 ///
@@ -39,8 +42,13 @@ pub trait Method: Sync {
     ) -> Result<Self::Rasterized, Cause>;
     /// The second stage.
     fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause>;
-    /// The third stage.
-    fn contour(&self, smoothed: Self::Smoothed, settings: &Settings) -> Result<Surface, Cause>;
+    /// The third stage, for what is to be written.
+    fn contour(
+        &self,
+        smoothed: Self::Smoothed,
+        settings: &Settings,
+        outputs: &OutputOptions,
+    ) -> Result<Surface, Cause>;
 }
 
 /// The method that this program is for.
@@ -49,8 +57,8 @@ pub struct LevelSetSkinning;
 
 /// A frame between two stages: in memory, or in tiles on disk.
 pub enum Skinned<T> {
-    /// Whole.
-    Whole(T),
+    /// Whole; and its particles, where their attributes are wanted later.
+    Whole(T, Option<FrameParticles>),
     /// In tiles.
     Tiled(Box<TiledFrame<FrameParticles>>),
 }
@@ -83,14 +91,15 @@ impl Method for LevelSetSkinning {
     ) -> Result<Self::Rasterized, Cause> {
         let (particles, shaping) = particles.shaped(settings);
         let Some(tile_leaves) = plan.tile_leaves else {
-            let rasterized = skin::rasterize(&particles, settings, shaping)?;
+            let rasterized = skin::rasterize(&particles, settings, shaping, Obstacles::default())?;
             particles.check_unchanged()?;
-            return Ok(Skinned::Whole(rasterized));
+            return Ok(Skinned::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
         };
         let storages =
             (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
-        let frame = tiled::rasterize(particles, settings, shaping, tile_leaves, storages)?;
+        let frame =
+            tiled::rasterize(particles, settings, shaping, Obstacles::default(), tile_leaves, storages)?;
         // It will be read once more; but what follows takes a while.
         frame.source().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))
@@ -98,22 +107,43 @@ impl Method for LevelSetSkinning {
 
     fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause> {
         Ok(match rasterized {
-            Skinned::Whole(rasterized) => Skinned::Whole(skin::smooth(rasterized, settings)),
+            Skinned::Whole(rasterized, particles) => {
+                Skinned::Whole(skin::smooth(rasterized, settings), particles)
+            }
             Skinned::Tiled(frame) => {
                 Skinned::Tiled(Box::new(tiled::smooth(*frame, settings).map_err(Cause::Scratch)?))
             }
         })
     }
 
-    fn contour(&self, smoothed: Self::Smoothed, settings: &Settings) -> Result<Surface, Cause> {
-        match smoothed {
-            Skinned::Whole(smoothed) => Ok(skin::contour(smoothed, settings)),
+    fn contour(
+        &self,
+        smoothed: Self::Smoothed,
+        settings: &Settings,
+        outputs: &OutputOptions,
+    ) -> Result<Surface, Cause> {
+        let (mut surface, particles) = match smoothed {
+            Skinned::Whole(smoothed, particles) => (skin::contour(smoothed, settings), particles),
             Skinned::Tiled(frame) => {
                 let (surface, particles) = tiled::contour(*frame, settings)?;
                 particles.check_unchanged()?;
-                Ok(surface)
+                (surface, Some(particles))
             }
+        };
+        // Those on disk have no attributes that are wanted.
+        if let Some(FrameParticles::InMemory(cloud)) = particles {
+            skin::transfer(&mut surface, &cloud, settings, targets(outputs));
         }
+        Ok(surface)
+    }
+}
+
+/// Where the files that are to be written have places for attributes.
+fn targets(outputs: &OutputOptions) -> Targets {
+    let is_level_set = |format: &OutputFormat| *format == OutputFormat::Vdb;
+    Targets {
+        vertices: !outputs.formats.iter().all(is_level_set),
+        band_half_width_voxels: outputs.formats.iter().any(is_level_set).then_some(VDB_HALF_WIDTH_VOXELS),
     }
 }
 

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::report::SkinReport;
+use crate::report::{Shaping, SkinReport, TransferCounts, TransferReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
@@ -85,6 +85,8 @@ struct MeasuredRecord {
     notes: Vec<String>,
     particles: usize,
     dropped: usize,
+    /// Null where all particles are alike.
+    shapes: Option<ShapesRecord>,
     leaves: usize,
     voxels: usize,
     free_voxels: usize,
@@ -93,6 +95,9 @@ struct MeasuredRecord {
     reach_voxels: Option<u32>,
     convergence: Option<ConvergenceRecord>,
     cfl_exceeded: usize,
+    /// Only where attributes were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attributes: Option<AttributesRecord>,
     seconds: SecondsRecord,
     peak_memory_bytes: Option<u64>,
     certificate: CertificateRecord,
@@ -108,6 +113,38 @@ struct MeasuredRecord {
     degenerate_triangles: usize,
     components: usize,
     euler_characteristic: i64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct ShapesRecord {
+    small_radii: usize,
+    large_radii: usize,
+    invalid_radii: usize,
+    raised: usize,
+    balls: usize,
+    longest: f64,
+    seconds: f64,
+}
+
+/// What the surface got of the particles' attributes.
+#[derive(Clone, Debug, Serialize)]
+struct AttributesRecord {
+    names: Vec<String>,
+    vertices: TransferRecord,
+    /// At the places from which voxels of the .vdb have their values.
+    band: TransferRecord,
+    seconds: f64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct TransferRecord {
+    places: usize,
+    /// With no particle within the radius: they have what the nearest one has.
+    lonely: usize,
+    /// With no particle at all near them: 0, or none.
+    empty: usize,
+    /// Values of particles that are not finite, and have no part.
+    left_out: usize,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -286,6 +323,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         notes: report.notes.clone(),
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
+        shapes: shapes_record(&report.skin),
         leaves: report.skin.leaf_count,
         voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
         free_voxels: report.skin.free_voxel_count,
@@ -299,6 +337,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
             reached: convergence.reached,
         }),
         cfl_exceeded: report.skin.cfl_exceeded_count,
+        attributes: report.skin.transfer.as_ref().map(attributes_record),
         seconds: SecondsRecord {
             read: report.read_seconds,
             rasterize: seconds.rasterize,
@@ -320,6 +359,34 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         degenerate_triangles: mesh.degenerate_triangle_count,
         components: mesh.component_count,
         euler_characteristic: mesh.euler_characteristic,
+    }
+}
+
+fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
+    let shaping = &report.shaping;
+    (*shaping != Shaping::default()).then_some(ShapesRecord {
+        small_radii: shaping.small_radius_count,
+        large_radii: shaping.large_radius_count,
+        invalid_radii: shaping.invalid_radius_count,
+        raised: shaping.raised_count,
+        balls: shaping.ball_count,
+        longest: f64::from(shaping.longest),
+        seconds: shaping.seconds,
+    })
+}
+
+fn attributes_record(transfer: &TransferReport) -> AttributesRecord {
+    let counts = |counts: &TransferCounts| TransferRecord {
+        places: counts.place_count,
+        lonely: counts.lonely_count,
+        empty: counts.empty_count,
+        left_out: counts.left_out_count,
+    };
+    AttributesRecord {
+        names: transfer.attributes.clone(),
+        vertices: counts(&transfer.vertices),
+        band: counts(&transfer.band),
+        seconds: transfer.seconds,
     }
 }
 

@@ -43,7 +43,7 @@ use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::provenance::is_done;
 use super::reading::{InputFile, parse_particles, read_unchanged};
-use super::writing::{Written, write_files, write_surface};
+use super::writing::{Written, attribute_notes, write_files, write_surface};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -396,8 +396,9 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         ended: &Sender<Ended<K>>,
     ) {
         let method = self.method;
-        let work = move |smoothed, settings: &Settings| method.contour(smoothed, settings);
         for Parcel { label, mut known, content } in from {
+            let outputs = Arc::clone(&label.frame.outputs);
+            let work = move |smoothed, settings: &Settings| method.contour(smoothed, settings, &outputs);
             let computed = self.compute(Stage::Contour, &label, content, work);
             if let Ok(surface) = &computed {
                 known.seat = None;
@@ -472,7 +473,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: known.notes,
+                notes: [known.notes, attribute_notes(&surface, &frame.outputs.formats)].concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }

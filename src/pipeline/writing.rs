@@ -5,11 +5,16 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::{LevelSetView, MeshView, Provenance, gltf, obj, ply, vdb};
+use meniscus_formats::{
+    BandGrid, LeafValues, LevelSetView, MeshView, Provenance, Role, VertexAttribute, VertexValues, gltf, obj,
+    ply, vdb,
+};
 
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
+use crate::particles::{Attribute, AttributeValues, Meaning};
 use crate::skin::Surface;
+use crate::transfer::BandAttribute;
 
 use super::crew::Crew;
 use super::frame::{Frame, FrameError, Stage};
@@ -18,7 +23,7 @@ use super::provenance::provenance;
 use super::sink::{Unseen, publish, write_unseen};
 
 /// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
-const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
+pub(super) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
 
 /// The files of a frame.
 pub(super) struct Written {
@@ -63,19 +68,23 @@ pub(super) fn write_surface<'env>(
 ) -> meniscus_formats::Result<()> {
     let options = &*frame.outputs;
     let provenance = provenance(&frame.settings, &frame.input, input_hash, format, options);
-    let mesh = mesh_view(&surface.mesh);
+    let attributes = vertex_attributes(&surface.attributes.vertices);
+    let mesh = mesh_view(&surface.mesh, &attributes);
     match format {
         OutputFormat::Vdb => {
             let (surface, frame) = (Arc::clone(surface), frame.clone());
             crew.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
         }
         OutputFormat::Obj => {
-            let options = obj::WriteOptions::default();
+            let quads = if frame.settings.quads { surface.mesh.quads() } else { Vec::new() };
+            let options = obj::WriteOptions { quads: quads.into(), ..obj::WriteOptions::default() };
             for index in 0..obj::batch_count(&mesh) {
                 let (surface, options, provenance) =
                     (Arc::clone(surface), options.clone(), provenance.clone());
-                let encode =
-                    move || obj::encode_batch(&mesh_view(&surface.mesh), &options, &provenance, index);
+                let encode = move || {
+                    let attributes = vertex_attributes(&surface.attributes.vertices);
+                    obj::encode_batch(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
+                };
                 for text in crew.run(number, encode)? {
                     out.write_all(&text)?;
                 }
@@ -95,11 +104,14 @@ fn encode_levels(
     provenance: &Provenance,
 ) -> meniscus_formats::Result<vdb::Encoded> {
     let origins = leaf_origins(&surface.band);
+    let voxels: Vec<Voxels> = surface.attributes.band.iter().map(Voxels).collect();
+    let grids = band_grids(&voxels);
     let levels = LevelSetView {
         origins: &origins,
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: VDB_HALF_WIDTH_VOXELS,
         voxel_size: frame.settings.voxel_size,
+        grids: &grids,
     };
     let options = vdb::WriteOptions {
         half: frame.outputs.vdb_half,
@@ -113,15 +125,87 @@ fn gltf_options(options: &OutputOptions) -> gltf::WriteOptions {
     gltf::WriteOptions { up: options.up, ..gltf::WriteOptions::default() }
 }
 
-fn mesh_view(mesh: &Mesh) -> MeshView<'_> {
+fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
     MeshView {
         positions: bytemuck::cast_slice(&mesh.positions),
         normals: bytemuck::cast_slice(&mesh.normals),
         triangles: &mesh.triangles,
         origin: mesh.origin.to_array(),
+        attributes,
     }
 }
 
 fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
     band.topology.origins().iter().map(|origin| origin.to_array()).collect()
+}
+
+fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
+    let view = |attribute: &'a Attribute| VertexAttribute {
+        name: &attribute.name,
+        role: role(attribute.meaning),
+        arity: attribute.arity,
+        values: match &attribute.values {
+            AttributeValues::Numbers(values) => VertexValues::Numbers(values),
+            AttributeValues::Integers(values) => VertexValues::Integers(values),
+            AttributeValues::Strings { table, indices } => VertexValues::Strings { table, indices },
+        },
+    };
+    attributes.iter().map(view).collect()
+}
+
+/// An attribute at the voxels of the band.
+#[derive(Debug)]
+struct Voxels<'a>(&'a BandAttribute);
+
+impl LeafValues for Voxels<'_> {
+    fn fill(&self, leaf: usize, out: &mut [f32]) {
+        self.0.fill(leaf, out);
+    }
+}
+
+fn band_grids<'a>(voxels: &'a [Voxels<'a>]) -> Vec<BandGrid<'a>> {
+    let grid = |voxels: &'a Voxels<'a>| {
+        let BandAttribute { name, meaning, arity, .. } = voxels.0;
+        BandGrid { name, role: role(*meaning), arity: *arity, values: voxels }
+    };
+    voxels.iter().map(grid).collect()
+}
+
+fn role(meaning: Meaning) -> Option<Role> {
+    match meaning {
+        Meaning::Velocity => Some(Role::Velocity),
+        Meaning::Color => Some(Role::Color),
+        Meaning::Radius => Some(Role::Radius),
+        Meaning::Id => Some(Role::Id),
+        Meaning::Other => None,
+    }
+}
+
+/// What a user should know of attributes that the files do not hold as they are.
+pub(super) fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
+    let vertices = vertex_attributes(&surface.attributes.vertices);
+    let has = |format| formats.contains(&format);
+    let mut notes = Vec::new();
+    if has(OutputFormat::Glb) || has(OutputFormat::Gltf) {
+        notes.extend(gltf::attribute_notes(&vertices));
+    }
+    if has(OutputFormat::Obj) {
+        notes.extend(obj::attribute_notes(&vertices));
+    }
+    if has(OutputFormat::Ply) {
+        notes.extend(ply::attribute_notes(&vertices));
+    }
+    if has(OutputFormat::Vdb) {
+        let band = &surface.attributes.band;
+        let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
+        let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
+        notes.extend(left_out.map(|name| {
+            format!(
+                "{name} is not in the .vdb, whose grids have one number or a vector of three for each voxel"
+            )
+        }));
+        let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
+        notes.extend(vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name));
+    }
+    notes
 }

@@ -30,6 +30,8 @@ pub struct Footprint {
     pub occupied_count: usize,
     /// Area of the surface, in faces of voxels.
     pub area_voxels: usize,
+    /// All particles that were not dropped.
+    pub particle_count: usize,
     /// Particles in leaves that are not deep inside: about those that are kept.
     pub near_particle_count: usize,
 }
@@ -78,6 +80,7 @@ pub fn footprint<S: ParticleSource>(
     Ok(Footprint {
         surface: surface.into_iter().collect(),
         occupied_count: occupied.len(),
+        particle_count: occupied.iter().map(|(_, leaf)| leaf.count).sum(),
         near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
         area_voxels: occupied
             .iter()
@@ -219,7 +222,7 @@ impl Cells {
 mod tests {
     use super::*;
     use crate::particles::Particles;
-    use crate::rasterize::rasterize;
+    use crate::rasterize::{Scene, rasterize};
 
     const RADII: Radii = Radii::of_balls(1.732, 2.598, 3.464);
     const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
@@ -242,7 +245,7 @@ mod tests {
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
             let Ok(Footprint { surface, near_particle_count, .. }) = footprint(&particles, &LATTICE, RADII);
-            let Ok(rasterized) = rasterize(&particles, &LATTICE, RADII);
+            let Ok(rasterized) = rasterize(&particles, &Scene::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
             assert!((1.0..1.7).contains(&ratio), "{found} leaves for {real} in {counts:?} / {every}");

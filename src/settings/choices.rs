@@ -13,6 +13,8 @@
 use std::fmt;
 use std::str::FromStr;
 
+use crate::particles::Attribute;
+
 use super::presets::Preset;
 use super::{Contouring, Integrator};
 
@@ -253,6 +255,16 @@ pub fn contouring_name(contouring: Contouring) -> &'static str {
 fn contouring_named(name: &str) -> Option<Contouring> {
     let all = [Contouring::Dual, Contouring::Tetrahedra];
     all.into_iter().find(|&contouring| contouring_name(contouring) == name)
+}
+
+impl AttributeSelection {
+    /// Whether the surface is to have this attribute.
+    pub fn selects(&self, attribute: &Attribute) -> bool {
+        match self {
+            AttributeSelection::All => true,
+            AttributeSelection::Named(names) => names.iter().any(|name| attribute.is_called(name)),
+        }
+    }
 }
 
 impl fmt::Display for AttributeSelection {

@@ -88,8 +88,11 @@ pub fn plan<S: ParticleSource>(
     Ok(Err(TooLarge { least_bytes, allowed_bytes, is_coupled: false }))
 }
 
-/// Fields of a frame in memory while it is rasterized, with what they are swept in.
-const RASTERIZING_FIELDS: f64 = 5.2;
+/// Fields of a frame in memory while it is rasterized, with what they are swept in. Particles with shapes of their own
+/// have distances to three surfaces where others have one to a centre.
+fn rasterizing_fields(settings: &Settings) -> f64 {
+    if settings.has_shapes() { 7.4 } else { 5.2 }
+}
 
 /// While it is smoothed.
 fn smoothing_fields(settings: &Settings) -> f64 {
@@ -117,15 +120,23 @@ const OCCUPIED_LEAF_BYTES: f64 = 680.0;
 const KEPT_PARTICLE_BYTES: f64 = 12.0;
 const SORTED_PARTICLE_BYTES: f64 = 40.0;
 
+/// Memory for a particle's shape: in the frame, where it is kept, and as it is looked up.
+const SHAPE_BYTES: f64 = 200.0;
+
+/// Memory for the shapes of all particles.
+fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
+    if settings.has_shapes() { SHAPE_BYTES * footprint.particle_count as f64 } else { 0.0 }
+}
+
 fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint);
     let stages = [
-        FIELD_BYTES * RASTERIZING_FIELDS * surface + SORTED_LEAF_BYTES * occupied,
+        FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
     ];
     let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
-    stages_bytes.max(SORTED_PARTICLE_BYTES * particles) as u64
+    (stages_bytes.max(SORTED_PARTICLE_BYTES * particles) + shape_bytes(footprint, settings)) as u64
 }
 
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
@@ -139,20 +150,20 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> 
     let kept = OCCUPIED_LEAF_BYTES * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
     let sorting = (SORTED_LEAF_BYTES - OCCUPIED_LEAF_BYTES) * occupied * part + particles;
     let stages = [
-        FIELD_BYTES * RASTERIZING_FIELDS * rasterized + sorting,
+        FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,
         FIELD_BYTES * smoothing_fields(settings) * smoothed,
         FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
         // Writing: φ, and φ as it is packed.
         FIELD_BYTES * 2.0 * surface + mesh_bytes(settings) * area,
     ];
-    (stages.into_iter().fold(0.0, f64::max) + kept) as u64
+    (stages.into_iter().fold(0.0, f64::max) + kept + shape_bytes(footprint, settings)) as u64
 }
 
 /// Memory for a leaf of a field.
 const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
 fn counts(footprint: &Footprint) -> [f64; 4] {
-    let Footprint { surface, area_voxels, occupied_count, near_particle_count } = footprint;
+    let Footprint { surface, area_voxels, occupied_count, near_particle_count, .. } = footprint;
     [surface.len(), *area_voxels, *occupied_count, *near_particle_count].map(|count| count as f64)
 }
 

@@ -13,6 +13,9 @@ use crate::settings::{Anisotropy, OwnRadii, RADIUS_MAX_VOXELS, Settings};
 /// Gives the particles the shapes that the settings ask for. What is asked for by attributes must be there: where it is
 /// not, particles are balls.
 pub fn shape(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
+    if !settings.has_shapes() {
+        return (cloud, Shaping::default());
+    }
     let started = Instant::now();
     let mut shaping = Shaping::default();
     let scales = settings.own_radii.as_ref().and_then(|own| scales(&cloud, own, settings, &mut shaping));
@@ -39,15 +42,14 @@ pub fn shape(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
     let shapes = match (shaped, scales) {
         (Some(Shaped { positions: moved, shapes, raised_count, ball_count }), _) => {
             positions = moved.unwrap_or(positions);
-            shaping.raised_count += raised_count;
+            shaping.raised_count = raised_count;
             shaping.ball_count = ball_count;
             Shapes::Ellipsoids(shapes)
         }
         (None, Some(scales)) => Shapes::Scaled(scales),
         (None, None) => Shapes::Balls,
     };
-    let longest = (0..positions.len()).map(|index| shapes.longest(index)).fold(1.0, f32::max);
-    shaping.longest = if shapes.are_balls() { 1.0 } else { longest };
+    shaping.longest = (0..positions.len()).map(|index| shapes.longest(index)).fold(0.0, f32::max);
     shaping.seconds = started.elapsed().as_secs_f64();
     (Cloud { positions, shapes, attributes }, shaping)
 }
@@ -57,10 +59,10 @@ fn scales(cloud: &Cloud, own: &OwnRadii, settings: &Settings, shaping: &mut Shap
     let radii = numbers(cloud, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
         radius_scales(radii, own.scale, settings.radius_min, shortest(settings));
-    shaping.raised_count = raised_count;
+    shaping.small_radius_count = raised_count;
     shaping.invalid_radius_count = invalid_count;
     let most = (RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32;
-    shaping.lowered_count = scales.iter().filter(|&&scale| scale > most).count();
+    shaping.large_radius_count = scales.iter().filter(|&&scale| scale > most).count();
     scales.iter_mut().for_each(|scale| *scale = scale.min(most));
     Some(scales)
 }

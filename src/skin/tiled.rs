@@ -9,15 +9,17 @@ use std::time::Instant;
 
 use glam::IVec3;
 
+use super::finish::{self, Edits, Exemptions};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, lattice, radii, report_smoothing, smooth_config};
+use super::{Surface, SurfaceAttributes, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
-use crate::grid::LEAF_EDGE;
+use crate::grid::{Field, LEAF_EDGE};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::ParticleSource;
-use crate::rasterize::{self, Occupancy};
+use crate::rasterize::{self, Occupancy, Scene};
 use crate::report::{Shaping, SkinReport};
 use crate::settings::Settings;
 
@@ -39,6 +41,7 @@ impl<E> From<io::Error> for TiledError<E> {
 /// A frame between two calls.
 pub struct TiledFrame<S> {
     source: S,
+    obstacles: Obstacles,
     occupancy: Occupancy,
     /// The tiles that particles are in or near.
     tiles: BTreeSet<[i32; 3]>,
@@ -65,11 +68,13 @@ pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
     shaping: Shaping,
+    obstacles: Obstacles,
     tile_leaves: i32,
     storages: Vec<Box<dyn Storage>>,
 ) -> Result<TiledFrame<S>, TiledError<S::Error>> {
     let started = Instant::now();
-    let (lattice, radii) = (lattice(settings), radii(settings));
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
     let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
     let tiles = tiles_near(
         &occupancy,
@@ -78,10 +83,13 @@ pub fn rasterize<S: ParticleSource>(
     );
     let shelves = Shelves::new(storages);
     let mut origins: Vec<IVec3> = Vec::new();
+    let mut contact = ContactTally::default();
     for &tile in &tiles {
         let window = tile_voxels(IVec3::from(tile), tile_leaves);
-        let rasterized = rasterize::rasterize_window(&source, &occupancy, &lattice, radii, window);
-        let rasterize::Rasterized { band, bounds, .. } = rasterized.map_err(TiledError::Source)?;
+        let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
+        let rasterized = rasterized.map_err(TiledError::Source)?;
+        let rasterize::Rasterized { band, bounds, contact: of_tile, .. } = rasterized;
+        contact = contact.and(of_tile);
         shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
@@ -90,12 +98,13 @@ pub fn rasterize<S: ParticleSource>(
         dropped_count: occupancy.dropped_count(),
         leaf_count: origins.len(),
         shaping,
+        contact,
         ..SkinReport::default()
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
     report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
     let half_width = radii.half_width();
-    Ok(TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
+    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
 }
 
 /// The tiles that hold leaves within so many voxels of one that holds particles.
@@ -129,26 +138,56 @@ pub fn contour<S: ParticleSource>(
     settings: &Settings,
 ) -> Result<(Surface, S), TiledError<S::Error>> {
     let started = Instant::now();
-    let TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, mut report } = frame;
-    let (lattice, radii) = (lattice(settings), radii(settings));
+    let TiledFrame {
+        source,
+        obstacles,
+        occupancy,
+        tiles,
+        tile_leaves,
+        shelves,
+        tiling,
+        half_width,
+        mut report,
+    } = frame;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
     let bound_violation_count = bound_violations(&shelves, &tiling)?;
     let phi = shelves.read(0, &tiling.all_places())?;
     drop(shelves);
-    let band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
-    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
+    let tile_particles = |tile: [i32; 3]| {
+        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
+        let bins = rasterize::particles_of_window(&source, &occupancy, &scene, owned);
+        bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
+    };
+    let mut edits = Edits::default();
+    if finish::has_edits(settings) {
+        let mut particles = Vec::new();
+        for &tile in tiles.iter().filter(|_| settings.drop_islands > 0) {
+            let (owned, bins) = tile_particles(tile)?;
+            let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
+            particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
+        }
+        // Those of the frame were checked; what becomes of them here nobody asks.
+        let anything = |value: f32| Field::splat(band.topology.len(), value);
+        let mut bounds = Bounds { lower: anything(-half_width), upper: anything(half_width) };
+        let to = (&scene, settings);
+        edits = finish::edit(&mut band, &mut bounds, particles, to, &mut report.edits);
+    }
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
     report.mesh = mesh.measure();
+    let exempt = &Exemptions { scene: &scene, edits: &edits };
     let mut checks = ParticleChecks::NOTHING;
     for tile in tiles {
-        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
-        let bins = rasterize::particles_of_window(&source, &occupancy, &lattice, radii, owned)
-            .map_err(TiledError::Source)?;
-        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned };
+        let (owned, bins) = tile_particles(tile)?;
+        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
         checks = checks.and(ParticleChecks::of(&part));
     }
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();
-    Ok((Surface { band, mesh, report }, source))
+    Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
 
 /// How many values lie outside their bounds.
@@ -217,7 +256,8 @@ mod tests {
     fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
         let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
         let frame =
-            rasterize(particles(), settings, Shaping::default(), tile_leaves, storages).expect("in memory");
+            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
+                .expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }

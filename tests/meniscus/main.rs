@@ -6,6 +6,7 @@ mod info; // the command that tells what files hold
 mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
 mod layers; // the house: no module imports its own row or a higher one
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
+mod own_shapes; // particles of their own sizes and shapes (paper, Fig. 11 and 13)
 mod pipeline; // frames through the stages, with a quick method in place of the real one
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
 mod scene; // small frames of particles, and a way to run the command
@@ -15,4 +16,4 @@ mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod stream; // frames that come one by one: order, bounds, and what goes wrong on the way
 mod union_of_spheres; // rasterization against what is known of spheres
 mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell
-mod ways; // one frame by any instructions, whole or in tiles, from a file read whole or in batches
+mod ways;

@@ -14,7 +14,7 @@ use meniscus::pipeline::{
 };
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Plan, Surface};
+use meniscus::skin::{Plan, Surface, SurfaceAttributes};
 use meniscus_formats::{gltf, vdb};
 use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};
@@ -68,7 +68,7 @@ impl Method for Quick {
         Ok(self.pass(Stage::Smooth, count))
     }
 
-    fn contour(&self, count: usize, settings: &Settings) -> Result<Surface, Cause> {
+    fn contour(&self, count: usize, settings: &Settings, _outputs: &OutputOptions) -> Result<Surface, Cause> {
         Ok(tetrahedron(self.pass(Stage::Contour, count), settings))
     }
 }
@@ -86,7 +86,8 @@ pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> Surface {
     let mut phi = Field::splat(1, 6.0);
     phi.leaves[0].values[0] = -1.0;
     let band = NarrowBand { topology, phi, half_width: 6.0 };
-    Surface { band, mesh, report: SkinReport { particle_count: count, ..SkinReport::default() } }
+    let report = SkinReport { particle_count: count, ..SkinReport::default() };
+    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
 /// A folder with frames, and what it takes to run them.

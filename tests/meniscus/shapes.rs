@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
 use meniscus::level_set::{Bounds, NarrowBand};
 use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, rasterize};
+use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
 use meniscus::smooth::{Config, Integrator, SmoothReport, smooth};
 use meniscus::space::Lattice;
 
@@ -32,7 +32,7 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
 pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
     let Ok(Rasterized { band, bounds, .. }) =
-        rasterize(&particles, &Lattice { voxel_size: 1.0 }, default_radii());
+        rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
     (band, bounds)
 }
 

@@ -10,8 +10,8 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use meniscus::pipeline::{
-    Cause, Conduct, Frame, FrameError, FrameParticles, Method, Outcome, Stage, default_in_flight,
-    is_own_output, run, stream,
+    Cause, Conduct, Frame, FrameError, FrameParticles, Method, Outcome, OutputOptions, Stage,
+    default_in_flight, is_own_output, run, stream,
 };
 use meniscus::settings::Settings;
 use meniscus::skin::{Plan, Surface};
@@ -54,7 +54,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         Ok(count)
     }
 
-    fn contour(&self, count: usize, settings: &Settings) -> Result<Surface, Cause> {
+    fn contour(&self, count: usize, settings: &Settings, _outputs: &OutputOptions) -> Result<Surface, Cause> {
         self.0(Stage::Contour, count);
         Ok(tetrahedron(count, settings))
     }

@@ -4,6 +4,9 @@
 //! outward, unit normals.
 
 mod bands;
+mod decimate;
+mod quads;
+mod trim;
 
 use std::f64::consts::PI;
 

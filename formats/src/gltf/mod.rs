@@ -1,7 +1,7 @@
 //! glTF 2.0: meshes out, as `.glb` or as `.gltf` with its buffer inside; meshes in.
 //!
 //! ```text
-//!   .glb    header │ JSON chunk, padded with spaces │ BIN chunk: positions, normals, indices
+//!   .glb    header │ JSON chunk, padded with spaces │ BIN chunk: positions, normals, attributes, indices
 //!   .gltf   JSON with the same buffer as a base64 data URI
 //! ```
 //!
@@ -15,9 +15,11 @@
 mod buffer;
 mod read;
 mod read_provenance;
+mod vertex_data;
 mod write;
 
 pub use read::{Beside, read_mesh, read_mesh_with};
+pub use vertex_data::attribute_notes;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 
 pub(crate) use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};

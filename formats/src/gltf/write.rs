@@ -10,6 +10,7 @@ use base64::write::EncoderWriter;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
+use super::vertex_data::{Placed, placed};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Place, Result};
@@ -141,34 +142,49 @@ fn to_json(document: &Document) -> Result<Vec<u8>> {
     serde_json::to_vec(document).map_err(|error| Error::invalid(FORMAT, Place::File, error.to_string()))
 }
 
-/// The parts of the buffer: positions, normals, indices, in bytes.
-struct Layout {
-    vector_bytes: u64,
+/// The parts of the buffer: positions, normals, attributes, indices.
+struct Layout<'a> {
+    vertex_count: usize,
+    attributes: Vec<Placed<'a>>,
     index_bytes: u64,
     index_component: u32,
 }
 
-impl Layout {
-    fn of(mesh: &MeshView) -> Layout {
+impl<'a> Layout<'a> {
+    fn of(mesh: &MeshView<'a>) -> Layout<'a> {
         if mesh.triangles.is_empty() {
-            return Layout { vector_bytes: 0, index_bytes: 0, index_component: component::U16 };
+            let attributes = Vec::new();
+            return Layout { vertex_count: 0, attributes, index_bytes: 0, index_component: component::U16 };
         }
         // 65535 itself is forbidden as an index, so 65535 vertices are the most for 16 bits.
         let narrow = mesh.positions.len() <= usize::from(u16::MAX);
         Layout {
-            vector_bytes: 12 * mesh.positions.len() as u64,
+            vertex_count: mesh.positions.len(),
+            attributes: placed(mesh),
             index_bytes: 3 * mesh.triangles.len() as u64 * if narrow { 2 } else { 4 },
             index_component: if narrow { component::U16 } else { component::U32 },
         }
     }
 
+    /// Components of each part that has values for the vertices, in order: all are reals.
+    fn arities(&self) -> impl Iterator<Item = usize> {
+        [3, 3].into_iter().chain(self.attributes.iter().map(|attribute| attribute.arity))
+    }
+
+    fn vertex_bytes(&self, arity: usize) -> u64 {
+        4 * arity as u64 * self.vertex_count as u64
+    }
+
     fn byte_count(&self) -> u64 {
-        2 * self.vector_bytes + self.index_bytes
+        self.vertex_bytes(self.arities().sum()) + self.index_bytes
     }
 
     fn write_buffer(&self, mesh: &MeshView, out: &mut impl Write) -> Result<()> {
         write_f32s(mesh.positions.as_flattened(), out)?;
         write_f32s(mesh.normals.as_flattened(), out)?;
+        for attribute in &self.attributes {
+            attribute.write(out)?;
+        }
         let indices = mesh.triangles.as_flattened();
         if self.index_component == component::U16 {
             write_u16s(indices, out)
@@ -226,23 +242,16 @@ struct Node<'a> {
 #[derive(Serialize)]
 struct Mesh<'a> {
     name: &'a str,
-    primitives: [Primitive; 1],
+    primitives: [Primitive<'a>; 1],
     #[serde(skip_serializing_if = "Option::is_none")]
-    extras: Option<Extras<'a>>,
+    extras: Option<MeshExtras<'a>>,
 }
 
 #[derive(Serialize)]
-struct Primitive {
-    attributes: Attributes,
+struct Primitive<'a> {
+    attributes: Entries<&'a str, usize>,
     indices: usize,
     mode: u32,
-}
-
-#[derive(Serialize)]
-#[serde(rename_all = "UPPERCASE")]
-struct Attributes {
-    position: usize,
-    normal: usize,
 }
 
 #[derive(Serialize)]
@@ -276,34 +285,53 @@ struct Buffer {
 }
 
 /// Our entries, under a name of their own among those of other programs.
-#[derive(Serialize, Clone, Copy)]
+#[derive(Serialize)]
 struct Extras<'a> {
-    meniscus: Entries<'a>,
+    meniscus: Entries<&'a str, &'a str>,
 }
 
-#[derive(Clone, Copy)]
-struct Entries<'a>(&'a Provenance);
+#[derive(Serialize)]
+struct MeshExtras<'a> {
+    #[serde(skip_serializing_if = "Entries::is_empty")]
+    meniscus: Entries<&'a str, &'a str>,
+    /// The strings that the values of attributes are indices into.
+    #[serde(skip_serializing_if = "Entries::is_empty")]
+    strings: Entries<&'a str, &'a [String]>,
+}
 
-impl Serialize for Entries<'_> {
+/// Names and values that are written in this order.
+struct Entries<K, V>(Vec<(K, V)>);
+
+impl<K, V> Entries<K, V> {
+    fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+impl<K: Serialize, V: Serialize> Serialize for Entries<K, V> {
     fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(Some(self.0.len()))?;
-        for (key, value) in self.0 {
+        for (key, value) in &self.0 {
             map.serialize_entry(key, value)?;
         }
         map.end()
     }
 }
 
+fn provenance_entries(provenance: &Provenance) -> Entries<&str, &str> {
+    Entries(provenance.iter().map(|(key, value)| (key.as_str(), value.as_str())).collect())
+}
+
 impl<'a> Document<'a> {
     fn new(
         mesh: &MeshView,
-        layout: &Layout,
+        layout: &'a Layout,
         options: &'a WriteOptions,
         provenance: &'a Provenance,
         uri: Option<&'static str>,
     ) -> Document<'a> {
         let name = options.name.as_str();
-        let extras = (!provenance.is_empty()).then_some(Extras { meniscus: Entries(provenance) });
+        let extras = (!provenance.is_empty()).then(|| Extras { meniscus: provenance_entries(provenance) });
         let mut document = Document {
             asset: Asset { version: "2.0", generator: GENERATOR, extras },
             scene: 0,
@@ -317,8 +345,15 @@ impl<'a> Document<'a> {
         if mesh.triangles.is_empty() {
             return document; // neither accessors nor buffers may be empty, and an empty node is no use
         }
-        let attributes = Attributes { position: 0, normal: 1 };
-        let primitive = Primitive { attributes, indices: 2, mode: MODE_TRIANGLES };
+        let semantics = layout.attributes.iter().map(|attribute| attribute.semantic.as_str());
+        let attributes: Vec<(&str, usize)> =
+            ["POSITION", "NORMAL"].into_iter().chain(semantics).zip(0..).collect();
+        let indices = attributes.len();
+        let primitive = Primitive { attributes: Entries(attributes), indices, mode: MODE_TRIANGLES };
+        let strings = |attribute: &'a Placed| Some((attribute.semantic.as_str(), attribute.table()?));
+        let strings = Entries(layout.attributes.iter().filter_map(strings).collect());
+        let extras = MeshExtras { meniscus: provenance_entries(provenance), strings };
+        let extras = Some(extras).filter(|extras| !extras.meniscus.is_empty() || !extras.strings.is_empty());
         document.scenes[0].nodes.push(0);
         document.nodes.push(node(name, mesh.origin, options.up));
         document.meshes.push(Mesh { name, primitives: [primitive], extras });
@@ -349,39 +384,44 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
             max[axis] = max[axis].max(position[axis]);
         }
     }
-    let vectors = |buffer_view| Accessor {
+    let of_vertices = |(buffer_view, arity): (usize, usize)| Accessor {
         buffer_view,
         component_type: component::F32,
         count: mesh.positions.len(),
-        r#type: "VEC3",
+        r#type: TYPE_OF_ARITY[arity - 1],
         min: None,
         max: None,
     };
-    vec![
-        Accessor { min: Some(min), max: Some(max), ..vectors(0) },
-        vectors(1),
-        Accessor {
-            buffer_view: 2,
-            component_type: layout.index_component,
-            count: 3 * mesh.triangles.len(),
-            r#type: "SCALAR",
-            min: None,
-            max: None,
-        },
-    ]
+    let mut accessors: Vec<Accessor> = layout.arities().enumerate().map(of_vertices).collect();
+    (accessors[0].min, accessors[0].max) = (Some(min), Some(max));
+    accessors.push(Accessor {
+        buffer_view: accessors.len(),
+        component_type: layout.index_component,
+        count: 3 * mesh.triangles.len(),
+        r#type: TYPE_OF_ARITY[0],
+        min: None,
+        max: None,
+    });
+    accessors
 }
 
-impl Layout {
+impl Layout<'_> {
     fn views(&self) -> Vec<BufferView> {
-        let view =
-            |byte_offset, byte_length, target| BufferView { buffer: 0, byte_offset, byte_length, target };
-        vec![
-            view(0, self.vector_bytes, TARGET_VERTICES),
-            view(self.vector_bytes, self.vector_bytes, TARGET_VERTICES),
-            view(2 * self.vector_bytes, self.index_bytes, TARGET_INDICES),
-        ]
+        let mut end = 0;
+        let mut view = |byte_length, target| {
+            let byte_offset = end;
+            end += byte_length;
+            BufferView { buffer: 0, byte_offset, byte_length, target }
+        };
+        let mut views: Vec<BufferView> =
+            self.arities().map(|arity| view(self.vertex_bytes(arity), TARGET_VERTICES)).collect();
+        views.push(view(self.index_bytes, TARGET_INDICES));
+        views
     }
 }
+
+/// What vectors of one to four components are called.
+const TYPE_OF_ARITY: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
 
 const MODE_TRIANGLES: u32 = 4;
 const TARGET_VERTICES: u32 = 34962;

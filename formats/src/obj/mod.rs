@@ -5,7 +5,7 @@ mod read;
 mod write;
 
 pub use read::read_mesh;
-pub use write::{WriteOptions, batch_count, encode_batch, write};
+pub use write::{WriteOptions, attribute_notes, batch_count, encode_batch, write};
 
 pub(crate) use write::ends_as_written;
 

@@ -3,6 +3,8 @@
 //! Reals are the shortest decimals that read back as the same number. Lines are formatted in
 //! parallel, a run of elements per task, and written in order. The last line is a comment that says
 //! how much there was, for nothing else in the format tells a whole file from a part of one.
+//! Of what is known of the vertices only the colour has a place, behind the position: an old habit that most
+//! readers share.
 //!
 //! ```text
 //!   batch 0: header │ batch 1: v v ‥ v vn ‥ vn │ batch 2: vn ‥ vn f ‥ f │ f ‥ f, last line
@@ -12,13 +14,16 @@
 //! Any batch can be had by itself, so that whoever writes need not hold the text of all.
 
 use std::io::Write;
+use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::FORMAT;
 use crate::data::{MeshView, Provenance};
-use crate::error::Result;
+use crate::error::{Error, Place, Result};
 use crate::provenance::{GENERATOR, comments};
+use crate::vertex_attributes::{Purpose, VertexAttribute, purposes};
 
 /// Elements that are formatted as one task, and tasks whose text is held at once.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
@@ -32,21 +37,24 @@ const LAST_LINE: &str = "# end: ";
 pub struct WriteOptions {
     /// The name of the object.
     pub name: String,
+    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
+    /// are triangles.
+    pub quads: Arc<[bool]>,
 }
 
 impl Default for WriteOptions {
     fn default() -> WriteOptions {
-        WriteOptions { name: "surface".into() }
+        WriteOptions { name: "surface".into(), quads: Arc::default() }
     }
 }
 
-/// Writes positions, normals and faces. If the mesh has an origin, it is added in 64 bits and the
+/// Writes positions, with the colour if there is one, normals and faces. If the mesh has an origin, it is added in 64 bits and the
 /// sums are printed. Axes are left as they are.
 ///
 /// # Errors
 ///
 /// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or
-/// not finite.
+/// not finite, or if what should be a quad is none.
 pub fn write(
     mesh: &MeshView,
     options: &WriteOptions,
@@ -71,8 +79,8 @@ pub fn batch_count(mesh: &MeshView) -> usize {
 ///
 /// # Errors
 ///
-/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite; there is no use in
-/// the others then.
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
+/// is none; there is no use in the others then.
 pub fn encode_batch(
     mesh: &MeshView,
     options: &WriteOptions,
@@ -81,6 +89,7 @@ pub fn encode_batch(
 ) -> Result<Vec<Vec<u8>>> {
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
+        check_quads(mesh.triangles, &options.quads)?;
         let name = options.name.replace(char::is_control, "_");
         let header = format!("# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "));
         return Ok(vec![header.into_bytes()]);
@@ -88,10 +97,13 @@ pub fn encode_batch(
     let task_count = task_counts(mesh).iter().sum();
     let first = index.saturating_mul(TASKS_AT_ONCE).min(task_count);
     let end = (first + TASKS_AT_ONCE).min(task_count);
-    let mut texts: Vec<Vec<u8>> = (first..end).into_par_iter().map(|task| text_of(mesh, task)).collect();
+    let mut texts: Vec<Vec<u8>> =
+        (first..end).into_par_iter().map(|task| text_of(mesh, &options.quads, task)).collect();
     if end == task_count {
-        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
-        texts.push(format!("{LAST_LINE}{vertices} vertices, {triangles} triangles\n").into_bytes());
+        let quads = options.quads.iter().filter(|&&is_quad| is_quad).count();
+        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len() - 2 * quads);
+        let quads = if quads > 0 { format!(", {quads} quads") } else { String::new() };
+        texts.push(format!("{LAST_LINE}{vertices} vertices, {triangles} triangles{quads}\n").into_bytes());
     }
     Ok(texts)
 }
@@ -103,11 +115,14 @@ fn task_counts(mesh: &MeshView) -> [usize; 3] {
 }
 
 /// The lines of one task.
-fn text_of(mesh: &MeshView, task: usize) -> Vec<u8> {
+fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
     let [position_tasks, normal_tasks, _] = task_counts(mesh);
     if position_tasks + normal_tasks <= task {
-        let triangles = run_of(mesh.triangles, task - position_tasks - normal_tasks);
-        return lines_of(triangles, |line, triangle| line.face(*triangle));
+        let task = task - position_tasks - normal_tasks;
+        if !quads.is_empty() {
+            return faces_of(mesh.triangles, quads, task);
+        }
+        return lines_of(run_of(mesh.triangles, task), |line, triangle| line.face(triangle));
     }
     if position_tasks <= task {
         return lines_of(run_of(mesh.normals, task - position_tasks), |line, normal| {
@@ -115,19 +130,101 @@ fn text_of(mesh: &MeshView, task: usize) -> Vec<u8> {
         });
     }
     let positions = run_of(mesh.positions, task);
-    if mesh.origin == [0.0; 3] {
-        return lines_of(positions, |line, position| line.reals("v", *position));
-    }
-    let world =
-        |p: &[f32; 3]| -> [f64; 3] { std::array::from_fn(|axis| mesh.origin[axis] + f64::from(p[axis])) };
-    lines_of(positions, |line, position| line.reals("v", world(position)))
+    let Some(color) = colors_of(mesh) else {
+        return match mesh.origin {
+            [0.0, 0.0, 0.0] => lines_of(positions, |line, position| line.reals("v", *position)),
+            origin => lines_of(positions, |line, position| line.reals("v", world(origin, position))),
+        };
+    };
+    let vertices: Vec<(&[f32; 3], [f32; 3])> =
+        positions.iter().zip(task * ELEMENTS_PER_TASK..).map(|(p, vertex)| (p, color(vertex))).collect();
+    lines_of(&vertices, |line, (position, color)| {
+        match mesh.origin {
+            [0.0, 0.0, 0.0] => line.reals_open("v", **position),
+            origin => line.reals_open("v", world(origin, position)),
+        }
+        line.reals("", *color);
+    })
+}
+
+fn world(origin: [f64; 3], position: &[f32; 3]) -> [f64; 3] {
+    std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
+}
+
+/// Red, green and blue of a vertex, if the vertices have a colour.
+fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a> {
+    let found =
+        purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
+            match purpose {
+                Purpose::Color(values) => Some((values, attribute.arity)),
+                Purpose::Velocity | Purpose::Other => None,
+            }
+        });
+    let (values, arity) = found?;
+    Some(move |vertex| std::array::from_fn(|channel| values[vertex * arity + channel]))
+}
+
+/// What becomes of vertex attributes that an OBJ file does not hold; nothing where all come through.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let note = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
+        Purpose::Color(_) if attribute.arity == 3 => None,
+        Purpose::Color(_) => Some(format!("{} is without its alpha in the .obj", attribute.name)),
+        Purpose::Velocity | Purpose::Other => {
+            Some(format!("{} is not in the .obj, which has a place for colours only", attribute.name))
+        }
+    };
+    attributes.iter().zip(purposes(attributes)).filter_map(note).collect()
 }
 
 /// The elements of one task.
 fn run_of<T>(elements: &[T], task: usize) -> &[T] {
-    let start = (task * ELEMENTS_PER_TASK).min(elements.len());
-    let end = (start + ELEMENTS_PER_TASK).min(elements.len());
-    &elements[start..end]
+    &elements[range_of(elements.len(), task)]
+}
+
+/// Which of so many elements are those of one task.
+fn range_of(count: usize, task: usize) -> Range<usize> {
+    let start = (task * ELEMENTS_PER_TASK).min(count);
+    start..(start + ELEMENTS_PER_TASK).min(count)
+}
+
+/// Refuses quads that are none: two triangles that have no edge in common, or one that is in two quads.
+fn check_quads(triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
+    let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
+    if !quads.is_empty() && quads.len() != triangles.len() {
+        return invalid(format!("{} marks of quads for {} triangles", quads.len(), triangles.len()));
+    }
+    let is_none = |&index: &usize| {
+        quads[index]
+            && (quads.get(index + 1) != Some(&false)
+                || quad_of(triangles[index], triangles[index + 1]).is_none())
+    };
+    match (0..quads.len()).find(is_none) {
+        Some(index) => invalid(format!("triangle {index} and the next are no quad")),
+        None => Ok(()),
+    }
+}
+
+/// The quad of two triangles, counter-clockwise as they are; `None` if no edge of the one is an edge of the other the
+/// other way round.
+fn quad_of(one: [u32; 3], other: [u32; 3]) -> Option<[u32; 4]> {
+    let turns = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
+    turns(one).into_iter().find_map(|[a, b, c]| {
+        let [.., d] = turns(other).into_iter().find(|[from, to, _]| [*from, *to] == [b, a])?;
+        Some([a, d, b, c])
+    })
+}
+
+/// The lines of one task of triangles, some of which are halves of quads. A quad belongs where its first half is.
+fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
+    let range = range_of(triangles.len(), task);
+    let indices: Vec<usize> = range.filter(|&index| index == 0 || !quads[index - 1]).collect();
+    lines_of(&indices, |line, &index| {
+        let quad = if quads[index] { quad_of(triangles[index], triangles[index + 1]) } else { None };
+        match quad {
+            Some(quad) => line.face(&quad),
+            None => line.face(&triangles[index]),
+        }
+    })
 }
 
 /// Whether the last bytes of a file are those of a whole one that [`write`] made.
@@ -145,20 +242,26 @@ struct Lines {
 }
 
 impl Lines {
+    /// A line, or the rest of one.
     fn reals<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
+        self.reals_open(keyword, numbers);
+        self.text.push(b'\n');
+    }
+
+    /// A line that goes on.
+    fn reals_open<T: zmij::Float>(&mut self, keyword: &str, numbers: [T; 3]) {
         self.text.extend_from_slice(keyword.as_bytes());
         for number in numbers {
             let digits = self.real.format_finite(number);
             self.text.push(b' ');
             self.text.extend_from_slice(digits.strip_suffix(".0").unwrap_or(digits).as_bytes());
         }
-        self.text.push(b'\n');
     }
 
     /// Vertices count from one; each has the normal of the same number.
-    fn face(&mut self, triangle: [u32; 3]) {
+    fn face(&mut self, corners: &[u32]) {
         self.text.push(b'f');
-        for index in triangle {
+        for &index in corners {
             let digits = self.integer.format(u64::from(index) + 1).as_bytes();
             self.text.push(b' ');
             self.text.extend_from_slice(digits);

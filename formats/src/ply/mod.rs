@@ -24,11 +24,13 @@ mod header;
 mod mesh;
 mod read;
 mod rows;
+mod vertex_data;
 pub mod write;
 
 pub use header::{Element, Encoding, Header, Property, PropertyType, read_header};
 pub use mesh::{read_mesh, read_mesh_and_vertices};
 pub use read::read;
+pub use vertex_data::attribute_notes;
 
 pub(crate) use batches::{PositionColumns, records};
 pub(crate) use mesh::mesh_bytes_claimed;

@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use super::vertex_data::{Placed, placed};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
 use crate::provenance::{GENERATOR, comments};
@@ -11,7 +12,7 @@ const FORMAT: &str = "PLY";
 /// Vertices or faces whose bytes are made at once.
 const PIECE: usize = 4096;
 
-/// Writes positions, normals and faces. Positions are floats; if the mesh has an origin, it is
+/// Writes positions, normals, attributes and faces. Positions are floats; if the mesh has an origin, it is
 /// added and they are doubles. Axes are left as they are.
 ///
 /// # Errors
@@ -25,8 +26,10 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write
         return Err(Error::too_large(FORMAT, what));
     }
     let far = mesh.origin != [0.0; 3];
-    out.write_all(header(mesh, far, provenance).as_bytes())?;
-    write_pieces(mesh.positions.iter().zip(mesh.normals), out, |(position, normal), bytes| {
+    let attributes = placed(mesh.attributes);
+    out.write_all(header(mesh, &attributes, far, provenance).as_bytes())?;
+    let vertices = mesh.positions.iter().zip(mesh.normals).enumerate();
+    write_pieces(vertices, out, |(vertex, (position, normal)), bytes| {
         if far {
             let world = (0..3).map(|axis| mesh.origin[axis] + f64::from(position[axis]));
             bytes.extend(world.flat_map(f64::to_le_bytes));
@@ -34,6 +37,7 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write
             bytes.extend_from_slice(position.map(f32::to_le_bytes).as_flattened());
         }
         bytes.extend_from_slice(normal.map(f32::to_le_bytes).as_flattened());
+        attributes.iter().for_each(|attribute| attribute.append(vertex, bytes));
     })?;
     write_pieces(mesh.triangles.iter(), out, |triangle, bytes| {
         bytes.push(3);
@@ -41,10 +45,11 @@ pub fn write_mesh(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write
     })
 }
 
-fn header(mesh: &MeshView, far: bool, provenance: &Provenance) -> String {
+fn header(mesh: &MeshView, attributes: &[Placed], far: bool, provenance: &Provenance) -> String {
     let real = if far { "double" } else { "float" };
     let mut header = format!("ply\nformat binary_little_endian 1.0\ncomment {GENERATOR}\n");
     header += &comments(provenance, "comment ");
+    attributes.iter().for_each(|attribute| header += &attribute.comments());
     header += &format!("element vertex {}\n", mesh.positions.len());
     for name in ["x", "y", "z"] {
         header += &format!("property {real} {name}\n");
@@ -52,6 +57,7 @@ fn header(mesh: &MeshView, far: bool, provenance: &Provenance) -> String {
     for name in ["nx", "ny", "nz"] {
         header += &format!("property float {name}\n");
     }
+    attributes.iter().for_each(|attribute| header += &attribute.properties());
     header += &format!("element face {}\nproperty list uchar int vertex_indices\n", mesh.triangles.len());
     header + "end_header\n"
 }

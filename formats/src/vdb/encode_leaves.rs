@@ -14,7 +14,7 @@ use super::layout::inactive;
 use super::uuid::{Digest, digest};
 
 /// Leaves that are encoded as one task: large enough to hide its cost, small enough to share.
-const LEAVES_PER_BATCH: usize = 128;
+pub(super) const LEAVES_PER_BATCH: usize = 128;
 
 /// Bit z = 0 and bit z = 7 of every row of a mask word.
 const LOW_FACE: u64 = 0x0101_0101_0101_0101;
@@ -25,8 +25,10 @@ const HIGH_FACE: u64 = LOW_FACE << 7;
 pub(super) struct Encoding {
     /// World units per unit of the values.
     pub(super) scale: f64,
-    /// The background, world units; a half if `half`.
+    /// The background, world units; a half if `half`. Where there are several components, 0.
     pub(super) background: f32,
+    /// Components of a value.
+    pub(super) arity: usize,
     pub(super) half: bool,
     pub(super) compression: Compression,
 }
@@ -53,9 +55,20 @@ impl LeafSummary {
 /// Leaves that were encoded together.
 pub(super) struct Batch {
     pub(super) summaries: Vec<LeafSummary>,
-    /// The buffers of the leaves with active voxels, one after the other.
+    pub(super) packed: Packed,
+}
+
+/// The buffers of leaves with active voxels, one after the other.
+pub(super) struct Packed {
     pub(super) bytes: Box<[u8]>,
     pub(super) digest: Digest,
+}
+
+impl Packed {
+    /// A copy: packed leaves wait for each other, and none of them keeps room that it does not need.
+    pub(super) fn new(bytes: &[u8]) -> Packed {
+        Packed { bytes: bytes.into(), digest: digest(bytes) }
+    }
 }
 
 /// Encodes the leaves in the order of the indices.
@@ -68,8 +81,7 @@ pub(super) fn encode_leaves(leaves: &[[f32; 512]], order: &[u32], encoding: Enco
                 bytes.clear();
                 let summaries =
                     indices.iter().map(|&index| encoder.append(&leaves[index as usize], bytes)).collect();
-                // Batches wait for each other: none of them keeps room that it does not need.
-                Batch { summaries, bytes: bytes.as_slice().into(), digest: digest(bytes) }
+                Batch { summaries, packed: Packed::new(bytes) }
             },
         )
         .collect()
@@ -122,12 +134,8 @@ impl LeafEncoder {
     /// The masks of the voxels with |φ| < background, and of those with φ < 0.
     fn classify(&self) -> ([u64; 8], [u64; 8]) {
         let background = self.encoding.background;
-        let (mut active, mut negative) = ([0; 8], [0; 8]);
-        for (x, plane) in self.world.as_chunks::<64>().0.iter().enumerate() {
-            active[x] = mask_of(plane, |value| value.abs() < background);
-            negative[x] = mask_of(plane, |value| value < 0.0);
-        }
-        (active, negative)
+        let active = leaf_mask(&self.world, |value| value.abs() < background);
+        (active, leaf_mask(&self.world, |value| value < 0.0))
     }
 
     fn append_values(&mut self, active: &[u64; 8], negative: &[u64; 8], out: &mut Vec<u8>) {
@@ -143,20 +151,7 @@ impl LeafEncoder {
         append_inactive(active, negative, out);
         self.chunk.clear();
         self.gather_active(active);
-        if compression == Compression::ActiveMask {
-            out.extend_from_slice(&self.chunk);
-            return;
-        }
-        let prefix = out.len();
-        out.extend_from_slice(&[0; 8]);
-        let typesize = if half { 2 } else { 4 };
-        let size = if self.blosc.append_frame(&self.chunk, typesize, out) {
-            (out.len() - prefix - 8) as i64
-        } else {
-            out.extend_from_slice(&self.chunk);
-            -(self.chunk.len() as i64)
-        };
-        out[prefix..prefix + 8].copy_from_slice(&size.to_le_bytes());
+        append_chunk(&self.chunk, self.encoding, &mut self.blosc, out);
     }
 
     /// The values of the active voxels, packed to the front and written as bytes.
@@ -182,6 +177,29 @@ impl LeafEncoder {
         }
         push_values(&packed[..count], self.encoding.half, &mut self.chunk);
     }
+}
+
+/// Appends a chunk of bytes, packed as the encoding says; not for [`Compression::None`].
+pub(super) fn append_chunk(chunk: &[u8], encoding: Encoding, blosc: &mut Encoder, out: &mut Vec<u8>) {
+    if encoding.compression == Compression::ActiveMask {
+        out.extend_from_slice(chunk);
+        return;
+    }
+    let prefix = out.len();
+    out.extend_from_slice(&[0; 8]);
+    let typesize = if encoding.half { 2 } else { 4 };
+    let size = if blosc.append_frame(chunk, typesize, out) {
+        (out.len() - prefix - 8) as i64
+    } else {
+        out.extend_from_slice(chunk);
+        -(chunk.len() as i64)
+    };
+    out[prefix..prefix + 8].copy_from_slice(&size.to_le_bytes());
+}
+
+/// The masks of a leaf's values that satisfy `test`.
+pub(super) fn leaf_mask(values: &[f32; 512], test: impl Fn(f32) -> bool) -> [u64; 8] {
+    std::array::from_fn(|x| mask_of(&values.as_chunks::<64>().0[x], &test))
 }
 
 /// The bits of the values that satisfy `test`. The tests run side by side in vector registers; then

@@ -1,4 +1,4 @@
-//! OpenVDB files: level sets out, and float grids in.
+//! OpenVDB files: level sets and what else is known of their voxels out, and float grids in.
 //!
 //! ```text
 //!   header      magic, version 224, UUID, metadata of the file, number of grids
@@ -21,6 +21,7 @@
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
+mod band_grids;
 mod blosc;
 mod cursor;
 mod encode_leaves;
@@ -29,15 +30,16 @@ mod metadata;
 mod read;
 mod read_tree;
 mod sign_flood;
+mod tree;
 mod uuid;
 mod write;
 
 pub use metadata::MetaValue;
 pub use read::{GridInfo, Transform, grids, read_level_set};
 pub use read_tree::{LevelSetData, Tile};
-pub use write::{Encoded, WriteOptions, encode, write};
+pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
 
-pub(crate) use read::{first_grid_metadata, only_grid_end};
+pub(crate) use read::{first_grid_metadata, last_grid_end};
 
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";

@@ -114,15 +114,27 @@ pub(crate) fn first_grid_metadata(head: &[u8]) -> Result<Vec<(String, MetaValue)
     read_metadata(&mut cursor)
 }
 
-/// Where the grid of a file with one grid ends, from the first bytes of the file; `None` if there
-/// are more grids or none, or a stream does not say.
-pub(crate) fn only_grid_end(head: &[u8]) -> Result<Option<u64>> {
+/// Where the last grid of a file ends, from its first bytes and from the bytes at each grid's end, which
+/// `read_at` returns: a descriptor is there, but for the last. `None` if there is no grid, if a stream does not
+/// say, or if a grid ends before it starts.
+pub(crate) fn last_grid_end(
+    head: &[u8],
+    mut read_at: impl FnMut(u64) -> Result<Vec<u8>>,
+) -> Result<Option<u64>> {
     let mut cursor = Cursor::new(head);
     let header = read_header(&mut cursor)?;
-    if header.grid_count != 1 || !header.has_offsets {
+    if header.grid_count == 0 || !header.has_offsets {
         return Ok(None);
     }
-    Ok(Some(read_descriptor(&mut cursor)?.end))
+    let mut end = read_descriptor(&mut cursor)?.end;
+    for _ in 1..header.grid_count {
+        let next = read_descriptor(&mut Cursor::new(&read_at(end)?))?;
+        if next.grid_start <= end || next.end < next.grid_start {
+            return Ok(None);
+        }
+        end = next.end;
+    }
+    Ok(Some(end))
 }
 
 /// Where a tree begins and how its values are stored.

@@ -61,6 +61,7 @@ impl Solid {
             leaves: &self.leaves,
             half_width_voxels: self.half_width_voxels,
             voxel_size: self.voxel_size,
+            grids: &[],
         }
     }
 }

@@ -1,0 +1,105 @@
+//! Where glTF puts what is known of the vertices.
+//!
+//! ```text
+//!   colour     COLOR_0      three or four reals, taken to be linear as the specification says
+//!   velocity   _VELOCITY    three reals, along the axes of the positions
+//!   others     _NAME        one to four reals; integers of up to 24 bits are exact as such
+//!   strings    _NAME        the index of each in `extras.strings._NAME` of the mesh; −1 for none
+//! ```
+//!
+//! Reals of 32 bits everywhere: the bytes of elements must be multiples of four, and nothing is rounded. The
+//! format has no 32-bit integers for vertices. A wrong identity is worse than none, so what is not exact is
+//! left out, and told.
+
+use std::io::Write;
+
+use crate::data::MeshView;
+use crate::error::Result;
+use crate::le_bytes::{write_f32s, write_pieces};
+use crate::vertex_attributes::{
+    NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes, string_index,
+};
+
+/// Integers of at most this size are exact as 32-bit reals.
+const EXACT_INTEGER_MAX: u64 = 1 << 24;
+/// Components of the widest vector.
+const ARITY_MAX: usize = 4;
+
+/// An attribute that has a place.
+pub(super) struct Placed<'a> {
+    /// The name that glTF knows it by.
+    pub(super) semantic: String,
+    /// One to four.
+    pub(super) arity: usize,
+    values: VertexValues<'a>,
+}
+
+/// What becomes of vertex attributes that a glTF file does not hold as they are; nothing where all come through.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = Vec::new();
+    place(attributes, &mut notes);
+    notes
+}
+
+/// The attributes of a mesh that have a place, in order.
+pub(super) fn placed<'a>(mesh: &MeshView<'a>) -> Vec<Placed<'a>> {
+    place(mesh.attributes, &mut Vec::new())
+}
+
+fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<Placed<'a>> {
+    let mut taken = NamesTaken::new(&[]);
+    let mut placed = Vec::new();
+    for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
+        let VertexAttribute { name, arity, values, .. } = *attribute;
+        if let Some(why) = obstacle(attribute) {
+            notes.push(format!("{name} is not in the glTF file: {why}"));
+            continue;
+        }
+        let (stem, usual) = match purpose {
+            Purpose::Color(_) => ("COLOR_0".into(), "COLOR_0".into()),
+            Purpose::Velocity => ("_VELOCITY".into(), "_VELOCITY".into()),
+            Purpose::Other => (format!("_{}", plain_name(name)), format!("_{name}")),
+        };
+        let semantic = taken.take(&stem, |stem| vec![stem.to_ascii_uppercase()]).concat();
+        if semantic != usual.to_ascii_uppercase() {
+            notes.push(format!("{name} is called {semantic} in the glTF file"));
+        }
+        placed.push(Placed { semantic, arity, values });
+    }
+    placed
+}
+
+/// Why an attribute has no place.
+fn obstacle(attribute: &VertexAttribute) -> Option<String> {
+    if attribute.arity > ARITY_MAX {
+        return Some(format!("it has {} values per vertex; {ARITY_MAX} is the most", attribute.arity));
+    }
+    let VertexValues::Integers(values) = attribute.values else { return None };
+    let beyond = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
+    (beyond != 0).then(|| {
+        format!(
+            "{beyond} of its values are beyond ±{EXACT_INTEGER_MAX}, where its numbers are not exact; .ply holds them"
+        )
+    })
+}
+
+impl<'a> Placed<'a> {
+    /// The strings that its values are indices into.
+    pub(super) fn table(&self) -> Option<&'a [String]> {
+        match self.values {
+            VertexValues::Strings { table, .. } => Some(table),
+            VertexValues::Numbers(_) | VertexValues::Integers(_) => None,
+        }
+    }
+
+    pub(super) fn write(&self, out: &mut impl Write) -> Result<()> {
+        match self.values {
+            VertexValues::Numbers(values) => write_f32s(values, out),
+            VertexValues::Integers(values) => write_pieces(values, |value| (value as f32).to_le_bytes(), out),
+            VertexValues::Strings { table, indices } => {
+                let to_bytes = |index| (string_index(index, table) as f32).to_le_bytes();
+                write_pieces(indices, to_bytes, out)
+            }
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! The properties that hold what is known of the vertices.
+//!
+//! ```text
+//!   colour     red green blue [alpha]   bytes: what every reader of coloured PLY takes
+//!   velocity   vx vy vz                 floats
+//!   others     name, or name_x name_y ..  or name_0 name_1 ..: floats
+//!   integers   the same: int where all fit, else double
+//!   strings    the same: int, the index of a string that a comment tells; −1 for none
+//! ```
+
+use crate::provenance::escape;
+use crate::vertex_attributes::{
+    NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes, string_index,
+};
+
+/// Integers of at most this size are exact as 64-bit reals.
+const EXACT_INTEGER_MAX: u64 = 1 << 53;
+/// Bytes of the comments that tell the strings of one attribute: some readers bound their headers.
+const STRINGS_BYTES_MAX: usize = 64 << 10;
+
+/// An attribute that has a place: some columns of one type.
+pub(super) struct Placed<'a> {
+    names: Vec<String>,
+    values: Values<'a>,
+}
+
+/// What is written, and where it comes from.
+enum Values<'a> {
+    Floats(&'a [f32]),
+    /// Numbers from 0 to 1 as 0 to 255.
+    Bytes(&'a [f32]),
+    Ints(&'a [i64]),
+    Doubles(&'a [i64]),
+    Strings(&'a [String], &'a [i32]),
+}
+
+/// What becomes of vertex attributes that a PLY file does not hold as they are; nothing where all come through.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let mut notes = Vec::new();
+    place(attributes, &mut notes);
+    notes
+}
+
+/// The attributes that have a place, in order.
+pub(super) fn placed<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Placed<'a>> {
+    place(attributes, &mut Vec::new())
+}
+
+fn place<'a>(attributes: &[VertexAttribute<'a>], notes: &mut Vec<String>) -> Vec<Placed<'a>> {
+    let mut taken = NamesTaken::new(&["x", "y", "z", "nx", "ny", "nz"]);
+    let mut placed = Vec::new();
+    for (attribute, purpose) in attributes.iter().zip(purposes(attributes)) {
+        let VertexAttribute { name, arity, .. } = *attribute;
+        let stem = plain_name(name);
+        let (names, usual) = match purpose {
+            Purpose::Color(_) => (taken.take("", |stem| color_names(stem, arity)), color_names("", arity)),
+            Purpose::Velocity => (taken.take("v", velocity_names), velocity_names("v")),
+            Purpose::Other => {
+                (taken.take(&stem, |stem| component_names(stem, arity)), component_names(name, arity))
+            }
+        };
+        let column = Placed { values: values_of(attribute, purpose, notes), names };
+        if column.comments().len() > STRINGS_BYTES_MAX {
+            notes.push(format!("{name} is not in the .ply: its strings are too long for a header"));
+            continue;
+        }
+        if column.names != usual {
+            notes.push(format!("{name} is called {} in the .ply", column.names.join(", ")));
+        }
+        placed.push(column);
+    }
+    placed
+}
+
+fn color_names(stem: &str, arity: usize) -> Vec<String> {
+    ["red", "green", "blue", "alpha"].iter().take(arity).map(|name| format!("{name}{stem}")).collect()
+}
+
+fn velocity_names(stem: &str) -> Vec<String> {
+    ["x", "y", "z"].map(|axis| format!("{stem}{axis}")).to_vec()
+}
+
+fn component_names(stem: &str, arity: usize) -> Vec<String> {
+    match arity {
+        1 => vec![stem.into()],
+        2..=4 => ["x", "y", "z", "w"].iter().take(arity).map(|axis| format!("{stem}_{axis}")).collect(),
+        _ => (0..arity).map(|index| format!("{stem}_{index}")).collect(),
+    }
+}
+
+fn values_of<'a>(
+    attribute: &VertexAttribute<'a>,
+    purpose: Purpose<'a>,
+    notes: &mut Vec<String>,
+) -> Values<'a> {
+    let name = attribute.name;
+    match (attribute.values, purpose) {
+        (_, Purpose::Color(values)) => {
+            let cut = values.iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
+            if cut != 0 {
+                notes.push(format!("{cut} values of {name} are beyond 0 to 1, and cut to it in the .ply"));
+            }
+            Values::Bytes(values)
+        }
+        (VertexValues::Numbers(values), _) => Values::Floats(values),
+        (VertexValues::Strings { table, indices }, _) => Values::Strings(table, indices),
+        (VertexValues::Integers(values), _) => {
+            if values.iter().all(|&value| i32::try_from(value).is_ok()) {
+                return Values::Ints(values);
+            }
+            let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
+            if rounded != 0 {
+                notes.push(format!("{rounded} values of {name} are beyond ±2⁵³, and rounded in the .ply"));
+            }
+            Values::Doubles(values)
+        }
+    }
+}
+
+impl Placed<'_> {
+    /// The lines of the header that declare the columns.
+    pub(super) fn properties(&self) -> String {
+        let kind = match self.values {
+            Values::Floats(_) => "float",
+            Values::Bytes(_) => "uchar",
+            Values::Ints(_) | Values::Strings(..) => "int",
+            Values::Doubles(_) => "double",
+        };
+        self.names.iter().map(|name| format!("property {kind} {name}\n")).collect()
+    }
+
+    /// The lines of the header that tell what indices mean.
+    pub(super) fn comments(&self) -> String {
+        let Values::Strings(table, _) = self.values else { return String::new() };
+        let line = |(index, text): (usize, &String)| {
+            format!("comment string {index} of {}: {}\n", self.names[0], escape(text))
+        };
+        table.iter().enumerate().map(line).collect()
+    }
+
+    /// Appends the values of a vertex.
+    pub(super) fn append(&self, vertex: usize, bytes: &mut Vec<u8>) {
+        let arity = self.names.len();
+        let range = vertex * arity..(vertex + 1) * arity;
+        match self.values {
+            Values::Floats(values) => {
+                bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes()))
+            }
+            Values::Bytes(values) => bytes.extend(values[range].iter().map(|&value| byte_of(value))),
+            Values::Ints(values) => {
+                #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+                bytes.extend(values[range].iter().flat_map(|&value| (value as i32).to_le_bytes()));
+            }
+            Values::Doubles(values) => {
+                bytes.extend(values[range].iter().flat_map(|&value| (value as f64).to_le_bytes()));
+            }
+            Values::Strings(table, indices) => {
+                bytes.extend(
+                    indices[range].iter().flat_map(|&index| string_index(index, table).to_le_bytes()),
+                );
+            }
+        }
+    }
+}
+
+fn byte_of(value: f32) -> u8 {
+    #[expect(clippy::cast_possible_truncation, reason = "cut to the range of a byte")]
+    let byte = (value.clamp(0.0, 1.0) * 255.0).round_ties_even() as u8;
+    byte
+}

@@ -1,0 +1,99 @@
+//! Grids beside a level set, with its active voxels and values of their own.
+//!
+//! ```text
+//!   leaf of the level set   − − − + + + +      active: |φ| < half width
+//!   leaf of the grid        ∙ v v v v v ∙      the same voxels; 0 elsewhere, also beyond all leaves
+//! ```
+
+use rayon::prelude::*;
+
+use super::blosc::Encoder;
+use super::encode_leaves::{Encoding, LEAVES_PER_BATCH, Packed, append_chunk, push_values};
+use super::layout::{inactive, ones};
+use super::tree::Leaf;
+use super::{Compression, FORMAT};
+use crate::data::BandGrid;
+use crate::error::{Error, Place, Result};
+
+/// Encodes the leaves that are stored, which come in the order of the tree with their places in the level set.
+/// Returns the greatest absolute value, too.
+pub(super) fn encode_grid(
+    grid: &BandGrid,
+    (order, leaves): (&[u32], &[Leaf]),
+    encoding: Encoding,
+) -> Result<(Vec<Packed>, f32)> {
+    let BandGrid { name, arity, .. } = grid;
+    let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
+    if *arity != 1 && *arity != 3 {
+        return invalid(format!("{arity} values per voxel of {name}; a grid has 1 or 3"));
+    }
+    let in_tree = order.par_chunks(LEAVES_PER_BATCH).zip(leaves.par_chunks(LEAVES_PER_BATCH));
+    let batches: Vec<(Packed, f32)> = in_tree
+        .map_init(
+            || (LeafEncoder::new(encoding), Vec::new()),
+            |(encoder, bytes), (order, leaves)| {
+                bytes.clear();
+                encoder.greatest = 0.0;
+                for (&index, leaf) in order.iter().zip(leaves).filter(|(_, leaf)| leaf.summary.is_stored()) {
+                    grid.values.fill(index as usize, &mut encoder.values);
+                    encoder.append(&leaf.summary.active, bytes);
+                }
+                (Packed::new(bytes), encoder.greatest)
+            },
+        )
+        .collect();
+    let greatest = batches.iter().fold(0.0f32, |greatest, (_, other)| greatest.max(*other));
+    if greatest == f32::INFINITY {
+        return invalid(format!("a value of {name} that is not finite"));
+    }
+    Ok((batches.into_iter().map(|(packed, _)| packed).collect(), greatest))
+}
+
+/// Encodes one leaf after the other, with memory of its own.
+struct LeafEncoder {
+    encoding: Encoding,
+    /// Those of all voxels of a leaf.
+    values: Vec<f32>,
+    active: Vec<f32>,
+    chunk: Vec<u8>,
+    blosc: Encoder,
+    /// The greatest absolute value that was met; infinite if one was not finite.
+    greatest: f32,
+}
+
+impl LeafEncoder {
+    fn new(encoding: Encoding) -> LeafEncoder {
+        let values = vec![0.0; 512 * encoding.arity];
+        let blosc = Encoder::new();
+        LeafEncoder { encoding, values, active: Vec::new(), chunk: Vec::new(), blosc, greatest: 0.0 }
+    }
+
+    /// Appends the buffer of the leaf whose values are there.
+    fn append(&mut self, active: &[u64; 8], out: &mut Vec<u8>) {
+        for word in active {
+            out.extend_from_slice(&word.to_le_bytes());
+        }
+        let arity = self.encoding.arity;
+        self.active.clear();
+        for voxel in ones(active) {
+            self.active.extend_from_slice(&self.values[voxel * arity..(voxel + 1) * arity]);
+        }
+        for value in &self.active {
+            let size = if value.is_finite() { value.abs() } else { f32::INFINITY };
+            self.greatest = self.greatest.max(size);
+        }
+        if self.encoding.compression == Compression::None {
+            out.push(inactive::ALL_VALUES);
+            self.values.fill(0.0);
+            for (voxel, value) in ones(active).zip(self.active.chunks(arity)) {
+                self.values[voxel * arity..(voxel + 1) * arity].copy_from_slice(value);
+            }
+            push_values(&self.values, self.encoding.half, out);
+            return;
+        }
+        out.push(inactive::PLUS_BACKGROUND);
+        self.chunk.clear();
+        push_values(&self.active, self.encoding.half, &mut self.chunk);
+        append_chunk(&self.chunk, self.encoding, &mut self.blosc, out);
+    }
+}

@@ -1,0 +1,91 @@
+//! What the simulation knows of its particles, on the surface that was made of them.
+
+use std::borrow::Cow;
+use std::time::Instant;
+
+use super::{Surface, lattice};
+use crate::particles::{Attribute, AttributeValues, Cloud, Meaning};
+use crate::report::TransferReport;
+use crate::settings::Settings;
+use crate::transfer::{BandAttribute, Reach, to_band, to_vertices};
+
+/// What is known of a surface beside where it is.
+#[derive(Clone, Debug, Default)]
+pub struct SurfaceAttributes {
+    /// The attributes of the mesh's vertices.
+    pub vertices: Vec<Attribute>,
+    /// Those at the voxels of the band that fit a grid: one number, or a vector of three.
+    pub band: Vec<BandAttribute>,
+}
+
+impl SurfaceAttributes {
+    /// The memory that they take, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
+        vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+    }
+}
+
+/// Where attributes are wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Targets {
+    /// At the vertices of the mesh.
+    pub vertices: bool,
+    /// Where |φ| is less than this, in voxels.
+    pub band_half_width_voxels: Option<f32>,
+}
+
+/// Gives a surface those attributes of its particles that the settings ask for.
+pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targets: Targets) {
+    let Some(selection) = &settings.attributes else { return };
+    let started = Instant::now();
+    let selected: Vec<&Attribute> =
+        cloud.attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
+    let reach = reach(settings, surface.report.shaping.longest);
+    let mut report = TransferReport {
+        attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
+        ..TransferReport::default()
+    };
+    if targets.vertices {
+        let (vertices, counts) = to_vertices(&cloud.positions, &selected, &surface.mesh, reach);
+        (surface.attributes.vertices, report.vertices) = (vertices, counts);
+    }
+    if let Some(half_width_voxels) = targets.band_half_width_voxels {
+        let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
+        let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
+        let band = (&surface.band, &lattice(settings));
+        let (found, counts) = to_band(&cloud.positions, &grids, band, half_width_voxels, reach);
+        (surface.attributes.band, report.band) = (found, counts);
+    }
+    report.seconds = started.elapsed().as_secs_f64();
+    surface.report.transfer = Some(report);
+}
+
+/// How far values reach: see [`crate::transfer`]. `longest` is the longest half axis of any particle, in units of the
+/// radii.
+fn reach(settings: &Settings, longest: f32) -> Reach {
+    let Settings { radius_init, radius_max, voxel_size, .. } = *settings;
+    let radius_world = RADII * radius_init;
+    let farthest = radius_max * f64::from(longest.max(1.0)) + MARGIN_VOXELS * voxel_size;
+    Reach { radius_world, limit_world: farthest.max(radius_world) }
+}
+
+/// The radius within which values are averaged, in units of r_init.
+const RADII: f64 = 2.0;
+
+/// Vertices are rarely farther than this beyond r_max of all particles, in voxels.
+const MARGIN_VOXELS: f64 = 2.0;
+
+/// The attribute as a grid can have it, if one can: a colour without its alpha.
+fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
+    let AttributeValues::Numbers(values) = &attribute.values else { return None };
+    match (attribute.arity, attribute.meaning) {
+        (1 | 3, _) => Some(Cow::Borrowed(attribute)),
+        (4, Meaning::Color) => {
+            let opaque = values.chunks_exact(4).flat_map(|color| &color[..3]).copied().collect();
+            let (name, meaning) = (attribute.name.clone(), attribute.meaning);
+            Some(Cow::Owned(Attribute { name, meaning, arity: 3, values: AttributeValues::Numbers(opaque) }))
+        }
+        _ => None,
+    }
+}

@@ -1,0 +1,195 @@
+//! Particles of their own sizes and shapes, from their attributes to the surface (paper, Fig. 11 and 13).
+
+#![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
+
+use glam::{DVec3, Vec3};
+use meniscus::obstacle::Obstacles;
+use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+use meniscus::settings::{AnisotropyKind, Choices, Settings};
+use meniscus::skin::{Surface, skin_cloud};
+
+use crate::shapes::{Random, same_bits};
+
+fn cloud(positions: &[DVec3]) -> Cloud {
+    Particles::Double(positions.iter().map(|position| position.to_array()).collect()).into()
+}
+
+fn with(mut cloud: Cloud, name: &str, meaning: Meaning, arity: usize, numbers: Vec<f32>) -> Cloud {
+    let values = AttributeValues::Numbers(numbers);
+    cloud.attributes.push(Attribute { name: name.to_owned(), meaning, arity, values });
+    cloud
+}
+
+fn with_radii(cloud: Cloud, radii: Vec<f32>) -> Cloud {
+    with(cloud, "pscale", Meaning::Radius, 1, radii)
+}
+
+fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
+    let numbers = velocities.iter().flat_map(|velocity| velocity.to_array()).collect();
+    with(cloud, "v", Meaning::Velocity, 3, numbers)
+}
+
+/// Skins with a voxel of 1.
+fn skinned(cloud: Cloud, choices: &Choices) -> Surface {
+    let settings = Settings::resolve(1.0, choices).expect("sound");
+    let surface = skin_cloud(cloud, &settings, &Obstacles::default());
+    let certificate = &surface.report.certificate;
+    assert!(certificate.holds(), "{certificate:?}");
+    surface
+}
+
+fn by_radii() -> Choices {
+    Choices { radius_attribute: Some("pscale".to_owned()), ..Choices::default() }
+}
+
+fn by_neighbors() -> Choices {
+    Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..Choices::default() }
+}
+
+/// Vertices in the world.
+fn vertices(surface: &Surface) -> impl Iterator<Item = DVec3> {
+    surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3())
+}
+
+/// Fig. 13: lone spheres keep their own radii, but for what 15 Laplacian steps of 0.1 h² take off any sphere.
+#[test]
+fn lone_spheres_have_the_radii_of_their_particles() {
+    let radii: Vec<f32> = (0..12).map(|index| 1.2 + 1.1 * index as f32).collect();
+    let centers: Vec<DVec3> = (0..12).map(|index| DVec3::new(70.3 * f64::from(index), 0.4, -0.2)).collect();
+    let surface = skinned(with_radii(cloud(&centers), radii.clone()), &by_radii());
+    assert_eq!(surface.report.shaping.small_radius_count, 1, "1.2 is less than √3");
+    assert_eq!(surface.report.mesh.component_count, 12);
+    let mut worst = 0f64;
+    for (center, radius) in centers.iter().zip(radii) {
+        let radius_min = f64::from(radius).max(3f64.sqrt());
+        let radius_init = 1.5 * radius_min;
+        let expected = radius_min.max((radius_init * radius_init - 6.0).max(0.0).sqrt());
+        let near: Vec<f64> = vertices(&surface)
+            .map(|vertex| vertex.distance(*center))
+            .filter(|distance| *distance < 35.0)
+            .collect();
+        let mean = near.iter().sum::<f64>() / near.len() as f64;
+        println!("r_min {radius_min:.2}: {mean:.3} for {expected:.3}");
+        worst = worst.max((mean - expected).abs());
+    }
+    assert!(worst < 0.15, "{worst}");
+}
+
+/// What is far away, however large, changes no bit here.
+#[test]
+fn far_particles_of_any_size_change_nothing() {
+    let mut random = Random::new(5);
+    let positions: Vec<DVec3> =
+        (0..300).map(|_| DVec3::new(random.unit(), random.unit(), random.unit()) * 14.0).collect();
+    let radii: Vec<f32> = (0..300).map(|_| 1.8 + 2.0 * random.unit() as f32).collect();
+    let velocities: Vec<Vec3> = (0..300).map(|_| Vec3::X * 40.0 * random.unit() as f32).collect();
+    for kind in [AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity] {
+        let choices = Choices { anisotropy: Some(kind), position_smoothing: None, ..by_radii() };
+        let alone = with_velocities(with_radii(cloud(&positions), radii.clone()), &velocities);
+        let alone = skinned(alone, &choices);
+        let far = DVec3::splat(f64::from(alone.report.reach_voxels.expect("fast")) * 1.8);
+        let more: Vec<DVec3> = positions.iter().copied().chain([far]).collect();
+        let more_radii: Vec<f32> = radii.iter().copied().chain([15.0]).collect();
+        let more_velocities: Vec<Vec3> = velocities.iter().copied().chain([Vec3::Y * 90.0]).collect();
+        let both = with_velocities(with_radii(cloud(&more), more_radii), &more_velocities);
+        let both = skinned(both, &choices);
+        let mut compared = 0;
+        for (leaf, &origin) in alone.band.topology.origins().iter().enumerate() {
+            let other = both.band.topology.find(origin).expect("the same leaves here");
+            let bits =
+                |surface: &Surface, leaf: usize| surface.band.phi.leaves[leaf].values.map(f32::to_bits);
+            assert_eq!(bits(&alone, leaf), bits(&both, other), "{kind:?}");
+            compared += 1;
+        }
+        assert!(both.band.topology.len() > compared, "{kind:?}: the far particle has a surface of its own");
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let mut random = Random::new(6);
+    let positions: Vec<DVec3> =
+        (0..900).map(|_| DVec3::new(random.unit(), random.unit(), random.unit() * 0.2) * 22.0).collect();
+    let radii: Vec<f32> = (0..900).map(|_| 1.8 + 2.0 * random.unit() as f32).collect();
+    let choices = Choices {
+        position_smoothing: Some(0.5),
+        radius_attribute: by_radii().radius_attribute,
+        ..by_neighbors()
+    };
+    let on_threads = |count| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads");
+        pool.install(|| skinned(with_radii(cloud(&positions), radii.clone()), &choices))
+    };
+    let one = on_threads(1);
+    for count in [2, 4] {
+        let other = on_threads(count);
+        assert!(same_bits(&one.band, &other.band), "{count} threads");
+        assert!(one.mesh == other.mesh, "{count} threads");
+    }
+}
+
+/// Root mean square of how far the upper side of a sheet is from its mean, away from its rim.
+fn roughness(surface: &Surface, half_edge: f64) -> f64 {
+    let heights: Vec<f64> = vertices(surface)
+        .filter(|vertex| vertex.z > 0.0 && vertex.x.abs().max(vertex.y.abs()) < half_edge)
+        .map(|vertex| vertex.z)
+        .collect();
+    assert!(heights.len() > 500, "{}", heights.len());
+    let mean = heights.iter().sum::<f64>() / heights.len() as f64;
+    (heights.iter().map(|height| (height - mean).powi(2)).sum::<f64>() / heights.len() as f64).sqrt()
+}
+
+/// Fig. 11, in the middle: flat particles make a flat sheet.
+#[test]
+fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
+    for (spacing, plane, lift) in
+        [(2.0, 0.8, 0.3), (2.0, 0.8, 0.0), (2.0, 0.8, 0.1), (3.0, 1.0, 0.0), (3.0, 1.0, 0.1), (2.5, 0.8, 0.1)]
+    {
+        let mut random = Random::new(7);
+        let mut jitter = |most: f64| (random.unit() - 0.5) * 2.0 * most;
+        let positions: Vec<DVec3> = (0..41 * 41)
+            .map(|index| {
+                let (x, y) = (f64::from(index / 41 - 20), f64::from(index % 41 - 20));
+                DVec3::new(spacing * x + jitter(plane), spacing * y + jitter(plane), jitter(lift))
+            })
+            .collect();
+        let of = |choices: &Choices| roughness(&skinned(cloud(&positions), choices), 28.0);
+        let balls = of(&Choices::default());
+        let stretched = of(&by_neighbors());
+        let smoothed = of(&Choices { position_smoothing: Some(0.9), ..by_neighbors() });
+        println!(
+            "roughness of a sheet in h: balls {balls:.4}, stretched {stretched:.4}, smoothed too {smoothed:.4}"
+        );
+    }
+}
+
+/// Fig. 11, on the right, and Eq. 16: half axes (1 + s)² along the velocity and 1/(1 + s) across.
+#[test]
+fn moving_drops_are_stretched_as_much_as_the_paper_says() {
+    let choices = |kind| Choices {
+        radius_min: Some(8.0),
+        anisotropy: Some(kind),
+        velocity_gain: Some(0.01),
+        ..Choices::default()
+    };
+    // s is 0.01 seconds of movement in units of r_min.
+    let speeds = [0.0, 80.0, 160.0, 280.0];
+    let along = DVec3::new(2.0, -1.0, 2.0) / 3.0;
+    let centers: Vec<DVec3> = (0..4).map(|index| DVec3::new(120.3 * f64::from(index), 0.4, 0.2)).collect();
+    let velocities = speeds.map(|speed| along.as_vec3() * speed as f32);
+    let surface_of = |kind| skinned(with_velocities(cloud(&centers), &velocities), &choices(kind));
+    let (balls, drops) = (surface_of(AnisotropyKind::None), surface_of(AnisotropyKind::Velocity));
+    let length = |surface: &Surface, center: DVec3, direction: DVec3| {
+        let near = vertices(surface).filter(|vertex| vertex.distance(center) < 60.0);
+        near.map(|vertex| (vertex - center).dot(direction).abs()).fold(0.0, f64::max)
+    };
+    let across = along.any_orthonormal_vector();
+    for (center, speed) in centers.into_iter().zip(speeds) {
+        let s: f64 = 0.01 * speed / 8.0;
+        for (direction, factor) in [(along, (1.0 + s).powi(2)), (across, 1.0 / (1.0 + s))] {
+            let found = length(&drops, center, direction) / length(&balls, center, direction);
+            println!("s = {s}: {found:.3} for {factor:.3}");
+            assert!((found / factor - 1.0).abs() < 0.1, "{found} for {factor}");
+        }
+    }
+}
