@@ -274,6 +274,9 @@ fn source_of(data: LevelSetData) -> LevelSetSource {
     }
 }
 
+/// A level set with a band that is narrower than this, in units of h, tells little of where it is.
+const KNOWN_MIN: f64 = 1.0;
+
 /// What a user should know of an obstacle.
 fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
     let mut notes = Vec::new();
@@ -296,9 +299,10 @@ fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
         }
         Shape::Sampled(sampled) => {
             let known = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
-            if known < settings.void_threshold {
+            if known < KNOWN_MIN {
                 notes.push(format!(
-                    "obstacle {name}: its distances are known to {known:.2} h only, so wider gaps are not filled"
+                    "obstacle {name}: its distances are known to {known:.2} h only, and its surface may be off by as much: \
+                     make it with a wider band"
                 ));
             }
         }

@@ -213,9 +213,10 @@ const RUN_LEAVES: usize = 4096;
 mod tests {
     use std::sync::Mutex;
 
-    use super::super::{SHELF_COUNT, skin};
+    use super::super::{SHELF_COUNT, skin, skin_cloud};
     use super::*;
-    use crate::particles::Particles;
+    use crate::obstacle::{Obstacle, Shape, Solid};
+    use crate::particles::{Cloud, Particles, Shapes};
     use crate::settings::{Choices, Integrator};
 
     /// A file that is a vector.
@@ -254,11 +255,10 @@ mod tests {
         Particles::Double(positions)
     }
 
-    fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
+    fn rasterized(settings: &Settings, tile_leaves: i32, obstacles: Obstacles) -> TiledFrame<Particles> {
         let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
-        let frame =
-            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
-                .expect("in memory");
+        let frame = rasterize(particles(), settings, Shaping::default(), obstacles, tile_leaves, storages)
+            .expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }
@@ -278,7 +278,7 @@ mod tests {
         for choices in choices {
             let settings = Settings::resolve(0.5, &choices).expect("sound");
             let whole = skin(&particles(), &settings);
-            let tiled = finished(rasterized(&settings, 4), &settings);
+            let tiled = finished(rasterized(&settings, 4, Obstacles::default()), &settings);
             assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
             assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
             assert!(tiled.mesh == whole.mesh);
@@ -288,11 +288,42 @@ mod tests {
         }
     }
 
+    /// A box right across the bar, and one along all of it.
+    fn obstacles() -> Obstacles {
+        let faces: [[u32; 4]; 6] =
+            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles: Vec<[u32; 3]> =
+            faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        let cuboid = |ends: [[f64; 3]; 2]| {
+            let corner = |index: usize| [0, 1, 2].map(|axis| ends[index >> axis & 1][axis]);
+            let positions: Vec<[f64; 3]> = (0..8).map(corner).collect();
+            let solid = Solid::new(&positions, &triangles);
+            Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 20))
+        };
+        let across = [[20.3, -40.0, -40.0], [24.1, 40.0, 40.0]];
+        let along = [[-30.0, -12.2, -40.0], [190.0, -10.7, 40.0]];
+        Obstacles { members: vec![cuboid(across), cuboid(along)] }
+    }
+
+    #[test]
+    fn a_frame_in_tiles_goes_around_obstacles_as_the_whole_frame() {
+        let settings = Settings::resolve(0.5, &Choices::default()).expect("sound");
+        let cloud = Cloud { positions: particles(), shapes: Shapes::Balls, attributes: Vec::new() };
+        let whole = skin_cloud(cloud, &settings, &obstacles());
+        let tiled = finished(rasterized(&settings, 4, obstacles()), &settings);
+        assert!(tiled.band.phi == whole.band.phi && tiled.mesh == whole.mesh);
+        let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+        assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+        assert!(whole.report.certificate.holds(), "{:?}", whole.report.certificate);
+        assert!(whole.report.contact.void_count > 100 && whole.report.contact.particle_count > 100);
+        assert!(whole.band.phi != skin(&particles(), &settings).band.phi);
+    }
+
     /// So the test above can fail: what a tile does not see, it does not get right.
     #[test]
     fn a_halo_that_is_too_narrow_shows() {
         let settings = Settings::resolve(0.5, &Choices::default()).expect("sound");
-        let mut frame = rasterized(&settings, 4);
+        let mut frame = rasterized(&settings, 4, Obstacles::default());
         frame.tiling = frame.tiling.with_halo(4, 1);
         assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);
     }
