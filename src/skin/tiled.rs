@@ -214,8 +214,10 @@ mod tests {
 
     use super::super::{SHELF_COUNT, skin};
     use super::*;
-    use crate::particles::Particles;
-    use crate::settings::{Choices, Integrator};
+    use crate::obstacle::{Obstacle, Shape, Solid};
+    use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+    use crate::settings::{AnisotropyKind, Choices, ClipBox, Integrator};
+    use glam::DVec3;
 
     /// A file that is a vector.
     #[derive(Default)]
@@ -253,8 +255,12 @@ mod tests {
         Particles::Double(positions)
     }
 
+    fn storages() -> Vec<Box<dyn Storage>> {
+        (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect()
+    }
+
     fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
-        let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
+        let storages = storages();
         let frame =
             rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
                 .expect("in memory");
@@ -285,6 +291,64 @@ mod tests {
             assert_eq!(timeless(&tiled.report), timeless(&whole.report));
             assert!(whole.report.certificate.holds());
         }
+    }
+
+    /// Particles of their own sizes, an obstacle in them, a piece that is dropped, and a box that cuts.
+    #[test]
+    fn whatever_else_is_asked_for_is_the_same_in_tiles() {
+        let numbers = |arity: usize| {
+            AttributeValues::Numbers(
+                (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
+            )
+        };
+        let attribute = |name: &str, meaning: Meaning, arity: usize| Attribute {
+            name: name.to_owned(),
+            meaning,
+            arity,
+            values: numbers(arity),
+        };
+        let attributes = vec![attribute("pscale", Meaning::Radius, 1), attribute("v", Meaning::Velocity, 3)];
+        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
+        let plain = Choices {
+            drop_islands: Some(3),
+            fill_cavities: Some(500.0),
+            clip: Some(ClipBox { min: [-8.0, -100.0, -11.0], max: [170.0, 100.0, 100.0] }),
+            ..Choices::default()
+        };
+        let all = [
+            Choices { radius_attribute: Some("pscale".into()), ..plain.clone() },
+            Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..plain.clone() },
+            Choices { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
+        ];
+        for choices in all {
+            let settings = Settings::resolve(0.5, &choices).expect("sound");
+            let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(particles()) };
+            let (cloud, shaping) = super::super::shape(cloud, &settings);
+            let Ok(whole) = super::super::rasterize(&cloud, &settings, shaping, obstacles.clone());
+            let whole = super::super::contour(super::super::smooth(whole, &settings), &settings);
+            let frame = rasterize(cloud, &settings, shaping, obstacles.clone(), 4, storages());
+            let smoothed = smooth(frame.expect("in memory"), &settings).expect("in memory");
+            let (tiled, _) = contour(smoothed, &settings).expect("in memory");
+            assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
+            assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
+            assert!(tiled.mesh == whole.mesh);
+            let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+            assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+            let SkinReport { certificate, edits, contact, .. } = &whole.report;
+            assert!(certificate.holds(), "{certificate:?}");
+            assert!(
+                edits.island_count > 0 && edits.clipped_voxel_count > 0 && contact.void_count > 0,
+                "{edits:?}"
+            );
+        }
+    }
+
+    fn octahedron(center: DVec3, radius: f64) -> Solid {
+        let corners = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let positions = corners.map(|corner| (center + radius * corner).to_array());
+        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        Solid::new(&positions, &faces)
     }
 
     /// So the test above can fail: what a tile does not see, it does not get right.
