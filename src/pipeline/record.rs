@@ -89,6 +89,8 @@ struct MeasuredRecord {
     shapes: Option<ShapesRecord>,
     /// Null where nothing was taken away or added.
     edits: Option<EditsRecord>,
+    /// Null where nothing stood in the way.
+    obstacles: Option<ObstaclesRecord>,
     leaves: usize,
     voxels: usize,
     free_voxels: usize,
@@ -126,6 +128,22 @@ struct ShapesRecord {
     balls: usize,
     longest: f64,
     seconds: f64,
+}
+
+/// What stood in the way, and what it changed.
+#[derive(Clone, Debug, Serialize)]
+struct ObstaclesRecord {
+    files: String,
+    open_edges: usize,
+    particles_inside: usize,
+    /// Voxels that were filled since the gap to an obstacle was too narrow.
+    void_voxels_filled: u64,
+    /// Voxels inside that obstacles took from the inner spheres of particles.
+    voxels_taken: u64,
+    /// How deep the deepest vertex is in an obstacle; 0 if none is.
+    deepest_vertex_voxels: f64,
+    /// Vertices that were moved out, where an obstacle is sharper than the grid.
+    vertices_cleared: u64,
 }
 
 /// What the surface got of the particles' attributes.
@@ -340,6 +358,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         dropped: report.skin.dropped_count,
         shapes: shapes_record(&report.skin),
         edits: edits_record(&report.skin.edits),
+        obstacles: obstacles_record(report),
         leaves: report.skin.leaf_count,
         voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
         free_voxels: report.skin.free_voxel_count,
@@ -388,6 +407,19 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
         balls: shaping.ball_count,
         longest: f64::from(shaping.longest),
         seconds: shaping.seconds,
+    })
+}
+
+fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
+    let SkinReport { contact, edits, .. } = &report.skin;
+    (!report.obstacles.is_empty()).then(|| ObstaclesRecord {
+        files: report.obstacles.clone(),
+        open_edges: report.obstacle_open_edge_count,
+        particles_inside: contact.particle_count,
+        void_voxels_filled: contact.void_count,
+        voxels_taken: contact.taken_count,
+        deepest_vertex_voxels: edits.obstacle_depth_voxels,
+        vertices_cleared: edits.cleared_vertex_count,
     })
 }
 

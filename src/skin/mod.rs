@@ -25,7 +25,7 @@ use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
-use crate::obstacle::Obstacles;
+use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::{Cloud, ParticleSource, Particles};
 use crate::rasterize::{self, ParticleBins, Radii, Scene};
 use crate::report::{Shaping, SkinReport};
@@ -104,8 +104,9 @@ pub fn rasterize<S: ParticleSource>(
     obstacles: Obstacles,
 ) -> Result<Rasterized, S::Error> {
     let started = Instant::now();
-    let rasterize::Rasterized { bins, band, bounds, contact } =
-        rasterize::rasterize(source, &scene(settings, &obstacles))?;
+    let scene = scene(settings, &obstacles);
+    let rasterize::Rasterized { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
+    let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
@@ -172,6 +173,14 @@ fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
         radii: radii(settings),
         obstacles,
         void_threshold: settings.void_threshold as f32,
+    }
+}
+
+/// How many particles are inside obstacles.
+fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usize, S::Error> {
+    match scene.obstacles.is_empty() {
+        true => Ok(0),
+        false => scene.obstacles.count_inside(source, &scene.lattice, scene.radii.half_width()),
     }
 }
 

@@ -12,7 +12,7 @@ use glam::IVec3;
 use super::finish::{self, Edits, Exemptions};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, SurfaceAttributes, report_smoothing, scene, smooth_config};
+use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
 use crate::grid::{Field, LEAF_EDGE};
@@ -93,6 +93,7 @@ pub fn rasterize<S: ParticleSource>(
         shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
+    contact.particle_count = inside_obstacles(&source, &scene).map_err(TiledError::Source)?;
     let mut report = SkinReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),

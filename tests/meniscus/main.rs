@@ -5,6 +5,7 @@ mod convert; // the command on real frames: the same bytes, reports, what is don
 mod info; // the command that tells what files hold
 mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
 mod layers; // the house: no module imports its own row or a higher one
+mod obstacles; // what stands in the way: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
 mod own_shapes; // particles of their own sizes and shapes (paper, Fig. 11 and 13)
 mod pipeline; // frames through the stages, with a quick method in place of the real one
