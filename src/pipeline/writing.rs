@@ -76,7 +76,8 @@ pub(super) fn write_surface<'env>(
             crew.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
         }
         OutputFormat::Obj => {
-            let options = obj::WriteOptions::default();
+            let quads = if frame.settings.quads { surface.mesh.quads() } else { Vec::new() };
+            let options = obj::WriteOptions { quads: quads.into(), ..obj::WriteOptions::default() };
             for index in 0..obj::batch_count(&mesh) {
                 let (surface, options, provenance) =
                     (Arc::clone(surface), options.clone(), provenance.clone());

@@ -138,8 +138,8 @@ impl Scene<'_> {
         Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0 }
     }
 
-    /// Their signed distances in the leaf with this origin.
-    fn obstacle(&self, origin: IVec3) -> ObstacleLeaf {
+    /// The obstacles' signed distances in the leaf with this origin, in voxels, within the half width of the band.
+    pub fn obstacle(&self, origin: IVec3) -> ObstacleLeaf {
         self.obstacles.leaf(origin, &self.lattice, self.radii.half_width())
     }
 

@@ -6,6 +6,7 @@
 //! three calls for one that is larger than memory.
 
 mod attributes;
+mod finish;
 mod plan;
 mod shape;
 mod shelves;
@@ -19,7 +20,7 @@ pub use plan::{Plan, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
-use crate::certify::certify;
+use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
@@ -30,7 +31,8 @@ use crate::rasterize::{self, ParticleBins, Radii, Scene};
 use crate::report::{Shaping, SkinReport};
 use crate::settings::{Anisotropy, Settings};
 use crate::smooth;
-use crate::space::Lattice;
+use crate::space::{CoordBox, Lattice};
+use finish::{Edits, Exemptions};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -139,12 +141,22 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 /// The third stage: the mesh, its measures and the certificate.
 pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let started = Instant::now();
-    let Smoothed { bins, band, bounds, obstacles: _, mut report } = smoothed;
-    let lattice = lattice(settings);
-    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    let Smoothed { bins, mut band, mut bounds, obstacles, mut report } = smoothed;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
+    let edits = match finish::has_edits(settings) {
+        true => finish::edit(&mut band, &mut bounds, bins.leaves(), (&scene, settings), &mut report.edits),
+        false => Edits::default(),
+    };
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
     report.mesh = mesh.measure();
-    report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &report.mesh, &lattice);
+    let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
+    let whole = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
+    let violation_count = bounds.violation_count(&band.phi);
+    report.certificate =
+        certificate(ParticleChecks::of(&whole), violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }

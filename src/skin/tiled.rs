@@ -9,12 +9,13 @@ use std::time::Instant;
 
 use glam::IVec3;
 
+use super::finish::{self, Edits, Exemptions};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
-use crate::grid::LEAF_EDGE;
+use crate::grid::{Field, LEAF_EDGE};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::ParticleSource;
@@ -153,19 +154,38 @@ pub fn contour<S: ParticleSource>(
     let bound_violation_count = bound_violations(&shelves, &tiling)?;
     let phi = shelves.read(0, &tiling.all_places())?;
     drop(shelves);
-    let band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
-    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
+    let tile_particles = |tile: [i32; 3]| {
+        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
+        let bins = rasterize::particles_of_window(&source, &occupancy, &scene, owned);
+        bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
+    };
+    let mut edits = Edits::default();
+    if finish::has_edits(settings) {
+        let mut particles = Vec::new();
+        for &tile in tiles.iter().filter(|_| settings.drop_islands > 0) {
+            let (owned, bins) = tile_particles(tile)?;
+            let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
+            particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
+        }
+        // Those of the frame were checked; what becomes of them here nobody asks.
+        let anything = |value: f32| Field::splat(band.topology.len(), value);
+        let mut bounds = Bounds { lower: anything(-half_width), upper: anything(half_width) };
+        let to = (&scene, settings);
+        edits = finish::edit(&mut band, &mut bounds, particles, to, &mut report.edits);
+    }
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
     report.mesh = mesh.measure();
+    let exempt = &Exemptions { scene: &scene, edits: &edits };
     let mut checks = ParticleChecks::NOTHING;
     for tile in tiles {
-        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
-        let bins =
-            rasterize::particles_of_window(&source, &occupancy, &scene, owned).map_err(TiledError::Source)?;
-        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned };
+        let (owned, bins) = tile_particles(tile)?;
+        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
         checks = checks.and(ParticleChecks::of(&part));
     }
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
