@@ -131,7 +131,7 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 }
 
 fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
-    let [surface, area, occupied, particles] = counts(footprint);
+    let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
@@ -142,7 +142,7 @@ fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
 }
 
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
-    let [surface, area, occupied, particles] = counts(footprint);
+    let [surface, area, occupied, particles] = counts(footprint, settings);
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
     let rasterized = most(radii(settings).window_halo_leaves());
     let smoothed = most(HALO_LEAVES);
@@ -164,9 +164,10 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> 
 /// Memory for a leaf of a field.
 const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
-fn counts(footprint: &Footprint) -> [f64; 4] {
-    let Footprint { surface, area_voxels, occupied_count, near_particle_count, .. } = footprint;
-    [surface.len(), *area_voxels, *occupied_count, *near_particle_count].map(|count| count as f64)
+fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
+    let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count } = footprint;
+    let kept_count = if settings.drop_islands > 0 { particle_count } else { near_particle_count };
+    [surface.len(), *area_voxels, *occupied_count, *kept_count].map(|count| count as f64)
 }
 
 /// The number of leaves in the tile, with its halo, that has most of them.
