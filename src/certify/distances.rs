@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::particle_checks::{Part, ParticleChecks};
-use super::surfaces::Bodies;
+use super::surfaces::{Bodies, Sides};
 use crate::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::rasterize::{ParticleBins, Radii};
 use crate::simd::{Kernel, Lanes, dispatch};
@@ -82,10 +82,12 @@ impl Kernel for PieceChecks<'_> {
             }
             let distances = near.distances(self.part.bins, &locals);
             let Radii { min, max, .. } = self.part.radii;
-            // How far outside of the inner and of the outer spheres.
-            let [outer, inner] = match self.bodies {
-                None => [max, min].map(|radius| distances.map(|distance| distance - radius)),
-                Some(bodies) => bodies.distances(&near, &locals, [max, min], CELL_MARGIN),
+            let Sides { is_inside_min, is_within_max } = match self.bodies {
+                None => Sides {
+                    is_inside_min: distances.map(|distance| distance < min - CELL_MARGIN),
+                    is_within_max: distances.map(|distance| distance <= max + CELL_MARGIN),
+                },
+                Some(bodies) => bodies.sides(&near, &locals, [min, max], CELL_MARGIN),
             };
             for (lane, &position) in positions.iter().enumerate() {
                 if self.is_exempt(position) {
@@ -93,8 +95,8 @@ impl Kernel for PieceChecks<'_> {
                 }
                 checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
                 checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
-                checks.vertices_inside_min += usize::from(inner[lane] < -CELL_MARGIN);
-                checks.vertices_outside_max += usize::from(outer[lane] > CELL_MARGIN);
+                checks.vertices_inside_min += usize::from(is_inside_min[lane]);
+                checks.vertices_outside_max += usize::from(!is_within_max[lane]);
             }
         }
         checks
@@ -193,6 +195,6 @@ pub(super) fn is_inside_one(
     let points = point.to_array().map(|axis| [axis; LANES]);
     match bodies {
         None => near.distances(bins, &points)[0] < radius,
-        Some(bodies) => bodies.distances(&near, &points, [radius], 0.0)[0][0] < 0.0,
+        Some(bodies) => bodies.sides(&near, &points, [radius, radius], 0.0).is_inside_min[0],
     }
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::report::{Shaping, SkinReport, TransferCounts, TransferReport};
+use crate::report::{EditReport, Shaping, SkinReport, TransferCounts, TransferReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
@@ -87,6 +87,8 @@ struct MeasuredRecord {
     dropped: usize,
     /// Null where all particles are alike.
     shapes: Option<ShapesRecord>,
+    /// Null where nothing was taken away or added.
+    edits: Option<EditsRecord>,
     /// Null where nothing stood in the way.
     obstacles: Option<ObstaclesRecord>,
     leaves: usize,
@@ -166,6 +168,17 @@ struct TransferRecord {
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
+struct EditsRecord {
+    islands_dropped: usize,
+    island_particles: u64,
+    cavities_filled: usize,
+    cavity_volume_voxels: u64,
+    clipped_voxels: u64,
+    triangles_saved: usize,
+    decimation_error_voxels: f64,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
 struct ConvergenceRecord {
     iterations: usize,
     restarts: usize,
@@ -194,6 +207,8 @@ struct CertificateRecord {
     vertices_inside_min: usize,
     vertices_outside_max: usize,
     particles_outside: usize,
+    /// Taken away on purpose: with an island, by a box, or by an obstacle.
+    particles_exempt: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
@@ -342,6 +357,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
         shapes: shapes_record(&report.skin),
+        edits: edits_record(&report.skin.edits),
         obstacles: obstacles_record(report),
         leaves: report.skin.leaf_count,
         voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
@@ -422,6 +438,18 @@ fn attributes_record(transfer: &TransferReport) -> AttributesRecord {
     }
 }
 
+fn edits_record(edits: &EditReport) -> Option<EditsRecord> {
+    (*edits != EditReport::default()).then_some(EditsRecord {
+        islands_dropped: edits.island_count,
+        island_particles: edits.island_particle_count,
+        cavities_filled: edits.cavity_count,
+        cavity_volume_voxels: edits.cavity_voxel_count,
+        clipped_voxels: edits.clipped_voxel_count,
+        triangles_saved: edits.removed_triangle_count,
+        decimation_error_voxels: edits.decimation_error_voxels,
+    })
+}
+
 fn certificate_record(report: &SkinReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
@@ -432,6 +460,7 @@ fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_outside: certificate.particles_outside,
+        particles_exempt: certificate.particles_exempt,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
     }

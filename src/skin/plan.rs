@@ -45,7 +45,9 @@ impl fmt::Display for TooLarge {
             self.allowed_bytes / MEBIBYTE
         )?;
         if self.is_coupled {
-            f.write_str("; the implicit integrator couples all voxels, any other can do with less")?;
+            f.write_str(
+                "; the implicit and the adaptive integrator couple all voxels, the others can do with less",
+            )?;
         }
         Ok(())
     }
@@ -73,7 +75,7 @@ pub fn plan<S: ParticleSource>(
     if whole <= allowed_bytes {
         return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
     }
-    if settings.integrator == Integrator::Implicit {
+    if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
         return Ok(Err(TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true }));
     }
     let mut least_bytes = whole;
@@ -97,7 +99,7 @@ fn rasterizing_fields(settings: &Settings) -> f64 {
 /// While it is smoothed.
 fn smoothing_fields(settings: &Settings) -> f64 {
     match settings.integrator {
-        Integrator::Fast | Integrator::Explicit => 5.6,
+        Integrator::Fast | Integrator::Explicit | Integrator::Adaptive => 5.6,
         Integrator::Implicit => 9.2,
     }
 }
@@ -129,7 +131,7 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 }
 
 fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
-    let [surface, area, occupied, particles] = counts(footprint);
+    let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
@@ -140,7 +142,7 @@ fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
 }
 
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
-    let [surface, area, occupied, particles] = counts(footprint);
+    let [surface, area, occupied, particles] = counts(footprint, settings);
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
     let rasterized = most(radii(settings).window_halo_leaves());
     let smoothed = most(HALO_LEAVES);
@@ -162,9 +164,10 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> 
 /// Memory for a leaf of a field.
 const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
-fn counts(footprint: &Footprint) -> [f64; 4] {
-    let Footprint { surface, area_voxels, occupied_count, near_particle_count, .. } = footprint;
-    [surface.len(), *area_voxels, *occupied_count, *near_particle_count].map(|count| count as f64)
+fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
+    let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count } = footprint;
+    let kept_count = if settings.drop_islands > 0 { particle_count } else { near_particle_count };
+    [surface.len(), *area_voxels, *occupied_count, *kept_count].map(|count| count as f64)
 }
 
 /// The number of leaves in the tile, with its halo, that has most of them.

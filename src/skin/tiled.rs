@@ -213,11 +213,12 @@ const RUN_LEAVES: usize = 4096;
 mod tests {
     use std::sync::Mutex;
 
-    use super::super::{SHELF_COUNT, skin, skin_cloud};
+    use super::super::{SHELF_COUNT, skin};
     use super::*;
     use crate::obstacle::{Obstacle, Shape, Solid};
-    use crate::particles::{Cloud, Particles, Shapes};
-    use crate::settings::{Choices, Integrator};
+    use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+    use crate::settings::{AnisotropyKind, Choices, ClipBox, Integrator};
+    use glam::DVec3;
 
     /// A file that is a vector.
     #[derive(Default)]
@@ -255,10 +256,15 @@ mod tests {
         Particles::Double(positions)
     }
 
-    fn rasterized(settings: &Settings, tile_leaves: i32, obstacles: Obstacles) -> TiledFrame<Particles> {
-        let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
-        let frame = rasterize(particles(), settings, Shaping::default(), obstacles, tile_leaves, storages)
-            .expect("in memory");
+    fn storages() -> Vec<Box<dyn Storage>> {
+        (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect()
+    }
+
+    fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
+        let storages = storages();
+        let frame =
+            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
+                .expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }
@@ -278,7 +284,7 @@ mod tests {
         for choices in choices {
             let settings = Settings::resolve(0.5, &choices).expect("sound");
             let whole = skin(&particles(), &settings);
-            let tiled = finished(rasterized(&settings, 4, Obstacles::default()), &settings);
+            let tiled = finished(rasterized(&settings, 4), &settings);
             assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
             assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
             assert!(tiled.mesh == whole.mesh);
@@ -288,42 +294,69 @@ mod tests {
         }
     }
 
-    /// A box right across the bar, and one along all of it.
-    fn obstacles() -> Obstacles {
-        let faces: [[u32; 4]; 6] =
-            [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-        let triangles: Vec<[u32; 3]> =
-            faces.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
-        let cuboid = |ends: [[f64; 3]; 2]| {
-            let corner = |index: usize| [0, 1, 2].map(|axis| ends[index >> axis & 1][axis]);
-            let positions: Vec<[f64; 3]> = (0..8).map(corner).collect();
-            let solid = Solid::new(&positions, &triangles);
-            Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 20))
+    /// Particles of their own sizes, an obstacle in them, a piece that is dropped, and a box that cuts.
+    #[test]
+    fn whatever_else_is_asked_for_is_the_same_in_tiles() {
+        let numbers = |arity: usize| {
+            AttributeValues::Numbers(
+                (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
+            )
         };
-        let across = [[20.3, -40.0, -40.0], [24.1, 40.0, 40.0]];
-        let along = [[-30.0, -12.2, -40.0], [190.0, -10.7, 40.0]];
-        Obstacles { members: vec![cuboid(across), cuboid(along)] }
+        let attribute = |name: &str, meaning: Meaning, arity: usize| Attribute {
+            name: name.to_owned(),
+            meaning,
+            arity,
+            values: numbers(arity),
+        };
+        let attributes = vec![attribute("pscale", Meaning::Radius, 1), attribute("v", Meaning::Velocity, 3)];
+        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
+        let plain = Choices {
+            drop_islands: Some(3),
+            fill_cavities: Some(500.0),
+            clip: Some(ClipBox { min: [-8.0, -100.0, -11.0], max: [170.0, 100.0, 100.0] }),
+            ..Choices::default()
+        };
+        let all = [
+            Choices { radius_attribute: Some("pscale".into()), ..plain.clone() },
+            Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..plain.clone() },
+            Choices { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
+        ];
+        for choices in all {
+            let settings = Settings::resolve(0.5, &choices).expect("sound");
+            let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(particles()) };
+            let (cloud, shaping) = super::super::shape(cloud, &settings);
+            let Ok(whole) = super::super::rasterize(&cloud, &settings, shaping, obstacles.clone());
+            let whole = super::super::contour(super::super::smooth(whole, &settings), &settings);
+            let frame = rasterize(cloud, &settings, shaping, obstacles.clone(), 4, storages());
+            let smoothed = smooth(frame.expect("in memory"), &settings).expect("in memory");
+            let (tiled, _) = contour(smoothed, &settings).expect("in memory");
+            assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
+            assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
+            assert!(tiled.mesh == whole.mesh);
+            let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+            assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+            let SkinReport { certificate, edits, contact, .. } = &whole.report;
+            assert!(certificate.holds(), "{certificate:?}");
+            assert!(
+                edits.island_count > 0 && edits.clipped_voxel_count > 0 && contact.void_count > 0,
+                "{edits:?}"
+            );
+        }
     }
 
-    #[test]
-    fn a_frame_in_tiles_goes_around_obstacles_as_the_whole_frame() {
-        let settings = Settings::resolve(0.5, &Choices::default()).expect("sound");
-        let cloud = Cloud { positions: particles(), shapes: Shapes::Balls, attributes: Vec::new() };
-        let whole = skin_cloud(cloud, &settings, &obstacles());
-        let tiled = finished(rasterized(&settings, 4, obstacles()), &settings);
-        assert!(tiled.band.phi == whole.band.phi && tiled.mesh == whole.mesh);
-        let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
-        assert_eq!(timeless(&tiled.report), timeless(&whole.report));
-        assert!(whole.report.certificate.holds(), "{:?}", whole.report.certificate);
-        assert!(whole.report.contact.void_count > 100 && whole.report.contact.particle_count > 100);
-        assert!(whole.band.phi != skin(&particles(), &settings).band.phi);
+    fn octahedron(center: DVec3, radius: f64) -> Solid {
+        let corners = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let positions = corners.map(|corner| (center + radius * corner).to_array());
+        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        Solid::new(&positions, &faces)
     }
 
     /// So the test above can fail: what a tile does not see, it does not get right.
     #[test]
     fn a_halo_that_is_too_narrow_shows() {
         let settings = Settings::resolve(0.5, &Choices::default()).expect("sound");
-        let mut frame = rasterized(&settings, 4, Obstacles::default());
+        let mut frame = rasterized(&settings, 4);
         frame.tiling = frame.tiling.with_halo(4, 1);
         assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);
     }

@@ -16,7 +16,8 @@ use crate::shapes::{
     sheet_and_drops, skinned, two_balls, value_at, voxels,
 };
 
-const INTEGRATORS: [Integrator; 3] = [Integrator::Fast, Integrator::Implicit, Integrator::Explicit];
+const INTEGRATORS: [Integrator; 4] =
+    [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive];
 
 /// The surface of particles in world units.
 fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -> NarrowBand {

@@ -22,7 +22,7 @@ pub(crate) fn default_radii() -> Radii {
 /// The defaults of each integrator.
 pub(crate) fn default_config(integrator: Integrator) -> Config {
     let (steps, step_size, redistance_every) = match integrator {
-        Integrator::Explicit => (500, 0.01, 50),
+        Integrator::Explicit | Integrator::Adaptive => (500, 0.01, 50),
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
     Config { laplacian_steps: 15, integrator, steps, step_size, redistance_every, cg_tolerance: 1e-4 }
