@@ -80,7 +80,14 @@ fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<
         let frame = ParticleFrame { positions, ..ParticleFrame::default() };
         bgeo::write(&frame, &mut BufWriter::new(fs::File::create(&input)?))?;
         let stem = format!("f.{number:04}");
-        frames.push(Frame { input, stem, settings: settings.clone(), outputs: outputs.clone() });
+        frames.push(Frame {
+            input,
+            stem,
+            settings: settings.clone(),
+            outputs: outputs.clone(),
+            number: None,
+            obstacles: Arc::default(),
+        });
     }
     Ok(frames)
 }

@@ -25,8 +25,9 @@ pub mod skin;
 pub mod report;
 pub mod settings;
 
-pub mod anisotropy;
 pub mod certify;
+
+pub mod anisotropy;
 pub mod contour;
 pub mod rasterize;
 pub mod smooth;

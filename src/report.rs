@@ -2,6 +2,7 @@
 
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
+pub use crate::obstacle::ContactTally;
 pub use crate::smooth::Convergence;
 pub use crate::transfer::TransferCounts;
 
@@ -14,6 +15,10 @@ pub struct SkinReport {
     pub dropped_count: usize,
     /// What was done to give particles shapes of their own; all zero where that was not asked for.
     pub shaping: Shaping,
+    /// What obstacles changed of the level sets.
+    pub contact: ContactTally,
+    /// What was taken from the surface, or added, because somebody asked for it.
+    pub edits: EditReport,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
     /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
@@ -71,6 +76,29 @@ pub struct Shaping {
     pub longest: f32,
     /// Seconds that it took; those of rasterization have them, too.
     pub seconds: f64,
+}
+
+/// What was taken from the surface, or added, because somebody asked for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EditReport {
+    /// Pieces that were dropped: they had too few particles.
+    pub island_count: usize,
+    /// The particles in them.
+    pub island_particle_count: u64,
+    /// Cavities that were filled.
+    pub cavity_count: usize,
+    /// Their volume, in voxels.
+    pub cavity_voxel_count: u64,
+    /// Voxels inside that a box cut off.
+    pub clipped_voxel_count: u64,
+    /// How deep the deepest vertex is in an obstacle, in voxels; 0 if none is.
+    pub obstacle_depth_voxels: f64,
+    /// Vertices that were moved to the surface of an obstacle with edges sharper than the grid.
+    pub cleared_vertex_count: u64,
+    /// Triangles that were saved.
+    pub removed_triangle_count: usize,
+    /// How far the mesh may have moved for that, in voxels.
+    pub decimation_error_voxels: f64,
 }
 
 /// Wall-clock seconds in each stage of the method.

@@ -55,6 +55,8 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
             stem: number.to_string(),
             settings: settings.clone(),
             outputs: outputs.clone(),
+            number: None,
+            obstacles: Arc::default(),
         })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");

@@ -113,6 +113,7 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
         },
         voxel_size: None,
         choices: Choices::default(),
+        obstacles: Vec::new(),
     }
 }
 

@@ -20,6 +20,7 @@ mod le_bytes;
 pub mod limits;
 pub mod names;
 pub mod obj;
+pub mod obstacle;
 pub mod ply;
 pub mod probe;
 pub mod provenance;
@@ -37,6 +38,7 @@ pub use data::{
 };
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
+pub use obstacle::{ObstacleData, read_obstacle};
 pub use probe::{Kind, Probe, looks_like_particles, probe};
 pub use vertex_attributes::{VertexAttribute, VertexValues};
 

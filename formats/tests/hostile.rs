@@ -12,7 +12,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
     Attribute, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, Result, Values, bgeo, csv,
-    gltf, obj, ply, read_particles, vdb,
+    gltf, obj, ply, read_obstacle, read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -203,6 +203,33 @@ fn damaged_meshes_are_survived() {
     bytes.clear();
     ply::write::write_mesh(&mesh, &[], &mut bytes).unwrap();
     sweep("written.ply", &bytes, |bytes| ply::read_mesh(bytes, &Limits::default()));
+}
+
+#[test]
+fn damaged_obstacles_are_survived() {
+    let _alone = alone();
+    let beside = |_: &str| Ok(vec![7; 96]);
+    let read = |name: &'static str| {
+        move |bytes: &[u8]| read_obstacle(bytes, name, &Limits::default(), &beside).map(|_| ())
+    };
+    let text =
+        b"# two objects\nmtllib a.mtl\no one\nv 0 0 0 1 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\n\
+        usemtl red\nf 1/1/1 2//1 -2 -1\ng two\nv 0 0 1 1\nf -1/-1/-1 1/1 2 \\\n 3 4\nl 1 2\nf 1 2 5\n";
+    sweep("two.obj", text, read("two.obj"));
+    let sparse = br#"{"asset":{"version":"2.0"},"scene":0,"scenes":[{"nodes":[0]}],
+        "nodes":[{"mesh":0,"children":[1],"translation":[1e9,0,0]},{"mesh":0,"rotation":[0,0,1,0],"scale":[2,2,2]}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0},"mode":5,"indices":1}]}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":4,"type":"VEC3","sparse":{"count":2,
+        "indices":{"bufferView":1,"componentType":5121},"values":{"bufferView":2}}},
+        {"bufferView":3,"componentType":5123,"count":4,"type":"SCALAR"}],
+        "bufferViews":[{"buffer":0,"byteLength":48},{"buffer":1,"byteLength":2},{"buffer":0,"byteLength":24,"byteOffset":8},
+        {"buffer":1,"byteLength":16,"byteOffset":4,"byteStride":4}],
+        "buffers":[{"byteLength":96,"uri":"some%20where.bin"},{"byteLength":20,"uri":"data:;base64,AAIAAAAAAAABAAAAAgAAAAMAAAA="}]}"#;
+    assert!(read("sparse.gltf")(sparse).is_ok());
+    sweep("sparse.gltf", sparse, read("sparse.gltf"));
+    for (name, bytes) in corpus(&["mesh"]) {
+        sweep(&name, &bytes, |bytes| read_obstacle(bytes, &name, &Limits::default(), &beside).map(|_| ()));
+    }
 }
 
 /// Memory is counted for the whole program: one test at a time.

@@ -293,3 +293,54 @@ fn damaged_meshes_are_errors_and_never_panics() {
         }
     }
 }
+
+/// The corners of each face line of an OBJ file.
+fn faces(text: &[u8]) -> Vec<Vec<u32>> {
+    let text = std::str::from_utf8(text).expect("text");
+    let corner = |word: &str| word.split('/').next().and_then(|index| index.parse().ok()).expect("an index");
+    text.lines()
+        .filter_map(|line| line.strip_prefix("f "))
+        .map(|face| face.split(' ').map(corner).collect())
+        .collect()
+}
+
+#[test]
+fn quads_are_written_as_quads() {
+    // So many that quads lie across the ends of what is written at once, because of one triangle before them.
+    let mut mesh = ball(60, 150, [0.0; 3]);
+    mesh.triangles.insert(0, mesh.triangles[0]);
+    let count = mesh.triangles.len();
+    assert!(count > 1 << 14);
+    let quads: std::sync::Arc<[bool]> = (0..count).map(|index| index % 2 == 1).collect();
+    let options = obj::WriteOptions { quads: quads.clone(), ..obj::WriteOptions::default() };
+    let mut bytes = Vec::new();
+    obj::write(&mesh.view(), &options, &[], &mut bytes).expect("written");
+    let faces = faces(&bytes);
+    assert_eq!(faces.len(), 1 + count / 2);
+    assert_eq!(faces[0].len(), 3);
+    for (face, halves) in faces[1..].iter().zip(mesh.triangles[1..].chunks(2)) {
+        // Both halves are in it, each edge but the diagonal once, in its direction.
+        let edges = |corners: &[u32]| -> Vec<[u32; 2]> {
+            (0..corners.len()).map(|k| [corners[k], corners[(k + 1) % corners.len()]]).collect()
+        };
+        let one_up = |triangle: [u32; 3]| triangle.map(|index| index + 1);
+        let halves = [edges(&one_up(halves[0])), edges(&one_up(halves[1]))].concat();
+        assert_eq!(face.len(), 4);
+        assert!(edges(face).iter().all(|edge| halves.contains(edge)));
+        assert_eq!(halves.iter().filter(|[from, to]| !halves.contains(&[*to, *from])).count(), 4);
+    }
+    let read = obj::read_mesh(&bytes).expect("our own file");
+    assert_eq!(read.triangles.len(), count);
+    assert!(std::str::from_utf8(&bytes).unwrap().ends_with(" 1 triangles, 9000 quads\n"));
+    // Marks that make no sense are refused.
+    let marked = |marks: Vec<bool>| obj::WriteOptions { quads: marks.into(), ..obj::WriteOptions::default() };
+    let mut at_end = quads.to_vec();
+    at_end[count - 2..].fill(false);
+    at_end[count - 1] = true;
+    for senseless in
+        [vec![true; 3], vec![true; count], at_end, [vec![true, false], quads[2..].to_vec()].concat()]
+    {
+        let error = obj::write(&mesh.view(), &marked(senseless), &[], &mut Vec::new());
+        assert!(matches!(error, Err(Error::Invalid { .. })), "{error:?}");
+    }
+}

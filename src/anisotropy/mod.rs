@@ -46,7 +46,8 @@ pub struct Shaped {
 /// No half axis is longer than this, for a particle of scale 1: with half axes a ≥ b ≥ c, a·b·c = 1 and a ≤ m·c, the
 /// longest is that of a cigar, m^⅔; or else it is the floor. Both ways to shapes keep to it, for (1 + s)² is
 /// ((1 + s)³)^⅔. `max_stretch` is finite.
-pub fn longest_bound(max_stretch: f32, floor: f32) -> f32 {
+#[cfg(test)]
+fn longest_bound(max_stretch: f32, floor: f32) -> f32 {
     let root = half_axes::cube_root(max_stretch.max(1.0));
     // Products of three numbers that were rounded are not exactly 1.
     (root * root * (1.0 + 1e-5)).max(floor)

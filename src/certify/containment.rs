@@ -19,14 +19,16 @@ use super::surfaces::Bodies;
 use crate::grid::{LEAF_EDGE, LeafMask, negative_masks, offset_in_leaf};
 use crate::simd::{Kernel, Lanes, dispatch};
 
-/// How many particles of a part have φ ≥ 0, interpolated trilinearly.
-pub(super) fn particles_outside(part: &Part) -> usize {
+/// How many particles of a part have φ ≥ 0, interpolated trilinearly: those that should not, and those that are exempt.
+pub(super) fn particles_outside(part: &Part) -> [usize; 2] {
     let signs = negative_masks(&part.band.phi);
     let bodies = Bodies::of(part.bins);
     let bodies = bodies.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
     let owned = origins.filter(|(_, origin)| part.owned.contains(**origin));
-    owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, bodies, signs: &signs, leaf, origin })).sum()
+    let counts =
+        owned.map(|(leaf, &origin)| dispatch(LeafParticles { part, bodies, signs: &signs, leaf, origin }));
+    counts.reduce(|| [0; 2], |one, other| [one[0] + other[0], one[1] + other[1]])
 }
 
 /// Counts the particles of a leaf that are outside.
@@ -40,10 +42,10 @@ struct LeafParticles<'a> {
 }
 
 impl Kernel for LeafParticles<'_> {
-    type Output = usize;
+    type Output = [usize; 2];
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> usize {
+    fn run<V: Lanes>(self) -> [usize; 2] {
         let inside = self.inside_cells();
         let is_outside = |position: &&Vec3| {
             let cell = position.floor().as_ivec3();
@@ -51,7 +53,12 @@ impl Kernel for LeafParticles<'_> {
             let is_settled = cell.max_element() < LEAF_EDGE && inside.contains(offset_in_leaf(cell));
             !is_settled && phi_at(self.part, self.bodies, self.origin, **position) >= 0.0
         };
-        self.part.bins.in_leaf(self.leaf).iter().filter(is_outside).count()
+        let mut counts = [0; 2];
+        for &position in self.part.bins.in_leaf(self.leaf).iter().filter(is_outside) {
+            let exempt = self.part.exempt;
+            counts[usize::from(!exempt.is_nothing() && exempt.particle(self.origin, position))] += 1;
+        }
+        counts
     }
 }
 

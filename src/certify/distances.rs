@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::particle_checks::{Part, ParticleChecks};
-use super::surfaces::Bodies;
+use super::surfaces::{Bodies, Sides};
 use crate::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::rasterize::{ParticleBins, Radii};
 use crate::simd::{Kernel, Lanes, dispatch};
@@ -72,6 +72,7 @@ impl Kernel for PieceChecks<'_> {
                     local[lane] = local[count - 1];
                 }
             }
+            let positions = &rest[..count];
             rest = &rest[count..];
             if !self.part.owned.contains(origin) {
                 continue;
@@ -80,16 +81,23 @@ impl Kernel for PieceChecks<'_> {
                 near.find(self.part.bins, origin, self.steps);
             }
             let distances = near.distances(self.part.bins, &locals);
-            let mut of_vertices = self.check(&distances[..count]);
-            if let Some(bodies) = self.bodies {
-                let Radii { min, max, .. } = self.part.radii;
-                let [outer, inner] = bodies.distances(&near, &locals, [max, min], CELL_MARGIN);
-                of_vertices.vertices_inside_min =
-                    inner[..count].iter().filter(|&&distance| distance < -CELL_MARGIN).count();
-                of_vertices.vertices_outside_max =
-                    outer[..count].iter().filter(|&&distance| distance > CELL_MARGIN).count();
+            let Radii { min, max, .. } = self.part.radii;
+            let Sides { is_inside_min, is_within_max } = match self.bodies {
+                None => Sides {
+                    is_inside_min: distances.map(|distance| distance < min - CELL_MARGIN),
+                    is_within_max: distances.map(|distance| distance <= max + CELL_MARGIN),
+                },
+                Some(bodies) => bodies.sides(&near, &locals, [min, max], CELL_MARGIN),
+            };
+            for (lane, &position) in positions.iter().enumerate() {
+                if self.is_exempt(position) {
+                    continue;
+                }
+                checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
+                checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
+                checks.vertices_inside_min += usize::from(is_inside_min[lane]);
+                checks.vertices_outside_max += usize::from(!is_within_max[lane]);
             }
-            checks = checks.and(of_vertices);
         }
         checks
     }
@@ -106,16 +114,9 @@ impl PieceChecks<'_> {
     }
 
     #[inline(always)]
-    fn check(&self, distances: &[f32]) -> ParticleChecks {
-        let radii = self.part.radii;
-        let mut checks = ParticleChecks::NOTHING;
-        for &distance in distances {
-            checks.vertex_distance_min = checks.vertex_distance_min.min(distance);
-            checks.vertex_distance_max = checks.vertex_distance_max.max(distance);
-            checks.vertices_inside_min += usize::from(distance < radii.min - CELL_MARGIN);
-            checks.vertices_outside_max += usize::from(distance > radii.max + CELL_MARGIN);
-        }
-        checks
+    fn is_exempt(&self, position: Vec3) -> bool {
+        let Part { exempt, mesh, lattice, .. } = self.part;
+        !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
     }
 }
 
@@ -194,6 +195,6 @@ pub(super) fn is_inside_one(
     let points = point.to_array().map(|axis| [axis; LANES]);
     match bodies {
         None => near.distances(bins, &points)[0] < radius,
-        Some(bodies) => bodies.distances(&near, &points, [radius], 0.0)[0][0] < 0.0,
+        Some(bodies) => bodies.sides(&near, &points, [radius, radius], 0.0).is_inside_min[0],
     }
 }

@@ -16,14 +16,13 @@ mod distances;
 mod particle_checks;
 mod surfaces;
 
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 pub use particle_checks::{Part, ParticleChecks};
 
-use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::{Mesh, MeshMeasures};
-use crate::rasterize::{ParticleBins, Radii};
-use crate::space::{CoordBox, Lattice};
+use crate::space::Lattice;
 
 /// What is checked of every result. Distances are in voxels, to the nearest particle's centre. What is said of r_min and
 /// r_max is, of particles with shapes of their own, said of their surfaces.
@@ -39,8 +38,10 @@ pub struct Certificate {
     pub vertices_inside_min: usize,
     /// Mesh vertices farther from all particles than r_max + h/2.
     pub vertices_outside_max: usize,
-    /// Particles outside the surface.
+    /// Particles outside the surface, but for those that are exempt.
     pub particles_outside: usize,
+    /// Particles outside the surface that were taken away on purpose: with an island, by a box, or by an obstacle.
+    pub particles_exempt: usize,
     /// Whether every edge is in two triangles, every vertex in one ring of them, and none degenerate.
     pub mesh_is_closed_manifold: bool,
     /// How far 32-bit positions may be off, in voxels: much only where part of a frame is tens of
@@ -59,18 +60,34 @@ impl Certificate {
     }
 }
 
-/// Checks a result against the particles it was made from.
-pub fn certify(
-    bins: &ParticleBins,
-    radii: Radii,
-    band: &NarrowBand,
-    bounds: &Bounds,
-    mesh: &Mesh,
-    measures: &MeshMeasures,
-    lattice: &Lattice,
-) -> Certificate {
-    let whole = Part { bins, radii, band, mesh, lattice, owned: CoordBox::ALL };
-    certificate(ParticleChecks::of(&whole), bounds.violation_count(&band.phi), mesh, measures, lattice)
+/// What is not asked of a result: it was taken away on purpose.
+pub trait Exempt: Sync {
+    /// Whether nothing is exempt.
+    fn is_nothing(&self) -> bool;
+
+    /// Whether a particle, in voxels relative to the origin of its leaf, need not be inside.
+    fn particle(&self, leaf_origin: IVec3, local: Vec3) -> bool;
+
+    /// Whether a vertex, in voxels, need not be between the spheres.
+    fn vertex(&self, index: DVec3) -> bool;
+}
+
+/// Everything is asked.
+#[derive(Clone, Copy, Debug)]
+pub struct NothingExempt;
+
+impl Exempt for NothingExempt {
+    fn is_nothing(&self) -> bool {
+        true
+    }
+
+    fn particle(&self, _: IVec3, _: Vec3) -> bool {
+        false
+    }
+
+    fn vertex(&self, _: DVec3) -> bool {
+        false
+    }
 }
 
 /// The certificate of a result whose particles and bounds were checked, in parts or whole.
@@ -97,6 +114,7 @@ impl From<ParticleChecks> for Certificate {
             vertices_inside_min: checks.vertices_inside_min,
             vertices_outside_max: checks.vertices_outside_max,
             particles_outside: checks.particles_outside,
+            particles_exempt: checks.particles_exempt,
             ..Certificate::default()
         }
     }

@@ -9,7 +9,7 @@
 //! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
 //! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
 
-use super::{containment, distances};
+use super::{Exempt, containment, distances};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::rasterize::{ParticleBins, Radii};
@@ -31,6 +31,8 @@ pub struct Part<'a> {
     pub lattice: &'a Lattice,
     /// The voxels whose leaves are checked.
     pub owned: CoordBox,
+    /// What is not asked.
+    pub exempt: &'a dyn Exempt,
 }
 
 /// What is checked of vertices and particles. Distances are in voxels, to the nearest particle's centre.
@@ -44,8 +46,10 @@ pub struct ParticleChecks {
     pub vertices_inside_min: usize,
     /// Vertices farther from all particles than r_max + h/2.
     pub vertices_outside_max: usize,
-    /// Particles outside the surface.
+    /// Particles outside the surface, but for those that are exempt.
     pub particles_outside: usize,
+    /// Particles outside the surface that are exempt.
+    pub particles_exempt: usize,
 }
 
 impl ParticleChecks {
@@ -56,12 +60,14 @@ impl ParticleChecks {
         vertices_inside_min: 0,
         vertices_outside_max: 0,
         particles_outside: 0,
+        particles_exempt: 0,
     };
 
     /// Checks a part of a frame.
     pub fn of(part: &Part) -> ParticleChecks {
         let vertices = distances::check_vertices(part);
-        ParticleChecks { particles_outside: containment::particles_outside(part), ..vertices }
+        let [particles_outside, particles_exempt] = containment::particles_outside(part);
+        ParticleChecks { particles_outside, particles_exempt, ..vertices }
     }
 
     /// The checks of two parts that have no leaf in common, together.
@@ -72,6 +78,7 @@ impl ParticleChecks {
             vertices_inside_min: self.vertices_inside_min + other.vertices_inside_min,
             vertices_outside_max: self.vertices_outside_max + other.vertices_outside_max,
             particles_outside: self.particles_outside + other.particles_outside,
+            particles_exempt: self.particles_exempt + other.particles_exempt,
         }
     }
 }
@@ -81,9 +88,10 @@ mod tests {
     use glam::IVec3;
 
     use super::*;
+    use crate::certify::NothingExempt;
     use crate::contour::{Contouring, contour};
     use crate::particles::Particles;
-    use crate::rasterize::{Rasterized, rasterize};
+    use crate::rasterize::{Rasterized, Scene, rasterize};
 
     /// Particles in a wavy sheet and a few beside it.
     fn particles(spacing: f64) -> Particles {
@@ -98,14 +106,22 @@ mod tests {
     fn the_parts_of_a_frame_make_the_whole() {
         let lattice = Lattice { voxel_size: 1.0 };
         let made = Radii::of_balls(1.7, 2.6, 3.4);
-        let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &lattice, made);
+        let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
         let mesh = contour(&band, &lattice, Contouring::Dual);
         // What was made from these particles holds; from others, and with other radii, nothing does.
-        let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &lattice, made);
+        let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
         let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
             let part = |owned: CoordBox| {
-                ParticleChecks::of(&Part { bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned })
+                ParticleChecks::of(&Part {
+                    bins,
+                    radii,
+                    band: &band,
+                    mesh: &mesh,
+                    lattice: &lattice,
+                    owned,
+                    exempt: &NothingExempt,
+                })
             };
             let whole = part(CoordBox::ALL);
             let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];

@@ -1,7 +1,7 @@
 //! How far the surfaces of particles with shapes of their own are.
 //!
 //! The nearest centre tells nothing there: a long particle may be the one that holds a point. So every particle that
-//! reaches a point is asked, and the least of the distances to their surfaces is that to the union.
+//! reaches a point is asked.
 
 use glam::Vec3;
 
@@ -31,17 +31,17 @@ impl<'a> Bodies<'a> {
         self.longest.iter().copied().fold(0.0, f32::max)
     }
 
-    /// The signed distances from points, given relative to a leaf, to the unions of the particles around it with
-    /// these radii, of which the first is the largest. Infinite where no particle is within `margin` of a point.
+    /// Which of the points, given relative to a leaf, are deeper than `margin` in a particle's ball of the radius `min`,
+    /// and which are within `margin` of one of `max`, or what takes the place of balls.
     #[inline(always)]
-    pub(super) fn distances<const N: usize>(
+    pub(super) fn sides(
         &self,
         near: &NearLeaves,
         points: &[Column; 3],
-        radii: [f32; N],
+        [min, max]: [f32; 2],
         margin: f32,
-    ) -> [Column; N] {
-        let mut least = [[f32::INFINITY; LANES]; N];
+    ) -> Sides {
+        let mut sides = Sides { is_inside_min: [false; LANES], is_within_max: [false; LANES] };
         for &(step, leaf) in &near.leaves {
             let mut locals = *points;
             for axis in 0..3 {
@@ -49,42 +49,50 @@ impl<'a> Bodies<'a> {
                     locals[axis][lane] = points[axis][lane] - step[axis];
                 }
             }
-            let reach = self.longest[leaf] * radii[0] + margin;
+            // Once all points are within the outer spheres, what matters is who is in the inner ones.
+            let is_all_within = sides.is_within_max == [true; LANES];
+            let reach = self.longest[leaf] * if is_all_within { min } else { max } + margin;
             if super::distances::squared_gap(&locals) > reach * reach {
                 continue;
             }
             let [x, y, z] = locals;
             for (index, particle) in self.bins.range(leaf).zip(self.bins.in_leaf(leaf)) {
-                let reach = self.bins.shapes.longest(index) * radii[0] + margin;
+                let longest = self.bins.shapes.longest(index);
+                let reaches = [longest * max + margin, longest * min].map(|reach| reach * reach);
                 for lane in 0..LANES {
                     let apart = Vec3::new(x[lane], y[lane], z[lane]) - *particle;
-                    if apart.length_squared() > reach * reach {
+                    if apart.length_squared() > reaches[usize::from(sides.is_within_max[lane])] {
                         continue;
                     }
-                    for (least, radius) in least.iter_mut().zip(radii) {
-                        let distance = distance(&self.bins.shapes, index, apart, radius);
-                        least[lane] = if distance < least[lane] { distance } else { least[lane] };
-                    }
+                    let [to_min, to_max] = distances(&self.bins.shapes, index, apart, [min, max]);
+                    sides.is_inside_min[lane] |= to_min < -margin;
+                    sides.is_within_max[lane] |= to_max <= margin;
                 }
             }
         }
-        least
+        sides
     }
 }
 
-/// The signed distance to a particle's surface, of a point relative to its centre: of an ellipsoid to first order.
+/// On which sides of the surfaces points are.
+pub(super) struct Sides {
+    pub(super) is_inside_min: [bool; LANES],
+    pub(super) is_within_max: [bool; LANES],
+}
+
+/// The signed distances to a particle's surfaces, of a point relative to its centre: of an ellipsoid to first order.
 #[inline(always)]
-fn distance(shapes: &Shapes, index: usize, apart: Vec3, radius: f32) -> f32 {
+fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f32; 2] {
     match shapes {
-        Shapes::Balls => apart.length() - radius,
-        Shapes::Scaled(scales) => apart.length() - scales[index] * radius,
+        Shapes::Balls => radii.map(|radius| apart.length() - radius),
+        Shapes::Scaled(scales) => radii.map(|radius| apart.length() - scales[index] * radius),
         Shapes::Ellipsoids(ellipsoids) => {
             let ellipsoid = &ellipsoids[index];
             let on_ball = ellipsoid.apply(apart);
             let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
             // In the very centre any direction is as good.
             let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
-            (q - radius) * scale
+            radii.map(|radius| (q - radius) * scale)
         }
     }
 }

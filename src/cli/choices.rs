@@ -84,6 +84,7 @@ fn integrator_of(integrator: IntegratorChoice) -> Integrator {
         IntegratorChoice::Fast => Integrator::Fast,
         IntegratorChoice::Implicit => Integrator::Implicit,
         IntegratorChoice::Explicit => Integrator::Explicit,
+        IntegratorChoice::Adaptive => Integrator::Adaptive,
     }
 }
 

@@ -9,9 +9,9 @@ use anyhow::{Context, Result, bail};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::{
-    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, OnError, Outcome, OutputOptions,
-    RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs, default_in_flight,
-    default_memory_bytes, is_own_output,
+    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, ObstacleFiles, OnError, Outcome,
+    OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
+    default_in_flight, default_memory_bytes, is_own_output,
 };
 use crate::settings::Settings;
 use crate::simd::level_warning;
@@ -48,6 +48,10 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
         return print_settings(&sequences, &args.method, &thread_pool(args.threads)?, console);
     }
+    let obstacles = Arc::new(ObstacleFiles::new(args.method.obstacles.obstacle.clone()));
+    if let Some(missing) = obstacles.missing() {
+        bail!("{}: there is no such obstacle", missing.display());
+    }
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
@@ -62,7 +66,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
         let settings = resolve_settings(sequence, args, &pool, console)?;
-        run.add(sequence, settings, &outputs);
+        run.add(sequence, settings, &outputs, &obstacles);
     }
     out_folder.keep();
     let memory_bytes = args.memory.unwrap_or_else(default_memory_bytes);
@@ -280,6 +284,7 @@ impl Run {
         sequence: &SelectedSequence,
         settings: Result<(Settings, SequenceRecord), String>,
         outputs: &Arc<OutputOptions>,
+        obstacles: &Arc<ObstacleFiles>,
     ) {
         let name = &sequence.sequence.name;
         let (settings, record) = match settings {
@@ -294,6 +299,8 @@ impl Run {
                 stem: file.stem(),
                 settings,
                 outputs: Arc::clone(outputs),
+                number: file.number(),
+                obstacles: Arc::clone(obstacles),
             };
             let work = settings.clone().map(frame);
             self.planned.push(PlannedFrame { input: file.path.clone(), sequence_index, work });

@@ -12,16 +12,15 @@
 //! What exists is taken by its name, so that odd characters in names never get in the way.
 
 use std::collections::HashSet;
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::MatchOptions;
 use meniscus_formats::looks_like_particles;
 
-use crate::pipeline::{FrameFile, has_particle_extension, is_own_output};
+use crate::pipeline::{FrameFile, NumberPattern, files_in, has_particle_extension, is_own_output};
 
 /// The files that were meant.
 #[derive(Debug, Default)]
@@ -140,59 +139,6 @@ fn cannot_read(path: &Path, error: &io::Error) -> String {
     format!("{}: left out, because it cannot be read: {error}", path.display())
 }
 
-/// A file name with a frame number somewhere in it.
-#[derive(Debug, PartialEq, Eq)]
-struct NumberPattern<'a> {
-    before: &'a str,
-    after: &'a str,
-    /// Shorter numbers have zeros in front.
-    width_min: usize,
-}
-
-impl<'a> NumberPattern<'a> {
-    /// The last `####`, `%04d`, `%d` or `{}` of a name; everything else in it is literal.
-    fn find(name: &'a str) -> Option<NumberPattern<'a>> {
-        (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
-            let (length, width_min) = placeholder_at(&name[start..])?;
-            let before = name[..start].trim_end_matches('#');
-            // The search met the last # of a run first: the run began earlier.
-            let run = start - before.len();
-            let is_hashes = name[start..].starts_with('#');
-            let (before, width_min) =
-                if is_hashes { (before, width_min + run) } else { (&name[..start], width_min) };
-            Some(NumberPattern { before, after: &name[start + length..], width_min })
-        })
-    }
-
-    /// Where the number stands in a name that matches.
-    fn span_in(&self, name: &str) -> Option<Range<usize>> {
-        let digits = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
-        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-        // As printf does: padded to the width, and wider only as far as the number needs it.
-        let padded = digits.len() == self.width_min || !digits.starts_with('0');
-        let any_width = self.width_min <= 1;
-        (plain && digits.len() >= self.width_min && (padded || any_width))
-            .then(|| self.before.len()..self.before.len() + digits.len())
-    }
-}
-
-/// The length of the placeholder that text begins with, and the least width of its number.
-fn placeholder_at(text: &str) -> Option<(usize, usize)> {
-    if text.starts_with("{}") {
-        return Some((2, 1));
-    }
-    if text.starts_with('#') {
-        return Some((1, 1));
-    }
-    let format = text.strip_prefix('%')?;
-    let digit_count = format.bytes().take_while(u8::is_ascii_digit).count();
-    let width = match &format[..digit_count] {
-        "" => 1,
-        digits => digits.strip_prefix('0')?.parse().ok()?,
-    };
-    format[digit_count..].starts_with('d').then_some((digit_count + 2, width))
-}
-
 /// Whether a file of a folder is a frame: by its content, or by a name that promises one, so that
 /// a broken frame is an error and not passed over.
 ///
@@ -218,20 +164,6 @@ fn has_plain_text_extension(name: &str) -> bool {
     [".txt", ".dat", ".asc"].iter().any(|extension| name.ends_with(extension))
 }
 
-/// The files in a folder that are not hidden.
-fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let listed = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let mut files = Vec::new();
-    for entry in fs::read_dir(listed)? {
-        let name = entry?.file_name();
-        let path = folder.join(&name);
-        if !name.as_encoded_bytes().starts_with(b".") && path.is_file() {
-            files.push(path);
-        }
-    }
-    Ok(files)
-}
-
 /// What two ways of writing the same name have in common.
 fn entry(path: &Path) -> PathBuf {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -241,49 +173,3 @@ fn entry(path: &Path) -> PathBuf {
 
 const GLOB_OPTIONS: MatchOptions =
     MatchOptions { case_sensitive: true, require_literal_separator: true, require_literal_leading_dot: true };
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_last_placeholder_is_the_frame() {
-        for (name, before, after, width_min) in [
-            ("dam.####.bgeo", "dam.", ".bgeo", 4),
-            ("dam.#.bgeo", "dam.", ".bgeo", 1),
-            ("dam.%04d.bgeo", "dam.", ".bgeo", 4),
-            ("dam.%d.bgeo", "dam.", ".bgeo", 1),
-            ("dam.{}.bgeo", "dam.", ".bgeo", 1),
-            ("take#2.{}.ply", "take#2.", ".ply", 1),
-            ("{}####", "{}", "", 4),
-            ("##_%03d_ü.ply", "##_", "_ü.ply", 3),
-        ] {
-            assert_eq!(NumberPattern::find(name), Some(NumberPattern { before, after, width_min }), "{name}");
-        }
-        for name in ["dam.ply", "100%.ply", "%4d.ply", "%x.ply", "{.ply", ""] {
-            assert_eq!(NumberPattern::find(name), None, "{name}");
-        }
-    }
-
-    #[test]
-    fn numbers_match_as_printf_writes_them() {
-        let matches = |pattern, name| NumberPattern::find(pattern).and_then(|p| p.span_in(name)).is_some();
-        for (pattern, name, expected) in [
-            ("a.####.ply", "a.0012.ply", true),
-            ("a.####.ply", "a.10012.ply", true),
-            ("a.####.ply", "a.00012.ply", false),
-            ("a.####.ply", "a.012.ply", false),
-            ("a.%02d.ply", "a.7.ply", false),
-            ("a.{}.ply", "a.7.ply", true),
-            ("a.{}.ply", "a.0007.ply", true),
-            ("a.{}.ply", "a..ply", false),
-            ("a.{}.ply", "a.-7.ply", false),
-            ("a.{}.ply", "b.7.ply", false),
-            ("1{}1", "11", false),
-            ("1{}1", "1", false),
-            ("1{}1", "131", true),
-        ] {
-            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
-        }
-    }
-}

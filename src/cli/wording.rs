@@ -31,6 +31,10 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
         ));
     }
     notes.extend(shape_notes(&skin.shaping));
+    if skin.contact.particle_count > 0 {
+        let particles = counted(skin.contact.particle_count, "particle");
+        notes.push(format!("{particles} inside obstacles: the surface goes around these all the same"));
+    }
     notes.extend(skin.transfer.iter().flat_map(transfer_notes));
     if skin.convergence.is_some_and(|convergence| !convergence.reached) {
         notes.push("the conjugate gradients did not reach their tolerance".to_owned());

@@ -55,6 +55,9 @@ pub struct Watch {
     pub voxel_size: Option<f64>,
     /// All other choices of the method.
     pub choices: Choices,
+    /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for
+    /// a file of each frame.
+    pub obstacles: Vec<PathBuf>,
 }
 
 /// Which of several waiting frames is next.

@@ -275,6 +275,7 @@ mod tests {
                 },
                 voxel_size: None,
                 choices: Choices::default(),
+                obstacles: Vec::new(),
             };
             let bench = Bench { _folder: folder, frame, output, watch };
             bench.write(FRAME);

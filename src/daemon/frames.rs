@@ -48,6 +48,8 @@ pub(super) struct FrameState {
     pub(super) sequence: usize,
     /// How far it is.
     pub(super) phase: Phase,
+    /// The fingerprint of what it was queued to be converted with; empty before.
+    pub(super) queued_with: String,
     /// Failures in a row that may pass by themselves.
     pub(super) attempt_count: u32,
     /// The scan that saw it last.
@@ -125,6 +127,7 @@ impl Frames {
         let state = FrameState {
             sequence,
             phase: Phase::Settling(candidate),
+            queued_with: String::new(),
             attempt_count: 0,
             scan_count,
             alarm_at: None,

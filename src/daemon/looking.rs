@@ -129,7 +129,8 @@ impl Daemon<'_> {
         let unrecorded = wanted.iter().find(|path| !is_recorded(path));
         let missing = record.outputs.iter().find(|output| !output.is_there()).map(|output| &output.path);
         let missing = unrecorded.or(missing).map(|path| &**path);
-        match decide(Some(record), stamp, self.sequences.get(sequence).fingerprint(), missing) {
+        let settings = self.sequences.get(sequence).fingerprint(&self.obstacles[id.root], &id.path);
+        match decide(Some(record), stamp, &settings, missing) {
             Decision::Skip(SkipReason::Done) => {
                 // Its outputs are its own, also when another input comes that would have the same.
                 self.claim_own(id).is_ok().then_some(Phase::Done(*stamp))
@@ -192,8 +193,18 @@ impl Daemon<'_> {
     }
 
     fn enqueue(&mut self, id: &FrameId, stamp: FileStamp, settings: Arc<Settings>) {
-        let frame =
-            Frame { input: id.path.to_path_buf(), stem: stem(&id.path), settings, outputs: self.outputs(id) };
+        let obstacles = Arc::clone(&self.obstacles[id.root]);
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.queued_with = self.sequences.get(frame.sequence).fingerprint(&obstacles, &id.path);
+        }
+        let frame = Frame {
+            input: id.path.to_path_buf(),
+            stem: stem(&id.path),
+            settings,
+            outputs: self.outputs(id),
+            number: FrameFile::new(id.path.to_path_buf()).number(),
+            obstacles,
+        };
         self.set_phase(id, Phase::Queued(stamp));
         self.note(id, Standing::Queued, stamp, None);
         self.queue.push(id, frame, stamp.modified_ns);

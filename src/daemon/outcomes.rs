@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, output_path};
 
-use super::frames::{FrameId, Phase};
+use super::frames::{FrameId, FrameState, Phase};
 use super::journal::{FrameRecord, OutputRecord, Standing, now_ms};
 use super::readiness::Candidate;
 use super::retry::{Remedy, backoff, remedy};
@@ -216,13 +216,22 @@ impl Daemon<'_> {
         self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
     }
 
+    /// The fingerprint of what a frame is converted with. Of one that was queued it is that of then: an obstacle that
+    /// is written meanwhile is another one.
+    fn made_with(&self, id: &FrameId, frame: &FrameState) -> String {
+        match frame.queued_with.is_empty() {
+            true => self.sequences.get(frame.sequence).fingerprint(&self.obstacles[id.root], &id.path),
+            false => frame.queued_with.clone(),
+        }
+    }
+
     fn record(&self, id: &FrameId, standing: Standing, stamp: FileStamp) -> FrameRecord {
         let frame = self.frames.get(id);
         FrameRecord {
             standing,
             stamp,
             hash: None,
-            settings: frame.map_or("", |frame| self.sequences.get(frame.sequence).fingerprint()).into(),
+            settings: frame.map_or(String::new(), |frame| self.made_with(id, frame)),
             outputs: Vec::new(),
             reason: None,
             attempt_count: frame.map_or(0, |frame| frame.attempt_count),

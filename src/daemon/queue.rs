@@ -151,6 +151,8 @@ mod tests {
             stem: name.to_owned(),
             settings: Arc::new(settings),
             outputs: Arc::new(outputs),
+            number: None,
+            obstacles: Arc::default(),
         }
     }
 

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, never, select};
 
-use crate::pipeline::{Frame, Outcome, OutputOptions, natural_order};
+use crate::pipeline::{Frame, ObstacleFiles, Outcome, OutputOptions, natural_order};
 
 use super::config::{Config, Watch};
 use super::evidence::path_of_sentinel;
@@ -19,7 +19,7 @@ use super::rescans::RescanPace;
 use super::room::Room;
 use super::root::Root;
 use super::scan::look;
-use super::sequences::{MeasureOrder, Measured, Sequences};
+use super::sequences::{MeasureOrder, Measured, Sequences, obstacle_files};
 use super::stores::{Listings, Presence, Stores};
 use super::watcher::{Hint, Watcher};
 use super::{Command, DaemonError, Ended, Notice, Summary};
@@ -40,6 +40,8 @@ pub(super) struct Daemon<'a> {
     pub(super) claims: HashMap<PathBuf, FrameId>,
     /// The options of each mirrored sub-folder.
     pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
+    /// What stands in the way of the frames of each root.
+    pub(super) obstacles: Vec<Arc<ObstacleFiles>>,
     pub(super) listings: Listings,
     pub(super) room: Room,
     /// No folder of outputs is unmounted: what is not in them is missing.
@@ -94,6 +96,7 @@ impl<'a> Daemon<'a> {
             measuring_count: 0,
             claims: HashMap::new(),
             outputs_of: HashMap::new(),
+            obstacles: config.watches.iter().map(|watch| obstacle_files(watch).into()).collect(),
             listings: Listings::default(),
             room: Room::new(config.disk_floor_bytes),
             outputs_are_there: true,

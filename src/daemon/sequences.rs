@@ -17,7 +17,9 @@ use std::sync::Arc;
 
 use twox_hash::XxHash3_64;
 
-use crate::pipeline::{FileStamp, FrameError, FrameFile, automatic_voxel_size, settings_fingerprint};
+use crate::pipeline::{
+    FileStamp, FrameError, FrameFile, ObstacleFiles, automatic_voxel_size, settings_fingerprint,
+};
 use crate::settings::Settings;
 
 use super::config::Watch;
@@ -47,11 +49,14 @@ pub(super) struct Sequence {
 }
 
 impl Sequence {
-    /// What the journal knows its settings by; empty while there are none.
-    pub(super) fn fingerprint(&self) -> &str {
+    /// What the journal knows the settings of a frame by, and its obstacles as they are now; empty while there are
+    /// none.
+    pub(super) fn fingerprint(&self, obstacles: &ObstacleFiles, frame: &Path) -> String {
         match &self.settings {
-            SequenceSettings::Fixed(_, fingerprint) => fingerprint,
-            _ => "",
+            SequenceSettings::Fixed(settings, fingerprint) => {
+                frame_fingerprint(settings, fingerprint, obstacles, frame)
+            }
+            _ => String::new(),
         }
     }
 }
@@ -121,9 +126,32 @@ pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Opt
     let (folder, name) = FrameFile::new(frame.to_owned()).sequence();
     let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
     match SequenceSettings::new(watch, state.sequences.get(&key)) {
-        SequenceSettings::Fixed(_, fingerprint) => Some(fingerprint.to_string()),
+        SequenceSettings::Fixed(settings, fingerprint) => {
+            Some(frame_fingerprint(&settings, &fingerprint, &obstacle_files(watch), frame))
+        }
         _ => None,
     }
+}
+
+/// The obstacles of a watch.
+pub(super) fn obstacle_files(watch: &Watch) -> ObstacleFiles {
+    ObstacleFiles::new(watch.obstacles.clone())
+}
+
+/// The fingerprint of the settings, and of the files of obstacles if there are any: as they lie there, for the journal is
+/// to tell without reading them.
+fn frame_fingerprint(
+    settings: &Settings,
+    fingerprint: &str,
+    obstacles: &ObstacleFiles,
+    frame: &Path,
+) -> String {
+    if obstacles.is_empty() {
+        return fingerprint.to_owned();
+    }
+    let stamps = obstacles.stamps(FrameFile::new(frame.to_owned()).number());
+    let text = format!("{fingerprint}\n{}\n{stamps}", settings.void_threshold);
+    format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
 }
 
 /// What a sequence is to be measured on.

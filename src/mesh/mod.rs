@@ -21,6 +21,8 @@
 mod components;
 mod corners;
 mod decimate;
+mod quads;
+mod smooth_normals;
 mod triangles;
 mod vertices;
 

@@ -46,6 +46,8 @@ pub struct ContactTally {
     pub void_count: u64,
     /// Voxels that obstacles took from the inner spheres of particles.
     pub taken_count: u64,
+    /// Particles inside an obstacle, told by the nearest voxel.
+    pub particle_count: usize,
 }
 
 impl ContactTally {
@@ -54,6 +56,7 @@ impl ContactTally {
         ContactTally {
             void_count: self.void_count + other.void_count,
             taken_count: self.taken_count + other.taken_count,
+            particle_count: self.particle_count + other.particle_count,
         }
     }
 }

@@ -1,10 +1,10 @@
-//! Leaves that are computed once: an obstacle that stands still has the same distances in every frame.
+//! Leaves that are computed once: a frame asks for the same leaf in more than one stage, and of an obstacle that stands
+//! still the next frame asks for it again.
 //!
 //! What is kept is what would be computed again, so nobody can tell whether it was. When the memory for it is used
-//! up, what is new is not kept.
+//! up, what was kept makes room.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use glam::IVec3;
 use rustc_hash::FxHashMap;
@@ -12,29 +12,31 @@ use rustc_hash::FxHashMap;
 use super::leaf::ObstacleLeaf;
 use crate::space::Lattice;
 
-/// Leaves of one lattice and half width.
+/// Leaves, in parts of which each has a lock of its own.
 pub(super) struct KeptLeaves {
-    /// What the leaves are of: those of the first one.
-    of: OnceLock<(Lattice, f32)>,
-    shards: [Mutex<FxHashMap<IVec3, ObstacleLeaf>>; SHARDS],
-    size_bytes: AtomicUsize,
+    shards: [Mutex<Shard>; SHARDS],
+    /// What one part may take.
     most_bytes: usize,
 }
+
+#[derive(Default)]
+struct Shard {
+    leaves: FxHashMap<Key, ObstacleLeaf>,
+    size_bytes: usize,
+}
+
+/// Origin, voxel size and half width.
+type Key = (IVec3, u64, u32);
 
 /// So many threads do not wait for each other.
 const SHARDS: usize = 16;
 
-/// What an entry of a map takes besides the leaf: its origin, and room to grow.
-const ENTRY_BYTES: usize = 32;
+/// What an entry of a map takes besides the leaf, with room to grow.
+const ENTRY_BYTES: usize = 64;
 
 impl KeptLeaves {
     pub(super) fn new(most_bytes: usize) -> KeptLeaves {
-        KeptLeaves {
-            of: OnceLock::new(),
-            shards: std::array::from_fn(|_| Mutex::default()),
-            size_bytes: AtomicUsize::new(0),
-            most_bytes,
-        }
+        KeptLeaves { shards: std::array::from_fn(|_| Mutex::default()), most_bytes: most_bytes / SHARDS }
     }
 
     /// The leaf that is kept, or the one that is computed.
@@ -45,29 +47,30 @@ impl KeptLeaves {
         half_width: f32,
         compute: impl FnOnce() -> ObstacleLeaf,
     ) -> ObstacleLeaf {
-        if *self.of.get_or_init(|| (*lattice, half_width)) != (*lattice, half_width) {
-            return compute();
-        }
+        let key = (origin, lattice.voxel_size.to_bits(), half_width.to_bits());
         let place = (origin.x >> 3) ^ (origin.y >> 4) ^ (origin.z >> 5) ^ (origin.z >> 3);
         let shard = &self.shards[place.rem_euclid(SHARDS as i32) as usize];
-        if let Some(leaf) = shard.lock().unwrap_or_else(PoisonError::into_inner).get(&origin) {
+        if let Some(leaf) = shard.lock().unwrap_or_else(PoisonError::into_inner).leaves.get(&key) {
             return leaf.clone();
         }
         let leaf = compute();
         let size = leaf.size_bytes() + ENTRY_BYTES;
-        if self.size_bytes.fetch_add(size, Ordering::Relaxed) + size <= self.most_bytes {
-            let mut leaves = shard.lock().unwrap_or_else(PoisonError::into_inner);
-            if leaves.insert(origin, leaf.clone()).is_none() {
-                return leaf;
+        if size <= self.most_bytes {
+            let mut shard = shard.lock().unwrap_or_else(PoisonError::into_inner);
+            if shard.size_bytes + size > self.most_bytes {
+                *shard = Shard::default();
+            }
+            // Another thread may have been first.
+            if shard.leaves.insert(key, leaf.clone()).is_none() {
+                shard.size_bytes += size;
             }
         }
-        // Another thread was first, or there is no room.
-        self.size_bytes.fetch_sub(size, Ordering::Relaxed);
         leaf
     }
 
     /// The memory that it takes, in bytes.
     pub(super) fn size_bytes(&self) -> usize {
-        self.size_bytes.load(Ordering::Relaxed)
+        let size = |shard: &Mutex<Shard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
+        self.shards.iter().map(size).sum()
     }
 }

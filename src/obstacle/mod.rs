@@ -10,6 +10,7 @@
 //! whoever asks for it: a frame, a tile of one, or the next frame, for which it is kept.
 
 mod contact;
+mod count;
 mod depth;
 mod eights;
 mod kept;

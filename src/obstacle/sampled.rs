@@ -7,7 +7,8 @@
 //!
 //! Its values are known within a band around the surface, and are the background beyond: what is farther is
 //! taken to be farther than anyone asks. So where the band is narrower than ours, distances are right as far as
-//! it goes, and jump at its end.
+//! it goes, less a voxel, and jump at its end. That is no harm where it reaches the void threshold: voids that
+//! are wider than the band are not found.
 
 use std::sync::Arc;
 
@@ -46,9 +47,6 @@ pub struct Sampled {
 
 /// Steps that differ by more than this part are of different lengths, or not at right angles.
 const SKEW_MAX: f64 = 1e-4;
-
-/// Values of so large a part of the background are it.
-const BACKGROUND: f32 = 0.9999;
 
 impl Sampled {
     /// What a level set encloses.
@@ -98,6 +96,13 @@ impl Sampled {
         f64::from(self.source.background)
     }
 
+    /// Samples up to here are what they say. Farther ones are mixed with the background; but next to the surface
+    /// there is nothing better.
+    fn known_width(&self) -> f32 {
+        let voxel_size = self.voxel_size() as f32;
+        (self.source.background - voxel_size).max(voxel_size).min(0.9999 * self.source.background)
+    }
+
     /// The memory that it takes, in bytes.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&*self.source.leaves) + 40 * self.source.origins.len() + 60 * self.source.tiles.len()
@@ -112,7 +117,7 @@ impl Sampled {
         for (offset, value) in leaf.values.iter_mut().enumerate() {
             let voxel = origin + voxel_in_leaf(offset);
             let sample = self.sample(self.index_of(voxel.as_dvec3(), lattice));
-            let is_known = sample.abs() < BACKGROUND * self.source.background;
+            let is_known = sample.abs() < self.known_width();
             let distance =
                 if is_known { (f64::from(sample) / lattice.voxel_size) as f32 } else { half_width };
             *value = distance.abs().min(half_width).copysign(sample);

@@ -11,6 +11,7 @@ use crate::report::SkinReport;
 use crate::settings::Settings;
 use crate::skin::TooLarge;
 
+use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
 use super::stamp::FileStamp;
 
@@ -25,6 +26,10 @@ pub struct Frame {
     pub settings: Arc<Settings>,
     /// What is written, and where.
     pub outputs: Arc<OutputOptions>,
+    /// Its number, where it has one: of obstacles that move, it has the file with the same.
+    pub number: Option<u64>,
+    /// What stands in the way.
+    pub obstacles: Arc<ObstacleFiles>,
 }
 
 /// Which state of a file was read.
@@ -60,6 +65,10 @@ pub struct FrameReport {
     pub input: ReadInput,
     /// What the method measured.
     pub skin: SkinReport,
+    /// What stood in the way: names and hashes of files. Empty if nothing did.
+    pub obstacles: String,
+    /// Edges at which the meshes of obstacles are open.
+    pub obstacle_open_edge_count: usize,
     /// Seconds of reading and parsing.
     pub read_seconds: f64,
     /// Seconds of encoding and writing.
@@ -121,6 +130,8 @@ pub enum Cause {
     File(meniscus_formats::Error),
     /// The input was written, replaced or removed while it was read.
     Changed,
+    /// An obstacle: its file is not there, or cannot be read.
+    Obstacle(Box<Cause>),
     /// The particles lack an attribute without which they cannot be skinned as asked.
     Missing(String),
     /// The frame does not fit into the memory that it may take.
@@ -180,6 +191,10 @@ impl fmt::Display for FrameError {
             Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path.display()),
             Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path.display()),
             Cause::Changed => write!(f, "{}: changed while it was read", path.display()),
+            Cause::Obstacle(cause) => match &**cause {
+                Cause::File(source) => write!(f, "obstacle {}: {source}", path.display()),
+                _ => write!(f, "obstacle {}: changed while it was read", path.display()),
+            },
             Cause::Missing(what) => write!(f, "{}: {what}", path.display()),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
             Cause::Scratch(source) => {
@@ -196,6 +211,10 @@ impl std::error::Error for FrameError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match &self.cause {
             Cause::File(source) => Some(source),
+            Cause::Obstacle(cause) => match &**cause {
+                Cause::File(source) => Some(source),
+                _ => None,
+            },
             Cause::TooLarge(source) => Some(source),
             Cause::Scratch(source) => Some(source),
             Cause::Changed | Cause::Missing(_) | Cause::Panic(_) => None,
@@ -226,6 +245,8 @@ mod tests {
             stem: "dam.1".to_owned(),
             settings: Arc::new(settings),
             outputs: Arc::new(outputs),
+            number: None,
+            obstacles: Arc::default(),
         };
         let full = Cause::Scratch(io::ErrorKind::StorageFull.into());
         let error = FrameError::of_stage(&frame, Stage::Smooth, full);

@@ -10,6 +10,7 @@ use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Targets, TooLarge};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
+use super::obstacles::FrameObstacles;
 use super::outputs::{OutputFormat, OutputOptions};
 use super::writing::VDB_HALF_WIDTH_VOXELS;
 
@@ -28,13 +29,15 @@ pub trait Method: Sync {
     fn plan(
         &self,
         particles: &FrameParticles,
+        obstacles: &FrameObstacles,
         settings: &Settings,
         allowed_bytes: u64,
     ) -> Result<Plan, Cause>;
-    /// The first stage. What does not fit into memory may be written to files without a name in `scratch`.
+    /// The first stage, among obstacles. What does not fit into memory may be written to files without a name in `scratch`.
     fn rasterize(
         &self,
         particles: FrameParticles,
+        obstacles: FrameObstacles,
         settings: &Settings,
         plan: &Plan,
         scratch: &Path,
@@ -69,11 +72,12 @@ impl Method for LevelSetSkinning {
     fn plan(
         &self,
         particles: &FrameParticles,
+        obstacles: &FrameObstacles,
         settings: &Settings,
         allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
         // What is given is there beside what the plan takes.
-        let given_bytes = particles.size_bytes();
+        let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
         let planned = skin::plan(particles, settings, allowed_bytes.saturating_sub(given_bytes))?;
         planned.map_err(|too_large| {
             let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
@@ -84,20 +88,21 @@ impl Method for LevelSetSkinning {
     fn rasterize(
         &self,
         particles: FrameParticles,
+        FrameObstacles { obstacles, .. }: FrameObstacles,
         settings: &Settings,
         plan: &Plan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause> {
         let (particles, shaping) = particles.shaped(settings);
         let Some(tile_leaves) = plan.tile_leaves else {
-            let rasterized = skin::rasterize(&particles, settings, shaping)?;
+            let rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
             particles.check_unchanged()?;
             return Ok(Skinned::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
         };
         let storages =
             (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
-        let frame = tiled::rasterize(particles, settings, shaping, tile_leaves, storages)?;
+        let frame = tiled::rasterize(particles, settings, shaping, obstacles, tile_leaves, storages)?;
         // It will be read once more; but what follows takes a while.
         frame.source().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))

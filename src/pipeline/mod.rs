@@ -10,7 +10,8 @@
 //!   crew        whose turn it is to compute           budget   who may take how much memory
 //!   method      the three stages in the middle        memory   how much there is
 //!
-//!   attributes  what else is needed of each particle
+//!   attributes  what else is needed of each particle   obstacles  what is in the way of a frame
+//!   number_pattern  names with a number in them
 //!   reading     bytes to particles, of a file that     stamp     what tells one that was written again
 //!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
 //!   writing     surfaces to bytes                      provenance  what made them
@@ -28,6 +29,8 @@ mod frame;
 mod frame_particles;
 mod memory;
 mod method;
+mod number_pattern;
+mod obstacles;
 mod outputs;
 mod provenance;
 mod reading;
@@ -45,6 +48,8 @@ pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage
 pub use frame_particles::FrameParticles;
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
+pub use number_pattern::{NumberPattern, files_in};
+pub use obstacles::{FrameObstacles, ObstacleFiles};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
 pub use provenance::{is_own_output, settings_fingerprint};
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};

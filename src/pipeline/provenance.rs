@@ -24,30 +24,32 @@ const GENERATOR: &str = "meniscus ";
 /// The provenance of an output is within this much from its start, unless the input's name is very long.
 const HEAD_BYTES: u64 = 16 << 10;
 
-/// Names and values for an output in `format`, made from the file `input` with this hash.
+/// Names and values for an output in `format`, made from the frame's input with this hash, among these obstacles.
 pub(super) fn provenance(
-    settings: &Settings,
-    input: &Path,
-    hash: u128,
+    frame: &Frame,
+    (hash, obstacles): (u128, &str),
     format: OutputFormat,
-    options: &OutputOptions,
 ) -> Vec<(String, String)> {
     let mut pairs = vec![
         ("generator", format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))),
-        ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
+        ("input", frame.input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
         ("input_hash", format!("xxh3-128:{hash:032x}")),
     ];
-    pairs.extend(settings_pairs(settings, format));
-    pairs.extend(option_pairs(options, format));
+    pairs.extend(settings_pairs(&frame.settings, format));
+    if !obstacles.is_empty() {
+        pairs.push(("void_threshold", frame.settings.void_threshold.to_string()));
+        pairs.push(("obstacles", obstacles.to_owned()));
+    }
+    pairs.extend(option_pairs(&frame.outputs, format));
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 /// Whether every output of a frame is there, whole, and records what this run would record. Whole
 /// is one that has its end; bytes overwritten in the middle are not found out.
-pub(super) fn is_done(frame: &Frame, hash: u128) -> bool {
+pub(super) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     let options = &*frame.outputs;
     options.formats.iter().all(|&format| {
-        let wanted = provenance(&frame.settings, &frame.input, hash, format, options);
+        let wanted = provenance(frame, (hash, obstacles), format);
         let path = output_path(&options.folder, &frame.stem, format);
         records(&path, provenance_kind(format), &wanted).unwrap_or(false)
     })

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::report::{Shaping, SkinReport, TransferCounts, TransferReport};
+use crate::report::{EditReport, Shaping, SkinReport, TransferCounts, TransferReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
@@ -87,6 +87,10 @@ struct MeasuredRecord {
     dropped: usize,
     /// Null where all particles are alike.
     shapes: Option<ShapesRecord>,
+    /// Null where nothing was taken away or added.
+    edits: Option<EditsRecord>,
+    /// Null where nothing stood in the way.
+    obstacles: Option<ObstaclesRecord>,
     leaves: usize,
     voxels: usize,
     free_voxels: usize,
@@ -126,6 +130,22 @@ struct ShapesRecord {
     seconds: f64,
 }
 
+/// What stood in the way, and what it changed.
+#[derive(Clone, Debug, Serialize)]
+struct ObstaclesRecord {
+    files: String,
+    open_edges: usize,
+    particles_inside: usize,
+    /// Voxels that were filled since the gap to an obstacle was too narrow.
+    void_voxels_filled: u64,
+    /// Voxels inside that obstacles took from the inner spheres of particles.
+    voxels_taken: u64,
+    /// How deep the deepest vertex is in an obstacle; 0 if none is.
+    deepest_vertex_voxels: f64,
+    /// Vertices that were moved out, where an obstacle is sharper than the grid.
+    vertices_cleared: u64,
+}
+
 /// What the surface got of the particles' attributes.
 #[derive(Clone, Debug, Serialize)]
 struct AttributesRecord {
@@ -145,6 +165,17 @@ struct TransferRecord {
     empty: usize,
     /// Values of particles that are not finite, and have no part.
     left_out: usize,
+}
+
+#[derive(Clone, Copy, Debug, Serialize)]
+struct EditsRecord {
+    islands_dropped: usize,
+    island_particles: u64,
+    cavities_filled: usize,
+    cavity_volume_voxels: u64,
+    clipped_voxels: u64,
+    triangles_saved: usize,
+    decimation_error_voxels: f64,
 }
 
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -176,6 +207,8 @@ struct CertificateRecord {
     vertices_inside_min: usize,
     vertices_outside_max: usize,
     particles_outside: usize,
+    /// Taken away on purpose: with an island, by a box, or by an obstacle.
+    particles_exempt: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
@@ -324,6 +357,8 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
         shapes: shapes_record(&report.skin),
+        edits: edits_record(&report.skin.edits),
+        obstacles: obstacles_record(report),
         leaves: report.skin.leaf_count,
         voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
         free_voxels: report.skin.free_voxel_count,
@@ -375,6 +410,19 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
     })
 }
 
+fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
+    let SkinReport { contact, edits, .. } = &report.skin;
+    (!report.obstacles.is_empty()).then(|| ObstaclesRecord {
+        files: report.obstacles.clone(),
+        open_edges: report.obstacle_open_edge_count,
+        particles_inside: contact.particle_count,
+        void_voxels_filled: contact.void_count,
+        voxels_taken: contact.taken_count,
+        deepest_vertex_voxels: edits.obstacle_depth_voxels,
+        vertices_cleared: edits.cleared_vertex_count,
+    })
+}
+
 fn attributes_record(transfer: &TransferReport) -> AttributesRecord {
     let counts = |counts: &TransferCounts| TransferRecord {
         places: counts.place_count,
@@ -390,6 +438,18 @@ fn attributes_record(transfer: &TransferReport) -> AttributesRecord {
     }
 }
 
+fn edits_record(edits: &EditReport) -> Option<EditsRecord> {
+    (*edits != EditReport::default()).then_some(EditsRecord {
+        islands_dropped: edits.island_count,
+        island_particles: edits.island_particle_count,
+        cavities_filled: edits.cavity_count,
+        cavity_volume_voxels: edits.cavity_voxel_count,
+        clipped_voxels: edits.clipped_voxel_count,
+        triangles_saved: edits.removed_triangle_count,
+        decimation_error_voxels: edits.decimation_error_voxels,
+    })
+}
+
 fn certificate_record(report: &SkinReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
@@ -400,6 +460,7 @@ fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_outside: certificate.particles_outside,
+        particles_exempt: certificate.particles_exempt,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
     }

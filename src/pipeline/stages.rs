@@ -41,6 +41,7 @@ use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, St
 use super::frame_particles::{FileParticles, FrameParticles};
 use super::memory::peak_memory_bytes;
 use super::method::Method;
+use super::obstacles::{FoundObstacles, FrameObstacles};
 use super::provenance::is_done;
 use super::reading::{InputFile, parse_particles, read_unchanged};
 use super::writing::{Written, attribute_notes, write_files, write_surface};
@@ -203,6 +204,8 @@ struct Known<'a> {
     input: ReadInput,
     read_seconds: f64,
     notes: Vec<String>,
+    /// What is recorded of its obstacles, and at how many edges they are open.
+    obstacles: (String, usize),
     memory: Reservation<'a>,
     /// While it computes.
     seat: Option<Seat<'a>>,
@@ -211,6 +214,7 @@ struct Known<'a> {
 /// What reading hands to rasterization.
 struct Read {
     particles: FrameParticles,
+    obstacles: FrameObstacles,
     /// How it will be computed.
     plan: Plan,
 }
@@ -274,14 +278,16 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
-        memory.resize(read.particles.size_bytes());
+        memory.resize(read.particles.size_bytes().saturating_add(read.obstacles.own_bytes));
         let read_seconds = start.elapsed().as_secs_f64();
-        Ok((read, Known { input, read_seconds, notes, memory, seat: None }))
+        let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
+        Ok((read, Known { input, read_seconds, notes, obstacles, memory, seat: None }))
     }
 
     /// The particles of a frame, and the notes on them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let failed = |error: io::Error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
+        let obstacles = frame.obstacles.find(frame.number).map_err(Outcome::Failed)?;
         let file = InputFile::open(&frame.input).map_err(failed)?;
         let wanted = Wanted::by(&frame.settings);
         if file.is_regular()
@@ -292,7 +298,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
             }
-            if self.conduct.skip_done && is_done(frame, input.hash) {
+            if self.conduct.skip_done && is_done(frame, input.hash, &obstacles.recorded()) {
                 return Err(Outcome::AlreadyDone(input));
             }
             let streamed = FileParticles::open(&frame.input, file)
@@ -300,13 +306,13 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             if let Some(particles) = streamed {
                 let notes = particles.notes();
                 let particles = FrameParticles::OnDisk(Box::new(particles));
-                return self.planned(number, frame, move || Ok((particles, notes)), input);
+                return self.planned(number, frame, move || Ok((particles, notes)), obstacles, input);
             }
         }
         let unchanged = read_unchanged(&frame.input).map_err(Outcome::Failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
-        if self.conduct.skip_done && is_done(frame, input.hash) {
+        if self.conduct.skip_done && is_done(frame, input.hash, &obstacles.recorded()) {
             return Err(Outcome::AlreadyDone(input));
         }
         let path = frame.input.clone();
@@ -314,7 +320,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             let read = parse_particles(&path, &bytes, &wanted)?;
             Ok((FrameParticles::InMemory(read.cloud), read.notes))
         };
-        self.planned(number, frame, parse, input)
+        self.planned(number, frame, parse, obstacles, input)
     }
 
     /// Has a frame parsed and planned in the pool; waiting for the disk before it is no work for that.
@@ -323,12 +329,16 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         number: usize,
         frame: &Frame,
         parse: impl FnOnce() -> Result<(FrameParticles, Vec<String>), FrameError> + Send + 'env,
+        found: FoundObstacles,
         input: ReadInput,
     ) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let (method, frame, allowed_bytes) = (self.method, frame.clone(), self.conduct.memory_bytes);
         let planned = self.crew.run(number, move || {
             let (particles, mut notes) = parse()?;
-            let plan = method.plan(&particles, &frame.settings, allowed_bytes);
+            let kept_bytes_max = allowed_bytes / OBSTACLE_SHARE;
+            let mut obstacles = frame.obstacles.load(found, &frame.settings, kept_bytes_max)?;
+            notes.append(&mut obstacles.notes);
+            let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes);
             let plan = plan.map_err(|cause| FrameError::of_stage(&frame, Stage::Read, cause))?;
             if plan.tile_leaves.is_some() {
                 let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);
@@ -336,7 +346,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                     "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB (--memory)"
                 ));
             }
-            Ok((Read { particles, plan }, notes))
+            Ok((Read { particles, obstacles, plan }, notes))
         });
         let (read, notes) = planned.map_err(outcome_of)?;
         Ok((read, input, notes))
@@ -351,8 +361,8 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let method = self.method;
         while let Some(Parcel { label, known, content }) = self.admit(from) {
             let scratch = label.frame.outputs.folder.clone();
-            let work = move |Read { particles, plan }: Read, settings: &Settings| {
-                method.rasterize(particles, settings, &plan, &scratch)
+            let work = move |Read { particles, obstacles, plan }: Read, settings: &Settings| {
+                method.rasterize(particles, obstacles, settings, &plan, &scratch)
             };
             let computed = self.compute(Stage::Rasterize, &label, content, work);
             if !self.pass(label, known, computed, to, ended) {
@@ -367,8 +377,9 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let _door = self.door.lock().unwrap_or_else(PoisonError::into_inner);
         let seat = self.seats.take();
         let mut parcel = from.recv().ok()?;
-        let Read { particles, plan } = &parcel.content;
-        parcel.known.memory.admit(plan.memory_bytes.saturating_add(particles.size_bytes()));
+        let Read { particles, obstacles, plan } = &parcel.content;
+        let given_bytes = particles.size_bytes().saturating_add(obstacles.own_bytes);
+        parcel.known.memory.admit(plan.memory_bytes.saturating_add(given_bytes));
         parcel.known.seat = Some(seat);
         Some(parcel)
     }
@@ -458,16 +469,18 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     fn write_one<K>(&self, label: &Label<K>, known: Known<'_>, surface: Surface) -> Outcome {
         let start = Instant::now();
         let frame = &label.frame;
-        let input_hash = known.input.hash;
+        let made_from = (known.input.hash, known.obstacles.0.as_str());
         let surface = Arc::new(surface);
         let write = |format, out: &mut BufWriter<&File>| {
-            write_surface(&surface, (label.number, frame), input_hash, format, &self.crew, out)
+            write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out)
         };
         let written = FrameError::catch(&frame.input, Stage::Write, || write_files(frame, write));
         match written.flatten() {
             Ok(Written { paths, sizes_bytes }) => Outcome::Converted(Box::new(FrameReport {
                 input: known.input,
                 skin: surface.report.clone(),
+                obstacles: known.obstacles.0.clone(),
+                obstacle_open_edge_count: known.obstacles.1,
                 read_seconds: known.read_seconds,
                 write_seconds: start.elapsed().as_secs_f64(),
                 peak_memory_bytes: peak_memory_bytes(),
@@ -536,6 +549,9 @@ impl Drop for Seat<'_> {
 
 /// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.
 const READING_MEMORY: u64 = 2;
+
+/// What leaves of obstacles are kept may take one part in so many of the memory that a frame may take.
+const OBSTACLE_SHARE: u64 = 16;
 
 /// Files of this size and more are read batch by batch where their format allows it. Smaller ones are sooner read
 /// once than gone through twice.

@@ -61,13 +61,13 @@ pub(super) fn write_files(
 pub(super) fn write_surface<'env>(
     surface: &Arc<Surface>,
     (number, frame): (usize, &Frame),
-    input_hash: u128,
+    (input_hash, obstacles): (u128, &str),
     format: OutputFormat,
     crew: &Crew<'_, '_, 'env>,
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
     let options = &*frame.outputs;
-    let provenance = provenance(&frame.settings, &frame.input, input_hash, format, options);
+    let provenance = provenance(frame, (input_hash, obstacles), format);
     let attributes = vertex_attributes(&surface.attributes.vertices);
     let mesh = mesh_view(&surface.mesh, &attributes);
     match format {
@@ -76,7 +76,8 @@ pub(super) fn write_surface<'env>(
             crew.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
         }
         OutputFormat::Obj => {
-            let options = obj::WriteOptions::default();
+            let quads = if frame.settings.quads { surface.mesh.quads() } else { Vec::new() };
+            let options = obj::WriteOptions { quads: quads.into(), ..obj::WriteOptions::default() };
             for index in 0..obj::batch_count(&mesh) {
                 let (surface, options, provenance) =
                     (Arc::clone(surface), options.clone(), provenance.clone());

@@ -96,6 +96,11 @@ impl ParticleBins {
         self.starts[leaf]..self.starts[leaf + 1]
     }
 
+    /// The particles of every leaf: its origin, and positions relative to that, in voxels.
+    pub fn leaves(&self) -> impl Iterator<Item = (IVec3, &[Vec3])> {
+        self.topology.origins().iter().enumerate().map(|(leaf, &origin)| (origin, self.in_leaf(leaf)))
+    }
+
     /// The number of particles that are here.
     pub fn len(&self) -> usize {
         self.positions.len()

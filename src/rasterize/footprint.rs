@@ -222,7 +222,7 @@ impl Cells {
 mod tests {
     use super::*;
     use crate::particles::Particles;
-    use crate::rasterize::rasterize;
+    use crate::rasterize::{Scene, rasterize};
 
     const RADII: Radii = Radii::of_balls(1.732, 2.598, 3.464);
     const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
@@ -245,7 +245,7 @@ mod tests {
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
             let Ok(Footprint { surface, near_particle_count, .. }) = footprint(&particles, &LATTICE, RADII);
-            let Ok(rasterized) = rasterize(&particles, &LATTICE, RADII);
+            let Ok(rasterized) = rasterize(&particles, &Scene::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
             assert!((1.0..1.7).contains(&ratio), "{found} leaves for {real} in {counts:?} / {every}");

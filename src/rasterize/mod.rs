@@ -49,6 +49,7 @@ pub use occupancy::Occupancy;
 
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::obstacle::{ContactTally, ObstacleLeaf, Obstacles, hold_contact};
 use crate::particles::ParticleSource;
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::{CoordBox, Lattice};
@@ -117,6 +118,41 @@ impl Radii {
     }
 }
 
+/// What particles are rasterized into.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    /// What positions are in voxels.
+    pub lattice: Lattice,
+    /// The radii of the spheres.
+    pub radii: Radii,
+    /// What stands in the way.
+    pub obstacles: &'a Obstacles,
+    /// Gaps between fluid and obstacles that are narrower than this, in voxels, are filled.
+    pub void_threshold: f32,
+}
+
+impl Scene<'_> {
+    /// One without obstacles.
+    pub fn open(lattice: Lattice, radii: Radii) -> Scene<'static> {
+        static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
+        Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0 }
+    }
+
+    /// The obstacles' signed distances in the leaf with this origin, in voxels, within the half width of the band.
+    pub fn obstacle(&self, origin: IVec3) -> ObstacleLeaf {
+        self.obstacles.leaf(origin, &self.lattice, self.radii.half_width())
+    }
+
+    /// Whether the surface of an obstacle may pass by a voxel of the leaf with this origin.
+    fn is_at_obstacle(&self, origin: IVec3) -> bool {
+        self.obstacles.touches(origin, &self.lattice, OBSTACLE_MARGIN)
+    }
+}
+
+/// A surface that is nearer to a leaf than this, in voxels, may pass between two of its voxels, or the neighbours of
+/// these.
+const OBSTACLE_MARGIN: f32 = 1.5;
+
 /// What there is after this stage.
 #[derive(Clone, Debug)]
 pub struct Rasterized {
@@ -126,22 +162,20 @@ pub struct Rasterized {
     pub band: NarrowBand,
     /// The bounds on the same leaves.
     pub bounds: Bounds,
+    /// What obstacles changed of them.
+    pub contact: ContactTally,
 }
 
 /// Rasterizes a frame.
 ///
 /// # Errors
 /// Those of the source.
-pub fn rasterize<S: ParticleSource>(
-    source: &S,
-    lattice: &Lattice,
-    radii: Radii,
-) -> Result<Rasterized, S::Error> {
-    let occupancy = Occupancy::new(source, lattice)?;
-    let regions = Regions::new(CoordBox::ALL, radii, occupancy.longest());
-    let measured = measure(source, &occupancy, lattice, radii, &regions)?;
+pub fn rasterize<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Rasterized, S::Error> {
+    let occupancy = Occupancy::new(source, &scene.lattice)?;
+    let regions = Regions::new(CoordBox::ALL, scene.radii, occupancy.longest());
+    let measured = measure(source, &occupancy, scene, &regions)?;
     drop(occupancy);
-    Ok(level_sets(measured, radii, &regions))
+    Ok(level_sets(measured, scene, &regions))
 }
 
 /// Rasterizes the leaves that touch a window, a box of voxels: those that the whole frame has there, and their
@@ -152,13 +186,12 @@ pub fn rasterize<S: ParticleSource>(
 pub fn rasterize_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    lattice: &Lattice,
-    radii: Radii,
+    scene: &Scene,
     window: CoordBox,
 ) -> Result<Rasterized, S::Error> {
-    let regions = Regions::new(window, radii, occupancy.longest());
-    let measured = measure(source, occupancy, lattice, radii, &regions)?;
-    Ok(level_sets(measured, radii, &regions))
+    let regions = Regions::new(window, scene.radii, occupancy.longest());
+    let measured = measure(source, occupancy, scene, &regions)?;
+    Ok(level_sets(measured, scene, &regions))
 }
 
 /// The particles that what is in a window comes from.
@@ -168,12 +201,12 @@ pub fn rasterize_window<S: ParticleSource>(
 pub fn particles_of_window<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    lattice: &Lattice,
-    radii: Radii,
+    scene: &Scene,
     window: CoordBox,
 ) -> Result<ParticleBins, S::Error> {
-    let regions = Regions::new(window, radii, occupancy.longest());
-    ParticleBins::new(source, lattice, occupancy, &Need::new(occupancy, radii, &regions), &regions)
+    let regions = Regions::new(window, scene.radii, occupancy.longest());
+    let need = Need::new(occupancy, scene, &regions);
+    ParticleBins::new(source, &scene.lattice, occupancy, &need, &regions)
 }
 
 /// The leaves around the surface, and how far their voxels are from the particles.
@@ -186,28 +219,34 @@ struct Measured {
 fn measure<S: ParticleSource>(
     source: &S,
     occupancy: &Occupancy,
-    lattice: &Lattice,
-    radii: Radii,
+    scene: &Scene,
     regions: &Regions,
 ) -> Result<Measured, S::Error> {
-    let need = Need::new(occupancy, radii, regions);
-    let bins = ParticleBins::new(source, lattice, occupancy, &need, regions)?;
-    let gauge = Gauge::new(&bins, radii);
+    let need = Need::new(occupancy, scene, regions);
+    let bins = ParticleBins::new(source, &scene.lattice, occupancy, &need, regions)?;
+    let gauge = Gauge::new(&bins, scene.radii);
     let near = gauge.distances(&need.near, &need, None);
-    let topology = Topology::new(leaves_near_surface(&need, &near, radii, regions));
+    let topology = Topology::new(leaves_near_surface(&need, &near, scene, regions));
     let distances = gauge.distances(&topology, &need, Some((&need.near, &near)));
     Ok(Measured { bins, topology, distances })
 }
 
-/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has
-/// a face neighbour outside.
-fn leaves_near_surface(need: &Need, distances: &Distances, radii: Radii, regions: &Regions) -> Vec<IVec3> {
-    let near = &need.near;
-    let inside = distances.inside(Sphere::Init, radii);
+/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0, and in no
+/// obstacle, that has a face neighbour of which this is not so.
+fn leaves_near_surface(need: &Need, distances: &Distances, scene: &Scene, regions: &Regions) -> Vec<IVec3> {
+    let (near, radii) = (&need.near, scene.radii);
+    let mut inside = distances.inside(Sphere::Init, radii);
+    if !scene.obstacles.is_empty() {
+        let leaves = inside.par_iter_mut().zip(near.origins());
+        leaves.for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
+    }
+    let is_deep = |origin: IVec3| {
+        need.is_deep(origin) && (scene.obstacles.is_empty() || scene.obstacle(origin) != ObstacleLeaf::Inside)
+    };
     let surface = |(leaf, &origin): (usize, &IVec3)| {
         let faces = std::array::from_fn(|face| match near.neighbors()[leaf][face] {
             // What is not near is inside altogether, or outside.
-            NO_LEAF if need.is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
+            NO_LEAF if is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
             NO_LEAF => &LeafMask::EMPTY,
             neighbor => &inside[neighbor as usize],
         });
@@ -222,14 +261,28 @@ fn leaves_near_surface(need: &Need, distances: &Distances, radii: Radii, regions
     leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
 }
 
+/// Leaves no voxel that is in an obstacle.
+fn remove_obstacle(inside: &mut LeafMask, obstacle: &ObstacleLeaf) {
+    match obstacle {
+        ObstacleLeaf::Outside => {}
+        ObstacleLeaf::Inside => *inside = LeafMask::EMPTY,
+        ObstacleLeaf::Near(distances) => {
+            let outside = LeafMask::from_fn(|offset| distances.values[offset] > 0.0);
+            *inside = inside.and(&outside);
+        }
+    }
+}
+
 /// φ_0 and the bounds, on the leaves that hold a value of φ_0 within the half width.
-fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized {
+fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterized {
     let Measured { bins, topology, mut distances } = measured;
+    let radii = scene.radii;
     let half_width = radii.half_width();
     let mut phi = signed_distance(&topology, &mut distances, Sphere::Init, radii);
     let is_banded = |leaf: usize| {
-        regions.banded.contains(topology.origins()[leaf])
-            && phi.leaves[leaf].values.iter().any(|phi| phi.abs() < half_width)
+        let origin = topology.origins()[leaf];
+        regions.banded.contains(origin)
+            && has_value_within(&phi.leaves[leaf], half_width, &scene.obstacle(origin))
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
@@ -246,7 +299,23 @@ fn level_sets(measured: Measured, radii: Radii, regions: &Regions) -> Rasterized
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
     finish(&mut band, &mut bounds);
-    Rasterized { bins, band, bounds }
+    let contact = match scene.obstacles.is_empty() {
+        true => ContactTally::default(),
+        false => hold_contact(scene.obstacles, &scene.lattice, scene.void_threshold, &mut band, &mut bounds),
+    };
+    Rasterized { bins, band, bounds, contact }
+}
+
+/// Whether a leaf has a value within the half width, once an obstacle has cut it (Eq. 12).
+fn has_value_within(phi: &Leaf, half_width: f32, obstacle: &ObstacleLeaf) -> bool {
+    match obstacle {
+        ObstacleLeaf::Outside => phi.values.iter().any(|phi| phi.abs() < half_width),
+        ObstacleLeaf::Inside => false,
+        ObstacleLeaf::Near(distances) => {
+            let cut = phi.values.iter().zip(&distances.values).map(|(phi, distance)| phi.max(-distance));
+            cut.into_iter().any(|phi| phi.abs() < half_width)
+        }
+    }
 }
 
 /// Leaves only these of a field, in order.

@@ -34,6 +34,8 @@
 //! deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
 //! may be the nearest to what is far away.
 //!
+//! Where an obstacle's surface passes through what is deep, that is a surface of the fluid, too: these leaves are near.
+//!
 //! The certificate asks of particles what is around them where φ is not stored. With r_init above √3 each tells
 //! that by itself; below that, none is left out.
 
@@ -43,10 +45,10 @@ use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::Radii;
 use super::cover::{Ball, Cover};
 use super::occupancy::{Occupancy, Octants};
 use super::region::Regions;
+use super::{Radii, Scene};
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
 use crate::simd::{self, Kernel, Lanes};
 use crate::space::CoordBox;
@@ -79,7 +81,8 @@ const ROUNDING: f32 = 1e-2;
 
 impl<'a> Need<'a> {
     /// What can matter to the leaves of a window.
-    pub(super) fn new(occupancy: &'a Occupancy, radii: Radii, regions: &Regions) -> Need<'a> {
+    pub(super) fn new(occupancy: &'a Occupancy, scene: &Scene, regions: &Regions) -> Need<'a> {
+        let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
         // Whatever its shape, a particle holds a ball of this many radii.
         let rho = (radii.min * radii.shortest).min(RHO_MAX);
@@ -87,7 +90,7 @@ impl<'a> Need<'a> {
         let covers = covers(occupancy, &occupied, [&Ball::new(sure), &Ball::new(rho)]);
         let inside = surrounded(&occupied, &covers, |[init, _]| init);
         let settled = surrounded(&occupied, &covers, |[_, min]| min);
-        let near = near_leaves(occupancy, &occupied, &inside, radii.init, &regions.measured);
+        let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
         let kept = Vec::new();
         let mut need = Need { near, occupied, inside, settled, kept };
         need.kept = match occupancy.has_shapes {
@@ -157,7 +160,11 @@ impl<'a> Need<'a> {
             let leaf = self.occupied.find(origin);
             // A voxel whose neighbours are all inside is none that the surface is next to.
             let inside = leaf.map_or(LeafMask::EMPTY, |leaf| self.inside[leaf]);
-            let voxels = inside.complement().bounding_box();
+            let voxels = match inside == LeafMask::FULL {
+                // An obstacle cuts through it.
+                true => LeafMask::FULL.bounding_box(),
+                false => inside.complement().bounding_box(),
+            };
             (origin, voxels.expanded(radii.band_margin()))
         };
         let surfaces: Vec<(IVec3, CoordBox)> = self.near.origins().par_iter().map(surface).collect();
@@ -208,15 +215,16 @@ fn surrounded(
     leaves.neighbors().par_iter().enumerate().map(surrounded).collect()
 }
 
-/// The leaves of a region with a voxel that may be within `radius` of a particle, in units of its half axes, but for
-/// the deep ones.
+/// The leaves of a region with a voxel that may be within r_init of a particle, but for the deep ones; and of these
+/// those that the surface of an obstacle passes through.
 fn near_leaves(
     occupancy: &Occupancy,
     occupied: &Topology,
     inside: &[LeafMask],
-    radius: f32,
+    scene: &Scene,
     region: &CoordBox,
 ) -> Topology {
+    let radius = scene.radii.init;
     let is_deep = |leaf: usize| inside[leaf] == LeafMask::FULL;
     let reach_of = |longest: f32| (radius * longest + ROUNDING) as i32;
     let reach = reach_of(occupancy.longest());
@@ -242,7 +250,13 @@ fn near_leaves(
     let reached: Vec<(IVec3, CoordBox)> =
         occupied.origins().par_iter().enumerate().filter_map(reached).collect();
     let is_near = |origin| region.contains(origin) && !occupied.find(origin).is_some_and(is_deep);
-    Topology::new(leaves_of_boxes(&reached, is_near))
+    let mut near = leaves_of_boxes(&reached, is_near);
+    if !scene.obstacles.is_empty() {
+        let deep = occupied.origins().par_iter().enumerate().filter(|(leaf, _)| is_deep(*leaf));
+        let at_obstacle = |&origin: &IVec3| region.contains(origin) && scene.is_at_obstacle(origin);
+        near.par_extend(deep.map(|(_, &origin)| origin).filter(at_obstacle));
+    }
+    Topology::new(near)
 }
 
 /// Origins of the leaves that boxes touch and that are wanted; each box is given relative to an origin. Few of

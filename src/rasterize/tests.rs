@@ -201,7 +201,7 @@ fn what_is_left_out_changes_no_bit() {
         // By the definition, many particles with a long reach take long.
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0 || positions.len() < 1000) {
             let (band, bounds) = reference(&positions, radii);
-            let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &LATTICE, radii);
+            let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, positions.len());
             // Something is left out where there is much inside, and nothing where nobody could tell.
@@ -224,14 +224,14 @@ fn windows_are_parts_of_the_whole() {
     positions.extend(jittered(14, 1.0, |place| place.length() < 14.0));
     let mut whole_count = 0;
     for radii in [RADII[0], RADII[2]] {
-        let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &LATTICE, radii);
+        let Ok(whole) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
         let source = Small(&positions);
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
         let (mut parts, mut fewest) = (Values::new(), usize::MAX);
         for (first, last) in [(-200, -137), (-136, -41), (-40, -33), (-32, -1), (0, 23), (24, 199)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) = rasterize_window(&source, &occupancy, &LATTICE, radii, window);
+                let Ok(part) = rasterize_window(&source, &occupancy, &Scene::open(LATTICE, radii), window);
                 parts.extend(values_of(&part));
                 fewest = fewest.min(part.bins.len());
             }

@@ -41,9 +41,9 @@ fn scales(count: usize, most: f32) -> Shapes {
 fn balls_of_scale_one_are_balls() {
     for (name, positions) in scenes() {
         for radii in RADII.into_iter().filter(|radii| radii.init < 10.0) {
-            let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &LATTICE, radii);
+            let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, radii));
             let scaled = cloud(&positions, Shapes::Scaled(vec![1.0; positions.len()]));
-            let Ok(scaled) = rasterize(&scaled, &LATTICE, radii);
+            let Ok(scaled) = rasterize(&scaled, &Scene::open(LATTICE, radii));
             assert!(values_of(&scaled) == values_of(&balls), "{name}, {radii:?}");
         }
     }
@@ -53,9 +53,9 @@ fn balls_of_scale_one_are_balls() {
 #[test]
 fn round_ellipsoids_are_nearly_balls() {
     let (_, positions) = scenes().swap_remove(2);
-    let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &LATTICE, RADII[0]);
+    let Ok(balls) = rasterize(&Particles::Single(positions.clone()), &Scene::open(LATTICE, RADII[0]));
     let round = Shapes::Ellipsoids(vec![Ellipsoid::ball(1.0); positions.len()]);
-    let Ok(round) = rasterize(&cloud(&positions, round), &LATTICE, RADII[0]);
+    let Ok(round) = rasterize(&cloud(&positions, round), &Scene::open(LATTICE, RADII[0]));
     let fields = [
         (&round.band.phi, &balls.band.phi),
         (&round.bounds.lower, &balls.bounds.lower),
@@ -87,7 +87,7 @@ fn what_is_left_out_changes_no_bit() {
         ] {
             let source = cloud(&positions, shapes);
             let (band, bounds) = reference(&source, radii);
-            let Ok(whole) = rasterize(&source, &LATTICE, radii);
+            let Ok(whole) = rasterize(&source, &Scene::open(LATTICE, radii));
             assert!(values_of(&whole) == values(&band, &bounds), "{name}, {radii:?}");
             assert_eq!(whole.bins.particle_count, count);
         }
@@ -102,13 +102,13 @@ fn windows_are_parts_of_the_whole() {
     let radii = Radii { roomy: 2.0, ..RADII[0] };
     for shapes in [scales(positions.len(), 5.0), ellipsoids(positions.len(), 1.0, 2.5)] {
         let source = cloud(&positions, shapes);
-        let Ok(whole) = rasterize(&source, &LATTICE, radii);
+        let Ok(whole) = rasterize(&source, &Scene::open(LATTICE, radii));
         let Ok(occupancy) = Occupancy::new(&source, &LATTICE);
         let mut parts = Values::new();
         for (first, last) in [(-160, -41), (-40, -33), (-32, -1), (0, 23), (24, 159)] {
             for (low, high) in [(-64, 7), (8, 63)] {
                 let window = CoordBox { min: IVec3::new(first, -64, low), max: IVec3::new(last, 63, high) };
-                let Ok(part) = rasterize_window(&source, &occupancy, &LATTICE, radii, window);
+                let Ok(part) = rasterize_window(&source, &occupancy, &Scene::open(LATTICE, radii), window);
                 parts.extend(values_of(&part));
             }
         }

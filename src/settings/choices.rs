@@ -66,11 +66,11 @@ pub struct Choices {
     pub integrator: Option<Integrator>,
     /// Laplacian steps before the biharmonic ones; 15 by default.
     pub laplacian_steps: Option<u32>,
-    /// Biharmonic steps; 5, or 500 for `Explicit`.
+    /// Biharmonic steps; 5, or 500 for `Explicit` and `Adaptive`.
     pub steps: Option<u32>,
-    /// Size of a step in units of h⁴; 20, or 0.01 for `Explicit` (Eq. 14, 15).
+    /// Size of a step in units of h⁴; 20, or 0.01 for `Explicit` (Eq. 14, 15) and `Adaptive`.
     pub step_size: Option<f64>,
-    /// Redistance after so many steps; 1, or 50 for `Explicit`.
+    /// Redistance after so many steps; 1, or 50 for `Explicit` and `Adaptive`.
     pub redistance_every: Option<u32>,
     /// Relative tolerance of the conjugate gradients; 1e-4 by default.
     pub cg_tolerance: Option<f64>,
@@ -236,11 +236,12 @@ pub fn integrator_name(integrator: Integrator) -> &'static str {
         Integrator::Fast => "fast",
         Integrator::Implicit => "implicit",
         Integrator::Explicit => "explicit",
+        Integrator::Adaptive => "adaptive",
     }
 }
 
 fn integrator_named(name: &str) -> Option<Integrator> {
-    let all = [Integrator::Fast, Integrator::Implicit, Integrator::Explicit];
+    let all = [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive];
     all.into_iter().find(|&integrator| integrator_name(integrator) == name)
 }
 

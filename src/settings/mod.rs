@@ -132,6 +132,9 @@ const ROUNDS_MAX: f64 = 1000.0;
 /// Steps of either kind: a hundred times what the paper takes.
 const STEPS_MAX: f64 = 1e6;
 
+/// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
+const ADAPTIVE_TIME_MAX: f64 = 1e4;
+
 /// Why choices make no settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SettingsError {
@@ -178,7 +181,7 @@ impl Settings {
             )
         })?;
         let integrator = choices.integrator.unwrap_or(Integrator::Fast);
-        let explicit = integrator == Integrator::Explicit;
+        let explicit = matches!(integrator, Integrator::Explicit | Integrator::Adaptive);
         let settings = Settings {
             voxel_size: h,
             radius_min,
@@ -211,6 +214,15 @@ impl Settings {
         within("number of steps", f64::from(settings.steps), 0.0, STEPS_MAX)?;
         within("number of Laplacian steps", f64::from(settings.laplacian_steps), 0.0, STEPS_MAX)?;
         within("step size in h⁴", settings.step_size, 1e-6, 1e4)?;
+        if integrator == Integrator::Adaptive {
+            let time = f64::from(settings.steps) * settings.step_size;
+            within(
+                "time of adaptive steps (their number times their size) in h⁴",
+                time,
+                0.0,
+                ADAPTIVE_TIME_MAX,
+            )?;
+        }
         within("conjugate gradient tolerance", settings.cg_tolerance, 1e-12, 0.5)?;
         within("void threshold in h", settings.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
         within("volume of cavities to fill in h³", settings.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
@@ -304,6 +316,12 @@ impl Settings {
                 "explicit steps of {} h⁴ are beyond the stable bound of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
                 self.step_size
             ));
+        }
+        if self.integrator == Integrator::Adaptive {
+            warnings.push(
+                "adaptive steps are for stills: their sizes depend on the frame, and a sequence flickers"
+                    .into(),
+            );
         }
         if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(

@@ -6,6 +6,7 @@
 //! three calls for one that is larger than memory.
 
 mod attributes;
+mod finish;
 mod plan;
 mod shape;
 mod shelves;
@@ -19,17 +20,19 @@ pub use plan::{Plan, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
-use crate::certify::certify;
+use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::Mesh;
+use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::{Cloud, ParticleSource, Particles};
-use crate::rasterize::{self, ParticleBins, Radii};
+use crate::rasterize::{self, ParticleBins, Radii, Scene};
 use crate::report::{Shaping, SkinReport};
 use crate::settings::{Anisotropy, Settings};
 use crate::smooth;
-use crate::space::Lattice;
+use crate::space::{CoordBox, Lattice};
+use finish::{Edits, Exemptions};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -55,34 +58,36 @@ impl Surface {
 }
 
 /// What rasterization hands to smoothing.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Rasterized {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
+    obstacles: Obstacles,
     report: SkinReport,
 }
 
 /// What smoothing hands to contouring.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Smoothed {
     bins: ParticleBins,
     band: NarrowBand,
     bounds: Bounds,
+    obstacles: Obstacles,
     report: SkinReport,
 }
 
 /// Skins one frame: rasterize, smooth, contour.
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
-    let Ok(rasterized) = rasterize(particles, settings, Shaping::default());
+    let Ok(rasterized) = rasterize(particles, settings, Shaping::default(), Obstacles::default());
     contour(smooth(rasterized, settings), settings)
 }
 
-/// Skins one frame whose particles have attributes: shape, rasterize, smooth, contour; and gives the vertices those
-/// that the settings ask for.
-pub fn skin_cloud(cloud: Cloud, settings: &Settings) -> Surface {
+/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
+/// vertices those that the settings ask for.
+pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
     let (cloud, shaping) = shape(cloud, settings);
-    let Ok(rasterized) = rasterize(&cloud, settings, shaping);
+    let Ok(rasterized) = rasterize(&cloud, settings, shaping, obstacles.clone());
     let mut surface = contour(smooth(rasterized, settings), settings);
     transfer(&mut surface, &cloud, settings, Targets { vertices: true, band_half_width_voxels: None });
     surface
@@ -96,29 +101,32 @@ pub fn rasterize<S: ParticleSource>(
     source: &S,
     settings: &Settings,
     shaping: Shaping,
+    obstacles: Obstacles,
 ) -> Result<Rasterized, S::Error> {
     let started = Instant::now();
-    let rasterize::Rasterized { bins, band, bounds } =
-        rasterize::rasterize(source, &lattice(settings), radii(settings))?;
+    let scene = scene(settings, &obstacles);
+    let rasterize::Rasterized { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
+    let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
         leaf_count: band.topology.len(),
         shaping,
+        contact,
         ..SkinReport::default()
     };
     report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
-    Ok(Rasterized { bins, band, bounds, report })
+    Ok(Rasterized { bins, band, bounds, obstacles, report })
 }
 
 /// The second stage: the constrained smoothing.
 pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
     let started = Instant::now();
-    let Rasterized { bins, mut band, bounds, mut report } = rasterized;
+    let Rasterized { bins, mut band, bounds, obstacles, mut report } = rasterized;
     let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
     report_smoothing(&mut report, smoothed, settings);
     report.seconds.smooth = started.elapsed().as_secs_f64();
-    Smoothed { bins, band, bounds, report }
+    Smoothed { bins, band, bounds, obstacles, report }
 }
 
 fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
@@ -134,18 +142,46 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 /// The third stage: the mesh, its measures and the certificate.
 pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let started = Instant::now();
-    let Smoothed { bins, band, bounds, mut report } = smoothed;
-    let lattice = lattice(settings);
-    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    let Smoothed { bins, mut band, mut bounds, obstacles, mut report } = smoothed;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
+    let edits = match finish::has_edits(settings) {
+        true => finish::edit(&mut band, &mut bounds, bins.leaves(), (&scene, settings), &mut report.edits),
+        false => Edits::default(),
+    };
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
     report.mesh = mesh.measure();
-    report.certificate = certify(&bins, radii(settings), &band, &bounds, &mesh, &report.mesh, &lattice);
+    let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
+    let whole = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
+    let violation_count = bounds.violation_count(&band.phi);
+    report.certificate =
+        certificate(ParticleChecks::of(&whole), violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
 fn lattice(settings: &Settings) -> Lattice {
     Lattice { voxel_size: settings.voxel_size }
+}
+
+/// What particles are rasterized into.
+fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
+    Scene {
+        lattice: lattice(settings),
+        radii: radii(settings),
+        obstacles,
+        void_threshold: settings.void_threshold as f32,
+    }
+}
+
+/// How many particles are inside obstacles.
+fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usize, S::Error> {
+    match scene.obstacles.is_empty() {
+        true => Ok(0),
+        false => scene.obstacles.count_inside(source, &scene.lattice, scene.radii.half_width()),
+    }
 }
 
 /// The radii in voxels.

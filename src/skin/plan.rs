@@ -45,7 +45,9 @@ impl fmt::Display for TooLarge {
             self.allowed_bytes / MEBIBYTE
         )?;
         if self.is_coupled {
-            f.write_str("; the implicit integrator couples all voxels, any other can do with less")?;
+            f.write_str(
+                "; the implicit and the adaptive integrator couple all voxels, the others can do with less",
+            )?;
         }
         Ok(())
     }
@@ -73,7 +75,7 @@ pub fn plan<S: ParticleSource>(
     if whole <= allowed_bytes {
         return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
     }
-    if settings.integrator == Integrator::Implicit {
+    if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
         return Ok(Err(TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true }));
     }
     let mut least_bytes = whole;
@@ -97,7 +99,7 @@ fn rasterizing_fields(settings: &Settings) -> f64 {
 /// While it is smoothed.
 fn smoothing_fields(settings: &Settings) -> f64 {
     match settings.integrator {
-        Integrator::Fast | Integrator::Explicit => 5.6,
+        Integrator::Fast | Integrator::Explicit | Integrator::Adaptive => 5.6,
         Integrator::Implicit => 9.2,
     }
 }

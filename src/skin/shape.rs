@@ -3,8 +3,7 @@
 use std::time::Instant;
 
 use crate::anisotropy::{
-    NeighborConfig, RadiusScales, Shaped, VelocityConfig, from_neighbors, from_velocities, longest_bound,
-    radius_scales,
+    NeighborConfig, RadiusScales, Shaped, VelocityConfig, from_neighbors, from_velocities, radius_scales,
 };
 use crate::particles::{AttributeValues, Cloud, Shapes};
 use crate::report::Shaping;
@@ -83,21 +82,12 @@ pub(super) fn shortest(settings: &Settings) -> f32 {
 }
 
 /// The half axes that the band has room for, in units of the settings' radii. It is the same for all frames of a
-/// sequence, whatever particles they have; a surface seldom moves by more than a few voxels.
+/// sequence, whatever particles they have. Stretched particles are short where there is a surface to move: at the sides
+/// of sheets and threads.
 pub(super) fn roomy(settings: &Settings) -> f32 {
-    let of_stretch = match settings.anisotropy {
-        Anisotropy::None => 1.0,
-        Anisotropy::Neighbors { max_stretch, .. } | Anisotropy::Velocity { max_stretch, .. } => {
-            longest_bound(max_stretch as f32, shortest(settings)).min(STRETCH_ROOM)
-        }
-    };
-    if settings.own_radii.is_some() { of_stretch.max(SCALE_ROOM) } else { of_stretch }
+    if settings.own_radii.is_some() { SCALE_ROOM } else { 1.0 }
 }
 
-/// Stretched particles are this long, at most, where there is a surface to move: at the sides of sheets and threads
-/// they are short.
-const STRETCH_ROOM: f32 = 2.0;
-
-/// Particles of three times the least radius have gaps of five voxels between their bounds: more than smoothing moves
-/// a surface by.
+/// Particles of three times the least radius have gaps of three voxels between their bounds: more than smoothing moves a
+/// surface by.
 const SCALE_ROOM: f32 = 3.0;

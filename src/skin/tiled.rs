@@ -9,15 +9,17 @@ use std::time::Instant;
 
 use glam::IVec3;
 
+use super::finish::{self, Edits, Exemptions};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
-use super::{Surface, SurfaceAttributes, lattice, radii, report_smoothing, smooth_config};
+use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
-use crate::grid::LEAF_EDGE;
+use crate::grid::{Field, LEAF_EDGE};
 use crate::level_set::{Bounds, NarrowBand};
+use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::ParticleSource;
-use crate::rasterize::{self, Occupancy};
+use crate::rasterize::{self, Occupancy, Scene};
 use crate::report::{Shaping, SkinReport};
 use crate::settings::Settings;
 
@@ -39,6 +41,7 @@ impl<E> From<io::Error> for TiledError<E> {
 /// A frame between two calls.
 pub struct TiledFrame<S> {
     source: S,
+    obstacles: Obstacles,
     occupancy: Occupancy,
     /// The tiles that particles are in or near.
     tiles: BTreeSet<[i32; 3]>,
@@ -65,11 +68,13 @@ pub fn rasterize<S: ParticleSource>(
     source: S,
     settings: &Settings,
     shaping: Shaping,
+    obstacles: Obstacles,
     tile_leaves: i32,
     storages: Vec<Box<dyn Storage>>,
 ) -> Result<TiledFrame<S>, TiledError<S::Error>> {
     let started = Instant::now();
-    let (lattice, radii) = (lattice(settings), radii(settings));
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
     let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
     let tiles = tiles_near(
         &occupancy,
@@ -78,24 +83,29 @@ pub fn rasterize<S: ParticleSource>(
     );
     let shelves = Shelves::new(storages);
     let mut origins: Vec<IVec3> = Vec::new();
+    let mut contact = ContactTally::default();
     for &tile in &tiles {
         let window = tile_voxels(IVec3::from(tile), tile_leaves);
-        let rasterized = rasterize::rasterize_window(&source, &occupancy, &lattice, radii, window);
-        let rasterize::Rasterized { band, bounds, .. } = rasterized.map_err(TiledError::Source)?;
+        let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
+        let rasterized = rasterized.map_err(TiledError::Source)?;
+        let rasterize::Rasterized { band, bounds, contact: of_tile, .. } = rasterized;
+        contact = contact.and(of_tile);
         shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
         origins.extend_from_slice(band.topology.origins());
     }
+    contact.particle_count = inside_obstacles(&source, &scene).map_err(TiledError::Source)?;
     let mut report = SkinReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
         leaf_count: origins.len(),
         shaping,
+        contact,
         ..SkinReport::default()
     };
     let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
     report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
     let half_width = radii.half_width();
-    Ok(TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
+    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
 }
 
 /// The tiles that hold leaves within so many voxels of one that holds particles.
@@ -129,24 +139,54 @@ pub fn contour<S: ParticleSource>(
     settings: &Settings,
 ) -> Result<(Surface, S), TiledError<S::Error>> {
     let started = Instant::now();
-    let TiledFrame { source, occupancy, tiles, tile_leaves, shelves, tiling, half_width, mut report } = frame;
-    let (lattice, radii) = (lattice(settings), radii(settings));
+    let TiledFrame {
+        source,
+        obstacles,
+        occupancy,
+        tiles,
+        tile_leaves,
+        shelves,
+        tiling,
+        half_width,
+        mut report,
+    } = frame;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
     let bound_violation_count = bound_violations(&shelves, &tiling)?;
     let phi = shelves.read(0, &tiling.all_places())?;
     drop(shelves);
-    let band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
-    let mesh = contour::contour(&band, &lattice, settings.contouring);
+    let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
+    let tile_particles = |tile: [i32; 3]| {
+        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
+        let bins = rasterize::particles_of_window(&source, &occupancy, &scene, owned);
+        bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
+    };
+    let mut edits = Edits::default();
+    if finish::has_edits(settings) {
+        let mut particles = Vec::new();
+        for &tile in tiles.iter().filter(|_| settings.drop_islands > 0) {
+            let (owned, bins) = tile_particles(tile)?;
+            let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
+            particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
+        }
+        // Those of the frame were checked; what becomes of them here nobody asks.
+        let anything = |value: f32| Field::splat(band.topology.len(), value);
+        let mut bounds = Bounds { lower: anything(-half_width), upper: anything(half_width) };
+        let to = (&scene, settings);
+        edits = finish::edit(&mut band, &mut bounds, particles, to, &mut report.edits);
+    }
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
     report.mesh = mesh.measure();
+    let exempt = &Exemptions { scene: &scene, edits: &edits };
     let mut checks = ParticleChecks::NOTHING;
     for tile in tiles {
-        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
-        let bins = rasterize::particles_of_window(&source, &occupancy, &lattice, radii, owned)
-            .map_err(TiledError::Source)?;
-        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned };
+        let (owned, bins) = tile_particles(tile)?;
+        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
         checks = checks.and(ParticleChecks::of(&part));
     }
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
@@ -175,8 +215,10 @@ mod tests {
 
     use super::super::{SHELF_COUNT, skin};
     use super::*;
-    use crate::particles::Particles;
-    use crate::settings::{Choices, Integrator};
+    use crate::obstacle::{Obstacle, Shape, Solid};
+    use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+    use crate::settings::{AnisotropyKind, Choices, ClipBox, Integrator};
+    use glam::DVec3;
 
     /// A file that is a vector.
     #[derive(Default)]
@@ -214,10 +256,15 @@ mod tests {
         Particles::Double(positions)
     }
 
+    fn storages() -> Vec<Box<dyn Storage>> {
+        (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect()
+    }
+
     fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
-        let storages = (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect();
+        let storages = storages();
         let frame =
-            rasterize(particles(), settings, Shaping::default(), tile_leaves, storages).expect("in memory");
+            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
+                .expect("in memory");
         assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
         frame
     }
@@ -245,6 +292,64 @@ mod tests {
             assert_eq!(timeless(&tiled.report), timeless(&whole.report));
             assert!(whole.report.certificate.holds());
         }
+    }
+
+    /// Particles of their own sizes, an obstacle in them, a piece that is dropped, and a box that cuts.
+    #[test]
+    fn whatever_else_is_asked_for_is_the_same_in_tiles() {
+        let numbers = |arity: usize| {
+            AttributeValues::Numbers(
+                (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
+            )
+        };
+        let attribute = |name: &str, meaning: Meaning, arity: usize| Attribute {
+            name: name.to_owned(),
+            meaning,
+            arity,
+            values: numbers(arity),
+        };
+        let attributes = vec![attribute("pscale", Meaning::Radius, 1), attribute("v", Meaning::Velocity, 3)];
+        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
+        let plain = Choices {
+            drop_islands: Some(3),
+            fill_cavities: Some(500.0),
+            clip: Some(ClipBox { min: [-8.0, -100.0, -11.0], max: [170.0, 100.0, 100.0] }),
+            ..Choices::default()
+        };
+        let all = [
+            Choices { radius_attribute: Some("pscale".into()), ..plain.clone() },
+            Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..plain.clone() },
+            Choices { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
+        ];
+        for choices in all {
+            let settings = Settings::resolve(0.5, &choices).expect("sound");
+            let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(particles()) };
+            let (cloud, shaping) = super::super::shape(cloud, &settings);
+            let Ok(whole) = super::super::rasterize(&cloud, &settings, shaping, obstacles.clone());
+            let whole = super::super::contour(super::super::smooth(whole, &settings), &settings);
+            let frame = rasterize(cloud, &settings, shaping, obstacles.clone(), 4, storages());
+            let smoothed = smooth(frame.expect("in memory"), &settings).expect("in memory");
+            let (tiled, _) = contour(smoothed, &settings).expect("in memory");
+            assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
+            assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
+            assert!(tiled.mesh == whole.mesh);
+            let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+            assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+            let SkinReport { certificate, edits, contact, .. } = &whole.report;
+            assert!(certificate.holds(), "{certificate:?}");
+            assert!(
+                edits.island_count > 0 && edits.clipped_voxel_count > 0 && contact.void_count > 0,
+                "{edits:?}"
+            );
+        }
+    }
+
+    fn octahedron(center: DVec3, radius: f64) -> Solid {
+        let corners = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let positions = corners.map(|corner| (center + radius * corner).to_array());
+        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        Solid::new(&positions, &faces)
     }
 
     /// So the test above can fail: what a tile does not see, it does not get right.

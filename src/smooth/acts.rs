@@ -43,6 +43,11 @@ pub enum Act {
         /// How many.
         count: u32,
     },
+    /// Explicit steps as large as may be.
+    Adaptive {
+        /// How many steps of the given size take the same time.
+        count: u32,
+    },
     /// An implicit step.
     Implicit,
     /// Distances and bounds restored after steps.
@@ -79,7 +84,7 @@ impl Act {
             // What is thick is found again by every act of a step.
             Act::Passes { count, .. } => Some(count.saturating_mul(2).saturating_add(THICKNESS_REACH)),
             Act::Explicit { count } => Some(count.saturating_mul(2)),
-            Act::Implicit => None,
+            Act::Implicit | Act::Adaptive { .. } => None,
             Act::Finish => Some(0),
         }
     }
@@ -117,10 +122,7 @@ pub fn acts(config: &Config, reach_max: u32) -> Vec<Act> {
         // Something has to take the grain off what the first step holds fixed: noise there costs a
         // sphere of radius 20 one per cent of its volume.
         0 => acts.push(Act::Restore),
-        steps => {
-            acts.extend(portions(steps, reach_max).map(|(_, steps)| Act::Laplacian { steps }));
-            acts.push(Act::Restore)
-        }
+        steps => acts.extend(portions(steps, reach_max).map(|(_, steps)| Act::Laplacian { steps })),
     }
     let mut since_redistance = 0;
     for step in 0..config.steps {
@@ -132,11 +134,15 @@ pub fn acts(config: &Config, reach_max: u32) -> Vec<Act> {
                 acts.extend(portions(passes, most).map(part));
             }
             Integrator::Implicit => acts.push(Act::Implicit),
-            Integrator::Explicit => since_redistance += 1,
+            Integrator::Explicit | Integrator::Adaptive => since_redistance += 1,
         }
         if (step + 1) % config.redistance_every == 0 || step + 1 == config.steps {
-            let explicit = portions(since_redistance, reach_max / 2);
-            acts.extend(explicit.map(|(_, count)| Act::Explicit { count }));
+            if config.integrator == Integrator::Adaptive {
+                acts.push(Act::Adaptive { count: since_redistance });
+            } else {
+                let explicit = portions(since_redistance, reach_max / 2);
+                acts.extend(explicit.map(|(_, count)| Act::Explicit { count }));
+            }
             since_redistance = 0;
             acts.push(Act::Redistance);
         }
@@ -192,6 +198,8 @@ pub struct Tally {
     pub free_count: u64,
     /// How often one was moved.
     pub moved_count: u64,
+    /// Adaptive steps that were taken.
+    pub adaptive_step_count: usize,
     /// For each explicit step whether some value was moved by more than a voxel (Eq. 8).
     pub cfl_exceeded: Vec<bool>,
     /// Of an implicit step.
@@ -224,6 +232,7 @@ impl Work<'_> {
                 Tally { free_count, moved_count, ..Tally::default() }
             }
             Act::Explicit { count } => self.explicit(count),
+            Act::Adaptive { count } => self.adaptive(count),
             Act::Implicit => {
                 let region = Band::new(&band.topology, &band.phi, FREE_WIDTH);
                 let free_count = region.free_count(*own);
@@ -260,11 +269,32 @@ impl Work<'_> {
         }
         tally
     }
+
+    fn adaptive(&mut self, count: u32) -> Tally {
+        let mut tally = Tally::default();
+        // In 64 bits, of which many small steps lose nothing.
+        let mut time_left = f64::from(count) * f64::from(self.config.step_size);
+        while time_left > TIME_TOLERANCE {
+            let region = Band::new(&self.band.topology, &self.band.phi, FREE_WIDTH);
+            let free_count = region.free_count(self.own);
+            if tally.adaptive_step_count == 0 {
+                tally.free_count = free_count;
+            }
+            tally.moved_count += free_count;
+            tally.adaptive_step_count += 1;
+            let Work { band, bounds, memory, .. } = self;
+            time_left -= f64::from(explicit::adaptive_step(band, bounds, &region, time_left as f32, memory));
+        }
+        tally
+    }
 }
+
+/// So little of the time of steps may be left over, in units of h⁴.
+const TIME_TOLERANCE: f64 = 1e-6;
 
 fn sweeps_after(integrator: Integrator) -> Sweeps {
     match integrator {
-        Integrator::Explicit => Sweeps::accurate(REDISTANCE_SWEEPS),
+        Integrator::Explicit | Integrator::Adaptive => Sweeps::accurate(REDISTANCE_SWEEPS),
         Integrator::Fast | Integrator::Implicit => {
             Sweeps { count: REDISTANCE_SWEEPS, second_order_within: IMPLICIT_SECOND_ORDER_WITHIN }
         }
@@ -280,7 +310,8 @@ impl Tally {
         for (one, other) in self.cfl_exceeded.iter_mut().zip(other.cfl_exceeded) {
             *one |= other;
         }
-        // A step that couples all voxels is never taken in parts.
+        // Steps that couple all voxels are never taken in parts.
+        self.adaptive_step_count = self.adaptive_step_count.max(other.adaptive_step_count);
         self.convergence = self.convergence.or(other.convergence);
         self
     }
@@ -303,6 +334,7 @@ impl SmoothReport {
         self.cfl_exceeded_count += tally.cfl_exceeded.iter().filter(|&&exceeded| exceeded).count();
         self.pass_count += match act {
             Act::Passes { count, .. } | Act::Explicit { count } => count as usize,
+            Act::Adaptive { .. } => tally.adaptive_step_count,
             _ => tally.convergence.map_or(0, |convergence| convergence.pass_count()),
         };
         if let Some(convergence) = tally.convergence {
@@ -347,8 +379,9 @@ mod tests {
     }
 
     #[test]
-    fn conjugate_gradients_reach_everywhere() {
+    fn what_couples_all_voxels_reaches_everywhere() {
         assert_eq!(SmoothReport::new(&config(Integrator::Implicit, 5, 1)).reach_voxels, None);
+        assert_eq!(SmoothReport::new(&config(Integrator::Adaptive, 500, 50)).reach_voxels, None);
         assert!(SmoothReport::new(&config(Integrator::Fast, 5, 1)).reach_voxels.is_some());
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //!   φ_0 ──15 Laplacian steps──▶ φ ──step──▶ redistance ──▶ clamp ──▶ … ──▶ φ
-//!                                  └── explicit, implicit or fast ──┘
+//!                                  └─ explicit, implicit or fast ─┘
 //! ```
 //!
 //! Every frame is integrated for the same fictitious time, never until it converges: that keeps a
@@ -39,6 +39,8 @@ pub enum Integrator {
     Implicit,
     /// The paper's Algorithm 1: many small explicit steps.
     Explicit,
+    /// The same, each step as large as may be (paper, §3.5). How large depends on the whole frame: a sequence flickers.
+    Adaptive,
 }
 
 /// What to do, in units of voxels and of the time h⁴.
@@ -50,7 +52,7 @@ pub struct Config {
     pub integrator: Integrator,
     /// Biharmonic steps.
     pub steps: u32,
-    /// Size of a biharmonic step, in units of h⁴.
+    /// Size of a biharmonic step, in units of h⁴. `Adaptive` takes steps of other sizes for the same total time.
     pub step_size: f32,
     /// Redistance after so many steps; the last step is always followed by one.
     pub redistance_every: u32,
@@ -68,7 +70,7 @@ pub struct SmoothReport {
     /// How often a free voxel was moved: free voxels times passes, where all have the same number.
     pub moved_count: u64,
     /// How far a change of φ_0 or the bounds can reach, in voxels; `None` for `Implicit`, whose
-    /// dot products couple every voxel to every other.
+    /// dot products couple every voxel to every other, and for `Adaptive`, whose steps are as large as the quickest voxel allows.
     pub reach_voxels: Option<u32>,
     /// Of `Implicit` only.
     pub convergence: Option<Convergence>,

@@ -33,11 +33,21 @@ pub struct FilledCavities {
 
 /// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside, and the lower
 /// bounds there are lowered to φ.
-pub fn fill_cavities(band: &mut NarrowBand, bounds: &mut Bounds, volume_voxels: f64) -> FilledCavities {
+///
+/// What has a voxel that `is_kept` is no cavity: it is given the origin of a leaf, and a place in it.
+pub fn fill_cavities(
+    band: &mut NarrowBand,
+    bounds: &mut Bounds,
+    volume_voxels: f64,
+    is_kept: Option<&dyn Fn(IVec3, usize) -> bool>,
+) -> FilledCavities {
     let topology = band.topology.clone();
     let complement = |mask: LeafMask| LeafMask { words: mask.words.map(|word| !word) };
     let outside: Vec<LeafMask> = negative_masks(&band.phi).into_iter().map(complement).collect();
     let mut surroundings = Surroundings::new(&topology, Pieces::new(&topology, &outside, Contact::Edges));
+    if let Some(is_kept) = is_kept {
+        surroundings.keep(is_kept);
+    }
     let mut filled = FilledCavities::default();
     for piece in 0..surroundings.pieces.count as u32 {
         if let Some(volume) = surroundings.enclosed_volume(piece, volume_voxels) {
@@ -90,6 +100,18 @@ impl<'a> Surroundings<'a> {
         let (volumes, verdicts) = (pieces.volumes(), vec![Verdict::Unknown; pieces.count]);
         let open = FxHashSet::default();
         Surroundings { topology, pieces, volumes, by_piece, by_leaf, extent, verdicts, open }
+    }
+
+    /// Makes the pieces with a voxel that is kept open.
+    fn keep(&mut self, is_kept: &dyn Fn(IVec3, usize) -> bool) {
+        for (leaf, &origin) in self.topology.origins().iter().enumerate() {
+            for (piece, mask) in self.pieces.of_leaf(leaf) {
+                let verdict = &mut self.verdicts[piece as usize];
+                if *verdict == Verdict::Unknown && mask.iter().any(|offset| is_kept(origin, offset)) {
+                    *verdict = Verdict::Open;
+                }
+            }
+        }
     }
 
     /// The volume of the cavity that a piece is the first known part of, in voxels; `None` if it is not less than

@@ -5,7 +5,7 @@
 use glam::{DVec3, IVec3};
 use meniscus::level_set::NarrowBand;
 use meniscus::particles::Particles;
-use meniscus::rasterize::{Rasterized, rasterize};
+use meniscus::rasterize::{Rasterized, Scene, rasterize};
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::skin;
 use meniscus::smooth::{Integrator, smooth};
@@ -16,13 +16,14 @@ use crate::shapes::{
     sheet_and_drops, skinned, two_balls, value_at, voxels,
 };
 
-const INTEGRATORS: [Integrator; 3] = [Integrator::Fast, Integrator::Implicit, Integrator::Explicit];
+const INTEGRATORS: [Integrator; 4] =
+    [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive];
 
 /// The surface of particles in world units.
 fn skinned_world(positions: &[DVec3], voxel_size: f64, integrator: Integrator) -> NarrowBand {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
     let Ok(Rasterized { mut band, bounds, .. }) =
-        rasterize(&particles, &Lattice { voxel_size }, default_radii());
+        rasterize(&particles, &Scene::open(Lattice { voxel_size }, default_radii()));
     smooth(&mut band, &bounds, &default_config(integrator));
     band
 }
@@ -192,7 +193,7 @@ fn particles_that_are_left_out_are_certified_too() {
         jittered_lattice(&mut random, 34, |p| p.length() < 34.0).iter().map(|p| p * 0.5).collect();
     let particles = Particles::Double(solid.iter().map(|p| p.to_array()).collect());
     let settings = Settings::resolve(1.0, &Choices::default()).unwrap();
-    let Ok(rasterized) = rasterize(&particles, &Lattice { voxel_size: 1.0 }, default_radii());
+    let Ok(rasterized) = rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
     assert!(rasterized.bins.len() < solid.len() * 3 / 4, "{} are kept", rasterized.bins.len());
     let surface = skin(&particles, &settings);
     let certificate = surface.report.certificate;

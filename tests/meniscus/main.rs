@@ -1,10 +1,12 @@
 //! What the program promises, tested from outside: through the command, and through the library.
 
+mod adaptive; // explicit steps as large as may be (paper, §3.5)
 mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
 mod info; // the command that tells what files hold
 mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
 mod layers; // the house: no module imports its own row or a higher one
+mod obstacles; // what stands in the way: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
 mod own_shapes; // particles of their own sizes and shapes (paper, Fig. 11 and 13)
 mod pipeline; // frames through the stages, with a quick method in place of the real one
@@ -17,4 +19,3 @@ mod stream; // frames that come one by one: order, bounds, and what goes wrong o
 mod union_of_spheres; // rasterization against what is known of spheres
 mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell
 mod ways;
-mod zz; // one frame by any instructions, whole or in tiles, from a file read whole or in batches

@@ -9,8 +9,8 @@ use meniscus::grid::{Field, Topology};
 use meniscus::level_set::NarrowBand;
 use meniscus::mesh::Mesh;
 use meniscus::pipeline::{
-    Cause, Conduct, FileStamp, Frame, FrameParticles, LevelSetSkinning, Method, OnError, Outcome,
-    OutputFormat, OutputOptions, Stage, run,
+    Cause, Conduct, FileStamp, Frame, FrameObstacles, FrameParticles, LevelSetSkinning, Method, OnError,
+    Outcome, OutputFormat, OutputOptions, Stage, run,
 };
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
@@ -48,6 +48,7 @@ impl Method for Quick {
     fn plan(
         &self,
         _particles: &FrameParticles,
+        _obstacles: &FrameObstacles,
         _settings: &Settings,
         _allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
@@ -57,6 +58,7 @@ impl Method for Quick {
     fn rasterize(
         &self,
         particles: FrameParticles,
+        _obstacles: FrameObstacles,
         _settings: &Settings,
         _plan: &Plan,
         _scratch: &Path,
@@ -117,7 +119,14 @@ impl Bench {
                 _ => write_ply(&input, &block(edge_count, 0.0)),
             }
             let stem = format!("f.{number}");
-            frames.push(Frame { input, stem, settings: settings.clone(), outputs: outputs.clone() });
+            frames.push(Frame {
+                input,
+                stem,
+                settings: settings.clone(),
+                outputs: outputs.clone(),
+                number: None,
+                obstacles: Arc::default(),
+            });
         }
         Bench { folder, frames }
     }

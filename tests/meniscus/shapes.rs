@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3, IVec3, Vec3};
 use meniscus::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
 use meniscus::level_set::{Bounds, NarrowBand};
 use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, rasterize};
+use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
 use meniscus::smooth::{Config, Integrator, SmoothReport, smooth};
 use meniscus::space::Lattice;
 
@@ -22,7 +22,7 @@ pub(crate) fn default_radii() -> Radii {
 /// The defaults of each integrator.
 pub(crate) fn default_config(integrator: Integrator) -> Config {
     let (steps, step_size, redistance_every) = match integrator {
-        Integrator::Explicit => (500, 0.01, 50),
+        Integrator::Explicit | Integrator::Adaptive => (500, 0.01, 50),
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
     Config { laplacian_steps: 15, integrator, steps, step_size, redistance_every, cg_tolerance: 1e-4 }
@@ -32,7 +32,7 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
 pub(crate) fn rasterized(positions: &[DVec3]) -> (NarrowBand, Bounds) {
     let particles = Particles::Double(positions.iter().map(|p| p.to_array()).collect());
     let Ok(Rasterized { band, bounds, .. }) =
-        rasterize(&particles, &Lattice { voxel_size: 1.0 }, default_radii());
+        rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
     (band, bounds)
 }
 

@@ -10,7 +10,7 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use meniscus::pipeline::{
-    Cause, Conduct, Frame, FrameError, FrameParticles, Method, Outcome, OutputOptions, Stage,
+    Cause, Conduct, Frame, FrameError, FrameObstacles, FrameParticles, Method, Outcome, OutputOptions, Stage,
     default_in_flight, is_own_output, run, stream,
 };
 use meniscus::settings::Settings;
@@ -32,6 +32,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
     fn plan(
         &self,
         particles: &FrameParticles,
+        _obstacles: &FrameObstacles,
         _settings: &Settings,
         _allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
@@ -41,6 +42,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
     fn rasterize(
         &self,
         particles: FrameParticles,
+        _obstacles: FrameObstacles,
         _settings: &Settings,
         _plan: &Plan,
         _scratch: &Path,

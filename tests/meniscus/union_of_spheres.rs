@@ -4,7 +4,7 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, rasterize};
+use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
 use meniscus::smooth::{Integrator, smooth};
 use meniscus::space::{INDEX_LIMIT, Lattice};
 
@@ -62,7 +62,8 @@ fn swept_distances_of_a_sphere_are_near() {
     let center = DVec3::new(0.4, 0.1, -0.3);
     let lattice = Lattice { voxel_size: 1.0 };
     let particle = Particles::Double(vec![center.to_array()]);
-    let Ok(Rasterized { band, .. }) = rasterize(&particle, &lattice, Radii::of_balls(9.5, 10.0, 10.5));
+    let Ok(Rasterized { band, .. }) =
+        rasterize(&particle, &Scene::open(lattice, Radii::of_balls(9.5, 10.0, 10.5)));
     let error = |(voxel, phi): (IVec3, f32)| {
         let exact = voxel.as_dvec3().distance(center) - 10.0;
         (exact.abs() < f64::from(band.half_width) - 0.5).then_some((f64::from(phi) - exact).abs())
@@ -131,7 +132,7 @@ fn positions_that_are_nowhere_are_dropped_and_counted() {
     ];
     let mixed = vec![bad[0], good[0], bad[1], bad[2], good[1], bad[3], good[2], bad[4]];
     let rasterized = |positions: Vec<[f64; 3]>| {
-        let Ok(rasterized) = rasterize(&Particles::Double(positions), &lattice, default_radii());
+        let Ok(rasterized) = rasterize(&Particles::Double(positions), &Scene::open(lattice, default_radii()));
         rasterized
     };
     let (clean, dirty) = (rasterized(good.to_vec()), rasterized(mixed));

@@ -96,7 +96,11 @@ fn in_the_least_memory_that_is_named() {
     // What takes this little is in tiles: whole it would take more than half of what implicit takes.
     let coupled = convert(path, "tiled", &["--memory", "1MiB", "--integrator", "implicit"]);
     assert_eq!(coupled.status, 2, "{}", coupled.out);
-    assert!(coupled.err.contains("the implicit integrator couples all voxels"), "{}", coupled.err);
+    assert!(
+        coupled.err.contains("the implicit and the adaptive integrator couple all voxels"),
+        "{}",
+        coupled.err
+    );
     assert!(2 * least < mebibytes_needed(&coupled), "{least} MiB; {}", coupled.err);
 
     let tiled = convert(path, "tiled", &["--memory", &format!("{least}MiB")]);

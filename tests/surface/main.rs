@@ -5,6 +5,7 @@
 
 mod bands;
 mod decimate;
+mod quads;
 mod trim;
 
 use std::f64::consts::PI;

@@ -130,7 +130,7 @@ fn bubbles_up_to_a_volume_are_filled() {
     let volume = |(_, radius): ([f64; 3], f64)| 4.0 / 3.0 * PI * radius.powi(3);
     for (most, filled_count) in [(20.0, 0), (100.0, 1), (500.0, 2), (1e5, 3), (f64::INFINITY, 3)] {
         let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let filled = fill_cavities(&mut band, &mut bounds, most);
+        let filled = fill_cavities(&mut band, &mut bounds, most, None);
         let expected: f64 = BUBBLES[..filled_count].iter().map(|&bubble| volume(bubble)).sum();
         assert_eq!(filled.cavity_count, filled_count);
         assert!((filled.voxel_count as f64 - expected).abs() <= 0.03 * expected, "{filled:?} {expected}");
@@ -162,7 +162,7 @@ fn what_is_within_what_is_judged_by_itself() {
     let trimmed = |least: u64, most: f64| {
         let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
         let dropped = drop_islands(&mut band, &mut bounds, least, given());
-        let filled = fill_cavities(&mut band, &mut bounds, most);
+        let filled = fill_cavities(&mut band, &mut bounds, most, None);
         assert_eq!(bounds.violation_count(&band.phi), 0);
         (dropped.piece_count, filled.cavity_count, components(&band))
     };
@@ -275,7 +275,7 @@ fn noise_is_trimmed_as_well() {
             let (mut band, mut bounds) = (noise.clone(), bounds_of(&noise));
             let given = given.iter().map(|(origin, locals)| (*origin, locals));
             let dropped = drop_islands(&mut band, &mut bounds, 20, given);
-            let filled = fill_cavities(&mut band, &mut bounds, 50.0);
+            let filled = fill_cavities(&mut band, &mut bounds, 50.0, None);
             let clip_box = ClipBox { min: DVec3::splat(-6.2), max: DVec3::splat(12.1) };
             let clipped = clip(&mut band, &mut bounds, &UNIT, &clip_box);
             assert_eq!(bounds.violation_count(&band.phi), 0);
@@ -300,7 +300,7 @@ fn far_changes_stay_far() {
         let mut bounds = bounds_of(&band);
         let all = particles(min, max, balls(scene));
         drop_islands(&mut band, &mut bounds, 40, all.iter().map(|(origin, locals)| (*origin, locals)));
-        fill_cavities(&mut band, &mut bounds, 100.0);
+        fill_cavities(&mut band, &mut bounds, 100.0, None);
         let clip_box = ClipBox { min: DVec3::splat(-30.0), max: DVec3::new(130.0, 12.5, 30.0) };
         clip(&mut band, &mut bounds, &UNIT, &clip_box);
         band

@@ -1,146 +1,140 @@
 //! Typed numbers out of the buffers of a glTF document, with every bound checked.
+//!
+//! The crate gltf goes through the elements, sparse ones too; but it believes what the document says of them. So
+//! all that is said is compared with the bytes that are there, before it is asked.
 
-use serde::Deserialize;
+use ::gltf::accessor::{DataType, Dimensions, Item, Iter, sparse};
+use ::gltf::buffer::{Buffer, View};
+use ::gltf::{Accessor, Semantic};
 
-use super::{FORMAT, component};
+use super::FORMAT;
 use crate::error::{Error, Place, Result};
 
-/// A typed view of a part of a buffer.
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct Accessor {
-    buffer_view: Option<usize>,
-    #[serde(default)]
-    byte_offset: usize,
-    component_type: u32,
-    #[serde(default)]
-    normalized: bool,
-    count: usize,
-    r#type: String,
-    sparse: Option<serde::de::IgnoredAny>,
+/// The bytes of the document's buffers.
+pub(super) struct Buffers {
+    pub(super) bytes: Vec<Vec<u8>>,
 }
 
-/// A part of a buffer.
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-pub(super) struct BufferView {
-    buffer: usize,
-    #[serde(default)]
-    byte_offset: usize,
-    byte_length: usize,
-    byte_stride: Option<usize>,
-}
-
-/// The elements of an accessor: bytes that are known to be there.
-pub(super) struct Elements<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    component_type: u32,
-    normalized: bool,
-    count: usize,
-}
-
-impl Accessor {
-    /// Finds the elements, each of `arity` components.
-    pub(super) fn elements<'a>(
-        &self,
-        arity: usize,
-        views: &[BufferView],
-        buffers: &'a [Vec<u8>],
-    ) -> Result<Elements<'a>> {
-        let kind = if arity == 1 { "SCALAR" } else { "VEC3" };
-        let Some(component_bytes) = component_bytes(self.component_type).filter(|_| self.r#type == kind)
-        else {
-            let what = format!(
-                "an accessor of {} with components {}; expected {kind}",
-                self.r#type, self.component_type
-            );
-            return Err(invalid(what));
-        };
-        let Some(view) = self.buffer_view else {
-            return Err(Error::unsupported(FORMAT, "an accessor without a buffer view"));
-        };
-        if self.sparse.is_some() {
-            return Err(Error::unsupported(FORMAT, "a sparse accessor; export without sparse data"));
+impl Buffers {
+    /// The elements of an accessor of vectors; integers that stand for −1 ..= 1 are converted.
+    pub(super) fn vectors(&self, accessor: &Accessor, semantic: &Semantic) -> Result<Vec<[f64; 3]>> {
+        if accessor.dimensions() != Dimensions::Vec3 {
+            return Err(invalid(format!("{semantic:?} of {:?}; expected Vec3", accessor.dimensions())));
         }
-        let view = views.get(view).ok_or_else(|| invalid(format!("no buffer view {view}")))?;
-        let end = view.byte_offset.checked_add(view.byte_length);
-        let bytes =
-            buffers.get(view.buffer).zip(end).and_then(|(buffer, end)| buffer.get(view.byte_offset..end));
-        let bytes = bytes.and_then(|bytes| bytes.get(self.byte_offset..));
-        let element_bytes = arity * component_bytes;
-        let stride = view.byte_stride.unwrap_or(element_bytes);
-        let needed = match self.count.checked_sub(1) {
-            None => Some(0),
-            Some(last) => last.checked_mul(stride).and_then(|bytes| bytes.checked_add(element_bytes)),
-        };
-        match (bytes, needed) {
-            (Some(bytes), Some(needed)) if needed <= bytes.len() && element_bytes <= stride => Ok(Elements {
-                bytes,
-                stride,
-                component_type: self.component_type,
-                normalized: self.normalized,
-                count: self.count,
-            }),
-            _ => Err(invalid(format!("an accessor of {} elements that exceeds its buffer", self.count))),
-        }
-    }
-}
-
-impl Elements<'_> {
-    /// How many elements there are.
-    pub(super) fn len(&self) -> usize {
-        self.count
-    }
-
-    /// The elements as vectors; integers that stand for −1 ..= 1 are converted.
-    pub(super) fn vectors(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
-        let component_bytes = component_bytes(self.component_type).unwrap_or(0);
-        (0..self.count).map(move |index| {
-            let at = index * self.stride;
-            std::array::from_fn(|axis| self.number(at + axis * component_bytes))
-        })
-    }
-
-    /// The elements as indices; none if the component type cannot be one.
-    pub(super) fn indices(&self) -> Option<Vec<u32>> {
-        let at = |index: usize| &self.bytes[index * self.stride..];
-        let indices = 0..self.count;
-        match self.component_type {
-            component::U8 => Some(indices.map(|i| u32::from(at(i)[0])).collect()),
-            component::U16 => Some(indices.map(|i| u32::from(u16::from_le_bytes(first(at(i))))).collect()),
-            component::U32 => Some(indices.map(|i| u32::from_le_bytes(first(at(i)))).collect()),
-            _ => None,
-        }
-    }
-
-    fn number(&self, at: usize) -> f64 {
-        let bytes = &self.bytes[at..];
-        let (value, greatest) = match self.component_type {
-            component::I8 => (f64::from(i8::from_le_bytes(first(bytes))), f64::from(i8::MAX)),
-            component::U8 => (f64::from(bytes[0]), f64::from(u8::MAX)),
-            component::I16 => (f64::from(i16::from_le_bytes(first(bytes))), f64::from(i16::MAX)),
-            component::U16 => (f64::from(u16::from_le_bytes(first(bytes))), f64::from(u16::MAX)),
-            component::U32 => (f64::from(u32::from_le_bytes(first(bytes))), f64::from(u32::MAX)),
+        let scale = match accessor.data_type() {
             // The flag means nothing for reals; some exporters set it all the same.
-            _ => return f64::from(f32::from_le_bytes(first(bytes))),
+            DataType::F32 => None,
+            _ if !accessor.normalized() => None,
+            DataType::I8 => Some(f64::from(i8::MAX)),
+            DataType::U8 => Some(f64::from(u8::MAX)),
+            DataType::I16 => Some(f64::from(i16::MAX)),
+            DataType::U16 => Some(f64::from(u16::MAX)),
+            DataType::U32 => Some(f64::from(u32::MAX)),
         };
-        if self.normalized { (value / greatest).max(-1.0) } else { value }
+        match accessor.data_type() {
+            DataType::I8 => self.reals::<i8>(accessor, scale),
+            DataType::U8 => self.reals::<u8>(accessor, scale),
+            DataType::I16 => self.reals::<i16>(accessor, scale),
+            DataType::U16 => self.reals::<u16>(accessor, scale),
+            DataType::U32 => self.reals::<u32>(accessor, scale),
+            DataType::F32 => self.reals::<f32>(accessor, scale),
+        }
+    }
+
+    /// The elements of an accessor of indices.
+    pub(super) fn indices(&self, accessor: &Accessor) -> Result<Vec<u32>> {
+        match (accessor.dimensions(), accessor.data_type()) {
+            (Dimensions::Scalar, DataType::U8) => {
+                Ok(self.elements::<u8>(accessor)?.into_iter().map(u32::from).collect())
+            }
+            (Dimensions::Scalar, DataType::U16) => {
+                Ok(self.elements::<u16>(accessor)?.into_iter().map(u32::from).collect())
+            }
+            (Dimensions::Scalar, DataType::U32) => self.elements::<u32>(accessor),
+            (dimensions, data) => Err(invalid(format!("indices that are {dimensions:?} of {data:?}"))),
+        }
+    }
+
+    fn reals<T: Item + Copy + Into<f64>>(
+        &self,
+        accessor: &Accessor,
+        scale: Option<f64>,
+    ) -> Result<Vec<[f64; 3]>> {
+        let real = |component: T| match scale {
+            Some(greatest) => (component.into() / greatest).max(-1.0),
+            None => component.into(),
+        };
+        Ok(self.elements::<[T; 3]>(accessor)?.into_iter().map(|element| element.map(real)).collect())
+    }
+
+    /// The elements as they are stored.
+    fn elements<T: Item>(&self, accessor: &Accessor) -> Result<Vec<T>> {
+        if accessor.count() == 0 {
+            return Ok(Vec::new());
+        }
+        self.check(accessor)?;
+        let bytes = |buffer: Buffer| self.bytes.get(buffer.index()).map(Vec::as_slice);
+        let elements = Iter::new(accessor.clone(), bytes).ok_or_else(|| beyond(accessor.count()))?;
+        Ok(elements.take(accessor.count()).collect())
+    }
+
+    /// Whether all that an accessor speaks of is there.
+    fn check(&self, accessor: &Accessor) -> Result<()> {
+        let (count, size) = (accessor.count(), accessor.size());
+        if let Some(view) = accessor.view() {
+            self.part(&view, accessor.offset(), count, size)?;
+        }
+        match accessor.sparse() {
+            Some(sparse) => self.check_sparse(&sparse, count, size),
+            None if accessor.view().is_none() => {
+                Err(Error::unsupported(FORMAT, "an accessor without a buffer view"))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Sparse elements must come in order, each once: that is how they are gone through.
+    fn check_sparse(&self, sparse: &sparse::Sparse, count: usize, size: usize) -> Result<()> {
+        let sparse_count = sparse.count();
+        if sparse_count == 0 || sparse_count > count {
+            return Err(invalid(format!("{sparse_count} sparse elements of {count}")));
+        }
+        let (indices, values) = (sparse.indices(), sparse.values());
+        self.part(&values.view(), values.offset(), sparse_count, size)?;
+        let width = indices.index_type().size();
+        let (bytes, stride) = self.part(&indices.view(), indices.offset(), sparse_count, width)?;
+        let mut last = None;
+        for place in (0..sparse_count).map(|index| index * stride) {
+            let index =
+                bytes[place..place + width].iter().rfold(0, |index, byte| index << 8 | usize::from(*byte));
+            if index >= count || last.is_some_and(|last| index <= last) {
+                return Err(invalid(format!("a sparse element {index} of {count} out of its place")));
+            }
+            last = Some(index);
+        }
+        Ok(())
+    }
+
+    /// The bytes from the first element on, and the step to the next, if all elements are there.
+    fn part(&self, view: &View, offset: usize, count: usize, size: usize) -> Result<(&[u8], usize)> {
+        let buffer = self.bytes.get(view.buffer().index());
+        let end = view.offset().checked_add(view.length());
+        let bytes = buffer.zip(end).and_then(|(buffer, end)| buffer.get(view.offset()..end));
+        let bytes = bytes.and_then(|bytes| bytes.get(offset..));
+        let stride = view.stride().unwrap_or(size);
+        let needed = (count - 1)
+            .checked_mul(stride)
+            .and_then(|before| before.checked_add(size))
+            .filter(|_| size <= stride);
+        match (bytes, needed) {
+            (Some(bytes), Some(needed)) if needed <= bytes.len() => Ok((bytes, stride)),
+            _ => Err(beyond(count)),
+        }
     }
 }
 
-/// The first bytes of a slice that is known to have them.
-fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    std::array::from_fn(|index| bytes[index])
-}
-
-fn component_bytes(component_type: u32) -> Option<usize> {
-    match component_type {
-        component::I8 | component::U8 => Some(1),
-        component::I16 | component::U16 => Some(2),
-        component::U32 | component::F32 => Some(4),
-        _ => None,
-    }
+fn beyond(count: usize) -> Error {
+    invalid(format!("an accessor of {count} elements that exceeds its buffer"))
 }
 
 pub(super) fn invalid(what: impl Into<String>) -> Error {

@@ -1,4 +1,4 @@
-//! glTF 2.0: meshes out, as `.glb` or as `.gltf` with its buffer inside; meshes in, for a look.
+//! glTF 2.0: meshes out, as `.glb` or as `.gltf` with its buffer inside; meshes in.
 //!
 //! ```text
 //!   .glb    header │ JSON chunk, padded with spaces │ BIN chunk: positions, normals, attributes, indices
@@ -6,9 +6,8 @@
 //! ```
 //!
 //! A `.gltf` beside a `.bin` would be two files, and two files cannot appear at once; hence the
-//! data URI, a third larger. The document is a handful of structs given to serde_json: what is
-//! written can be read off them, and a reader of our own keeps node translations in 64 bits, in
-//! which far-off scenes stay exact.
+//! data URI, a third larger. The document that is written is a handful of structs given to serde_json: what is
+//! written can be read off them, and node translations keep their 64 bits, in which far-off scenes stay exact.
 //!
 //! This work is based on:
 //! The Khronos 3D Formats Working Group. glTF 2.0 Specification. 2021
@@ -19,7 +18,7 @@ mod read_provenance;
 mod vertex_data;
 mod write;
 
-pub use read::read_mesh;
+pub use read::{Beside, read_mesh, read_mesh_with};
 pub use vertex_data::attribute_notes;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 
@@ -33,11 +32,8 @@ const GLB_VERSION: u32 = 2;
 const CHUNK_JSON: [u8; 4] = *b"JSON";
 const CHUNK_BIN: [u8; 4] = *b"BIN\0";
 
-/// The codes of component types.
+/// The codes of component types that are written.
 mod component {
-    pub(super) const I8: u32 = 5120;
-    pub(super) const U8: u32 = 5121;
-    pub(super) const I16: u32 = 5122;
     pub(super) const U16: u32 = 5123;
     pub(super) const U32: u32 = 5125;
     pub(super) const F32: u32 = 5126;

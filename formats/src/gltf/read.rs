@@ -1,17 +1,26 @@
 //! Reads the triangles of a glTF file, as placed by its default scene.
 //!
-//! Buffers must be inside the file: the second chunk of a `.glb`, or data URIs. Materials, skins,
-//! morphs and animations are not looked at. Quantized meshes are read.
+//! The crate gltf knows the document: scenes, nodes, meshes, accessors, and whether each refers to something that
+//! is there. What it does not do is done here: the bytes of the file, and the places of nodes, of which it keeps 32
+//! bits; a scene far from the origin needs 64.
+//!
+//! Materials, skins, morphs and animations are not looked at. Quantized meshes are read.
 
+use ::gltf::json::{self, validation};
+use ::gltf::mesh::Mode;
+use ::gltf::{Document, Primitive, Semantic, buffer::Source};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
-use super::buffer::{Accessor, BufferView, invalid};
+use super::buffer::{Buffers, invalid};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
+
+/// Gives the bytes of a file beside the one that is read, by its relative path.
+pub type Beside<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;
 
 /// Reads all triangles of the default scene (or of the first, or of all meshes if there is no scene)
 /// as one mesh in world space. Normals are kept if every part has them.
@@ -19,33 +28,114 @@ use crate::limits::Limits;
 /// # Errors
 ///
 /// [`Error::Invalid`] for a damaged file; [`Error::Unsupported`] for buffers outside the file,
-/// sparse accessors and extensions that the file requires, such as compression; [`Error::TooLarge`]
+/// and extensions that the file requires, such as compression; [`Error::TooLarge`]
 /// if instances of meshes multiply beyond `limits`.
 pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    read(bytes, limits, None)
+}
+
+/// The same of a file whose buffers may be files beside it.
+///
+/// # Errors
+///
+/// As [`read_mesh`]; [`Error::Io`] if a buffer cannot be had.
+pub fn read_mesh_with(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshData> {
+    read(bytes, limits, Some(beside))
+}
+
+fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshData> {
     let (json, bin) = chunks(bytes)?;
-    let document: Document = serde_json::from_slice(json)
-        .map_err(|error| Error::invalid(FORMAT, Place::Line(error.line() as u64), error.to_string()))?;
-    if let Some(extension) = document.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization")
-    {
-        return Err(Error::unsupported(FORMAT, format!("the extension {extension}; export without it")));
-    }
-    let buffers = document.buffers.iter().enumerate();
-    let buffers: Vec<Vec<u8>> =
-        buffers.map(|(index, buffer)| buffer.load(bin.filter(|_| index == 0))).collect::<Result<_>>()?;
+    let document = document(json)?;
+    let places: Places = parse(json)?;
+    let buffers = document.buffers().map(|buffer| match buffer.source() {
+        Source::Bin => bin
+            .filter(|_| buffer.index() == 0)
+            .map(<[u8]>::to_vec)
+            .ok_or_else(|| invalid("a buffer without data")),
+        Source::Uri(uri) => from_uri(uri, beside),
+    });
     let mut collector = Collector {
-        document: &document,
-        buffers: &buffers,
+        buffers: Buffers { bytes: buffers.collect::<Result<_>>()? },
         budget: limits.decompressed_bytes_of(bytes.len() as u64),
         mesh: MeshData::default(),
         has_normals: true,
     };
-    for (mesh, placement) in document.placed_meshes()? {
-        let mesh = document.meshes.get(mesh).ok_or_else(|| invalid(format!("no mesh {mesh}")))?;
-        for primitive in &mesh.primitives {
-            collector.add(primitive, &placement)?;
+    for (mesh, placement) in placed_meshes(&document, &places)? {
+        for primitive in mesh.primitives() {
+            collector.add(&primitive, &placement)?;
         }
     }
     Ok(collector.finish())
+}
+
+/// Parses the document and checks that whatever it refers to is there.
+fn document(json: &[u8]) -> Result<Document> {
+    let root: json::Root = parse(json).or_else(|error| with_nodes_in_scenes(json).ok_or(error))?;
+    if let Some(extension) = root.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization") {
+        return Err(Error::unsupported(FORMAT, format!("the extension {extension}; export without it")));
+    }
+    // The crate would go on from such an index while it checks.
+    let attributes = root.meshes.iter().flat_map(|mesh| &mesh.primitives).flat_map(|part| &part.attributes);
+    if let Some((_, index)) = attributes.into_iter().find(|(_, index)| root.get(**index).is_none()) {
+        return Err(invalid(format!("no accessor {}", index.value())));
+    }
+    let mut wrong = None;
+    validation::Validate::validate(&root, &root, json::Path::new, &mut |path, error| {
+        // What is missing, such as the bounds of positions, is not needed here.
+        if !matches!(error, validation::Error::Missing | validation::Error::Unsupported) && wrong.is_none() {
+            wrong = Some(format!("{}: {error}", path()));
+        }
+    });
+    match wrong {
+        Some(wrong) => Err(invalid(wrong)),
+        None => Ok(Document::from_json_without_validation(root)),
+    }
+}
+
+/// The document of a file with a scene that names no nodes: an empty one, which the crate does not know.
+fn with_nodes_in_scenes(json: &[u8]) -> Option<json::Root> {
+    let mut document: serde_json::Value = serde_json::from_slice(json).ok()?;
+    for scene in document.get_mut("scenes")?.as_array_mut()? {
+        scene.as_object_mut()?.entry("nodes").or_insert_with(|| serde_json::Value::Array(Vec::new()));
+    }
+    serde_json::from_value(document).ok()
+}
+
+fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
+    serde_json::from_slice(json)
+        .map_err(|error| Error::invalid(FORMAT, Place::Line(error.line() as u64), error.to_string()))
+}
+
+/// The bytes of a buffer that is not in the binary chunk.
+fn from_uri(uri: &str, beside: Option<&Beside>) -> Result<Vec<u8>> {
+    if let Some(data) = uri.strip_prefix("data:") {
+        let (_, base64) =
+            data.split_once(";base64,").ok_or_else(|| invalid("a data URI that is not base64"))?;
+        return STANDARD.decode(base64).map_err(|error| invalid(format!("a data URI: {error}")));
+    }
+    let Some(beside) = beside else {
+        let what = "a buffer in a file of its own; export as .glb, or embed it";
+        return Err(Error::unsupported(FORMAT, what));
+    };
+    let path = percent_decoded(uri).ok_or_else(|| invalid(format!("the URI {uri}")))?;
+    if path.contains(':') || path.starts_with(['/', '\\']) {
+        let what = format!("a buffer that is not beside the file, but at {uri}");
+        return Err(Error::unsupported(FORMAT, what));
+    }
+    beside(&path)
+        .map_err(|error| std::io::Error::new(error.kind(), format!("its buffer {path}: {error}")).into())
+}
+
+/// A path as it was before it became part of a URI.
+fn percent_decoded(uri: &str) -> Option<String> {
+    let mut parts = uri.split('%');
+    let mut bytes = parts.next()?.as_bytes().to_vec();
+    for part in parts {
+        let (code, rest) = part.split_at_checked(2)?;
+        bytes.push(u8::from_str_radix(code, 16).ok()?);
+        bytes.extend_from_slice(rest.as_bytes());
+    }
+    String::from_utf8(bytes).ok()
 }
 
 /// The JSON and, if there is one, the binary chunk.
@@ -84,104 +174,46 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
     }
 }
 
+/// Where the nodes are.
 #[derive(Deserialize)]
-#[serde(rename_all = "camelCase", default)]
-#[derive(Default)]
-struct Document {
-    scene: Option<usize>,
-    scenes: Vec<Scene>,
-    nodes: Vec<Node>,
-    meshes: Vec<Mesh>,
-    accessors: Vec<Accessor>,
-    buffer_views: Vec<BufferView>,
-    buffers: Vec<Buffer>,
-    extensions_required: Vec<String>,
-}
-
-#[derive(Deserialize)]
-struct Scene {
+struct Places {
     #[serde(default)]
-    nodes: Vec<usize>,
+    nodes: Vec<Node>,
 }
 
 #[derive(Deserialize)]
 struct Node {
-    mesh: Option<usize>,
-    #[serde(default)]
-    children: Vec<usize>,
     matrix: Option<[f64; 16]>,
     translation: Option<[f64; 3]>,
     rotation: Option<[f64; 4]>,
     scale: Option<[f64; 3]>,
 }
 
-#[derive(Deserialize)]
-struct Mesh {
-    primitives: Vec<Primitive>,
-}
-
-#[derive(Deserialize)]
-struct Primitive {
-    attributes: Attributes,
-    indices: Option<usize>,
-    #[serde(default = "mode_triangles")]
-    mode: u32,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "UPPERCASE")]
-struct Attributes {
-    position: Option<usize>,
-    normal: Option<usize>,
-}
-
-#[derive(Deserialize)]
-struct Buffer {
-    uri: Option<String>,
-}
-
-impl Buffer {
-    fn load(&self, bin: Option<&[u8]>) -> Result<Vec<u8>> {
-        let Some(uri) = &self.uri else {
-            return bin.map(<[u8]>::to_vec).ok_or_else(|| invalid("a buffer without data"));
+/// Every use of a mesh by the scene, with its place in the world.
+fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::gltf::Mesh<'a>, Placement)>> {
+    let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
+        return Ok(document.meshes().map(|mesh| (mesh, Placement::IDENTITY)).collect());
+    };
+    let mut placed = Vec::new();
+    let mut visited = vec![false; places.nodes.len()];
+    let mut pending: Vec<(::gltf::Node, Placement)> =
+        scene.nodes().map(|node| (node, Placement::IDENTITY)).collect();
+    pending.reverse();
+    while let Some((node, parent)) = pending.pop() {
+        let index = node.index();
+        let (Some(place), Some(visited)) = (places.nodes.get(index), visited.get_mut(index)) else {
+            return Err(invalid(format!("no node {index}")));
         };
-        let Some((_, base64)) = uri.strip_prefix("data:").and_then(|uri| uri.split_once(";base64,")) else {
-            return Err(Error::unsupported(
-                FORMAT,
-                "a buffer in a file of its own; export as .glb, or embed it",
-            ));
-        };
-        STANDARD.decode(base64).map_err(|error| invalid(format!("a data URI: {error}")))
-    }
-}
-
-impl Document {
-    /// Every use of a mesh by the scene, with its place in the world.
-    fn placed_meshes(&self) -> Result<Vec<(usize, Placement)>> {
-        let roots = match self.scenes.get(self.scene.unwrap_or(0)) {
-            Some(scene) => &scene.nodes,
-            None if self.scene.is_none() => {
-                return Ok((0..self.meshes.len()).map(|mesh| (mesh, Placement::IDENTITY)).collect());
-            }
-            None => return Err(invalid("a default scene that does not exist")),
-        };
-        let mut placed = Vec::new();
-        let mut visited = vec![false; self.nodes.len()];
-        let mut pending: Vec<(usize, Placement)> =
-            roots.iter().rev().map(|&node| (node, Placement::IDENTITY)).collect();
-        while let Some((index, parent)) = pending.pop() {
-            let (Some(node), Some(visited)) = (self.nodes.get(index), visited.get_mut(index)) else {
-                return Err(invalid(format!("no node {index}")));
-            };
-            if std::mem::replace(visited, true) {
-                return Err(invalid(format!("node {index} has two parents")));
-            }
-            let placement = parent.then_inner(&node.placement());
-            placed.extend(node.mesh.map(|mesh| (mesh, placement)));
-            pending.extend(node.children.iter().rev().map(|&child| (child, placement)));
+        if std::mem::replace(visited, true) {
+            return Err(invalid(format!("node {index} has two parents")));
         }
-        Ok(placed)
+        let placement = parent.then_inner(&place.placement());
+        placed.extend(node.mesh().map(|mesh| (mesh, placement)));
+        let first = pending.len();
+        pending.extend(node.children().map(|child| (child, placement)));
+        pending[first..].reverse();
     }
+    Ok(placed)
 }
 
 /// An affine map: columns of the linear part, and the translation.
@@ -244,56 +276,59 @@ impl Node {
     }
 }
 
-struct Collector<'a> {
-    document: &'a Document,
-    buffers: &'a [Vec<u8>],
+struct Collector {
+    buffers: Buffers,
     budget: u64,
     mesh: MeshData,
     has_normals: bool,
 }
 
-impl Collector<'_> {
+impl Collector {
     fn add(&mut self, primitive: &Primitive, placement: &Placement) -> Result<()> {
-        let Some(position) = primitive.attributes.position else { return Ok(()) };
-        if primitive.mode < mode_triangles() {
-            return Ok(()); // points and lines
+        let Some(positions) = primitive.get(&Semantic::Positions) else { return Ok(()) };
+        if matches!(primitive.mode(), Mode::Points | Mode::Lines | Mode::LineLoop | Mode::LineStrip) {
+            return Ok(());
         }
-        let Document { accessors, buffer_views, .. } = self.document;
-        let elements = |index: usize, arity: usize| {
-            let accessor = accessors.get(index).ok_or_else(|| invalid(format!("no accessor {index}")))?;
-            accessor.elements(arity, buffer_views, self.buffers)
-        };
-        let positions = elements(position, 3)?;
-        let normals = primitive.attributes.normal.map(|normal| elements(normal, 3)).transpose()?;
-        let vertex_count = u32::try_from(positions.len()).map_err(|_| invalid("2³² vertices or more"))?;
-        let indices = match primitive.indices {
+        let index_count = primitive.indices().map_or(positions.count(), |indices| indices.count());
+        self.spend(positions.count(), index_count)?;
+        let vertex_count = u32::try_from(positions.count()).map_err(|_| invalid("2³² vertices or more"))?;
+        let positions = self.buffers.vectors(&positions, &Semantic::Positions)?;
+        let normals = primitive.get(&Semantic::Normals);
+        let normals = normals.filter(|normals| normals.count() == positions.len());
+        let normals =
+            normals.map(|normals| self.buffers.vectors(&normals, &Semantic::Normals)).transpose()?;
+        let indices = match primitive.indices() {
             None => (0..vertex_count).collect(),
-            Some(accessor) => elements(accessor, 1)?
-                .indices()
-                .ok_or_else(|| invalid("indices that are no unsigned integers"))?,
+            Some(accessor) => self.buffers.indices(&accessor)?,
         };
         if let Some(index) = indices.iter().find(|index| **index >= vertex_count) {
             return Err(invalid(format!("index {index} of {vertex_count} vertices")));
         }
-        let cost = 36 * u64::from(vertex_count) + 12 * indices.len() as u64;
-        let too_large = || Error::too_large(FORMAT, "instances of meshes take more memory than the limit");
-        self.budget = self.budget.checked_sub(cost).ok_or_else(too_large)?;
         let first = u32::try_from(self.mesh.positions.len()).ok();
         let Some(first) = first.filter(|first| first.checked_add(vertex_count).is_some()) else {
             return Err(Error::too_large(FORMAT, "more than 2³² vertices in all"));
         };
-        self.mesh.positions.extend(positions.vectors().map(|position| placement.point(position)));
-        self.mesh.triangles.extend(
-            triangles(&indices, primitive.mode)?.into_iter().map(|triangle| triangle.map(|i| first + i)),
-        );
+        self.mesh.positions.extend(positions.iter().map(|&position| placement.point(position)));
+        let triangles = triangles(&indices, primitive.mode()).into_iter();
+        self.mesh.triangles.extend(triangles.map(|triangle| triangle.map(|i| first + i)));
         match normals {
-            Some(normals) if normals.len() == positions.len() => {
+            Some(normals) => {
                 #[expect(clippy::cast_possible_truncation, reason = "normals are kept in 32 bits")]
-                let narrow = |normal| placement.normal(normal).map(|c| c as f32);
-                self.mesh.normals.extend(normals.vectors().map(narrow));
+                let narrow = |normal: &[f64; 3]| placement.normal(*normal).map(|c| c as f32);
+                self.mesh.normals.extend(normals.iter().map(narrow));
             }
-            _ => self.has_normals = false,
+            None => self.has_normals = false,
         }
+        Ok(())
+    }
+
+    /// Takes the memory of a part from the budget, before there is anything of it.
+    fn spend(&mut self, vertex_count: usize, index_count: usize) -> Result<()> {
+        let cost = (vertex_count as u64).checked_mul(36).zip((index_count as u64).checked_mul(12));
+        let cost = cost.and_then(|(vertices, indices)| vertices.checked_add(indices));
+        let left = cost.and_then(|cost| self.budget.checked_sub(cost));
+        let too_large = || Error::too_large(FORMAT, "instances of meshes take more memory than the limit");
+        self.budget = left.ok_or_else(too_large)?;
         Ok(())
     }
 
@@ -305,23 +340,17 @@ impl Collector<'_> {
     }
 }
 
-fn triangles(indices: &[u32], mode: u32) -> Result<Vec<[u32; 3]>> {
+fn triangles(indices: &[u32], mode: Mode) -> Vec<[u32; 3]> {
     match mode {
-        4 => Ok(indices.as_chunks::<3>().0.to_vec()),
-        5 => Ok(indices
+        Mode::TriangleStrip => indices
             .windows(3)
             .enumerate()
             .map(|(index, strip)| {
                 let (a, b, c) = (strip[0], strip[1], strip[2]);
                 if index % 2 == 0 { [a, b, c] } else { [a, c, b] }
             })
-            .collect()),
-        6 => Ok(indices.windows(2).skip(1).map(|pair| [indices[0], pair[0], pair[1]]).collect()),
-        mode => Err(invalid(format!("primitive mode {mode}; 0 to 6 are known"))),
+            .collect(),
+        Mode::TriangleFan => indices.windows(2).skip(1).map(|pair| [indices[0], pair[0], pair[1]]).collect(),
+        _ => indices.as_chunks::<3>().0.to_vec(),
     }
-}
-
-/// Points and lines have smaller codes.
-fn mode_triangles() -> u32 {
-    4
 }

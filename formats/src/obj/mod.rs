@@ -1,5 +1,6 @@
-//! Wavefront OBJ: meshes as text, out and, for a look, in.
+//! Wavefront OBJ: meshes as text, out and in.
 
+mod lines;
 mod read;
 mod write;
 

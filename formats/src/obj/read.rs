@@ -1,23 +1,27 @@
-//! Reads the triangles of an OBJ file. The crate tobj does the work: it knows the dialects.
+//! Reads the triangles of an OBJ file. The crate tobj does the work, on lines that were looked through before.
 
 use super::FORMAT;
+use super::lines::Lines;
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
 
-/// Reads all objects of a file as one mesh; polygons become fans, materials are not looked at.
-/// Normals are kept if every object has them.
+/// Reads all objects of a file as one mesh; polygons become fans, materials and textures are not looked at.
+/// Normals are kept if every corner has one.
 ///
 /// # Errors
 ///
-/// [`Error::Invalid`] if the text is no OBJ.
+/// [`Error::Invalid`], with the line, if the text is no OBJ.
 pub fn read_mesh(bytes: &[u8]) -> Result<MeshData> {
     let options =
         tobj::LoadOptions { triangulate: true, single_index: true, ignore_points: true, ignore_lines: true };
     let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
     // Vertices that no face uses are dropped, so a mesh is what its faces make.
     let no_materials = |_: &std::path::Path| Ok(Default::default());
-    let (models, _) = tobj::load_obj_buf(&mut &bytes[..], &options, no_materials)
-        .map_err(|error| invalid(error.to_string()))?;
+    let mut lines = Lines::new(bytes);
+    let (models, _) = tobj::load_obj_buf(&mut lines, &options, no_materials).map_err(|error| {
+        let (line, what) = lines.place();
+        Error::invalid(FORMAT, Place::Line(line), what.unwrap_or_else(|| error.to_string()))
+    })?;
     let mut mesh = MeshData::default();
     let mut has_normals = true;
     for model in models {

@@ -14,12 +14,14 @@
 //! Any batch can be had by itself, so that whoever writes need not hold the text of all.
 
 use std::io::Write;
+use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::FORMAT;
 use crate::data::{MeshView, Provenance};
-use crate::error::Result;
+use crate::error::{Error, Place, Result};
 use crate::provenance::{GENERATOR, comments};
 use crate::vertex_attributes::{Purpose, VertexAttribute, purposes};
 
@@ -35,11 +37,14 @@ const LAST_LINE: &str = "# end: ";
 pub struct WriteOptions {
     /// The name of the object.
     pub name: String,
+    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
+    /// are triangles.
+    pub quads: Arc<[bool]>,
 }
 
 impl Default for WriteOptions {
     fn default() -> WriteOptions {
-        WriteOptions { name: "surface".into() }
+        WriteOptions { name: "surface".into(), quads: Arc::default() }
     }
 }
 
@@ -49,7 +54,7 @@ impl Default for WriteOptions {
 /// # Errors
 ///
 /// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or
-/// not finite.
+/// not finite, or if what should be a quad is none.
 pub fn write(
     mesh: &MeshView,
     options: &WriteOptions,
@@ -74,8 +79,8 @@ pub fn batch_count(mesh: &MeshView) -> usize {
 ///
 /// # Errors
 ///
-/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite; there is no use in
-/// the others then.
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
+/// is none; there is no use in the others then.
 pub fn encode_batch(
     mesh: &MeshView,
     options: &WriteOptions,
@@ -84,6 +89,7 @@ pub fn encode_batch(
 ) -> Result<Vec<Vec<u8>>> {
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
+        check_quads(mesh.triangles, &options.quads)?;
         let name = options.name.replace(char::is_control, "_");
         let header = format!("# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "));
         return Ok(vec![header.into_bytes()]);
@@ -91,10 +97,13 @@ pub fn encode_batch(
     let task_count = task_counts(mesh).iter().sum();
     let first = index.saturating_mul(TASKS_AT_ONCE).min(task_count);
     let end = (first + TASKS_AT_ONCE).min(task_count);
-    let mut texts: Vec<Vec<u8>> = (first..end).into_par_iter().map(|task| text_of(mesh, task)).collect();
+    let mut texts: Vec<Vec<u8>> =
+        (first..end).into_par_iter().map(|task| text_of(mesh, &options.quads, task)).collect();
     if end == task_count {
-        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
-        texts.push(format!("{LAST_LINE}{vertices} vertices, {triangles} triangles\n").into_bytes());
+        let quads = options.quads.iter().filter(|&&is_quad| is_quad).count();
+        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len() - 2 * quads);
+        let quads = if quads > 0 { format!(", {quads} quads") } else { String::new() };
+        texts.push(format!("{LAST_LINE}{vertices} vertices, {triangles} triangles{quads}\n").into_bytes());
     }
     Ok(texts)
 }
@@ -106,11 +115,14 @@ fn task_counts(mesh: &MeshView) -> [usize; 3] {
 }
 
 /// The lines of one task.
-fn text_of(mesh: &MeshView, task: usize) -> Vec<u8> {
+fn text_of(mesh: &MeshView, quads: &[bool], task: usize) -> Vec<u8> {
     let [position_tasks, normal_tasks, _] = task_counts(mesh);
     if position_tasks + normal_tasks <= task {
-        let triangles = run_of(mesh.triangles, task - position_tasks - normal_tasks);
-        return lines_of(triangles, |line, triangle| line.face(*triangle));
+        let task = task - position_tasks - normal_tasks;
+        if !quads.is_empty() {
+            return faces_of(mesh.triangles, quads, task);
+        }
+        return lines_of(run_of(mesh.triangles, task), |line, triangle| line.face(triangle));
     }
     if position_tasks <= task {
         return lines_of(run_of(mesh.normals, task - position_tasks), |line, normal| {
@@ -166,9 +178,53 @@ pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
 
 /// The elements of one task.
 fn run_of<T>(elements: &[T], task: usize) -> &[T] {
-    let start = (task * ELEMENTS_PER_TASK).min(elements.len());
-    let end = (start + ELEMENTS_PER_TASK).min(elements.len());
-    &elements[start..end]
+    &elements[range_of(elements.len(), task)]
+}
+
+/// Which of so many elements are those of one task.
+fn range_of(count: usize, task: usize) -> Range<usize> {
+    let start = (task * ELEMENTS_PER_TASK).min(count);
+    start..(start + ELEMENTS_PER_TASK).min(count)
+}
+
+/// Refuses quads that are none: two triangles that have no edge in common, or one that is in two quads.
+fn check_quads(triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
+    let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
+    if !quads.is_empty() && quads.len() != triangles.len() {
+        return invalid(format!("{} marks of quads for {} triangles", quads.len(), triangles.len()));
+    }
+    let is_none = |&index: &usize| {
+        quads[index]
+            && (quads.get(index + 1) != Some(&false)
+                || quad_of(triangles[index], triangles[index + 1]).is_none())
+    };
+    match (0..quads.len()).find(is_none) {
+        Some(index) => invalid(format!("triangle {index} and the next are no quad")),
+        None => Ok(()),
+    }
+}
+
+/// The quad of two triangles, counter-clockwise as they are; `None` if no edge of the one is an edge of the other the
+/// other way round.
+fn quad_of(one: [u32; 3], other: [u32; 3]) -> Option<[u32; 4]> {
+    let turns = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
+    turns(one).into_iter().find_map(|[a, b, c]| {
+        let [.., d] = turns(other).into_iter().find(|[from, to, _]| [*from, *to] == [b, a])?;
+        Some([a, d, b, c])
+    })
+}
+
+/// The lines of one task of triangles, some of which are halves of quads. A quad belongs where its first half is.
+fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
+    let range = range_of(triangles.len(), task);
+    let indices: Vec<usize> = range.filter(|&index| index == 0 || !quads[index - 1]).collect();
+    lines_of(&indices, |line, &index| {
+        let quad = if quads[index] { quad_of(triangles[index], triangles[index + 1]) } else { None };
+        match quad {
+            Some(quad) => line.face(&quad),
+            None => line.face(&triangles[index]),
+        }
+    })
 }
 
 /// Whether the last bytes of a file are those of a whole one that [`write`] made.
@@ -203,9 +259,9 @@ impl Lines {
     }
 
     /// Vertices count from one; each has the normal of the same number.
-    fn face(&mut self, triangle: [u32; 3]) {
+    fn face(&mut self, corners: &[u32]) {
         self.text.push(b'f');
-        for index in triangle {
+        for &index in corners {
             let digits = self.integer.format(u64::from(index) + 1).as_bytes();
             self.text.push(b' ');
             self.text.extend_from_slice(digits);

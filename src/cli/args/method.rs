@@ -152,15 +152,15 @@ pub(in crate::cli) struct SolverArgs {
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(in crate::cli) laplacian_steps: Option<u32>,
 
-    /// Biharmonic steps [default: 5; explicit: 500]
+    /// Biharmonic steps [default: 5; explicit, adaptive: 500]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(in crate::cli) steps: Option<u32>,
 
-    /// Size of a biharmonic step, in units of h⁴ [default: 20; explicit: 0.01]
+    /// Size of a biharmonic step, in units of h⁴ [default: 20; explicit, adaptive: 0.01]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(in crate::cli) step_size: Option<f64>,
 
-    /// Restore distances after so many biharmonic steps [default: 1; explicit: 50]
+    /// Restore distances after so many biharmonic steps [default: 1; explicit, adaptive: 50]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub(in crate::cli) redistance_every: Option<u32>,
 
@@ -203,6 +203,8 @@ pub(in crate::cli) enum IntegratorChoice {
     Implicit,
     /// The paper's explicit steps: many small ones
     Explicit,
+    /// The same, each as large as it may be: for stills, a sequence flickers
+    Adaptive,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

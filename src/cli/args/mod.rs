@@ -75,8 +75,12 @@ pub(super) struct ConvertArgs {
     #[arg(long, value_name = "FILE")]
     pub(super) report: Option<PathBuf>,
 
+    /// Leave frames alone whose results are there, from the same input, settings and version
+    #[arg(long)]
+    pub(super) skip_done: bool,
+
     /// Threads to compute on; all there are by default. The results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
     pub(super) threads: Option<u16>,
 
     /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
@@ -84,21 +88,17 @@ pub(super) struct ConvertArgs {
     ///
     /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
     /// out the same. One that cannot be fails, and says how much it needs.
-    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = "Run")]
     pub(super) memory: Option<u64>,
 
     /// After a frame that failed, stop or continue with the next
-    #[arg(long, value_name = "WHAT", default_value = "continue")]
+    #[arg(long, value_name = "WHAT", default_value = "continue", help_heading = "Run")]
     pub(super) on_error: OnErrorChoice,
-
-    /// Leave frames alone whose results are there, from the same input, settings and version
-    #[arg(long)]
-    pub(super) skip_done: bool,
 
     /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
     ///
     /// Without INPUT and --voxel-size, lengths are in units of h.
-    #[arg(long)]
+    #[arg(long, help_heading = "Run")]
     pub(super) print_settings: bool,
 
     #[command(flatten)]

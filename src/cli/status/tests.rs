@@ -61,6 +61,7 @@ fn plan() -> PlanRecord {
         },
         voxel_size: None,
         choices: Choices::default(),
+        obstacles: Vec::new(),
     };
     let bare = Watch { pattern: None, recursive: false, sentinel: None, ..watch.clone() };
     let time = Duration::ZERO;

@@ -39,6 +39,8 @@ struct WireWatch {
     voxel_size: Option<String>,
     /// By name, as text: see [`Choices::to_pairs`].
     choices: BTreeMap<String, String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    obstacles: Vec<WirePath>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -96,7 +98,7 @@ impl WirePlan {
 
 impl WireWatch {
     fn of(watch: &Watch) -> WireWatch {
-        let Watch { input, pattern, recursive, sentinel, outputs, voxel_size, choices } = watch;
+        let Watch { input, pattern, recursive, sentinel, outputs, voxel_size, choices, obstacles } = watch;
         WireWatch {
             input: WirePath::of(input),
             pattern: pattern.clone(),
@@ -105,6 +107,7 @@ impl WireWatch {
             outputs: WireOutputs::of(outputs),
             voxel_size: text(*voxel_size),
             choices: choices.to_pairs().into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+            obstacles: obstacles.iter().map(|path| WirePath::of(path)).collect(),
         }
     }
 
@@ -119,6 +122,7 @@ impl WireWatch {
             choices: Choices::from_pairs(
                 self.choices.iter().map(|(name, value)| (name.as_str(), value.as_str())),
             )?,
+            obstacles: self.obstacles.into_iter().map(WirePath::into_path).collect::<Option<_>>()?,
         })
     }
 }
@@ -190,6 +194,7 @@ mod tests {
             },
             voxel_size: None,
             choices: Choices::default(),
+            obstacles: Vec::new(),
         }
     }
 
@@ -214,6 +219,7 @@ mod tests {
                 steps: Some(u32::MAX),
                 ..Choices::default()
             },
+            obstacles: vec!["/sim/floor é.obj".into(), "/sim/body.####.glb".into()],
             ..bare()
         });
     }

@@ -140,6 +140,13 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         outputs: output_options(folder, frames.format.as_deref(), &frames.formats),
         voxel_size: frames.method.first.voxel_size,
         choices,
+        obstacles: frames
+            .method
+            .obstacles
+            .obstacle
+            .iter()
+            .map(|path| absolute(path))
+            .collect::<Result<_>>()?,
     })
 }
 

@@ -1,0 +1,166 @@
+//! The lines of an OBJ file that make a mesh, put in such a way that nothing in them can be misunderstood.
+//!
+//! The crate tobj reads them, and this stands between it and the file:
+//!
+//! ```text
+//!   v 1 2 3 0.5 0.5 0.5       v 1 2 3              colours some vertices have
+//!   vt 0 1                                         textures, materials, objects, groups, comments
+//!   f 1/1/1 2/2/2 \           f 1//1 2//2 3//3     a line that goes on in the next
+//!   3/3/3
+//! ```
+//!
+//! Indices are checked here, since what is relative can only be told on its line, and then the error names it.
+//! Text that is not Unicode, as old programs wrote into names, does no harm.
+
+use std::io::{self, BufRead, Read};
+
+/// The lines, as whoever reads them is to see them.
+pub(super) struct Lines<'a> {
+    rest: &'a [u8],
+    /// The line that is being read, and how much of it was.
+    line: Vec<u8>,
+    read: usize,
+    line_number: u64,
+    vertex_count: u64,
+    normal_count: u64,
+    /// What is wrong with the line.
+    error: Option<String>,
+}
+
+impl<'a> Lines<'a> {
+    pub(super) fn new(text: &'a [u8]) -> Lines<'a> {
+        Lines {
+            rest: text,
+            line: Vec::new(),
+            read: 0,
+            line_number: 0,
+            vertex_count: 0,
+            normal_count: 0,
+            error: None,
+        }
+    }
+
+    /// The line that was read last, counted from 1, and what was found to be wrong with it.
+    pub(super) fn place(&mut self) -> (u64, Option<String>) {
+        (self.line_number, self.error.take())
+    }
+
+    /// Prepares the next line; false at the end.
+    fn advance(&mut self) -> io::Result<bool> {
+        (self.read, self.line_number) = (0, self.line_number + 1);
+        self.line.clear();
+        if self.rest.is_empty() {
+            return Ok(false);
+        }
+        let text = self.take_line();
+        if let Err(what) = self.prepare(&text) {
+            self.error = Some(what);
+            return Err(io::ErrorKind::InvalidData.into());
+        }
+        self.line.push(b'\n');
+        Ok(true)
+    }
+
+    /// The next line, with those that it goes on in.
+    fn take_line(&mut self) -> Vec<u8> {
+        let mut text = Vec::new();
+        loop {
+            let end = self.rest.iter().position(|&byte| byte == b'\n');
+            let (line, rest) = self.rest.split_at(end.map_or(self.rest.len(), |end| end + 1));
+            self.rest = rest;
+            let line = line.trim_ascii();
+            match line.strip_suffix(b"\\") {
+                Some(start) if !rest.is_empty() => {
+                    text.extend_from_slice(start);
+                    text.push(b' ');
+                    self.line_number += 1;
+                }
+                _ => {
+                    text.extend_from_slice(line);
+                    return text;
+                }
+            }
+        }
+    }
+
+    fn prepare(&mut self, text: &[u8]) -> Result<(), String> {
+        let mut words = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let keyword = words.next().unwrap_or_default();
+        match keyword {
+            b"v" => {
+                self.vertex_count += 1;
+                self.numbers("v", words)
+            }
+            b"vn" => {
+                self.normal_count += 1;
+                self.numbers("vn", words)
+            }
+            b"f" => {
+                self.line.push(b'f');
+                words.try_for_each(|corner| self.corner(corner))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Three numbers; a weight or a colour may follow.
+    fn numbers<'t>(&mut self, keyword: &str, words: impl Iterator<Item = &'t [u8]>) -> Result<(), String> {
+        self.line.extend_from_slice(keyword.as_bytes());
+        for word in words.take(3) {
+            if !word.is_ascii() {
+                return Err(format!("`{}` is no number", String::from_utf8_lossy(word)));
+            }
+            self.line.push(b' ');
+            self.line.extend_from_slice(word);
+        }
+        Ok(())
+    }
+
+    /// The corner of a face: its vertex and, if it has one, its normal.
+    fn corner(&mut self, corner: &[u8]) -> Result<(), String> {
+        let mut parts = corner.split(|&byte| byte == b'/');
+        let vertex = index(parts.next().unwrap_or_default(), self.vertex_count, corner)?;
+        self.line.push(b' ');
+        self.line.extend_from_slice(vertex.to_string().as_bytes());
+        let normal = parts.nth(1).filter(|normal| !normal.is_empty());
+        if let Some(normal) = normal {
+            let normal = index(normal, self.normal_count, corner)?;
+            self.line.extend_from_slice(format!("//{normal}").as_bytes());
+        }
+        Ok(())
+    }
+}
+
+/// An index from 1 on, of one that may count back from the last element before the line. Whether an element of that
+/// number comes is seen at the end.
+fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
+    let wrong = || format!("a face with the corner `{}`", String::from_utf8_lossy(corner));
+    let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
+    let index = match number {
+        ..0 => count.checked_sub(number.unsigned_abs()).map(|before| before + 1),
+        _ => u64::try_from(number).ok(),
+    };
+    index.filter(|index| (1..=u64::from(u32::MAX)).contains(index)).ok_or_else(wrong)
+}
+
+impl Read for Lines<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let mut line = self.fill_buf()?;
+        let count = line.read(out)?;
+        self.consume(count);
+        Ok(count)
+    }
+}
+
+impl BufRead for Lines<'_> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        if self.read == self.line.len() {
+            self.advance()?;
+        }
+        Ok(&self.line[self.read..])
+    }
+
+    fn consume(&mut self, count: usize) {
+        self.read = (self.read + count).min(self.line.len());
+    }
+}

@@ -1,0 +1,135 @@
+//! Normals averaged with those around them.
+//!
+//! ```text
+//!        c ─── b
+//!       ╱ ╲   ╱ ╲        the normals over the triangles of v, linear on each, averaged with the weight that falls
+//!      d ── v ── a       from 1 at v to 0 at its neighbours:
+//!       ╲   │   ╱
+//!        ── e ──         n ← Σ area · (2 n(v) + n(next) + n(prev))
+//! ```
+//!
+//! The weights are positive and half of them are v's own, so that any number of rounds only smooths. The surface stays as it
+//! is; its shading gets calmer. The result is the same on any number of threads, and a vertex depends on those within as many
+//! edges as there are rounds.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::corners::{Corners, Touching};
+use super::{Mesh, PIECE};
+
+impl Mesh {
+    /// Averages each normal with those around it, so many times. They stay unit vectors; one whose average has no direction stays
+    /// as it is.
+    ///
+    /// Panics if a triangle names a vertex that does not exist, or one without a normal.
+    pub fn smooth_normals(&mut self, rounds: u32) {
+        if rounds == 0 {
+            return;
+        }
+        let touching = Touching::new(self);
+        for _ in 0..rounds {
+            let mut smoothed = self.normals.clone();
+            let pieces = smoothed.par_chunks_mut(PIECE).enumerate();
+            pieces.for_each_init(Corners::default, |corners, (piece, smoothed)| {
+                let first = piece * PIECE;
+                corners.collect(first as u32, smoothed.len(), touching.triangles(self, piece));
+                for (place, normal) in smoothed.iter_mut().enumerate() {
+                    *normal = self.average(first + place, corners.of(place)).unwrap_or(*normal);
+                }
+            });
+            self.normals = smoothed;
+        }
+    }
+
+    /// The average of the normals around a vertex that has these corners `[next, prev]`; `None` if it has no direction.
+    fn average(&self, vertex: usize, corners: &[[u32; 2]]) -> Option<Vec3> {
+        // In 64 bits, that have room for areas in whatever unit.
+        let to = |other: u32| self.positions[other as usize].as_dvec3() - self.positions[vertex].as_dvec3();
+        let normal = |vertex: u32| self.normals[vertex as usize].as_dvec3();
+        let mut sum = DVec3::ZERO;
+        for &[next, prev] in corners {
+            let area = to(next).cross(to(prev)).length();
+            sum += area * (2.0 * normal(vertex as u32) + normal(next) + normal(prev));
+        }
+        Some(sum.try_normalize()?.as_vec3())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ball of subdivided triangles with normals that are off by up to some 20°.
+    fn rough_ball() -> Mesh {
+        let mut mesh = Mesh::default();
+        let (rows, columns) = (60u32, 120u32);
+        for row in 0..=rows {
+            for column in 0..columns {
+                let polar = std::f32::consts::PI * (row as f32 + 0.5) / (rows as f32 + 1.0);
+                let around = std::f32::consts::TAU * column as f32 / columns as f32;
+                let outward = Vec3::new(polar.sin() * around.cos(), polar.sin() * around.sin(), polar.cos());
+                let noise = |seed: u32| ((row * 7919 + column * 104_729 + seed) as f32).sin();
+                mesh.positions.push(outward);
+                mesh.normals.push((outward + 0.25 * Vec3::new(noise(1), noise(2), noise(3))).normalize());
+            }
+        }
+        for (row, column) in (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+            let [a, b] = [column, (column + 1) % columns].map(|column| row * columns + column);
+            mesh.triangles.extend([[a, a + columns, b], [b, a + columns, b + columns]]);
+        }
+        mesh
+    }
+
+    fn roughness(mesh: &Mesh) -> f32 {
+        let off = mesh
+            .normals
+            .iter()
+            .zip(&mesh.positions)
+            .map(|(normal, outward)| normal.distance_squared(*outward));
+        (off.sum::<f32>() / mesh.normals.len() as f32).sqrt()
+    }
+
+    #[test]
+    fn noise_goes_and_length_stays() {
+        let rough = rough_ball();
+        let mut before = roughness(&rough);
+        assert!(before > 0.2);
+        for rounds in [1, 3, 10] {
+            let mut mesh = rough.clone();
+            mesh.smooth_normals(rounds);
+            assert!(roughness(&mesh) < 0.75 * before, "{rounds}: {} {before}", roughness(&mesh));
+            before = roughness(&mesh);
+            assert!(mesh.normals.iter().all(|normal| (normal.length() - 1.0).abs() < 1e-6));
+            assert!(mesh.positions == rough.positions && mesh.triangles == rough.triangles);
+        }
+        let threads = |count: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("a pool");
+            let mut mesh = rough.clone();
+            pool.install(|| mesh.smooth_normals(4));
+            mesh
+        };
+        assert!(threads(1) == threads(3));
+        let mut same = rough.clone();
+        same.smooth_normals(0);
+        assert!(same == rough);
+    }
+
+    #[test]
+    fn what_has_no_average_stays() {
+        let mesh = |triangles: &[[u32; 3]]| Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::NAN, Vec3::ONE],
+            normals: vec![Vec3::Z, Vec3::NEG_Z, Vec3::NEG_Z, Vec3::X, Vec3::Y],
+            triangles: triangles.to_vec(),
+            ..Mesh::default()
+        };
+        // Two and two that cancel, and vertices without triangles.
+        let mut cancelling = mesh(&[[0, 1, 2]]);
+        cancelling.smooth_normals(1);
+        assert_eq!(cancelling.normals[0], Vec3::Z);
+        assert_eq!(cancelling.normals[3..], [Vec3::X, Vec3::Y]);
+        let mut senseless = mesh(&[[0, 1, 2], [0, 3, 1], [2, 2, 0]]);
+        senseless.smooth_normals(3);
+        assert!(senseless.normals.iter().all(|normal| (normal.length() - 1.0).abs() < 1e-6), "{senseless:?}");
+    }
+}

@@ -1,0 +1,143 @@
+//! File names with a number somewhere in them: `dam.####.bgeo`, `dam.%04d.bgeo`, `dam.{}.bgeo`.
+
+use std::fs;
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// A file name with a frame number somewhere in it.
+#[derive(Debug, PartialEq, Eq)]
+pub struct NumberPattern<'a> {
+    /// What comes before the number.
+    pub before: &'a str,
+    /// What comes after it.
+    pub after: &'a str,
+    /// Shorter numbers have zeros in front.
+    pub width_min: usize,
+}
+
+impl<'a> NumberPattern<'a> {
+    /// The last `####`, `%04d`, `%d` or `{}` of a name; everything else in it is literal.
+    pub fn find(name: &'a str) -> Option<NumberPattern<'a>> {
+        (0..name.len()).rev().filter(|&start| name.is_char_boundary(start)).find_map(|start| {
+            let (length, width_min) = placeholder_at(&name[start..])?;
+            let before = name[..start].trim_end_matches('#');
+            // The search met the last # of a run first: the run began earlier.
+            let run = start - before.len();
+            let is_hashes = name[start..].starts_with('#');
+            let (before, width_min) =
+                if is_hashes { (before, width_min + run) } else { (&name[..start], width_min) };
+            Some(NumberPattern { before, after: &name[start + length..], width_min })
+        })
+    }
+
+    /// The file of a folder that has this number, of several the first by name.
+    ///
+    /// # Errors
+    /// When the folder cannot be looked into.
+    pub fn file_of(&self, folder: &Path, number: u64) -> io::Result<Option<PathBuf>> {
+        let width = self.width_min;
+        let padded = folder.join(format!("{}{number:0width$}{}", self.before, self.after));
+        if width > 1 || padded.is_file() {
+            return Ok(padded.is_file().then_some(padded));
+        }
+        // A number of any width may have any number of zeros in front.
+        let is_it = |path: &PathBuf| {
+            let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            let digits = self.span_in(name).and_then(|span| name.get(span));
+            digits.and_then(|digits| digits.parse().ok()) == Some(number)
+        };
+        Ok(files_in(folder)?.into_iter().filter(is_it).min())
+    }
+
+    /// Where the number stands in a name that matches.
+    pub fn span_in(&self, name: &str) -> Option<Range<usize>> {
+        let digits = name.strip_prefix(self.before)?.strip_suffix(self.after)?;
+        let plain = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+        // As printf does: padded to the width, and wider only as far as the number needs it.
+        let padded = digits.len() == self.width_min || !digits.starts_with('0');
+        let any_width = self.width_min <= 1;
+        (plain && digits.len() >= self.width_min && (padded || any_width))
+            .then(|| self.before.len()..self.before.len() + digits.len())
+    }
+}
+
+/// The length of the placeholder that text begins with, and the least width of its number.
+fn placeholder_at(text: &str) -> Option<(usize, usize)> {
+    if text.starts_with("{}") {
+        return Some((2, 1));
+    }
+    if text.starts_with('#') {
+        return Some((1, 1));
+    }
+    let format = text.strip_prefix('%')?;
+    let digit_count = format.bytes().take_while(u8::is_ascii_digit).count();
+    let width = match &format[..digit_count] {
+        "" => 1,
+        digits => digits.strip_prefix('0')?.parse().ok()?,
+    };
+    format[digit_count..].starts_with('d').then_some((digit_count + 2, width))
+}
+
+/// The files in a folder that are not hidden.
+///
+/// # Errors
+/// When it cannot be looked into.
+pub fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
+    let listed = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let mut files = Vec::new();
+    for entry in fs::read_dir(listed)? {
+        let name = entry?.file_name();
+        let path = folder.join(&name);
+        if !name.as_encoded_bytes().starts_with(b".") && path.is_file() {
+            files.push(path);
+        }
+    }
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_placeholder_is_the_frame() {
+        for (name, before, after, width_min) in [
+            ("dam.####.bgeo", "dam.", ".bgeo", 4),
+            ("dam.#.bgeo", "dam.", ".bgeo", 1),
+            ("dam.%04d.bgeo", "dam.", ".bgeo", 4),
+            ("dam.%d.bgeo", "dam.", ".bgeo", 1),
+            ("dam.{}.bgeo", "dam.", ".bgeo", 1),
+            ("take#2.{}.ply", "take#2.", ".ply", 1),
+            ("{}####", "{}", "", 4),
+            ("##_%03d_ü.ply", "##_", "_ü.ply", 3),
+        ] {
+            assert_eq!(NumberPattern::find(name), Some(NumberPattern { before, after, width_min }), "{name}");
+        }
+        for name in ["dam.ply", "100%.ply", "%4d.ply", "%x.ply", "{.ply", ""] {
+            assert_eq!(NumberPattern::find(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn numbers_match_as_printf_writes_them() {
+        let matches = |pattern, name| NumberPattern::find(pattern).and_then(|p| p.span_in(name)).is_some();
+        for (pattern, name, expected) in [
+            ("a.####.ply", "a.0012.ply", true),
+            ("a.####.ply", "a.10012.ply", true),
+            ("a.####.ply", "a.00012.ply", false),
+            ("a.####.ply", "a.012.ply", false),
+            ("a.%02d.ply", "a.7.ply", false),
+            ("a.{}.ply", "a.7.ply", true),
+            ("a.{}.ply", "a.0007.ply", true),
+            ("a.{}.ply", "a..ply", false),
+            ("a.{}.ply", "a.-7.ply", false),
+            ("a.{}.ply", "b.7.ply", false),
+            ("1{}1", "11", false),
+            ("1{}1", "1", false),
+            ("1{}1", "131", true),
+        ] {
+            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
+        }
+    }
+}

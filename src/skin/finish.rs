@@ -1,0 +1,155 @@
+//! From the smoothed level set to the surface: what users ask to be taken away, the mesh, and what is checked of both.
+//!
+//! ```text
+//!   φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ certificate ──fewer triangles──▶ mesh
+//! ```
+//!
+//! Whatever is taken away is counted, and the certificate does not ask for it any more: not for particles in islands
+//! that were dropped, nor for the spheres that a box or an obstacle cuts.
+
+use glam::{DVec3, IVec3, Vec3};
+
+use super::{Scene, lattice};
+use crate::certify::Exempt;
+use crate::contour;
+use crate::grid::{LEAF_EDGE, offset_in_leaf};
+use crate::level_set::{Bounds, NarrowBand};
+use crate::mesh::{Mesh, decimate};
+use crate::obstacle::ObstacleLeaf;
+use crate::report::{EditReport, SkinReport};
+use crate::settings::Settings;
+use crate::trim::{self, DroppedIslands};
+
+/// What was taken from the level set.
+#[derive(Default)]
+pub(super) struct Edits {
+    islands: Option<DroppedIslands>,
+    clip: Option<trim::ClipBox>,
+}
+
+/// Whether the settings ask for any such thing.
+pub(super) fn has_edits(settings: &Settings) -> bool {
+    settings.drop_islands > 0 || settings.fill_cavities > 0.0 || settings.clip.is_some()
+}
+
+/// Takes away what the settings ask for. `particles` are those of each leaf, in voxels relative to its origin.
+pub(super) fn edit<P: AsRef<[Vec3]>>(
+    band: &mut NarrowBand,
+    bounds: &mut Bounds,
+    particles: impl IntoIterator<Item = (IVec3, P)>,
+    (scene, settings): (&Scene, &Settings),
+    report: &mut EditReport,
+) -> Edits {
+    let mut edits = Edits::default();
+    if settings.drop_islands > 0 {
+        let dropped = trim::drop_islands(band, bounds, u64::from(settings.drop_islands), particles);
+        report.island_count = dropped.piece_count;
+        report.island_particle_count = dropped.particle_count;
+        edits.islands = Some(dropped);
+    }
+    if settings.fill_cavities > 0.0 {
+        // What an obstacle keeps the fluid out of is no cavity.
+        let is_kept = |origin: IVec3, offset: usize| match scene.obstacle(origin) {
+            ObstacleLeaf::Outside => false,
+            ObstacleLeaf::Inside => true,
+            ObstacleLeaf::Near(distances) => distances.values[offset] < 0.0,
+        };
+        let has_obstacles = !scene.obstacles.is_empty();
+        let filled = match has_obstacles {
+            true => trim::fill_cavities(band, bounds, settings.fill_cavities, Some(&is_kept)),
+            false => trim::fill_cavities(band, bounds, settings.fill_cavities, None),
+        };
+        report.cavity_count = filled.cavity_count;
+        report.cavity_voxel_count = filled.voxel_count;
+    }
+    if let Some(clip) = &settings.clip {
+        let clip = trim::ClipBox { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
+        report.clipped_voxel_count = trim::clip(band, bounds, &scene.lattice, &clip).voxel_count;
+        edits.clip = Some(clip);
+    }
+    edits
+}
+
+/// The mesh of the level set, clear of obstacles and of what was cut off.
+pub(super) fn mesh(
+    band: &NarrowBand,
+    edits: &Edits,
+    (scene, settings): (&Scene, &Settings),
+    report: &mut EditReport,
+) -> Mesh {
+    let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
+    if !scene.obstacles.is_empty() {
+        let depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.radii.half_width());
+        report.obstacle_depth_voxels = depth.deepest_voxels;
+        report.cleared_vertex_count = depth.moved_count;
+    }
+    if let Some(clip) = &edits.clip {
+        clip.hold(&mut mesh);
+    }
+    mesh
+}
+
+/// Makes the mesh what the settings ask for, and measures it again if that changed it.
+pub(super) fn simplify(mesh: &mut Mesh, settings: &Settings, report: &mut SkinReport) {
+    let edits = &mut report.edits;
+    if settings.decimate > 0.0 {
+        let decimated = decimate(mesh, settings.decimate * lattice(settings).voxel_size);
+        edits.removed_triangle_count = decimated.removed_triangle_count;
+        edits.decimation_error_voxels = decimated.error_world_max / settings.voxel_size;
+        report.mesh = mesh.measure();
+        report.certificate.mesh_is_closed_manifold = report.mesh.is_closed_manifold();
+    }
+    if settings.smooth_normals > 0 {
+        mesh.smooth_normals(settings.smooth_normals);
+    }
+}
+
+/// What the certificate does not ask for.
+pub(super) struct Exemptions<'a> {
+    pub(super) scene: &'a Scene<'a>,
+    pub(super) edits: &'a Edits,
+}
+
+impl Exempt for Exemptions<'_> {
+    fn is_nothing(&self) -> bool {
+        self.scene.obstacles.is_empty() && self.edits.islands.is_none() && self.edits.clip.is_none()
+    }
+
+    fn particle(&self, leaf_origin: IVec3, local: Vec3) -> bool {
+        let is_dropped = self.edits.islands.as_ref().is_some_and(|islands| islands.holds(leaf_origin, local));
+        let index = leaf_origin.as_dvec3() + local.as_dvec3();
+        is_dropped || self.is_near_cut(index) || self.obstacle_distance(index) < PARTICLE_MARGIN
+    }
+
+    fn vertex(&self, index: DVec3) -> bool {
+        self.is_near_cut(index) || self.obstacle_distance(index) < self.scene.void_threshold + VERTEX_MARGIN
+    }
+}
+
+/// A particle so far from an obstacle, in voxels, told by the nearest voxel, is not in it.
+const PARTICLE_MARGIN: f32 = 1.0;
+
+/// A vertex so much farther from an obstacle than the widest gap that is filled, in voxels, is where the particles say.
+const VERTEX_MARGIN: f32 = 2.0;
+
+impl Exemptions<'_> {
+    /// Whether a place, in voxels, is outside of the box or within a voxel of its faces.
+    fn is_near_cut(&self, index: DVec3) -> bool {
+        let voxel_size = self.scene.lattice.voxel_size;
+        self.edits.clip.as_ref().is_some_and(|clip| clip.distance(index * voxel_size) > -voxel_size)
+    }
+
+    /// The signed distance from the voxel next to a place to the obstacles, in voxels.
+    fn obstacle_distance(&self, index: DVec3) -> f32 {
+        if self.scene.obstacles.is_empty() {
+            return f32::INFINITY;
+        }
+        let voxel = index.round().as_ivec3();
+        let local = voxel & IVec3::splat(LEAF_EDGE - 1);
+        match self.scene.obstacle(voxel - local) {
+            ObstacleLeaf::Outside => f32::INFINITY,
+            ObstacleLeaf::Inside => f32::NEG_INFINITY,
+            ObstacleLeaf::Near(distances) => distances.values[offset_in_leaf(local)],
+        }
+    }
+}

@@ -1,0 +1,445 @@
+//! Fluid and what stands in its way: contact is sharp, and nothing is between (paper, §3.6, Fig. 15 and 16).
+
+use std::f64::consts::{PI, TAU};
+use std::fmt::Write;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DQuat, DVec3, EulerRot};
+use meniscus::grid::voxel_in_leaf;
+use meniscus::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::particles::{Cloud, Particles, Shapes};
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::{Surface, skin_cloud};
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::scene::{Ran, block, meniscus, write_ply};
+
+/// The mesh of an obstacle, and the signed distance to it.
+struct Body {
+    positions: Vec<[f64; 3]>,
+    triangles: Vec<[u32; 3]>,
+    distance: Box<dyn Fn(DVec3) -> f64>,
+}
+
+impl Body {
+    fn obstacles(&self) -> Obstacles {
+        let solid = Solid::new(&self.positions, &self.triangles);
+        assert_eq!(solid.findings().open_edge_count, 0);
+        Obstacles { members: vec![Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 28))] }
+    }
+
+    fn corners(&self, triangle: [u32; 3]) -> [DVec3; 3] {
+        triangle.map(|corner| DVec3::from(self.positions[corner as usize]))
+    }
+
+    fn obj(&self) -> String {
+        let mut text = String::new();
+        for [x, y, z] in &self.positions {
+            writeln!(text, "v {x} {y} {z}").expect("strings take everything");
+        }
+        for [a, b, c] in &self.triangles {
+            writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1).expect("strings take everything");
+        }
+        text
+    }
+}
+
+/// A tetrahedron that lies askew. Inside, and next to its faces, the distance is that to the planes.
+fn tetrahedron(size: f64) -> Body {
+    let turn = DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5);
+    let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
+    let place =
+        |corner: &[f64; 3]| (turn * DVec3::from(*corner) * size + DVec3::new(0.3, 0.1, 0.2)).to_array();
+    let positions: Vec<[f64; 3]> = corners.iter().map(place).collect();
+    let triangles = vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
+    let body = Body { positions, triangles, distance: Box::new(|_| 0.0) };
+    let planes: Vec<(DVec3, f64)> = body
+        .triangles
+        .iter()
+        .map(|&triangle| {
+            let [a, b, c] = body.corners(triangle);
+            let normal = (b - a).cross(c - a).normalize();
+            (normal, normal.dot(a))
+        })
+        .collect();
+    let distance = move |point: DVec3| {
+        let beyond = planes.iter().map(|(normal, place)| normal.dot(point) - place);
+        beyond.fold(f64::NEG_INFINITY, f64::max)
+    };
+    Body { distance: Box::new(distance), ..body }
+}
+
+fn cuboid(min: DVec3, max: DVec3) -> Body {
+    let corner =
+        |index: usize| [0, 1, 2].map(|axis| if index >> axis & 1 == 1 { max[axis] } else { min[axis] });
+    let quads: [[u32; 4]; 6] =
+        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+    let distance = move |point: DVec3| {
+        let apart = (min - point).max(point - max);
+        apart.max(DVec3::ZERO).length() + apart.max_element().min(0.0)
+    };
+    Body { positions: (0..8).map(corner).collect(), triangles, distance: Box::new(distance) }
+}
+
+fn ball(center: DVec3, radius: f64) -> Body {
+    const COUNT: u32 = 40;
+    let at = |u: u32, v: u32| {
+        let (angle, height) =
+            (TAU * f64::from(u) / f64::from(2 * COUNT), PI * f64::from(v) / f64::from(COUNT));
+        let across = if v == 0 || v == COUNT { 0.0 } else { height.sin() };
+        center - radius * DVec3::new(across * angle.cos(), across * angle.sin(), height.cos())
+    };
+    let positions = (0..=COUNT).flat_map(|v| (0..2 * COUNT).map(move |u| at(u, v).to_array())).collect();
+    let mut triangles = Vec::new();
+    for v in 0..COUNT {
+        for u in 0..2 * COUNT {
+            let corner = |du, dv| (v + dv) * 2 * COUNT + (u + du) % (2 * COUNT);
+            triangles.push([corner(0, 0), corner(1, 0), corner(1, 1)]);
+            triangles.push([corner(0, 0), corner(1, 1), corner(0, 1)]);
+        }
+    }
+    Body { positions, triangles, distance: Box::new(move |point| point.distance(center) - radius) }
+}
+
+/// From 0 to 1, of a number.
+fn random(seed: usize) -> f64 {
+    (seed as f64 * 12.9898).sin().mul_add(43758.5453, 0.0).rem_euclid(1.0)
+}
+
+/// A block of particles about 2 apart, out of their order, of which those are kept that `is_kept`.
+fn fluid(counts: [i32; 3], center: DVec3, is_kept: impl Fn(DVec3) -> bool) -> Vec<[f64; 3]> {
+    let mut particles = Vec::new();
+    for x in 0..counts[0] {
+        for y in 0..counts[1] {
+            for z in 0..counts[2] {
+                let seed = ((x * counts[1] + y) * counts[2] + z) as usize;
+                let jitter = DVec3::new(random(3 * seed), random(3 * seed + 1), random(3 * seed + 2)) - 0.5;
+                let index = [x, y, z].map(f64::from);
+                let middle = counts.map(|count| 0.5 * f64::from(count - 1));
+                let place = (DVec3::from(index) - DVec3::from(middle)) * 2.0 + 0.8 * jitter + center;
+                if is_kept(place) {
+                    particles.push(place.to_array());
+                }
+            }
+        }
+    }
+    particles
+}
+
+fn skinned(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64) -> Surface {
+    let choices = Choices { void_threshold: Some(void_threshold), ..Choices::default() };
+    let settings = Settings::resolve(1.0, &choices).expect("sound");
+    let positions = Particles::Double(particles);
+    let cloud = Cloud { positions, shapes: Shapes::Balls, attributes: Vec::new() };
+    skin_cloud(cloud, &settings, &body.obstacles())
+}
+
+/// Nothing is deeper than a quarter of a voxel; the mesh is closed; the certificate holds. Returns the distances of
+/// vertices to the obstacle.
+fn check(name: &str, surface: &Surface, body: &Body) -> Vec<f64> {
+    let world = |position: &glam::Vec3| surface.mesh.origin + position.as_dvec3();
+    let distances: Vec<f64> =
+        surface.mesh.positions.iter().map(|position| (body.distance)(world(position))).collect();
+    let deepest = distances.iter().copied().fold(f64::INFINITY, f64::min);
+    assert!(deepest > -0.25, "{name}: {deepest}");
+    assert!(surface.report.mesh.is_closed_manifold(), "{name}: {:?}", surface.report.mesh);
+    assert!(surface.report.certificate.holds(), "{name}: {:?}", surface.report.certificate);
+    distances
+}
+
+/// How many voxels there are next to the obstacle where `is_wet`, and how many of these are not fluid.
+fn dry_voxels(surface: &Surface, body: &Body, is_wet: impl Fn(DVec3) -> bool) -> (usize, usize) {
+    let (mut count, mut dry_count) = (0, 0);
+    for (leaf, &origin) in surface.band.phi.leaves.iter().zip(surface.band.topology.origins()) {
+        for (offset, phi) in leaf.values.iter().enumerate() {
+            let place = (origin + voxel_in_leaf(offset)).as_dvec3();
+            if (0.05..1.0).contains(&(body.distance)(place)) && is_wet(place) {
+                count += 1;
+                dry_count += usize::from(*phi >= 0.0);
+            }
+        }
+    }
+    (count, dry_count)
+}
+
+/// Particles on the faces of a tetrahedron, or a little off them: the fluid lies on these without a gap (Fig. 15).
+#[test]
+fn a_tetrahedron_in_a_film_is_touched_everywhere() {
+    let body = tetrahedron(24.0);
+    for off in [0.0, 1.0, 3.3] {
+        let mut particles = Vec::new();
+        for &triangle in &body.triangles {
+            let [a, b, c] = body.corners(triangle);
+            let normal = (b - a).cross(c - a);
+            for seed in 0..(0.3 * normal.length()) as usize {
+                let [u, v] = [random(2 * seed), random(2 * seed + 1)];
+                let [u, v] = if u + v > 1.0 { [1.0 - u, 1.0 - v] } else { [u, v] };
+                particles.push((a + (b - a) * u + (c - a) * v + normal.normalize() * off).to_array());
+            }
+        }
+        let surface = skinned(particles.clone(), &body, 2.0);
+        let distances = check("film", &surface, &body);
+        // The faces, but for what is around the edges.
+        let contact = distances.iter().filter(|distance| distance.abs() < 1.0).count();
+        let flat = distances.iter().filter(|distance| distance.abs() < 0.25).count();
+        assert!(contact > 5000 && flat * 1000 > contact * 995, "{off}: {flat} of {contact}");
+        let (count, dry_count) = dry_voxels(&surface, &body, |_| true);
+        assert!(dry_count * 500 < count, "{off}: {dry_count} of {count}");
+        assert_eq!(surface.report.contact.particle_count > 0, off < 1.0, "{off}");
+        // Without filling, what is a little off stays off.
+        if off > 3.0 {
+            let open = skinned(particles, &body, 0.0);
+            let flat = |distances: Vec<f64>| distances.iter().filter(|d| d.abs() < 0.25).count();
+            assert!(flat(check("open", &open, &body)) * 4 < contact);
+            assert_eq!(open.report.contact.void_count, 0);
+            assert!(surface.report.contact.void_count > 5000);
+        }
+    }
+}
+
+/// A drop on a floor wets a disc of it, which is flat, and nothing beside.
+#[test]
+fn a_drop_lies_flat_on_the_floor() {
+    let body = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
+    let center = DVec3::new(0.2, -0.3, 12.0);
+    for gap in [0.0, 2.0] {
+        let is_kept = |place: DVec3| place.distance(center) < 18.0 && place.z > 0.27 + gap;
+        let surface = skinned(fluid([20, 20, 20], center, is_kept), &body, 2.0);
+        let distances = check("drop", &surface, &body);
+        let from_axis = |place: DVec3| (place - center).truncate().length();
+        // The disc is 27 voxels wide; its middle part is surely wet.
+        let (count, dry_count) = dry_voxels(&surface, &body, |place| from_axis(place) < 11.0);
+        assert!(count > 300 && dry_count == 0, "{gap}: {dry_count} of {count}");
+        let (_, wide_count) = dry_voxels(&surface, &body, |place| from_axis(place) > 19.0);
+        let (all_count, _) = dry_voxels(&surface, &body, |place| from_axis(place) > 19.0);
+        assert_eq!(wide_count, all_count, "{gap}");
+        let places = surface.mesh.positions.iter().map(|position| position.as_dvec3());
+        let below: Vec<f64> = distances
+            .iter()
+            .zip(places)
+            .filter(|(distance, place)| **distance < 1.0 && from_axis(*place) < 11.0)
+            .map(|(distance, _)| *distance)
+            .collect();
+        assert!(below.len() > 300 && below.iter().all(|distance| distance.abs() < 0.1), "{gap}: {below:?}");
+    }
+}
+
+/// A ball in a block, with the particles in it removed or not; and one that is deep inside altogether.
+#[test]
+fn a_ball_in_fluid_leaves_a_hole_of_its_size() {
+    for (name, center, margin) in [
+        ("half in, cleared", DVec3::new(0.3, 0.2, 12.1), 0.0),
+        ("half in, well cleared", DVec3::new(0.3, 0.2, 12.1), 3.0),
+        ("half in, full", DVec3::new(0.3, 0.2, 12.1), -99.0),
+        ("immersed, full", DVec3::new(0.3, 0.2, 0.1), -99.0),
+        ("immersed, cleared", DVec3::new(0.3, 0.2, 0.1), 1.0),
+    ] {
+        let body = ball(center, 10.3);
+        let is_kept = |place: DVec3| place.distance(center) > 10.3 + margin;
+        let surface = skinned(fluid([26, 26, 20], DVec3::new(0.0, 0.0, -4.0), is_kept), &body, 2.0);
+        check(name, &surface, &body);
+        let (count, dry_count) = dry_voxels(&surface, &body, |place| place.z < 5.0);
+        assert!(count > 300 && dry_count == 0, "{name}: {dry_count} of {count}");
+        assert_eq!(surface.report.contact.particle_count > 0, margin < 0.0, "{name}");
+        if name.starts_with("immersed") {
+            assert_eq!(surface.report.mesh.component_count, 2, "{name}");
+        }
+    }
+}
+
+/// A plate much thinner than a particle, deep in fluid where no level set would be stored otherwise.
+#[test]
+fn a_thin_plate_deep_in_fluid_is_there() {
+    let (min, max) = (DVec3::new(-12.0, -12.0, 0.4), DVec3::new(12.0, 12.0, 1.7));
+    let body = cuboid(min, max);
+    let surface = skinned(fluid([26, 26, 26], DVec3::ZERO, |_| true), &body, 2.0);
+    check("plate", &surface, &body);
+    let (count, dry_count) = dry_voxels(&surface, &body, |_| true);
+    assert!(count > 500 && dry_count == 0, "{dry_count} of {count}");
+    assert_eq!(surface.report.mesh.component_count, 2);
+}
+
+fn convert(folder: &Path, arguments: &[&str]) -> Ran {
+    meniscus(folder, &[&["convert"], arguments].concat())
+}
+
+fn report(path: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(path).expect("readable")).expect("the report is JSON")
+}
+
+/// A block of particles 0.6 wide, and a ball that dips into its side.
+fn dipping(folder: &Path, shift: f64) {
+    write_ply(&folder.join("dam.1.ply"), &block(8, 0.0));
+    fs::write(folder.join("ball.obj"), ball(DVec3::new(0.9 + shift, 0.35, 0.35), 0.3).obj())
+        .expect("written");
+}
+
+#[test]
+fn the_command_goes_around_obstacles_and_says_so() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    dipping(path, 0.0);
+    let arguments = ["dam.1.ply", "--voxel-size", "0.05", "--obstacle", "ball.obj", "--out", "o"];
+    let run = |more: &[&str]| convert(path, &[&arguments, more].concat());
+    let first = run(&["--report", "r.json", "--threads", "1"]);
+    assert_eq!(first.status, 0, "{}", first.err);
+    assert!(first.err.contains("inside obstacles"), "{}", first.err);
+    let frame = &report(&path.join("r.json"))["frames"][0];
+    let told = &frame["obstacles"];
+    assert!(told["files"].as_str().expect("files").starts_with("ball.obj xxh3-128:"), "{told}");
+    assert!(told["particles_inside"].as_u64().expect("a count") > 0, "{told}");
+    assert!(told["void_voxels_filled"].as_u64().expect("a count") > 0, "{told}");
+    assert!(told["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{told}");
+    assert_eq!(told["open_edges"], 0);
+    assert!(frame["certificate"]["holds"].as_bool().expect("a certificate"));
+
+    let glb = || fs::read(path.join("o/dam.1.glb")).expect("readable");
+    let (before, again) = (glb(), run(&["--skip-done"]));
+    assert!(again.out.contains("done already"), "{}", again.out);
+    assert_eq!(run(&["--threads", "2"]).status, 0);
+    assert!(glb() == before, "other bytes on two threads");
+    // Another obstacle makes another output, and so does no obstacle.
+    dipping(path, 0.1);
+    let moved = run(&["--skip-done"]);
+    assert!(!moved.out.contains("done already") && glb() != before, "{}", moved.out);
+    let without = convert(path, &["dam.1.ply", "--voxel-size", "0.05", "--out", "o", "--skip-done"]);
+    assert!(!without.out.contains("done already"), "{}", without.out);
+}
+
+#[test]
+fn obstacles_of_any_format_are_one() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    dipping(path, 0.0);
+    let body = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
+    // The ball as a surface of particles makes a mesh and a level set of it, by the program itself.
+    let shell: Vec<[f64; 3]> = body.positions.clone();
+    write_ply(&path.join("shell.ply"), &shell);
+    let made = convert(
+        path,
+        &["shell.ply", "--voxel-size", "0.03", "--format", "glb,ply,vdb,gltf", "--out", "made"],
+    );
+    assert_eq!(made.status, 0, "{}", made.err);
+    let mut volumes = Vec::new();
+    for extension in ["glb", "gltf", "ply", "vdb"] {
+        let obstacle = format!("made/shell.{extension}");
+        let out = format!("out_{extension}");
+        // The mesh of a .glb has y up, and so has a scene that is made with it; ours has z up.
+        let report_name = format!("{extension}.json");
+        let ran = convert(
+            path,
+            &[
+                "dam.1.ply",
+                "--voxel-size",
+                "0.05",
+                "--obstacle",
+                &obstacle,
+                "--out",
+                &out,
+                "--report",
+                &report_name,
+            ],
+        );
+        assert_eq!(ran.status, 0, "{extension}: {}", ran.err);
+        volumes.push(report(&path.join(report_name))["frames"][0]["volume"].as_f64().expect("a volume"));
+    }
+    assert!(volumes.iter().all(|volume| (volume / volumes[0] - 1.0).abs() < 0.01), "{volumes:?}");
+}
+
+#[test]
+fn obstacles_that_move_have_a_file_of_each_frame() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for number in 1..=3 {
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(6, 0.0));
+    }
+    for number in 1..=2 {
+        let body = ball(DVec3::new(0.6 + 0.05 * f64::from(number), 0.25, 0.25), 0.2);
+        fs::write(path.join(format!("body.000{number}.obj")), body.obj()).expect("written");
+    }
+    let arguments =
+        ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--on-error", "continue"];
+    let all = convert(path, &[&arguments[..], &["--obstacle", "body.####.obj"]].concat());
+    assert_eq!(all.status, 1, "{}", all.err);
+    assert!(all.err.contains("obstacle body.####.obj: no file for frame 3"), "{}", all.err);
+    let vdb = |number: u32| fs::read(path.join(format!("o/dam.{number}.vdb"))).expect("readable");
+    assert!(vdb(1) != vdb(2) && !path.join("o/dam.3.vdb").exists());
+    for (number, same) in [("1", true), ("2", false)] {
+        let one = format!("body.000{number}.obj");
+        let again = convert(
+            path,
+            &["dam.1.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "p", "--obstacle", &one],
+        );
+        assert_eq!(again.status, 0, "{}", again.err);
+        assert_eq!(fs::read(path.join("p/dam.1.vdb")).expect("readable") == vdb(1), same);
+    }
+    fs::write(path.join("body.0003.obj"), "v 1 2 3\nv 1 2\n").expect("written");
+    let broken = convert(path, &[&arguments[..], &["--obstacle", "body.%04d.obj", "--skip-done"]].concat());
+    assert!(broken.err.contains("body.0003.obj: OBJ, at line 2: "), "{}", broken.err);
+    assert_eq!(broken.out.matches("done already").count(), 2, "{}", broken.out);
+}
+
+#[test]
+fn obstacles_that_are_none_are_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    dipping(path, 0.0);
+    let arguments = ["dam.1.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--obstacle"];
+    let missing = convert(path, &[&arguments[..], &["bal.obj"]].concat());
+    assert_eq!(missing.status, 2);
+    assert!(
+        missing.err.contains("bal.obj: there is no such obstacle") && !path.join("o").exists(),
+        "{}",
+        missing.err
+    );
+    let particles = convert(path, &[&arguments[..], &["dam.1.ply"]].concat());
+    assert!(particles.err.contains("no triangle"), "{}", particles.err);
+    let mut open = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
+    open.triangles.truncate(open.triangles.len() - 100);
+    fs::write(path.join("open.obj"), open.obj()).expect("written");
+    let open = convert(path, &[&arguments[..], &["open.obj", "--report", "r.json"]].concat());
+    assert_eq!(open.status, 0, "{}", open.err);
+    assert!(open.err.contains("obstacle open.obj: ") && open.err.contains("open edges"), "{}", open.err);
+    assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
+}
+
+/// A second run of the daemon's command does nothing, until the obstacle is another.
+#[test]
+fn the_daemon_knows_what_its_outputs_went_around() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    write_ply(&path.join("in/dam.1.ply"), &block(6, 0.0));
+    let place = |x: f64| {
+        fs::write(path.join("ball.obj"), ball(DVec3::new(x, 0.25, 0.25), 0.2).obj()).expect("written");
+    };
+    place(0.6);
+    let run = || {
+        let arguments = [
+            "watch",
+            "in",
+            "--out",
+            "o",
+            "--once",
+            "--voxel-size",
+            "0.05",
+            "--obstacle",
+            "ball.obj",
+            "--settle",
+            "1ms",
+        ];
+        let ran = meniscus(path, &arguments);
+        assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
+        fs::metadata(path.join("o/dam.1.vdb")).expect("the output").modified().expect("a time")
+    };
+    let first = run();
+    assert_eq!(run(), first);
+    place(0.7);
+    let second = run();
+    assert!(second > first);
+    assert_eq!(run(), second);
+}
