@@ -186,7 +186,9 @@ impl Sampled {
     /// The value between voxels.
     fn sample(&self, at: DVec3) -> f32 {
         let low = at.floor();
-        if !(low.abs().max_element() < f64::from(INDEX_LIMIT)) {
+        // What is not a number is nowhere.
+        let is_near = low.abs().max_element() < f64::from(INDEX_LIMIT);
+        if !is_near {
             return self.source.background;
         }
         let [x, y, z] = (at - low).as_vec3().to_array();

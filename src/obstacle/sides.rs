@@ -114,7 +114,8 @@ impl Reached<'_> {
             return false;
         }
         let margin = margin - self.slope * f64::from(step);
-        if self.slope > 0.0 && !(margin > self.slope * f64::from(far)) {
+        let is_sure = margin > self.slope * f64::from(far);
+        if self.slope > 0.0 && !is_sure {
             return false;
         }
         self.distances.values[to] = far.copysign(near);

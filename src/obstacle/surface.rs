@@ -273,6 +273,7 @@ pub(super) fn area_vector([a, b, c]: &[DVec3; 3]) -> DVec3 {
 fn is_flat(corners: &[DVec3; 3]) -> bool {
     let [a, b, c] = *corners;
     let longest = (b - a).length_squared().max((c - b).length_squared()).max((a - c).length_squared());
-    // Written so that what is not a number is flat.
-    !(2.0 * area_vector(corners).length() > FLAT * longest)
+    let has_area = 2.0 * area_vector(corners).length() > FLAT * longest;
+    // What is not a number is flat.
+    !has_area
 }

@@ -50,7 +50,7 @@ impl Attribute {
     /// Whether it goes by this name: its own, whatever the case, or one of its meaning.
     pub fn is_called(&self, name: &str) -> bool {
         let is = |other: &&str| name.eq_ignore_ascii_case(other);
-        is(&&*self.name) || self.meaning.names().iter().any(|other| is(other))
+        is(&&*self.name) || self.meaning.names().iter().any(is)
     }
 }
 

@@ -129,13 +129,15 @@ pub struct Scene<'a> {
     pub obstacles: &'a Obstacles,
     /// Gaps between fluid and obstacles that are narrower than this, in voxels, are filled.
     pub void_threshold: f32,
+    /// Whether all particles are to be kept: who counts them needs those inside, too.
+    pub keeps_all_particles: bool,
 }
 
 impl Scene<'_> {
     /// One without obstacles.
     pub fn open(lattice: Lattice, radii: Radii) -> Scene<'static> {
         static NO_OBSTACLES: Obstacles = Obstacles { members: Vec::new() };
-        Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0 }
+        Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0, keeps_all_particles: false }
     }
 
     /// The obstacles' signed distances in the leaf with this origin, in voxels, within the half width of the band.

@@ -93,9 +93,12 @@ impl<'a> Need<'a> {
         let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
         let kept = Vec::new();
         let mut need = Need { near, occupied, inside, settled, kept };
-        need.kept = match occupancy.has_shapes {
-            false => need.kept_cells(&covers, radii, rho, regions),
-            true => need.kept_leaves(occupancy, radii, regions),
+        need.kept = if scene.keeps_all_particles {
+            vec![LeafMask::FULL; need.occupied.len()]
+        } else if occupancy.has_shapes {
+            need.kept_leaves(occupancy, radii, regions)
+        } else {
+            need.kept_cells(&covers, radii, rho, regions)
         };
         need
     }

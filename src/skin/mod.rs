@@ -173,6 +173,7 @@ fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
         radii: radii(settings),
         obstacles,
         void_threshold: settings.void_threshold as f32,
+        keeps_all_particles: settings.drop_islands > 0,
     }
 }
 

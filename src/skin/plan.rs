@@ -133,30 +133,30 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
 
 /// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles sorted and
 /// packed; values at vertices and in the band, once as they are found and once in a row, then packed for six voxels.
-fn transfer_bytes(footprint: &Footprint, attribute_bytes: f64) -> f64 {
+fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
     if attribute_bytes == 0.0 {
         return 0.0;
     }
-    let [_, area, _, particles] = counts(footprint);
+    let [_, area, _, particles] = counts(footprint, settings);
     particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 
 fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
-    let [surface, area, occupied, particles] = counts(footprint);
+    let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
         FIELD_BYTES * 2.0 * surface
             + mesh_bytes(settings) * area
-            + transfer_bytes(footprint, attribute_bytes),
+            + transfer_bytes(footprint, settings, attribute_bytes),
     ];
     let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
     (stages_bytes.max(SORTED_PARTICLE_BYTES * particles) + shape_bytes(footprint, settings)) as u64
 }
 
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64, tile_leaves: i32) -> u64 {
-    let [surface, area, occupied, particles] = counts(footprint);
+    let [surface, area, occupied, particles] = counts(footprint, settings);
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
     let rasterized = most(radii(settings).window_halo_leaves());
     let smoothed = most(HALO_LEAVES);
@@ -172,7 +172,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
         // Writing: φ, and φ as it is packed.
         FIELD_BYTES * 2.0 * surface
             + mesh_bytes(settings) * area
-            + transfer_bytes(footprint, attribute_bytes),
+            + transfer_bytes(footprint, settings, attribute_bytes),
     ];
     (stages.into_iter().fold(0.0, f64::max) + kept + shape_bytes(footprint, settings)) as u64
 }
@@ -180,9 +180,10 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
 /// Memory for a leaf of a field.
 const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
-fn counts(footprint: &Footprint) -> [f64; 4] {
-    let Footprint { surface, area_voxels, occupied_count, near_particle_count, .. } = footprint;
-    [surface.len(), *area_voxels, *occupied_count, *near_particle_count].map(|count| count as f64)
+fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
+    let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count } = footprint;
+    let kept_count = if settings.drop_islands > 0 { particle_count } else { near_particle_count };
+    [surface.len(), *area_voxels, *occupied_count, *kept_count].map(|count| count as f64)
 }
 
 /// The number of leaves in the tile, with its halo, that has most of them.

@@ -1,5 +1,6 @@
 //! The daemon's command, and those that ask what it did: what they take, refuse and tell.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
@@ -58,10 +59,32 @@ fn help_has_every_key_of_the_file() {
             "input" => "[DIR]...".to_owned(),
             "output" => "--out ".to_owned(),
             "formats" => "--format ".to_owned(),
+            "obstacles" => "--obstacle ".to_owned(),
             key => format!("--{}", key.replace('_', "-")),
         };
         assert!(help.out.contains(&option), "the help does not know {option}");
     }
+}
+
+/// Every option has a line in the docs, with its unit, and none that there is not.
+#[test]
+fn the_docs_have_every_option() {
+    let folder = tempdir().expect("a folder");
+    let help = meniscus(folder.path(), &["convert", "--help"]);
+    let in_help: BTreeSet<&str> = help
+        .out
+        .lines()
+        .map(str::trim_start)
+        .filter(|line| line.starts_with("--"))
+        .filter_map(|line| line.split([' ', '[', '=']).next())
+        .filter(|option| !["--help", "--version"].contains(option))
+        .collect();
+    let docs = include_str!("../../docs/options.md");
+    let rows = docs.lines().filter_map(|line| line.strip_prefix("| `--"));
+    let in_docs: BTreeSet<String> =
+        rows.filter_map(|row| row.split('`').next()).map(|name| format!("--{name}")).collect();
+    assert!(in_help.len() > 30, "{in_help:?}");
+    assert_eq!(in_docs.iter().map(String::as_str).collect::<BTreeSet<_>>(), in_help);
 }
 
 /// Writes to the journal in `out` that a frame is done, with `output`, or failed for a reason.
