@@ -78,7 +78,8 @@ impl Method for LevelSetSkinning {
     ) -> Result<Plan, Cause> {
         // What is given is there beside what the plan takes.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
-        let planned = skin::plan(particles, settings, allowed_bytes.saturating_sub(given_bytes))?;
+        let planned =
+            skin::plan(particles, settings, &obstacles.obstacles, allowed_bytes.saturating_sub(given_bytes))?;
         planned.map_err(|too_large| {
             let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
             Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })
