@@ -46,7 +46,7 @@ pub struct ContactTally {
     pub void_count: u64,
     /// Voxels that obstacles took from the inner spheres of particles.
     pub taken_count: u64,
-    /// Particles inside an obstacle, told by the nearest voxel.
+    /// Particles inside an obstacle.
     pub particle_count: usize,
 }
 

@@ -9,7 +9,7 @@ use crate::particles::{ParticleSource, Positions};
 use crate::space::Lattice;
 
 impl Obstacles {
-    /// Counts the particles whose nearest voxel is inside an obstacle.
+    /// Counts the particles that are inside an obstacle.
     ///
     /// # Errors
     /// Those of the source.
@@ -35,6 +35,9 @@ impl Obstacles {
     }
 }
 
+/// The nearest voxel is up to √3/2 away: farther from the surface, a particle is on its side.
+const NEAR: f32 = 0.9;
+
 /// The leaf that was asked for last: the next particle is often in the same.
 struct Known<'a> {
     obstacles: &'a Obstacles,
@@ -55,7 +58,11 @@ impl Known<'_> {
         }
         match last {
             Some((_, ObstacleLeaf::Inside)) => true,
-            Some((_, ObstacleLeaf::Near(leaf))) => leaf.values[offset_in_leaf(local)] < 0.0,
+            Some((_, ObstacleLeaf::Near(leaf))) => match leaf.values[offset_in_leaf(local)] {
+                distance if distance > NEAR => false,
+                distance if distance < -NEAR => true,
+                _ => obstacles.depth(position, lattice, *half_width).is_some(),
+            },
             _ => false,
         }
     }

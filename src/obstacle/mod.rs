@@ -43,7 +43,7 @@ pub enum Shape {
     /// What a mesh encloses.
     Solid(Solid),
     /// What a level set encloses.
-    Sampled(Sampled),
+    Sampled(Box<Sampled>),
 }
 
 /// Something that the fluid must not enter.

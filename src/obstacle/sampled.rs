@@ -5,10 +5,9 @@
 //!   ours           x  x  x  x           three axes from the eight voxels around
 //! ```
 //!
-//! Its values are known within a band around the surface, and are the background beyond: what is farther is
-//! taken to be farther than anyone asks. So where the band is narrower than ours, distances are right as far as
-//! it goes, less a voxel, and jump at its end. That is no harm where it reaches the void threshold: voids that
-//! are wider than the band are not found.
+//! Its values are known within a band around the surface, and are the background beyond. Where ours is wider, the
+//! distance goes on from the end of what is known. A band that is much narrower than one of our voxels tells little:
+//! the surface is then off by a part of a voxel.
 
 use std::sync::Arc;
 
@@ -47,6 +46,48 @@ pub struct Sampled {
 
 /// Steps that differ by more than this part are of different lengths, or not at right angles.
 const SKEW_MAX: f64 = 1e-4;
+
+/// A distance in voxels of ours, and whether it is one: else only its sign is.
+#[derive(Clone, Copy)]
+struct Sample {
+    distance: f32,
+    is_known: bool,
+}
+
+/// Voxels with the distances that are known there.
+#[derive(Default)]
+struct Sources {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    distances: Vec<f32>,
+}
+
+impl Sources {
+    fn push(&mut self, voxel: IVec3, distance: f32) {
+        self.x.push(voxel.x as f32);
+        self.y.push(voxel.y as f32);
+        self.z.push(voxel.z as f32);
+        self.distances.push(distance);
+    }
+
+    /// The least distance by way of any of them; infinite if there is none.
+    fn nearest(&self, from: IVec3) -> f32 {
+        let from = from.as_vec3();
+        let places = self.x.iter().zip(&self.y).zip(&self.z).zip(&self.distances);
+        places.fold(f32::INFINITY, |least, (((x, y), z), distance)| {
+            let (x, y, z) = (x - from.x, y - from.y, z - from.z);
+            least.min(distance + (x * x + y * y + z * z).sqrt())
+        })
+    }
+}
+
+/// How far around a leaf is looked for what is known, in voxels.
+const EXTENSION_MAX: i32 = 12;
+
+/// How thick the layer is, in voxels, in which what is known farthest out is looked for: every way out leads through
+/// a voxel of it.
+const OUTERMOST: f32 = 1.8;
 
 impl Sampled {
     /// What a level set encloses.
@@ -114,15 +155,47 @@ impl Sampled {
             return side;
         }
         let mut leaf = Leaf::splat(half_width);
+        let mut is_known = true;
         for (offset, value) in leaf.values.iter_mut().enumerate() {
-            let voxel = origin + voxel_in_leaf(offset);
-            let sample = self.sample(self.index_of(voxel.as_dvec3(), lattice));
-            let is_known = sample.abs() < self.known_width();
-            let distance =
-                if is_known { (f64::from(sample) / lattice.voxel_size) as f32 } else { half_width };
-            *value = distance.abs().min(half_width).copysign(sample);
+            let sample = self.sample_at(origin + voxel_in_leaf(offset), lattice);
+            is_known &= sample.is_known;
+            *value = sample.distance.clamp(-half_width, half_width);
+        }
+        if !is_known {
+            self.extend(origin, lattice, half_width, &mut leaf);
         }
         ObstacleLeaf::of_values(Arc::new(leaf), half_width)
+    }
+
+    /// What is known at a voxel of ours.
+    fn sample_at(&self, voxel: IVec3, lattice: &Lattice) -> Sample {
+        let value = self.sample(self.index_of(voxel.as_dvec3(), lattice));
+        let distance = (f64::from(value) / lattice.voxel_size) as f32;
+        Sample { distance, is_known: value.abs() < self.known_width() }
+    }
+
+    /// Finds the distances of a leaf that are not known from those around it that are: the least of |φ(y)| + |x − y|
+    /// over the outermost voxels y that are known, on the same side.
+    fn extend(&self, origin: IVec3, lattice: &Lattice, half_width: f32, leaf: &mut Leaf) {
+        let reach = (half_width.ceil() as i32).min(EXTENSION_MAX);
+        let outermost = (f64::from(self.known_width()) / lattice.voxel_size) as f32 - OUTERMOST;
+        let edge = LEAF_EDGE + 2 * reach;
+        let mut sources = [Sources::default(), Sources::default()];
+        for index in 0..edge * edge * edge {
+            let local = IVec3::new(index / (edge * edge), index / edge % edge, index % edge) - reach;
+            let sample = self.sample_at(origin + local, lattice);
+            if sample.is_known && sample.distance.abs() >= outermost {
+                sources[usize::from(sample.distance < 0.0)].push(local, sample.distance.abs());
+            }
+        }
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            let local = voxel_in_leaf(offset);
+            let sample = self.sample_at(origin + local, lattice);
+            if !sample.is_known {
+                let side = usize::from(sample.distance < 0.0);
+                *value = sources[side].nearest(local).min(half_width).copysign(sample.distance);
+            }
+        }
     }
 
     /// How deep a point is inside, in world units, and the nearest place on the surface.

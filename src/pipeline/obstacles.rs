@@ -257,7 +257,9 @@ fn shape_of(data: ObstacleData) -> Result<Shape, String> {
         ObstacleData::LevelSet(data) => {
             let name = data.name.clone();
             Shape::Sampled(
-                Sampled::new(source_of(*data)).map_err(|what| format!("the grid \"{name}\" {what}"))?,
+                Sampled::new(source_of(*data))
+                    .map(Box::new)
+                    .map_err(|what| format!("the grid \"{name}\" {what}"))?,
             )
         }
     })
@@ -273,6 +275,9 @@ fn source_of(data: LevelSetData) -> LevelSetSource {
         translation: DVec3::from(data.transform.translation),
     }
 }
+
+/// A level set with a band that is narrower than this, in units of h, tells little of where it is.
+const KNOWN_MIN: f64 = 1.0;
 
 /// What a user should know of an obstacle.
 fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
@@ -296,9 +301,10 @@ fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
         }
         Shape::Sampled(sampled) => {
             let known = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
-            if known < settings.void_threshold {
+            if known < KNOWN_MIN {
                 notes.push(format!(
-                    "obstacle {name}: its distances are known to {known:.2} h only, so wider gaps are not filled"
+                    "obstacle {name}: its distances are known to {known:.2} h only, and its surface may be off by as much: \
+                     make it with a wider band"
                 ));
             }
         }

@@ -55,7 +55,7 @@ pub(super) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     })
 }
 
-/// Whether a file records all of `wanted`, and is whole.
+/// Whether a file records `wanted` and nothing else, and is whole.
 fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_formats::Result<bool> {
     // Opening a pipe would wait for its other end.
     if !path.metadata()?.is_file() {
@@ -63,7 +63,10 @@ fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_for
     }
     let mut file = File::open(path)?;
     let recorded = read_provenance(kind, &file)?;
-    Ok(wanted.iter().all(|pair| recorded.contains(pair)) && is_whole(kind, &mut file)?)
+    // What was asked for then, and is not now, has a name that is not wanted.
+    let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
+    let is_same = recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair));
+    Ok(is_same && is_whole(kind, &mut file)?)
 }
 
 /// Whether a file is an output of this program, of whatever version, by what it says of itself; what cannot

