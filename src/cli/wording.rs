@@ -33,7 +33,10 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
     notes.extend(shape_notes(&skin.shaping));
     if skin.contact.particle_count > 0 {
         let particles = counted(skin.contact.particle_count, "particle");
-        notes.push(format!("{particles} inside obstacles: the surface goes around these all the same"));
+        let is_most = 2 * skin.contact.particle_count > skin.particle_count;
+        // The mesh of a container may be its inner side alone.
+        let hint = if is_most { "; a container needs walls, or it is taken for full" } else { "" };
+        notes.push(format!("{particles} inside obstacles: the surface goes around these all the same{hint}"));
     }
     notes.extend(skin.transfer.iter().flat_map(transfer_notes));
     if skin.convergence.is_some_and(|convergence| !convergence.reached) {

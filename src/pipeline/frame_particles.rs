@@ -75,6 +75,16 @@ impl FrameParticles {
         }
     }
 
+    /// Bytes of those attributes of a particle that its surface is to have.
+    pub(super) fn attribute_bytes(&self, settings: &Settings) -> f64 {
+        let (FrameParticles::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
+            return 0.0;
+        };
+        let selected = cloud.attributes.iter().filter(|attribute| selection.selects(attribute));
+        let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
+        bytes as f64 / cloud.positions.len().max(1) as f64
+    }
+
     /// The same particles in the shapes that the settings ask for.
     pub fn shaped(self, settings: &Settings) -> (FrameParticles, Shaping) {
         match self {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::settings::Settings;
 use crate::skin::tiled::{self, TiledError, TiledFrame};
-use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Targets, TooLarge};
+use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Surroundings, Targets, TooLarge};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
@@ -78,8 +78,15 @@ impl Method for LevelSetSkinning {
     ) -> Result<Plan, Cause> {
         // What is given is there beside what the plan takes.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
-        let planned =
-            skin::plan(particles, settings, &obstacles.obstacles, allowed_bytes.saturating_sub(given_bytes))?;
+        let planned = skin::plan(
+            particles,
+            settings,
+            Surroundings {
+                obstacles: &obstacles.obstacles,
+                attribute_bytes: particles.attribute_bytes(settings),
+            },
+            allowed_bytes.saturating_sub(given_bytes),
+        )?;
         planned.map_err(|too_large| {
             let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
             Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })

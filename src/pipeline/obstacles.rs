@@ -256,9 +256,11 @@ fn shape_of(data: ObstacleData) -> Result<Shape, String> {
         ObstacleData::Mesh(mesh) => Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)),
         ObstacleData::LevelSet(data) => {
             let name = data.name.clone();
-            let sampled =
-                Sampled::new(source_of(*data)).map_err(|what| format!("the grid \"{name}\" {what}"))?;
-            Shape::Sampled(Box::new(sampled))
+            Shape::Sampled(
+                Sampled::new(source_of(*data))
+                    .map(Box::new)
+                    .map_err(|what| format!("the grid \"{name}\" {what}"))?,
+            )
         }
     })
 }

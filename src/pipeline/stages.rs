@@ -413,7 +413,9 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             let computed = self.compute(Stage::Contour, &label, content, work);
             if let Ok(surface) = &computed {
                 known.seat = None;
-                known.memory.resize(surface.size_bytes().saturating_mul(WRITING_MEMORY));
+                let packing_bytes = surface.attributes.packing_bytes() as u64;
+                let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
+                known.memory.resize(surface_bytes.saturating_add(packing_bytes));
             }
             if !self.pass(label, known, computed, to, ended) {
                 return;

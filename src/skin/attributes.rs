@@ -24,6 +24,11 @@ impl SurfaceAttributes {
         let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
         vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
     }
+
+    /// What they take in addition while grids of them are packed, in bytes, at most.
+    pub fn packing_bytes(&self) -> usize {
+        VOXELS_PER_PLACE * self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+    }
 }
 
 /// Where attributes are wanted.
@@ -60,6 +65,9 @@ pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targe
     report.seconds = started.elapsed().as_secs_f64();
     surface.report.transfer = Some(report);
 }
+
+/// Voxels of the band for each place that they have their values from: never many more.
+const VOXELS_PER_PLACE: usize = 6;
 
 /// How far values reach: see [`crate::transfer`]. `longest` is the longest half axis of any particle, in units of the
 /// radii.

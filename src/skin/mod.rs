@@ -16,7 +16,7 @@ mod tiles;
 use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
-pub use plan::{Plan, TooLarge, plan};
+pub use plan::{Plan, Surroundings, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 

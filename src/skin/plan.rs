@@ -61,7 +61,16 @@ const MEBIBYTE: u64 = 1 << 20;
 /// Edges of tiles in leaves, the largest first: the smaller they are, the more of the work is done twice.
 const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
 
-/// How to skin a frame among obstacles in `allowed_bytes`: in memory whole if that will do, and in the largest tiles that will
+/// What a frame has beside its particles that takes memory.
+#[derive(Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// What stands in the way.
+    pub obstacles: &'a Obstacles,
+    /// Bytes of a particle's attributes that go on the surface.
+    pub attribute_bytes: f64,
+}
+
+/// How to skin a frame in `allowed_bytes`: in memory whole if that will do, and in the largest tiles that will
 /// if not. It looks at each particle once.
 ///
 /// # Errors
@@ -69,11 +78,12 @@ const TILE_EDGES: [i32; 4] = [128, 64, 32, 16];
 pub fn plan<S: ParticleSource>(
     source: &S,
     settings: &Settings,
-    obstacles: &Obstacles,
+    surroundings: Surroundings,
     allowed_bytes: u64,
 ) -> Result<Result<Plan, TooLarge>, S::Error> {
+    let Surroundings { obstacles, attribute_bytes } = surroundings;
     let footprint = rasterize::footprint(source, &scene(settings, obstacles))?;
-    let whole = whole_bytes(&footprint, settings);
+    let whole = whole_bytes(&footprint, settings, attribute_bytes);
     if whole <= allowed_bytes {
         return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
     }
@@ -82,7 +92,7 @@ pub fn plan<S: ParticleSource>(
     }
     let mut least_bytes = whole;
     for tile_leaves in TILE_EDGES {
-        let memory_bytes = tiled_bytes(&footprint, settings, tile_leaves);
+        let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
         if memory_bytes <= allowed_bytes {
             let tile_leaves = Some(tile_leaves);
             return Ok(Ok(Plan { memory_bytes, tile_leaves, whole_bytes: whole }));
@@ -132,18 +142,31 @@ fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     if settings.has_shapes() { SHAPE_BYTES * footprint.particle_count as f64 } else { 0.0 }
 }
 
-fn whole_bytes(footprint: &Footprint, settings: &Settings) -> u64 {
+/// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles sorted and
+/// packed; values at vertices and in the band, once as they are found and once in a row, then packed for six voxels.
+fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> f64 {
+    if attribute_bytes == 0.0 {
+        return 0.0;
+    }
+    let [_, area, _, particles] = counts(footprint, settings);
+    particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
+}
+
+fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
+        FIELD_BYTES * 2.0 * surface
+            + mesh_bytes(settings) * area
+            + transfer_bytes(footprint, settings, attribute_bytes),
     ];
     let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
     (stages_bytes.max(SORTED_PARTICLE_BYTES * particles) + shape_bytes(footprint, settings)) as u64
 }
 
-fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> u64 {
+fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64, tile_leaves: i32) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let most = |halo_leaves| most_in_a_tile(&footprint.surface, tile_leaves, halo_leaves) as f64;
     let rasterized = most(radii(settings).window_halo_leaves());
@@ -158,7 +181,9 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, tile_leaves: i32) -> 
         FIELD_BYTES * smoothing_fields(settings) * smoothed,
         FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
         // Writing: φ, and φ as it is packed.
-        FIELD_BYTES * 2.0 * surface + mesh_bytes(settings) * area,
+        FIELD_BYTES * 2.0 * surface
+            + mesh_bytes(settings) * area
+            + transfer_bytes(footprint, settings, attribute_bytes),
     ];
     (stages.into_iter().fold(0.0, f64::max) + kept + shape_bytes(footprint, settings)) as u64
 }

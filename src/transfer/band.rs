@@ -52,6 +52,9 @@ pub fn to_band(
     let needed = needed_nodes(band, half_width_voxels);
     let places = node_places(band, lattice, &needed);
     let place_of = |place: usize| places[place];
+    // Some places do not come as near to the surface as they should.
+    let limit_world = reach.limit_world + f64::from(half_width_voxels) * lattice.voxel_size;
+    let reach = Reach { limit_world, ..reach };
     let source = Source::new(particles, attributes, reach, (places.len(), &place_of));
     let (blended, counts) = at_places(&source, places.len(), &place_of);
     let mut end = 0;

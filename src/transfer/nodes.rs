@@ -95,30 +95,26 @@ fn outwards(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) ->
     if phi <= 0.0 {
         return Vec3::ZERO;
     }
+    // Towards whichever neighbour is nearer to the surface: between two surfaces that is one of them.
     let slope = |axis: usize| {
         let mut before = voxel;
         before[axis] -= 1;
         let mut after = voxel;
         after[axis] += 1;
         // Nodes are never the last of a leaf.
-        let after = leaves[leaf].values[offset_in_leaf(after)] - phi;
+        let after = phi - leaves[leaf].values[offset_in_leaf(after)];
         let other = if before[axis] < 0 { around[CENTER - WEIGHTS[axis]] } else { leaf as u32 };
-        match other {
-            NO_LEAF => after,
-            other => {
-                before[axis] &= 7;
-                (after + phi - leaves[other as usize].values[offset_in_leaf(before)]) / 2.0
-            }
-        }
+        before[axis] &= 7;
+        let before = match other {
+            NO_LEAF => 0.0,
+            other => phi - leaves[other as usize].values[offset_in_leaf(before)],
+        };
+        if before > 0.0 && before >= after { before } else { -after.max(0.0) }
     };
     let slope = Vec3::new(slope(0), slope(1), slope(2));
-    // Where slopes cancel out, no place on the surface is nearer than others.
-    if slope.length_squared() < FLAT { Vec3::ZERO } else { slope.normalize() * phi }
+    if slope == Vec3::ZERO { Vec3::ZERO } else { slope.normalize() * phi }
 }
 
 /// The place of a leaf in its own neighbourhood, and how far it is from there to the next one along each axis.
 const CENTER: usize = 13;
 const WEIGHTS: [usize; 3] = [9, 3, 1];
-
-/// The square of a slope that tells no direction.
-const FLAT: f32 = 0.01;

@@ -4,6 +4,9 @@
     rendered      blender_glb.png     the mesh, with the normals that we wrote
                   blender_vdb.png     the grid, through Blender's Volume to Mesh modifier
                   both show something, and the same
+    attributes    velocity and colour of the .glb and the .ply are attributes with the particles' values
+    blurred       blender_still.png, blender_blurred.png
+                  the same grid at rest, and moved by the grid `velocity`: smeared along x, sharp across
 
 Blender has Z up. Its importers turn .glb and .obj, which have Y up, and leave .ply and .vdb alone:
 so all are brought to the axes of the particles before they are compared.
@@ -21,6 +24,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+import flow
 from mesh_files import read_ply
 from project import DAM_BREAK, DATA, OUT, OWN, WORK, Check, frame_of
 
@@ -50,6 +54,9 @@ def main():
             check.line(files[kind].name, "could not be imported", [f"{type(error).__name__}: {error}"])
     if not check.failed:
         check.line("pictures", *rendered(surfaces, frame["settings"]["voxel_size"], low, high))
+    for kind in ("glb", "ply"):
+        check.line(f"flowing.{kind}", *examined_attributes(kind))
+    check.line("motion blur", *blurred())
     check.end()
 
 
@@ -76,7 +83,7 @@ def imported(kind, path):
     importers = {
         "glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
         "obj": lambda: bpy.ops.wm.obj_import(filepath=str(path)),
-        "ply": lambda: bpy.ops.wm.ply_import(filepath=str(path)),
+        "ply": lambda: bpy.ops.wm.ply_import(filepath=str(path), import_colors="LINEAR"),
         "vdb": lambda: bpy.ops.object.volume_import(filepath=str(path)),
     }
     importers[kind]()
@@ -150,6 +157,114 @@ def examined_volume(obj, _kind, frame, low, high):
     if abs(leaves - leaves.round()).max() > 1e-3:
         faults.append(f"its bounds are {leaves} leaves of voxels")
     return f"grid {names[0][0]}, {margins.min():.2f} to {margins.max():.2f} voxels around the mesh", faults
+
+
+def examined_attributes(kind):
+    """The attributes that Blender finds at the vertices, against the fields that the particles have."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # Until 5.1 Blender's importer of glTF fails, by chance, where numbers and vectors are together.
+    folder = OUT / ("flowing-vectors" if kind == "glb" else "flowing")
+    mesh = imported(kind, folder / f"flowing.{kind}").data
+    there = {attribute.name: f"{attribute.data_type} {attribute.domain}" for attribute in mesh.attributes}
+    # The importer turns positions, but not what it does not know.
+    points = positions_of(mesh)
+    faults = []
+    if kind == "glb":
+        points = points[:, [0, 2, 1]] * [1, 1, -1]
+        velocity = numbers_of(mesh, "_VELOCITY")
+    else:
+        velocity = np.concatenate([numbers_of(mesh, name) for name in ("vx", "vy", "vz")], axis=1)
+        temperature = numbers_of(mesh, "temperature")[:, 0]
+        faults += flow.faults_of("temperature", points, temperature, flow.temperature)
+    faults += flow.faults_of("velocity", points, velocity, flow.velocity)
+    if abs(velocity[:, 0] - 3).max() != 0:
+        faults.append(f"a constant is {velocity[:, 0].min()} to {velocity[:, 0].max()}")
+    colors, corners = colors_of(mesh)
+    # Bytes, in the .glb's case on the curve of sRGB.
+    faults += flow.faults_of("colour", points[corners], colors, flow.color, rounding=0.01)
+    return f"{len(points)} vertices, {', '.join(f'{name}: {there[name]}' for name in sorted(there) if name[0] != '.')}", faults
+
+
+def numbers_of(mesh, name):
+    """The numbers of an attribute of reals or of vectors at the vertices."""
+    attribute = mesh.attributes[name]
+    width, key = (3, "vector") if attribute.data_type == "FLOAT_VECTOR" else (1, "value")
+    numbers = np.empty(width * len(attribute.data), np.float32)
+    attribute.data.foreach_get(key, numbers)
+    return numbers.reshape(-1, width)
+
+
+def colors_of(mesh):
+    """Red, green and blue of the mesh's colours, and the vertex of each."""
+    layer = mesh.color_attributes[0]
+    colors = np.empty(4 * len(layer.data), np.float32)
+    layer.data.foreach_get("color", colors)
+    corners = np.arange(len(mesh.vertices))
+    if layer.domain == "CORNER":
+        corners = np.empty(len(mesh.loops), np.int64)
+        mesh.loops.foreach_get("vertex_index", corners)
+    return colors.reshape(-1, 4)[:, :3], corners
+
+
+def blurred():
+    """Renders the grid as smoke, at rest and in motion. Seen along z, x is to the right."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    volume = imported("vdb", OUT / "flowing" / "flowing.vdb")
+    volume.data.velocity_grid = "velocity"
+    volume.data.velocity_unit = "SECOND"
+    volume.data.materials.append(smoke())
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 6
+    camera.location = (0, 0.4, 10)
+    light = bpy.data.objects.new("light", bpy.data.lights.new("light", "SUN"))
+    light.data.energy = 5
+    for obj in (camera, light):
+        scene.collection.objects.link(obj)
+    scene.camera = camera
+    # Two voxels before and after: what is farther from the surface has no velocity.
+    scene.render.fps = 15
+    scene.render.motion_blur_shutter = 1.0
+    steepest = {}
+    for name, motion in (("still", False), ("blurred", True)):
+        scene.render.use_motion_blur = motion
+        picture = render(WORK / f"blender_{name}.png").mean(axis=1).reshape(SIZE[1], SIZE[0])
+        # Through the middle of the ball, along x and along y: there nothing moves up or down.
+        pixels = SIZE[0] / camera.data.ortho_scale
+        column, row = SIZE[0] // 2, int(SIZE[1] / 2 + (1 - camera.location[1]) * pixels)
+        profiles = picture[row - 8 : row + 8].mean(axis=0), picture[row:, column - 8 : column + 8].mean(axis=1)
+        steepest[name] = np.array([abs(np.diff(profile)).max() for profile in profiles])
+    along, across = steepest["blurred"] / steepest["still"]
+    faults = []
+    if steepest["still"].min() < 0.1:
+        faults.append("blender_still.png has no edges")
+    if along > 0.4 or across < 0.6:
+        faults.append("it is not smeared along x, or along y, too")
+    figures = f"edges along x are {along:.2f} as steep as at rest, along y {across:.2f}"
+    return f"{figures}: {WORK.name}/blender_still.png, {WORK.name}/blender_blurred.png", faults
+
+
+def smoke():
+    """A material that is dense where the level set is negative."""
+    material = bpy.data.materials.new("smoke")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    output = nodes.new("ShaderNodeOutputMaterial")
+    scatter = nodes.new("ShaderNodeVolumeScatter")
+    inside = nodes.new("ShaderNodeMath")
+    inside.operation = "LESS_THAN"
+    inside.inputs[1].default_value = 0
+    dense = nodes.new("ShaderNodeMath")
+    dense.operation = "MULTIPLY"
+    dense.inputs[1].default_value = 15
+    phi = nodes.new("ShaderNodeAttribute")
+    phi.attribute_name = "surface"
+    links.new(phi.outputs["Fac"], inside.inputs[0])
+    links.new(inside.outputs[0], dense.inputs[0])
+    links.new(dense.outputs[0], scatter.inputs["Density"])
+    links.new(scatter.outputs[0], output.inputs["Volume"])
+    return material
 
 
 def rendered(surfaces, h, low, high):

@@ -5,10 +5,12 @@ A few frames that are awkward on purpose are made here: none at all, one particl
 origin, up along z. Everything stays in target/clients/out for the other checks.
 """
 
+import json
 import shutil
 import sys
 from pathlib import Path
 
+import flow
 from project import DATA, OUT, OWN, WORK, Check, convert, data_is_there
 
 FORMATS = ["glb", "obj", "ply", "vdb"]
@@ -31,6 +33,7 @@ def main():
             sys.exit(f"{CASES}: what is “{line}”?")
     reads(check, "own", OWN, [])
     awkward(check)
+    flowing(check)
     check.end()
 
 
@@ -115,6 +118,26 @@ def awkward(check):
             reads(check, f"awkward/{name}-up-{up}", folder / f"{name}.csv", options, [*FORMATS, "gltf"])
     options = ["--voxel-size", "0.05", "--contour", "tetrahedra", "--vdb-half"]
     reads(check, "awkward/block-tetrahedra-half", folder / "block.csv", options)
+
+
+def flowing(check):
+    """A frame whose particles know more than where they are; see flow.py for what."""
+    flow.write_particles(WORK / "awkward" / "flowing.ply")
+    for label, attributes, options in (
+        ("flowing", "all", []),
+        ("flowing-half", "all", ["--vdb-half"]),
+        # What Blender 4.5 can be given in a .glb.
+        ("flowing-vectors", "velocity,Cd", []),
+    ):
+        options = ["--voxel-size", str(flow.VOXEL_SIZE), "--attributes", attributes, *options]
+        reads(check, label, WORK / "awkward" / "flowing.ply", options, [*FORMATS, "gltf"])
+        written = json.loads((OUT / label / "report.json").read_text())
+        told = written["frames"][0].get("attributes") or {}
+        names = flow.NAMES if attributes == "all" else flow.NAMES[:2]
+        faults = [] if told.get("names") == names else [f"the report tells of {told.get('names')}"]
+        if told and (told["vertices"]["empty"] or told["band"]["empty"]):
+            faults.append(f"places without particles: {told}")
+        check.line(f"{label} attributes", f"{', '.join(told.get('names', []))}: {told.get('seconds', 0):.3f} s", faults)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ Of each file:
     the inside is inside: every voxel's sign is the winding number of our mesh around it
     |∇φ| near 1 in the band
     OpenVDB's own mesher makes the same surface of it as our .ply and .glb, within 0.1 h in the mean
+    other grids are there where they were asked for: active where the level set is, with the particles' values
 
 Runs in Debian's own Python, for which Debian builds OpenVDB's module.
 """
@@ -20,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pyopenvdb as vdb
 
+import flow
 from mesh_files import read_glb, read_ply
 from project import OUT, Check, frame_of
 from surface import distances, openvdb_surface, piece_sizes
@@ -34,6 +36,8 @@ DROPLET_VOXELS = 5
 DROPLET_DISTANCE_MAX_VOXELS = 0.2
 # Differences over a voxel do not resolve such a sphere: of its exact distances they make 0.90.
 DROPLET_GRADIENT_TOLERANCE = 0.12
+# Outside, voxels of the band have the values of the surface, so far away.
+BAND_VOXELS = 3
 # A leaf around all leaves shows what tiles and background are beyond them.
 MARGIN = 8
 
@@ -58,9 +62,13 @@ def examined(path):
 
 def examine(path):
     grids, metadata = vdb.readAll(str(path))
-    if [grid.name for grid in grids] != ["surface"]:
-        return "", [f"its grids are {[grid.name for grid in grids]}"]
-    grid, frame = grids[0], frame_of(path)
+    grids = {grid.name: grid for grid in grids}
+    others = flow.GRIDS if path.stem == "flowing" else {}
+    if path.parent.name == "flowing-vectors":
+        others = {name: flow.GRIDS[name] for name in ("velocity", "color")}
+    if grids.keys() != {"surface", *others}:
+        return "", [f"its grids are {sorted(grids)}"]
+    grid, frame = grids["surface"], frame_of(path)
     h = frame["settings"]["voxel_size"]
     faults = header_faults(grid, frame, h)
     if not frame["triangles"]:
@@ -69,6 +77,8 @@ def examine(path):
         return "empty", faults
     phi, first = dense(grid)
     faults += band_faults(grid, phi) + sign_faults(grid, phi)
+    for name, field in others.items():
+        faults += attribute_faults(grids[name], grid, field)
     mesh = read_ply(path.with_suffix(".ply"))
     faults += side_faults(grid, phi, first, mesh)
     gradients = gradient_lengths(phi, grid.background) / h
@@ -138,6 +148,25 @@ def band_faults(grid, phi):
     if not np.isfinite(phi).all():
         faults.append("not all values are finite")
     return faults
+
+
+def attribute_faults(grid, surface, field):
+    """A grid beside the level set: active where that is, and the values of the particles near by."""
+    faults = []
+    active = {item.min for item in surface.citerOnValues()}
+    found = {item.min: item.value for item in grid.citerOnValues()}
+    if found.keys() != active:
+        faults.append(f"{grid.name} is active at {len(found)} voxels, {len(found.keys() ^ active)} of them not the same")
+    if grid.transform != surface.transform:
+        faults.append(f"{grid.name} is elsewhere: {grid.transform}")
+    if np.any(np.array(grid.background) != 0):
+        faults.append(f"the background of {grid.name} is {grid.background}")
+    if field is flow.velocity and grid.vectorType != "contravariant relative":
+        faults.append(f"the velocity is of type {grid.vectorType}")
+    points = np.array([surface.transform.indexToWorld(voxel) for voxel in found])
+    rounding = 0.01 if grid.saveFloatAsHalf else 0.0
+    reach = flow.REACH + BAND_VOXELS * flow.VOXEL_SIZE
+    return faults + flow.faults_of(grid.name, points, list(found.values()), field, rounding, reach)
 
 
 def sign_faults(grid, phi):

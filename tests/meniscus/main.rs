@@ -1,6 +1,7 @@
 //! What the program promises, tested from outside: through the command, and through the library.
 
 mod adaptive; // explicit steps as large as may be (paper, §3.5)
+mod attributes; // what particles know, on the surface, from file to files
 mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
 mod info; // the command that tells what files hold

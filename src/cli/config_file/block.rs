@@ -5,6 +5,7 @@
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use anyhow::{Result, anyhow};
 use clap::ValueEnum;
@@ -140,8 +141,15 @@ impl<'a> Block<'a> {
 
     /// What `parse` makes of text.
     pub(super) fn parsed<T>(&self, key: &str, parse: fn(&str) -> Result<T, String>) -> Result<Option<T>> {
-        self.string(key, "text in quotes")?
+        self.string(key, "text in quotes, with a unit")?
             .map(|(text, start)| self.understood(key, parse(text), start))
+            .transpose()
+    }
+
+    /// What is written as on the command line.
+    pub(super) fn as_typed<T: FromStr<Err = String>>(&self, key: &str) -> Result<Option<T>> {
+        self.string(key, "text in quotes")?
+            .map(|(text, start)| self.understood(key, text.parse(), start))
             .transpose()
     }
 

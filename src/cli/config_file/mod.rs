@@ -97,7 +97,7 @@ fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
             radius_init: block.number("radius_init")?,
             drop_islands: block.count("drop_islands", 0..=u32::MAX)?,
             fill_cavities: block.number("fill_cavities")?,
-            clip: block.parsed("clip", str::parse)?,
+            clip: block.as_typed("clip")?,
         },
         particles: ParticleArgs {
             radius_attribute: block.text("radius_attribute")?,
@@ -107,7 +107,7 @@ fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
             neighbor_radius: block.number("neighbor_radius")?,
             position_smoothing: block.number("position_smoothing")?,
             velocity_gain: block.number("velocity_gain")?,
-            attributes: block.parsed("attributes", str::parse)?,
+            attributes: block.as_typed("attributes")?,
         },
         obstacles: ObstacleArgs {
             obstacle: block.paths("obstacles")?,

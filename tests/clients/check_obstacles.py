@@ -1,0 +1,157 @@
+"""Dam breaks around an obstacle, and a tetrahedron covered with particles (paper, Fig. 15 and 16): trimesh
+measures what meniscus promises.
+
+    clear       no vertex is deeper in the obstacle than a quarter of a voxel
+    no void     wherever the first surface reaches the obstacle, the mesh lies on it, to a quarter of a voxel
+    certified   the frame's certificate holds, and the report tells of the same depth
+
+The obstacle is splashsurf's icosphere, scaled and put where most of the water is; the particles in it are removed, as
+a simulation would have none there. Runs in a Python of its own, with trimesh.
+"""
+
+import gzip
+import shutil
+import struct
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from mesh_files import read_ply
+from project import DATA, WORK, Check, convert, data_is_there
+
+FOLDER = WORK / "obstacles"
+# Vertices may be so deep, and so far from the wall where there is fluid, in voxels.
+DEPTH_MAX = 0.25
+# Wet are places of the obstacle that are no farther beyond r_init of a particle, in voxels: where this is negative, the
+# first surface covers them; where it is positive, a void of the default threshold of two voxels was between.
+COVERED, APART = -0.5, 1.0
+# An edge that is sharper than the grid is round within this, in voxels.
+EDGE_WIDTH = 1.0
+FRAMES = {
+    "dam_break_frame_23_24389_particles.bgeo": 0.025,
+    "double_dam_break_frame_26_4732_particles.csv": 0.05,
+}
+
+
+def main():
+    check = Check(f"obstacles: trimesh {trimesh.__version__} measures depths and gaps")
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    FOLDER.mkdir(parents=True)
+    if data_is_there():
+        for name, voxel_size in FRAMES.items():
+            check.line(name, *dam_break(name, voxel_size))
+    check.line("tetrahedron", *tetrahedron("tetrahedron", 0.03, COVERED))
+    check.line("tetrahedron, particles apart", *tetrahedron("apart", 0.115, APART))
+    check.end()
+
+
+def dam_break(name, voxel_size):
+    """An icosphere in the water."""
+    folder = DATA / "third-party" / "splashsurf"
+    particles = (read_bgeo if name.endswith("bgeo") else read_csv)(folder / name)
+    obstacle = trimesh.load_mesh(folder / "icosphere.obj", process=True)
+    radius = 6 * voxel_size
+    tree = cKDTree(particles)
+    counts = [len(near) for near in tree.query_ball_point(particles, 1.5 * radius)]
+    obstacle.apply_scale(radius)
+    obstacle.apply_translation(particles[int(np.argmax(counts))])
+    outside = ~obstacle.contains(particles)
+    return measured(name.split(".")[0], particles[outside], obstacle, voxel_size)
+
+
+def tetrahedron(name, lift, wet_margin):
+    """Particles over the faces of a tetrahedron, as the paper has them."""
+    corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
+    faces = [(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)]
+    obstacle = trimesh.Trimesh(corners, faces, process=False)
+    particles, _ = trimesh.sample.sample_surface_even(obstacle, 4000, seed=7)
+    closest, _, triangles = obstacle.nearest.on_surface(particles)
+    particles = closest + lift * obstacle.face_normals[triangles]
+    return measured(name, particles, obstacle, 0.04, wet_margin)
+
+
+def measured(name, particles, obstacle, voxel_size, wet_margin=COVERED):
+    """Skins the particles around the obstacle. Returns figures, and what is wrong."""
+    points, wall, out = FOLDER / f"{name}.csv", FOLDER / f"{name}.obj", FOLDER / "out"
+    np.savetxt(points, particles, delimiter=",", header="x,y,z", comments="", fmt="%.9g")
+    obstacle.export(wall)
+    status, said, frames = convert(
+        [points], out, "--voxel-size", str(voxel_size), "--obstacle", wall, "--format", "ply,glb"
+    )
+    frame = frames.get(points.name, {})
+    if status or frame.get("status") != "converted":
+        return f"exit status {status}", [said.strip()]
+    vertices, triangles = read_ply(out / f"{name}.ply")
+    depth = deepest(obstacle, vertices, voxel_size)
+    surface = trimesh.Trimesh(vertices, triangles, process=False)
+    gap, wet_count = widest_gap(obstacle, particles, surface, frame["settings"], wet_margin)
+    told = frame["obstacles"]
+    faults = []
+    if depth > DEPTH_MAX:
+        faults.append(f"a vertex is {depth:.3f} h deep in the obstacle")
+    if gap > DEPTH_MAX:
+        faults.append(f"the surface is {gap:.3f} h from the obstacle where there is fluid")
+    if wet_count < 200:
+        faults.append(f"only {wet_count} places of the obstacle are wet")
+    if not frame["certificate"]["holds"]:
+        faults.append(f"not certified: {frame['certificate']}")
+    if abs(told["deepest_vertex_voxels"] - depth) > 0.02:
+        faults.append(f"the report says {told['deepest_vertex_voxels']} h deep")
+    if wet_margin > 0 and not told["void_voxels_filled"]:
+        faults.append("the report knows of no void that was filled")
+    figures = f"{depth:.3f} h deep, gaps of {gap:.3f} h at {wet_count} wet places, {told['void_voxels_filled']} voxels filled"
+    return figures, faults
+
+
+def deepest(obstacle, vertices, voxel_size):
+    """How deep the deepest vertex is in the obstacle, in voxels."""
+    low, high = obstacle.bounds
+    near = ((vertices > low - voxel_size) & (vertices < high + voxel_size)).all(axis=1)
+    # Positive inside.
+    return max(trimesh.proximity.signed_distance(obstacle, vertices[near]).max(), 0.0) / voxel_size
+
+
+def widest_gap(obstacle, particles, surface, settings, wet_margin):
+    """How far the surface is from the obstacle at its wet places, at most, in voxels; and how many these are."""
+    voxel_size, radius_init = settings["voxel_size"], settings["radius_init"]
+    places, _ = trimesh.sample.sample_surface(obstacle, 3000, seed=1)
+    distances, _ = cKDTree(particles).query(places)
+    is_wet = distances < radius_init + wet_margin * voxel_size
+    is_flat = edge_distances(obstacle, places) > EDGE_WIDTH * voxel_size
+    wet = places[is_wet & is_flat]
+    _, gaps, _ = trimesh.proximity.closest_point(surface, wet)
+    return gaps.max() / voxel_size, len(wet)
+
+
+def edge_distances(obstacle, places):
+    """How far places are from the edges where faces meet at more than 60 degrees."""
+    sharp = obstacle.face_adjacency_edges[obstacle.face_adjacency_angles > np.pi / 3]
+    nearest = np.full(len(places), np.inf)
+    for start, end in obstacle.vertices[sharp]:
+        along = (places - start) @ (end - start) / ((end - start) @ (end - start))
+        feet = start + np.clip(along, 0, 1)[:, None] * (end - start)
+        nearest = np.minimum(nearest, np.linalg.norm(places - feet, axis=1))
+    return nearest
+
+
+def read_csv(path):
+    """Positions of a file with a line of names."""
+    return np.genfromtxt(path, delimiter=",", skip_header=1)[:, :3]
+
+
+def read_bgeo(path):
+    """Positions of a gzipped classic BGEO file whose attributes are numbers of four bytes."""
+    data = gzip.decompress(path.read_bytes())
+    point_count, _, _, _, attribute_count, *_ = struct.unpack(">8i", data[9:41])
+    at, words = 41, 4
+    for _ in range(attribute_count):
+        (name_bytes,) = struct.unpack_from(">H", data, at)
+        size, _ = struct.unpack_from(">Hi", data, at + 2 + name_bytes)
+        at += 2 + name_bytes + 6 + 4 * size
+        words += size
+    points = np.frombuffer(data, ">f4", point_count * words, at).reshape(-1, words)
+    return points[:, :3].astype(float)
+
+
+main()

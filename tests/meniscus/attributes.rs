@@ -1,0 +1,216 @@
+//! What particles know comes out on the surface: by the command, from file to files.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus_formats::{Attribute, Limits, ParticleFrame, Positions, Values, bgeo, ply, vdb};
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::scene::{Ran, block, command, meniscus, write_ply};
+
+const FORMATS: [&str; 5] = ["glb", "gltf", "obj", "ply", "vdb"];
+
+fn attribute(name: &str, arity: usize, values: Values) -> Attribute {
+    Attribute { name: name.to_owned(), arity, role: None, values }
+}
+
+/// A block of particles that move and are coloured, numbered and named.
+fn frame(edge_count: usize) -> ParticleFrame {
+    let positions: Vec<[f32; 3]> =
+        block(edge_count, 0.0).into_iter().map(|position| position.map(|along| along as f32)).collect();
+    let each = || 0..positions.len();
+    let velocity = positions.iter().flat_map(|&[x, y, _]| [3.0, x, -y]).collect();
+    let color = positions.iter().flat_map(|&[x, ..]| [0.5, x / 10.0, 0.125]).collect();
+    let age = each().map(|index| if index == 7 { f32::NAN } else { 2.5 }).collect();
+    let table = vec!["water".to_owned(), "oil".to_owned()];
+    let attributes = vec![
+        attribute("v", 3, Values::F32(velocity)),
+        attribute("Cd", 3, Values::F32(color)),
+        attribute("id", 1, Values::I32(each().map(|index| 1000 + index as i32).collect())),
+        attribute("age", 1, Values::F32(age)),
+        attribute("fluid", 1, Values::Strings { table, indices: each().map(|_| 1).collect() }),
+    ];
+    ParticleFrame { positions: Positions::F32(positions), attributes, notes: Vec::new() }
+}
+
+fn write_frame(folder: &Path, edge_count: usize) {
+    let mut bytes = Vec::new();
+    bgeo::write(&frame(edge_count), &mut bytes).expect("written");
+    fs::write(folder.join("f.bgeo"), bytes).expect("written");
+}
+
+fn convert(folder: &Path, out: &str, arguments: &[&str]) -> Ran {
+    let formats = FORMATS.join(",");
+    let typed = ["convert", "f.bgeo", "--out", out, "--voxel-size", "0.05", "--format", &formats];
+    let report = ["--report", "report.json"];
+    meniscus(folder, &[&typed[..], &report, arguments].concat())
+}
+
+fn files(folder: &Path, out: &str) -> Vec<Vec<u8>> {
+    let read = |format| fs::read(folder.join(out).join(format!("f.{format}"))).expect("written");
+    FORMATS.into_iter().map(read).collect()
+}
+
+fn told(folder: &Path) -> Value {
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.join("report.json")).expect("written")).expect("JSON");
+    report["frames"][0]["attributes"].clone()
+}
+
+#[test]
+fn all_formats_have_what_they_have_places_for() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame(folder, 8);
+    let ran = convert(folder, "out", &["--attributes", "all"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    for note in [
+        "1 value of particles not finite",
+        "id is not in the .vdb",
+        "fluid is not in the .vdb",
+        "v is not in the .obj",
+    ] {
+        assert!(ran.err.contains(note), "{note}: {}", ran.err);
+    }
+    let [glb, gltf, obj, ply, level_set] = &files(folder, "out")[..] else { panic!("five files") };
+    let (mesh, vertices) = ply::read_mesh_and_vertices(ply, &Limits::default()).expect("a mesh");
+    let named = |name: &str| {
+        let found = vertices.attributes.iter().find(|attribute| attribute.name == name);
+        &found.unwrap_or_else(|| panic!("no {name}")).values
+    };
+    let Values::F32(velocity) = named("v") else { panic!("no reals") };
+    for (position, velocity) in mesh.positions.iter().zip(velocity.as_chunks::<3>().0) {
+        assert_eq!(velocity[0], 3.0);
+        assert!((f64::from(velocity[1]) - position[0]).abs() < 0.25, "{velocity:?} at {position:?}");
+        assert!((0.0..=0.7001).contains(&velocity[1]) && (-0.7001..=0.0).contains(&velocity[2]));
+    }
+    let Values::U8(color) = named("color") else { panic!("no bytes") };
+    assert!(color.as_chunks::<3>().0.iter().all(|[r, _, b]| [*r, *b] == [128, 32]));
+    assert_eq!(*named("age"), Values::F32(vec![2.5; mesh.positions.len()]));
+    assert_eq!(*named("fluid"), Values::I32(vec![1; mesh.positions.len()]));
+    let Values::I32(ids) = named("id") else { panic!("no integers") };
+    let Positions::F32(particles) = frame(8).positions else { panic!("32 bits") };
+    for (position, id) in mesh.positions.iter().zip(ids) {
+        let distance = |particle: &[f32; 3]| -> f64 {
+            (0..3).map(|axis| (f64::from(particle[axis]) - position[axis]).powi(2)).sum::<f64>().sqrt()
+        };
+        let least = particles.iter().map(distance).fold(f64::INFINITY, f64::min);
+        assert!(distance(&particles[(id - 1000) as usize]) < least + 1e-5, "{id} at {position:?}");
+    }
+    for text in [&glb[..], &gltf[..]] {
+        let text = String::from_utf8_lossy(text);
+        for name in
+            ["\"COLOR_0\"", "\"_VELOCITY\"", "\"_ID\"", "\"_AGE\"", r#""strings":{"_FLUID":["water","oil"]}"#]
+        {
+            assert!(text.contains(name), "{name}");
+        }
+    }
+    let line = String::from_utf8_lossy(obj);
+    let line = line.lines().find(|line| line.starts_with("v ")).expect("a vertex");
+    assert_eq!(line.split(' ').count(), 7, "{line}");
+    let grids = vdb::grids(level_set, &Limits::default()).expect("grids");
+    let names: Vec<&str> = grids.iter().map(|grid| &*grid.name).collect();
+    assert_eq!(names, ["surface", "velocity", "Cd", "age"]);
+    assert!(grids.iter().all(|grid| grid.active_voxel_count == grids[0].active_voxel_count));
+
+    let told = told(folder);
+    let names: Vec<&str> =
+        told["names"].as_array().expect("names").iter().filter_map(Value::as_str).collect();
+    assert_eq!(names, ["v", "Cd", "id", "age", "fluid"]);
+    assert_eq!(told["vertices"]["places"], mesh.positions.len());
+    for (place, count) in [("vertices", "lonely"), ("vertices", "empty"), ("band", "empty")] {
+        assert_eq!(told[place][count], 0, "{place} {count}");
+    }
+    assert_eq!((&told["vertices"]["left_out"], &told["band"]["left_out"]), (&1.into(), &1.into()));
+}
+
+#[test]
+fn names_may_be_those_of_the_file_or_of_what_is_meant() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame(folder, 5);
+    for (typed, expected) in
+        [("velocity,color", ["v", "Cd"]), ("CD,ID", ["Cd", "id"]), ("v,nothing,age", ["v", "age"])]
+    {
+        let ran = convert(folder, "out", &["--attributes", typed]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(told(folder)["names"], Value::from(expected.to_vec()), "{typed}");
+        let is_told =
+            ran.err.contains("no attribute `nothing`") && ran.err.contains("it has v, Cd, id, age, fluid");
+        assert_eq!(is_told, typed.contains("nothing"), "{}", ran.err);
+    }
+}
+
+#[test]
+fn attributes_change_nothing_else_and_no_way_of_computing_changes_them() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_frame(folder, 9);
+    let all = ["--attributes", "all"];
+    for (out, arguments) in [
+        ("plain", &[][..]),
+        ("one", &[&all[..], &["--threads", "1"]].concat()),
+        ("two", &[&all[..], &["--threads", "2"]].concat()),
+    ] {
+        let ran = convert(folder, out, arguments);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+    }
+    assert!(files(folder, "one") == files(folder, "two"));
+    for level in ["baseline", "avx2"] {
+        let formats = FORMATS.join(",");
+        let typed = ["convert", "f.bgeo", "--out", level, "--voxel-size", "0.05", "--format", &formats];
+        let ran = command(folder, &[&typed[..], &all].concat()).env("MENISCUS_SIMD", level).output();
+        assert!(ran.expect("the command starts").status.success());
+        assert!(files(folder, level) == files(folder, "one"), "{level}");
+    }
+    let [plain, with] = ["plain", "one"].map(|out| files(folder, out));
+    let mesh =
+        |files: &[Vec<u8>]| ply::read_mesh_and_vertices(&files[3], &Limits::default()).expect("a mesh").0;
+    assert!(mesh(&plain) == mesh(&with));
+    let level_set = |files: &[Vec<u8>]| {
+        let mut data = vdb::read_level_set(&files[4], None, &Limits::default()).expect("a level set");
+        data.metadata.clear();
+        data
+    };
+    assert!(level_set(&plain) == level_set(&with));
+    // And what is done is known as such, with as many grids as it has.
+    let again = convert(folder, "one", &[&all[..], &["--skip-done"]].concat());
+    assert!(again.status == 0 && again.out.contains("done already"), "{}{}", again.out, again.err);
+}
+
+#[test]
+fn in_tiles_they_are_the_same() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    let mut rod = frame(2);
+    let Positions::F32(positions) = &mut rod.positions else { panic!("32 bits") };
+    *positions = (0..4000).map(|index| [(index % 2) as f32 * 0.1, 0.0, (index / 2) as f32 * 0.1]).collect();
+    rod.attributes = vec![
+        attribute("v", 3, Values::F32((0..12_000).map(|index| (index as f32 * 0.01).sin()).collect())),
+        attribute("id", 1, Values::I32((0..4000).collect())),
+    ];
+    let mut bytes = Vec::new();
+    bgeo::write(&rod, &mut bytes).expect("written");
+    fs::write(folder.join("f.bgeo"), bytes).expect("written");
+    let all = ["--attributes", "all"];
+    let whole = convert(folder, "whole", &all);
+    assert_eq!(whole.status, 0, "{}", whole.err);
+    let least = convert(folder, "tiles", &[&all[..], &["--memory", "1MiB"]].concat());
+    let needed = least.err.split("the frame needs ").nth(1).and_then(|after| after.split(' ').next());
+    let needed: u64 =
+        needed.and_then(|number| number.parse().ok()).unwrap_or_else(|| panic!("{}", least.err));
+    let memory = format!("{}MiB", needed + 1);
+    let tiled = convert(folder, "tiles", &[&all[..], &["--memory", &memory]].concat());
+    assert!(tiled.status == 0 && tiled.err.contains("in tiles"), "{memory}: {}", tiled.err);
+    assert!(files(folder, "whole") == files(folder, "tiles"));
+}
+
+#[test]
+fn a_frame_without_attributes_says_so() {
+    let folder = tempdir().expect("a folder");
+    write_ply(&folder.path().join("bare.ply"), &block(5, 0.0));
+    let typed = ["convert", "bare.ply", "--voxel-size", "0.05", "--attributes", "velocity", "--out", "out"];
+    let ran = meniscus(folder.path(), &typed);
+    assert!(ran.status == 0 && ran.err.contains("no attribute `velocity`"), "{}", ran.err);
+}
