@@ -2,7 +2,7 @@
 
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
-pub use crate::obstacle::ContactTally;
+pub use crate::obstacle::{ContactTally, DepthTally};
 pub use crate::smooth::Convergence;
 pub use crate::transfer::TransferCounts;
 
@@ -17,6 +17,8 @@ pub struct SkinReport {
     pub shaping: Shaping,
     /// What obstacles changed of the level sets.
     pub contact: ContactTally,
+    /// How deep vertices are in obstacles.
+    pub depth: DepthTally,
     /// What was taken from the surface, or added, because somebody asked for it.
     pub edits: EditReport,
     /// Leaves of 8³ voxels that were stored.
@@ -91,10 +93,6 @@ pub struct EditReport {
     pub cavity_voxel_count: u64,
     /// Voxels inside that a box cut off.
     pub clipped_voxel_count: u64,
-    /// How deep the deepest vertex is in an obstacle, in voxels; 0 if none is.
-    pub obstacle_depth_voxels: f64,
-    /// Vertices that were moved to the surface of an obstacle with edges sharper than the grid.
-    pub cleared_vertex_count: u64,
     /// Triangles that were saved.
     pub removed_triangle_count: usize,
     /// How far the mesh may have moved for that, in voxels.

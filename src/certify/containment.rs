@@ -19,7 +19,7 @@ use super::surfaces::Bodies;
 use crate::grid::{LEAF_EDGE, LeafMask, negative_masks, offset_in_leaf};
 use crate::simd::{Kernel, Lanes, dispatch};
 
-/// How many particles of a part have φ ≥ 0, interpolated trilinearly: those that should not, and those that are exempt.
+/// How many particles of a part have φ ≥ 0, interpolated trilinearly, though they should not; and how many are exempt.
 pub(super) fn particles_outside(part: &Part) -> [usize; 2] {
     let signs = negative_masks(&part.band.phi);
     let bodies = Bodies::of(part.bins);
@@ -53,12 +53,14 @@ impl Kernel for LeafParticles<'_> {
             let is_settled = cell.max_element() < LEAF_EDGE && inside.contains(offset_in_leaf(cell));
             !is_settled && phi_at(self.part, self.bodies, self.origin, **position) >= 0.0
         };
-        let mut counts = [0; 2];
-        for &position in self.part.bins.in_leaf(self.leaf).iter().filter(is_outside) {
-            let exempt = self.part.exempt;
-            counts[usize::from(!exempt.is_nothing() && exempt.particle(self.origin, position))] += 1;
+        let (particles, exempt) = (self.part.bins.in_leaf(self.leaf), self.part.exempt);
+        if exempt.is_nothing() {
+            return [particles.iter().filter(is_outside).count(), 0];
         }
-        counts
+        // What was taken away is not looked for: where nothing is stored any more, nobody knows what was.
+        let (gone, asked): (Vec<Vec3>, Vec<Vec3>) =
+            particles.iter().partition(|particle| exempt.particle(self.origin, **particle));
+        [asked.iter().filter(is_outside).count(), gone.len()]
     }
 }
 

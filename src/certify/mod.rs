@@ -40,7 +40,8 @@ pub struct Certificate {
     pub vertices_outside_max: usize,
     /// Particles outside the surface, but for those that are exempt.
     pub particles_outside: usize,
-    /// Particles outside the surface that were taken away on purpose: with an island, by a box, or by an obstacle.
+    /// Particles that were not asked: in an island that was dropped, beyond a box or beside its faces, in an obstacle or
+    /// beside it. Only those near a surface are known.
     pub particles_exempt: usize,
     /// Whether every edge is in two triangles, every vertex in one ring of them, and none degenerate.
     pub mesh_is_closed_manifold: bool,

@@ -48,7 +48,7 @@ pub struct ParticleChecks {
     pub vertices_outside_max: usize,
     /// Particles outside the surface, but for those that are exempt.
     pub particles_outside: usize,
-    /// Particles outside the surface that are exempt.
+    /// Particles that are exempt.
     pub particles_exempt: usize,
 }
 

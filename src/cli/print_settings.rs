@@ -1,6 +1,6 @@
 //! `--print-settings`: what options and presets stand for, as keys of a file.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use rayon::ThreadPool;
 
 use crate::pipeline::{Sequence, automatic_voxel_size};
@@ -25,6 +25,12 @@ pub(super) fn print_settings(
     let choices = choices(args);
     let given = args.first.voxel_size;
     if sequences.is_empty() {
+        let lengths = [choices.radius_min, choices.radius_init, choices.neighbor_radius];
+        if given.is_none() && (lengths.iter().any(Option::is_some) || choices.clip.is_some()) {
+            bail!(
+                "lengths are given, and no --voxel-size to compare them with: give one, or an INPUT to measure it on"
+            );
+        }
         if given.is_none() {
             console.say(format_args!("# lengths are in units of the voxel size"));
         }
@@ -49,10 +55,12 @@ fn print(settings: &Settings, has_voxel_size: bool, console: &mut Console) {
     }
     let made: Choices = settings.to_choices();
     for (name, value) in made.to_pairs() {
-        let is_plain = value.parse::<f64>().is_ok() || value.parse::<bool>().is_ok();
-        match is_plain {
+        match !WORDS.contains(&name) {
             true => console.say(format_args!("{name} = {value}")),
             false => console.say(format_args!("{name} = {value:?}")),
         }
     }
 }
+
+/// The keys whose values are text. The others are numbers and switches.
+const WORDS: [&str; 6] = ["radius_attribute", "anisotropy", "attributes", "clip", "contour", "integrator"];

@@ -1,5 +1,6 @@
 //! What is known of each particle, or of each vertex, beside where it is.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 /// One named attribute of all particles, or of all vertices.
@@ -47,6 +48,11 @@ pub enum AttributeValues {
 }
 
 impl Attribute {
+    /// Whether it has so many numbers for each particle.
+    pub fn has_numbers(&self, arity: usize) -> bool {
+        self.arity == arity && !matches!(self.values, AttributeValues::Strings { .. })
+    }
+
     /// Whether it goes by this name: its own, whatever the case, or one of its meaning.
     pub fn is_called(&self, name: &str) -> bool {
         let is = |other: &&str| name.eq_ignore_ascii_case(other);
@@ -80,6 +86,15 @@ impl AttributeValues {
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// The values as 32-bit numbers, if they are numbers.
+    pub fn numbers(&self) -> Option<Cow<'_, [f32]>> {
+        match self {
+            AttributeValues::Numbers(values) => Some(Cow::Borrowed(values)),
+            AttributeValues::Integers(values) => Some(values.iter().map(|&value| value as f32).collect()),
+            AttributeValues::Strings { .. } => None,
+        }
     }
 
     /// The memory that they take, in bytes.

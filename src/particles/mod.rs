@@ -40,10 +40,12 @@ pub struct Cloud {
 }
 
 impl Cloud {
-    /// The attribute that goes by this name: one whose own it is before one that means it.
-    pub fn attribute(&self, name: &str) -> Option<&Attribute> {
-        let own = self.attributes.iter().find(|attribute| attribute.name == name);
-        own.or_else(|| self.attributes.iter().find(|attribute| attribute.is_called(name)))
+    /// The attribute that goes by this name and has so many numbers for each particle: one whose own it is before one
+    /// that means it.
+    pub fn attribute_of(&self, name: &str, arity: usize) -> Option<&Attribute> {
+        let fitting = || self.attributes.iter().filter(|attribute| attribute.has_numbers(arity));
+        let own = fitting().find(|attribute| attribute.name == name);
+        own.or_else(|| fitting().find(|attribute| attribute.is_called(name)))
     }
 
     /// The memory that they take, in bytes.

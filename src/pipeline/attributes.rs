@@ -10,10 +10,26 @@ use crate::settings::{Anisotropy, AttributeSelection, Settings};
 /// What a frame needs of the attributes in its file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
-    /// The attributes without which it cannot be skinned, and what asks for them.
-    needed: Vec<(String, &'static str)>,
+    /// The attributes without which it cannot be skinned.
+    needed: Vec<Needed>,
     /// Those that its surface is to have.
     selected: Option<AttributeSelection>,
+}
+
+/// An attribute without which a frame cannot be skinned.
+#[derive(Clone, Debug, PartialEq)]
+struct Needed {
+    name: String,
+    /// Numbers for each particle.
+    arity: usize,
+    /// What asks for it.
+    option: &'static str,
+}
+
+impl Needed {
+    fn is(&self, attribute: &Attribute) -> bool {
+        attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
+    }
 }
 
 impl Wanted {
@@ -21,10 +37,11 @@ impl Wanted {
     pub fn by(settings: &Settings) -> Wanted {
         let mut needed = Vec::new();
         if let Some(own) = &settings.own_radii {
-            needed.push((own.attribute.clone(), "--radius-attribute"));
+            needed.push(Needed { name: own.attribute.clone(), arity: 1, option: "--radius-attribute" });
         }
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
-            needed.push(("velocity".to_owned(), "--anisotropy velocity"));
+            let name = "velocity".to_owned();
+            needed.push(Needed { name, arity: 3, option: "--anisotropy velocity" });
         }
         Wanted { needed, selected: settings.attributes.clone() }
     }
@@ -51,9 +68,11 @@ impl Wanted {
             }
         };
         let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
-        if let Some((name, option)) = self.needed.iter().find(|(name, _)| !is_there(name)) {
+        let is_missing = |needed: &&Needed| !all.iter().any(|attribute| needed.is(attribute));
+        if let Some(Needed { name, arity, option }) = self.needed.iter().find(is_missing) {
+            let kind = if *arity == 1 { "a number" } else { "a vector of three numbers" };
             return Err(format!(
-                "the particles have no attribute `{name}`, which {option} needs: {}",
+                "the particles have no attribute `{name}` that is {kind} for each, which {option} needs: {}",
                 there()
             ));
         }
@@ -65,7 +84,7 @@ impl Wanted {
         let notes =
             missing.map(|name| format!("no attribute `{name}` for the surface: {}", there())).collect();
         let is_wanted = |attribute: &Attribute| {
-            let is_needed = self.needed.iter().any(|(name, _)| attribute.is_called(name));
+            let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
             is_needed || self.is_selected(attribute)
         };
         Ok((all.into_iter().filter(is_wanted).collect(), notes))
@@ -152,6 +171,10 @@ mod tests {
         let (kept, _) = by_radius("radius").of(two_particles()).expect("there");
         assert_eq!(kept.len(), 1);
         assert_eq!(kept[0].values, AttributeValues::Numbers(vec![0.5, 1.0]));
+        // A whole number is one, a colour is none.
+        assert!(by_radius("Kind").of(two_particles()).is_ok());
+        let error = by_radius("rgb").of(two_particles()).expect_err("three numbers");
+        assert!(error.contains("`rgb` that is a number"), "{error}");
         let error = by_radius("size").of(two_particles()).expect_err("not there");
         assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
     }

@@ -207,7 +207,7 @@ struct CertificateRecord {
     vertices_inside_min: usize,
     vertices_outside_max: usize,
     particles_outside: usize,
-    /// Taken away on purpose: with an island, by a box, or by an obstacle.
+    /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
@@ -411,15 +411,15 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
 }
 
 fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
-    let SkinReport { contact, edits, .. } = &report.skin;
+    let SkinReport { contact, depth, .. } = &report.skin;
     (!report.obstacles.is_empty()).then(|| ObstaclesRecord {
         files: report.obstacles.clone(),
         open_edges: report.obstacle_open_edge_count,
         particles_inside: contact.particle_count,
         void_voxels_filled: contact.void_count,
         voxels_taken: contact.taken_count,
-        deepest_vertex_voxels: edits.obstacle_depth_voxels,
-        vertices_cleared: edits.cleared_vertex_count,
+        deepest_vertex_voxels: depth.deepest_voxels,
+        vertices_cleared: depth.moved_count,
     })
 }
 

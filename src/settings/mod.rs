@@ -120,6 +120,12 @@ const NEIGHBOR_RADIUS: f64 = 3.0;
 /// Seconds of movement by which velocities stretch: a quarter of a frame of film.
 const VELOCITY_GAIN: f64 = 0.01;
 
+/// Neighbours within more voxels are a good part of a frame.
+const NEIGHBOR_RADIUS_MAX_VOXELS: f64 = 200.0;
+
+/// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
+const ISLAND_MAX: f64 = 1000.0;
+
 /// Cavities of this many voxels are rooms.
 const CAVITY_VOXELS_MAX: f64 = 1e6;
 
@@ -159,36 +165,16 @@ impl Settings {
         let below = choices.preset.map_or_else(Choices::default, Preset::choices);
         let choices = choices.clone().over(below);
         let h = positive("voxel size", voxel_size)?;
-        let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
-        let ratio = choices.radius_ratio.unwrap_or(2.0);
-        require(ratio.is_finite() && ratio >= 1.0, || {
-            format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
-        })?;
-        let radius_max = ratio * radius_min;
-        let radius_init = choices.radius_init.unwrap_or(0.5 * (radius_min + radius_max));
-        let radius_init = positive("radius r_init", radius_init)?;
-        // A product of two numbers as typed may miss a third as typed by a rounding.
-        let slack = 1e-9 * radius_max;
-        require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
-            format!(
-                "r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}"
-            )
-        })?;
-        require(radius_max <= RADIUS_MAX_VOXELS * h, || {
-            format!(
-                "r_max is {} voxels; more than {RADIUS_MAX_VOXELS} is not supported: choose a larger voxel size",
-                radius_max / h
-            )
-        })?;
+        let [radius_min, radius_init, radius_max] = radii(h, &choices)?;
         let integrator = choices.integrator.unwrap_or(Integrator::Fast);
         let explicit = matches!(integrator, Integrator::Explicit | Integrator::Adaptive);
         let settings = Settings {
             voxel_size: h,
             radius_min,
-            radius_init: radius_init.clamp(radius_min, radius_max),
+            radius_init,
             radius_max,
             own_radii: own_radii(&choices)?,
-            anisotropy: anisotropy(&choices, radius_min)?,
+            anisotropy: anisotropy(&choices, radius_min, h)?,
             void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
             drop_islands: choices.drop_islands.unwrap_or(0),
             fill_cavities: choices.fill_cavities.unwrap_or(0.0),
@@ -208,28 +194,31 @@ impl Settings {
             cg_tolerance: positive("conjugate gradient tolerance", choices.cg_tolerance.unwrap_or(1e-4))?,
             contouring: choices.contouring.unwrap_or(Contouring::Dual),
         };
-        require(settings.redistance_every > 0, || {
-            "redistance at least every so many steps: 1 or more".into()
-        })?;
-        within("number of steps", f64::from(settings.steps), 0.0, STEPS_MAX)?;
-        within("number of Laplacian steps", f64::from(settings.laplacian_steps), 0.0, STEPS_MAX)?;
-        within("step size in h⁴", settings.step_size, 1e-6, 1e4)?;
-        if integrator == Integrator::Adaptive {
-            let time = f64::from(settings.steps) * settings.step_size;
-            within(
-                "time of adaptive steps (their number times their size) in h⁴",
-                time,
-                0.0,
-                ADAPTIVE_TIME_MAX,
-            )?;
-        }
-        within("conjugate gradient tolerance", settings.cg_tolerance, 1e-12, 0.5)?;
-        within("void threshold in h", settings.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
-        within("volume of cavities to fill in h³", settings.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
-        within("error of decimation in h", settings.decimate, 0.0, DECIMATE_MAX)?;
-        within("number of rounds of --smooth-normals", f64::from(settings.smooth_normals), 0.0, ROUNDS_MAX)?;
-        settings.check_quads()?;
+        settings.check_solver()?;
+        settings.check_edits()?;
         Ok(settings)
+    }
+
+    fn check_solver(&self) -> Result<(), SettingsError> {
+        require(self.redistance_every > 0, || "redistance at least every so many steps: 1 or more".into())?;
+        within("number of steps", f64::from(self.steps), 0.0, STEPS_MAX)?;
+        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, STEPS_MAX)?;
+        within("step size in h⁴", self.step_size, 1e-6, 1e4)?;
+        if self.integrator == Integrator::Adaptive {
+            let time = f64::from(self.steps) * self.step_size;
+            let what = "time of adaptive steps (their number times their size) in h⁴";
+            within(what, time, 0.0, ADAPTIVE_TIME_MAX)?;
+        }
+        within("conjugate gradient tolerance", self.cg_tolerance, 1e-12, 0.5)
+    }
+
+    fn check_edits(&self) -> Result<(), SettingsError> {
+        within("void threshold in h", self.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
+        within("number of particles of pieces to drop", f64::from(self.drop_islands), 0.0, ISLAND_MAX)?;
+        within("volume of cavities to fill in h³", self.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
+        within("error of decimation in h", self.decimate, 0.0, DECIMATE_MAX)?;
+        within("number of rounds of --smooth-normals", f64::from(self.smooth_normals), 0.0, ROUNDS_MAX)?;
+        self.check_quads()
     }
 
     /// Whether particles have shapes of their own.
@@ -333,13 +322,37 @@ impl Settings {
     }
 }
 
+/// r_min, r_init and r_max.
+fn radii(h: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
+    let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
+    let ratio = choices.radius_ratio.unwrap_or(2.0);
+    require(ratio.is_finite() && ratio >= 1.0, || {
+        format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
+    })?;
+    let radius_max = ratio * radius_min;
+    let radius_init = choices.radius_init.unwrap_or(0.5 * (radius_min + radius_max));
+    let radius_init = positive("radius r_init", radius_init)?;
+    // A product of two numbers as typed may miss a third as typed by a rounding.
+    let slack = 1e-9 * radius_max;
+    require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
+        format!("r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}")
+    })?;
+    require(radius_max <= RADIUS_MAX_VOXELS * h, || {
+        format!(
+            "r_max is {} voxels; more than {RADIUS_MAX_VOXELS} is not supported: choose a larger voxel size",
+            radius_max / h
+        )
+    })?;
+    Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
+}
+
 fn own_radii(choices: &Choices) -> Result<Option<OwnRadii>, SettingsError> {
     let Some(attribute) = &choices.radius_attribute else { return Ok(None) };
     let scale = positive("radius scale", choices.radius_scale.unwrap_or(1.0))?;
     Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
 }
 
-fn anisotropy(choices: &Choices, radius_min: f64) -> Result<Anisotropy, SettingsError> {
+fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, SettingsError> {
     let max_stretch = choices.max_stretch.unwrap_or(MAX_STRETCH);
     within("greatest stretch", max_stretch, 1.0, MAX_STRETCH_MAX)?;
     match choices.anisotropy {
@@ -347,6 +360,12 @@ fn anisotropy(choices: &Choices, radius_min: f64) -> Result<Anisotropy, Settings
         Some(AnisotropyKind::Neighbors) => {
             let radius = choices.neighbor_radius.unwrap_or(NEIGHBOR_RADIUS * radius_min);
             let radius = positive("radius within which neighbours count", radius)?;
+            require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
+                let voxels = radius / h;
+                format!(
+                    "neighbours count within {voxels} voxels; more than {NEIGHBOR_RADIUS_MAX_VOXELS} is not supported"
+                )
+            })?;
             let position_smoothing = choices.position_smoothing.unwrap_or(0.0);
             within("smoothing of positions", position_smoothing, 0.0, 1.0)?;
             Ok(Anisotropy::Neighbors { radius, max_stretch, position_smoothing })

@@ -16,7 +16,7 @@ use crate::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::{Mesh, decimate};
 use crate::obstacle::ObstacleLeaf;
-use crate::report::{EditReport, SkinReport};
+use crate::report::{DepthTally, EditReport, SkinReport};
 use crate::settings::Settings;
 use crate::trim::{self, DroppedIslands};
 
@@ -75,13 +75,11 @@ pub(super) fn mesh(
     band: &NarrowBand,
     edits: &Edits,
     (scene, settings): (&Scene, &Settings),
-    report: &mut EditReport,
+    depth: &mut DepthTally,
 ) -> Mesh {
     let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
     if !scene.obstacles.is_empty() {
-        let depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.radii.half_width());
-        report.obstacle_depth_voxels = depth.deepest_voxels;
-        report.cleared_vertex_count = depth.moved_count;
+        *depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.radii.half_width());
     }
     if let Some(clip) = &edits.clip {
         clip.hold(&mut mesh);

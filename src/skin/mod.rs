@@ -133,7 +133,8 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
-    let reach_before = radii(settings).reach_voxels(longest_of(&report.shaping)) + shape_reach(settings);
+    let of_shapes = shape_reach(settings);
+    let reach_before = radii(settings).reach_voxels(longest_of(&report.shaping)).saturating_add(of_shapes);
     report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
@@ -149,7 +150,7 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
         true => finish::edit(&mut band, &mut bounds, bins.leaves(), (&scene, settings), &mut report.edits),
         false => Edits::default(),
     };
-    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.mesh = mesh.measure();
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
     let whole = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
@@ -211,7 +212,8 @@ fn longest_of(shaping: &Shaping) -> f32 {
 fn shape_reach(settings: &Settings) -> u32 {
     match settings.anisotropy {
         Anisotropy::None | Anisotropy::Velocity { .. } => 0,
-        Anisotropy::Neighbors { radius, .. } => (radius / settings.voxel_size).ceil() as u32,
+        // In crowds, what is sampled depends on the whole cells around.
+        Anisotropy::Neighbors { radius, .. } => (2.0 * radius / settings.voxel_size).ceil() as u32,
     }
 }
 

@@ -1,16 +1,17 @@
 //! What each particle is, before it is rasterized: of a size of its own, stretched, or a ball like the others.
 
+use std::borrow::Cow;
 use std::time::Instant;
 
 use crate::anisotropy::{
     NeighborConfig, RadiusScales, Shaped, VelocityConfig, from_neighbors, from_velocities, radius_scales,
 };
-use crate::particles::{AttributeValues, Cloud, Shapes};
+use crate::particles::{Cloud, Shapes};
 use crate::report::Shaping;
 use crate::settings::{Anisotropy, OwnRadii, RADIUS_MAX_VOXELS, Settings};
 
-/// Gives the particles the shapes that the settings ask for. What is asked for by attributes must be there: where it is
-/// not, particles are balls.
+/// Gives the particles the shapes that the settings ask for. What is asked for by attributes must be there, a number or a
+/// vector for each particle: where it is not, particles are balls.
 pub fn shape(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
     if !settings.has_shapes() {
         return (cloud, Shaping::default());
@@ -34,7 +35,7 @@ pub fn shape(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
             let gain_per_speed = (gain / settings.radius_min) as f32;
             let config = VelocityConfig { gain_per_speed, max_stretch: max_stretch as f32, floor };
             numbers(&cloud, "velocity", 3)
-                .map(|velocities| from_velocities(velocities, scales.as_deref(), &config))
+                .map(|velocities| from_velocities(&velocities, scales.as_deref(), &config))
         }
     };
     let Cloud { mut positions, attributes, .. } = cloud;
@@ -57,22 +58,20 @@ pub fn shape(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
 fn scales(cloud: &Cloud, own: &OwnRadii, settings: &Settings, shaping: &mut Shaping) -> Option<Vec<f32>> {
     let radii = numbers(cloud, &own.attribute, 1)?;
     let RadiusScales { mut scales, raised_count, invalid_count } =
-        radius_scales(radii, own.scale, settings.radius_min, shortest(settings));
+        radius_scales(&radii, own.scale, settings.radius_min, shortest(settings));
     shaping.small_radius_count = raised_count;
     shaping.invalid_radius_count = invalid_count;
-    let most = (RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32;
+    let most =
+        ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32).max(shortest(settings));
     shaping.large_radius_count = scales.iter().filter(|&&scale| scale > most).count();
     scales.iter_mut().for_each(|scale| *scale = scale.min(most));
     Some(scales)
 }
 
-/// The numbers of an attribute, if it has as many for each particle as it should.
-fn numbers<'a>(cloud: &'a Cloud, name: &str, arity: usize) -> Option<&'a [f32]> {
-    let attribute = cloud.attribute(name).filter(|attribute| attribute.arity == arity)?;
-    match &attribute.values {
-        AttributeValues::Numbers(numbers) if numbers.len() == arity * cloud.positions.len() => Some(numbers),
-        _ => None,
-    }
+/// The numbers of an attribute of which each particle has so many.
+fn numbers<'a>(cloud: &'a Cloud, name: &str, arity: usize) -> Option<Cow<'a, [f32]>> {
+    let numbers = cloud.attribute_of(name, arity)?.values.numbers()?;
+    (numbers.len() == arity * cloud.positions.len()).then_some(numbers)
 }
 
 /// The least half axis, in units of the settings' radii, of particles with shapes: the grid holds no less than √3

@@ -175,7 +175,7 @@ pub fn contour<S: ParticleSource>(
         let to = (&scene, settings);
         edits = finish::edit(&mut band, &mut bounds, particles, to, &mut report.edits);
     }
-    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.edits);
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.mesh = mesh.measure();
     let exempt = &Exemptions { scene: &scene, edits: &edits };
     let mut checks = ParticleChecks::NOTHING;

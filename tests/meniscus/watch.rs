@@ -256,3 +256,32 @@ fn each_journal_says_what_is_watched_for_its_own_outputs() {
         assert_eq!(watched, expected);
     }
 }
+
+/// What --print-settings prints can be put into a file, and makes the same surface.
+#[test]
+fn printed_settings_are_keys_of_a_file() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    write_ply(&path.join("in/dam.1.ply"), &block(5, 0.0));
+    let options =
+        ["--preset", "splash", "--voxel-size", "0.05", "--clip", "-1,-1,-1,0.31,2,2", "--max-stretch", "3"];
+    let printed = meniscus(path, &[&["convert", "--print-settings"], &options[..]].concat());
+    assert_eq!(printed.status, 0, "{}", printed.err);
+    assert!(
+        printed.out.contains("anisotropy = \"neighbors\"\n") && printed.out.contains("fill_cavities = 200\n")
+    );
+    let config =
+        format!("[[watch]]\ninput = \"in\"\noutput = \"watched\"\nformats = [\"glb\"]\n{}", printed.out);
+    fs::write(path.join("meniscus.toml"), config).expect("written");
+    let watched = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
+    assert_eq!(watched.status, 0, "{}", watched.err);
+    let converted = ["convert", "in", "--out", "converted", "--format", "glb"];
+    let converted = meniscus(path, &[&converted[..], &options[..]].concat());
+    assert_eq!(converted.status, 0, "{}", converted.err);
+    let bytes = |out: &str| fs::read(path.join(out).join("dam.1.glb")).expect("there");
+    assert!(bytes("watched") == bytes("converted"));
+    // A length says nothing without a voxel.
+    let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
+    assert!(refused.status == 2 && refused.err.contains("--voxel-size"), "{}", refused.err);
+}
