@@ -1,5 +1,6 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -56,7 +57,10 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
-    refuse_conflicts(&sequences, &found, &outputs, args.report.as_deref())?;
+    let frames = sequences.iter().flat_map(|sequence| &sequence.selected);
+    let read: BTreeSet<PathBuf> = frames.flat_map(|file| obstacles.files_of(file.number())).collect();
+    let inputs: Vec<PathBuf> = found.into_iter().chain(read).collect();
+    refuse_conflicts(&sequences, &inputs, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
 
     let on_error = match args.on_error {

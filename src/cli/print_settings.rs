@@ -32,7 +32,7 @@ pub(super) fn print_settings(
             );
         }
         if given.is_none() {
-            console.say(format_args!("# lengths are in units of the voxel size"));
+            console.say(format_args!("# these follow the voxel size, here 1:"));
         }
         print(&Settings::resolve(given.unwrap_or(1.0), &choices)?, given.is_some(), console);
     }
@@ -55,12 +55,17 @@ fn print(settings: &Settings, has_voxel_size: bool, console: &mut Console) {
     }
     let made: Choices = settings.to_choices();
     for (name, value) in made.to_pairs() {
-        match !WORDS.contains(&name) {
-            true => console.say(format_args!("{name} = {value}")),
-            false => console.say(format_args!("{name} = {value:?}")),
+        // Lengths without a voxel size are there to be seen, not to be used.
+        let mark = if !has_voxel_size && LENGTHS.contains(&name) { "#" } else { "" };
+        match WORDS.contains(&name) {
+            true => console.say(format_args!("{mark}{name} = {value:?}")),
+            false => console.say(format_args!("{mark}{name} = {value}")),
         }
     }
 }
+
+/// The keys whose values are lengths.
+const LENGTHS: [&str; 3] = ["radius_min", "radius_init", "neighbor_radius"];
 
 /// The keys whose values are text. The others are numbers and switches.
 const WORDS: [&str; 6] = ["radius_attribute", "anisotropy", "attributes", "clip", "contour", "integrator"];

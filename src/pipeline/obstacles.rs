@@ -109,6 +109,11 @@ impl ObstacleFiles {
         self.paths.iter().find(is_missing).map(PathBuf::as_path)
     }
 
+    /// The files of a frame, as far as they are there.
+    pub fn files_of(&self, number: Option<u64>) -> Vec<PathBuf> {
+        self.paths.iter().filter_map(|path| file_of(path, number).ok()).collect()
+    }
+
     /// What the files of a frame are now, in short: equal ones mean that none was written since.
     pub fn stamps(&self, number: Option<u64>) -> String {
         let stamp = |path: &PathBuf| match file_of(path, number).map(|path| FileStamp::of_path(&path)) {

@@ -233,20 +233,32 @@ fn measure<S: ParticleSource>(
     Ok(Measured { bins, topology, distances })
 }
 
-/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0, and in no
-/// obstacle, that has a face neighbour of which this is not so.
+/// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has a face
+/// neighbour outside. With obstacles, also of those inside S_0 and in no obstacle: there are two surfaces then, and a void
+/// may be filled beside either.
 fn leaves_near_surface(need: &Need, distances: &Distances, scene: &Scene, regions: &Regions) -> Vec<IVec3> {
-    let (near, radii) = (&need.near, scene.radii);
-    let mut inside = distances.inside(Sphere::Init, radii);
+    let mut inside = distances.inside(Sphere::Init, scene.radii);
+    let margin = scene.radii.band_margin();
+    let mut surfaces = crossings(need, &inside, |origin| need.is_deep(origin), margin, regions);
     if !scene.obstacles.is_empty() {
-        let leaves = inside.par_iter_mut().zip(near.origins());
+        let leaves = inside.par_iter_mut().zip(need.near.origins());
         leaves.for_each(|(inside, &origin)| remove_obstacle(inside, &scene.obstacle(origin)));
+        let is_deep = |origin| need.is_deep(origin) && scene.obstacle(origin) != ObstacleLeaf::Inside;
+        surfaces.extend(crossings(need, &inside, is_deep, margin, regions));
     }
-    let is_deep = |origin: IVec3| {
-        need.is_deep(origin) && (scene.obstacles.is_empty() || scene.obstacle(origin) != ObstacleLeaf::Inside)
-    };
+    leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
+}
+
+/// The boxes of the voxels of each leaf that are inside and beside one that is not, with a margin.
+fn crossings(
+    need: &Need,
+    inside: &[LeafMask],
+    is_deep: impl Fn(IVec3) -> bool + Sync,
+    margin: i32,
+    regions: &Regions,
+) -> Vec<(IVec3, CoordBox)> {
     let surface = |(leaf, &origin): (usize, &IVec3)| {
-        let faces = std::array::from_fn(|face| match near.neighbors()[leaf][face] {
+        let faces = std::array::from_fn(|face| match need.near.neighbors()[leaf][face] {
             // What is not near is inside altogether, or outside.
             NO_LEAF if is_deep(origin + FACE_STEPS[face] * LEAF_EDGE) => &LeafMask::FULL,
             NO_LEAF => &LeafMask::EMPTY,
@@ -255,12 +267,9 @@ fn leaves_near_surface(need: &Need, distances: &Distances, scene: &Scene, region
         let mut crossings = inside[leaf];
         crossings.remove_all(&inside[leaf].surrounded(faces));
         let voxels = crossings.bounding_box();
-        (!voxels.is_empty() && regions.crossed.contains(origin))
-            .then(|| (origin, voxels.expanded(radii.band_margin())))
+        (!voxels.is_empty() && regions.crossed.contains(origin)).then(|| (origin, voxels.expanded(margin)))
     };
-    let surfaces: Vec<(IVec3, CoordBox)> =
-        near.origins().par_iter().enumerate().filter_map(surface).collect();
-    leaves_of_boxes(&surfaces, |origin| regions.swept.contains(origin))
+    need.near.origins().par_iter().enumerate().filter_map(surface).collect()
 }
 
 /// Leaves no voxel that is in an obstacle.

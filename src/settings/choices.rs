@@ -44,7 +44,7 @@ pub struct Choices {
     pub position_smoothing: Option<f64>,
     /// Seconds of movement by which velocities stretch; 0.01 by default.
     pub velocity_gain: Option<f64>,
-    /// Gaps to obstacles that are narrower are filled, in units of h; 2 by default.
+    /// Gaps to obstacles that are narrower are filled, in units of h; 1 by default.
     pub void_threshold: Option<f64>,
     /// Attributes of the particles that the surface gets; none by default.
     pub attributes: Option<AttributeSelection>,

@@ -103,7 +103,7 @@ pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
 /// Narrower gaps between the surface and obstacles are filled, in units of h.
-const VOID_THRESHOLD: f64 = 2.0;
+const VOID_THRESHOLD: f64 = 1.0;
 
 /// Distances to obstacles are known no farther, in units of h.
 const VOID_THRESHOLD_MAX: f64 = 4.0;

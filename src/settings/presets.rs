@@ -47,7 +47,8 @@ impl Preset {
         match self {
             Preset::Water => Choices { fill_cavities: Some(200.0), ..none },
             Preset::Splash => {
-                Choices { anisotropy: Some(AnisotropyKind::Neighbors), fill_cavities: Some(200.0), ..none }
+                let anisotropy = Some(AnisotropyKind::Neighbors);
+                Choices { anisotropy, position_smoothing: Some(0.9), fill_cavities: Some(200.0), ..none }
             }
             Preset::Granular => Choices { radius_ratio: Some(1.25), steps: Some(1), ..none },
             Preset::Preview => Choices { steps: Some(1), ..none },

@@ -24,7 +24,7 @@ FOLDER = WORK / "obstacles"
 # Vertices may be so deep, and so far from the wall where there is fluid, in voxels.
 DEPTH_MAX = 0.25
 # Wet are places of the obstacle that are no farther beyond r_init of a particle, in voxels: where this is negative, the
-# first surface covers them; where it is positive, a void of the default threshold of two voxels was between.
+# first surface covers them; where it is positive, a void of less than the threshold of two voxels was between.
 COVERED, APART = -0.5, 1.0
 # An edge that is sharper than the grid is round within this, in voxels.
 EDGE_WIDTH = 1.0
@@ -77,7 +77,7 @@ def measured(name, particles, obstacle, voxel_size, wet_margin=COVERED):
     np.savetxt(points, particles, delimiter=",", header="x,y,z", comments="", fmt="%.9g")
     obstacle.export(wall)
     status, said, frames = convert(
-        [points], out, "--voxel-size", str(voxel_size), "--obstacle", wall, "--format", "ply,glb"
+        [points], out, "--voxel-size", str(voxel_size), "--obstacle", wall, "--void-threshold", "2", "--format", "ply,glb"
     )
     frame = frames.get(points.name, {})
     if status or frame.get("status") != "converted":

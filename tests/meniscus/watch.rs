@@ -10,7 +10,7 @@ use meniscus::daemon::lock::OutputLock;
 use meniscus::pipeline::FileStamp;
 use tempfile::tempdir;
 
-use crate::scene::{Ran, meniscus, write_sequence};
+use crate::scene::{Ran, block, meniscus, write_ply, write_sequence};
 
 /// Asserts that a command does nothing, with exit status 2, and says why.
 fn assert_refused(folder: &Path, arguments: &[&str], words: &[&str]) {

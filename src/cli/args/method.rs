@@ -118,7 +118,7 @@ pub(in crate::cli) struct ObstacleArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) obstacle: Vec<PathBuf>,
 
-    /// Fill gaps between the surface and obstacles that are narrower than this, in units of h [default: 2]
+    /// Fill gaps between the surface and obstacles that are narrower than this, in units of h [default: 1]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     pub(in crate::cli) void_threshold: Option<f64>,
 }
