@@ -1,9 +1,12 @@
 //! Obstacles as programs write them.
 
+use std::cell::RefCell;
 use std::io;
 
 use base64::Engine;
-use meniscus_formats::{Error, LevelSetView, Limits, MeshData, ObstacleData, Result, read_obstacle, vdb};
+use meniscus_formats::{
+    Error, LevelSetView, Limits, MeshData, ObstacleData, Result, gltf, read_obstacle, vdb,
+};
 
 fn none_beside(_: &str) -> io::Result<Vec<u8>> {
     Err(io::ErrorKind::NotFound.into())
@@ -167,12 +170,49 @@ fn buffers_may_be_files_beside() {
     let short = |_: &str| Ok(buffer[..20].to_vec());
     let error = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &short).expect_err("short");
     assert!(error.to_string().contains("exceeds its buffer"), "{error}");
-    for (uri, word) in
-        [("https://example.org/a.bin", "not beside"), ("/etc/a.bin", "not beside"), ("a%zz", "the URI a%zz")]
-    {
-        let error = read(text(uri).0.as_bytes(), "a.gltf").expect_err(uri).to_string();
-        assert!(error.contains(word), "{error}");
+    for (uri, word) in [
+        ("https://example.org/a.bin", "not beside"),
+        ("/etc/a.bin", "not beside"),
+        ("%2fetc/a.bin", "not beside"),
+        ("../a.bin", "not beside"),
+        ("b/%2e%2E/../a.bin", "not beside"),
+        ("b\\\\..\\\\a.bin", "not beside"),
+        ("\\\\a.bin", "not beside"),
+        ("a%00.bin", "not beside"),
+        ("./", "not beside"),
+        ("", "not beside"),
+        ("a%zz", "the URI a%zz"),
+    ] {
+        let document = text(uri).0;
+        let unasked = |path: &str| panic!("{path} was asked for");
+        let error = read_obstacle(document.as_bytes(), "a.gltf", &Limits::default(), &unasked);
+        let errors = [error.expect_err(uri), gltf::files_beside(document.as_bytes()).expect_err(uri)];
+        assert!(errors.iter().all(|error| error.to_string().contains(word)), "{errors:?}");
     }
+}
+
+/// A file is read once, as far as the longest buffer in it goes.
+#[test]
+fn files_beside_are_told_once() {
+    let document = br#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0}},{"attributes":{"POSITION":1}}]}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
+        {"bufferView":1,"componentType":5126,"count":3,"type":"VEC3"}],
+        "bufferViews":[{"buffer":1,"byteLength":36},{"buffer":3,"byteLength":36}],
+        "buffers":[{"byteLength":3,"uri":"data:;base64,AAAA"},{"byteLength":36,"uri":"./b/a.bin"},
+        {"byteLength":5,"uri":"a.bin"},{"byteLength":60,"uri":"b//a%2ebin"}]}"#;
+    let told = gltf::files_beside(document).expect("a document");
+    let told: Vec<_> = told.iter().map(|file| (file.path.as_str(), file.byte_count)).collect();
+    assert_eq!(told, [("b/a.bin", 60), ("a.bin", 5)]);
+    let asked = RefCell::new(Vec::new());
+    let beside = |path: &str| {
+        asked.borrow_mut().push(path.to_owned());
+        Ok(bytes_of(&STRIP))
+    };
+    let found = read_obstacle(document, "a.gltf", &Limits::default(), &beside).expect("three files");
+    assert!(matches!(found, ObstacleData::Mesh(mesh) if mesh.triangles.len() == 2));
+    assert_eq!(asked.into_inner(), ["b/a.bin", "a.bin"]);
+    assert!(gltf::files_beside(b"v 0 0 0").is_err());
 }
 
 #[test]

@@ -15,6 +15,7 @@ mod depth;
 mod eights;
 mod kept;
 mod leaf;
+mod rim;
 mod sampled;
 mod sides;
 mod solid;

@@ -8,7 +8,7 @@ use super::eights::{Distances, Eight};
 use super::leaf::ObstacleLeaf;
 use super::sides::{Winds, sign};
 use super::surface::{MeshFindings, Surface};
-use super::winding::{WINDING_ERROR, slope_bound, winding, winding_gradient};
+use super::winding::{WINDING_ERROR, winding, winding_gradient};
 use crate::grid::LEAF_EDGE;
 use crate::simd;
 use crate::space::Lattice;
@@ -41,7 +41,7 @@ impl Solid {
 
     /// The memory that it takes, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.surface.tree.size_bytes() + size_of_val(&*self.surface.rim)
+        self.surface.tree.size_bytes() + self.surface.rim.size_bytes()
     }
 
     /// The signed distances of a leaf.
@@ -83,7 +83,8 @@ impl Solid {
     pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         let view = View::new(&self.surface, origin, lattice);
         let margin = f64::from(margin_voxels);
-        view.nearest(margin + RADIUS + ROUNDING).is_some() || view.side(margin).is_none()
+        let has_patches = !self.surface.rim.is_empty();
+        view.nearest(margin + RADIUS + ROUNDING).is_some() || has_patches && view.side(margin).is_none()
     }
 }
 
@@ -111,15 +112,18 @@ impl View<'_> {
     /// The side that the whole leaf is on, if neither a patch over a hole is within `far` voxels of it; triangles
     /// must be known not to be.
     fn side(&self, far: f64) -> Option<ObstacleLeaf> {
-        let beyond = winding(&self.surface.tree, self.center) - 0.5;
         let slope = self.slope_bound(RADIUS + far);
+        if slope == f64::INFINITY {
+            return None;
+        }
+        let beyond = winding(&self.surface.tree, self.center) - 0.5;
         let is_certain = slope == 0.0 || beyond.abs() - WINDING_ERROR > slope * (RADIUS + far);
         is_certain.then_some(if beyond > 0.0 { ObstacleLeaf::Inside } else { ObstacleLeaf::Outside })
     }
 
     /// How fast the winding number may change within so many voxels of the centre, a voxel.
     fn slope_bound(&self, radius: f64) -> f64 {
-        slope_bound(&self.surface.rim, self.center, radius * self.voxel_size) * self.voxel_size
+        self.surface.rim.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
     }
 
     /// The triangles within `far` of the leaf's box and within `reach` of its centre, and some more.

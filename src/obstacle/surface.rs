@@ -19,6 +19,7 @@
 use glam::DVec3;
 use rustc_hash::{FxHashMap, FxHashSet};
 
+use super::rim::Rim;
 use super::tree::Tree;
 use super::winding::winding;
 
@@ -43,7 +44,7 @@ pub struct MeshFindings {
 pub(super) struct Surface {
     pub(super) tree: Tree,
     /// The edges where it ends: what is inside changes gradually near these only.
-    pub(super) rim: Vec<[DVec3; 2]>,
+    pub(super) rim: Rim,
     pub(super) findings: MeshFindings,
 }
 
@@ -65,7 +66,7 @@ impl Surface {
         turn(&mut faces, &turned);
         turn_parts(&points, &mut faces, &parts, &mut turned);
         findings.turned_count = turned.iter().filter(|&&turned| turned).count();
-        let rim = rim(&points, &faces);
+        let rim = Rim::new(rim(&points, &faces));
         findings.open_edge_count = rim.len();
         let corners: Vec<[DVec3; 3]> = faces
             .iter()

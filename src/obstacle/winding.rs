@@ -8,13 +8,8 @@
 //! gradually from 1 to 0, and where it is ½ is the most even patch over it. A branch of the tree that is
 //! far off is seen as one dipole.
 //!
-//! The gradient of w comes from the rims alone, like the magnetic field of a current through them. So
-//!
-//! ```text
-//!   |∇w| ≤ 1/4π · Σ length / distance²        over the edges of the rim
-//! ```
-//!
-//! bounds how fast w can change where there is no triangle.
+//! The gradient of w comes from the rims alone, like the magnetic field of a current through them. So the
+//! [rim](super::rim) bounds how fast w can change where there is no triangle.
 //!
 //! This work is based on:
 //! Alec Jacobson, Ladislav Kavan, Olga Sorkine-Hornung. Robust Inside-Outside Segmentation using Generalized
@@ -59,17 +54,6 @@ pub(super) fn winding_gradient(tree: &Tree, point: DVec3) -> DVec3 {
         }
     });
     sum / (4.0 * PI)
-}
-
-/// No slope of w is more than this within `radius` of a point, where there is no triangle.
-pub(super) fn slope_bound(rim: &[[DVec3; 2]], center: DVec3, radius: f64) -> f64 {
-    let of_edge = |&[from, to]: &[DVec3; 2]| {
-        let along = to - from;
-        let place = ((center - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-        let distance = (from + along * place - center).length() - radius;
-        if distance <= 0.0 { f64::INFINITY } else { along.length() / (distance * distance) }
-    };
-    rim.iter().map(of_edge).sum::<f64>() / (4.0 * PI)
 }
 
 /// Something as seen from the point: positions are relative to it.

@@ -7,16 +7,19 @@
 //!
 //! Of a frame they are found and hashed first. Only if it is not done already is there any need to know what is
 //! in them.
+//!
+//! The buffers of a `.gltf` may be files beside it. They are a part of it: hashed with it, and read again when one of
+//! them was written again.
 
+use std::collections::HashMap;
 use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb::LevelSetData;
-use meniscus_formats::{Limits, ObstacleData, read_obstacle};
+use meniscus_formats::{Limits, ObstacleData, gltf, read_obstacle};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
@@ -25,7 +28,7 @@ use crate::settings::Settings;
 
 use super::frame::{Cause, FrameError, Stage};
 use super::number_pattern::NumberPattern;
-use super::reading::read_unchanged;
+use super::reading::{read_start_unchanged, read_unchanged};
 use super::stamp::FileStamp;
 
 /// The obstacles of a sequence.
@@ -34,12 +37,15 @@ pub struct ObstacleFiles {
     paths: Vec<PathBuf>,
     /// What is known of those that stand still.
     known: Mutex<Vec<Option<Known>>>,
+    /// The files beside a `.gltf`, and what that was when it told of them.
+    beside: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
 }
 
 /// A file that was read.
 #[derive(Clone)]
 struct Known {
-    stamp: FileStamp,
+    /// All files that it was read from, as they were.
+    files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     obstacle: Arc<Obstacle>,
 }
@@ -59,7 +65,8 @@ pub(super) struct FoundObstacles {
 /// A file of these.
 struct FoundObstacle {
     path: PathBuf,
-    stamp: FileStamp,
+    /// It, and those beside it, as they were.
+    files: Vec<(PathBuf, FileStamp)>,
     hash: u128,
     content: Content,
     /// Where it is among the paths, if it stands still.
@@ -68,9 +75,8 @@ struct FoundObstacle {
 
 /// What is there of it.
 enum Content {
-    Bytes(Vec<u8>),
-    /// Its hash is that of several files, so that they had to be read.
-    Data(Box<ObstacleData>),
+    /// Its own bytes, and those of each file beside it.
+    Bytes(Vec<u8>, HashMap<String, Vec<u8>>),
     Obstacle(Arc<Obstacle>),
 }
 
@@ -95,7 +101,7 @@ impl ObstacleFiles {
     /// `body.####.obj`, each frame has the file with its own.
     pub fn new(paths: Vec<PathBuf>) -> ObstacleFiles {
         let known = Mutex::new(vec![None; paths.len()]);
-        ObstacleFiles { paths, known }
+        ObstacleFiles { paths, known, beside: Mutex::default() }
     }
 
     /// Whether there is none.
@@ -116,11 +122,38 @@ impl ObstacleFiles {
 
     /// What the files of a frame are now, in short: equal ones mean that none was written since.
     pub fn stamps(&self, number: Option<u64>) -> String {
-        let stamp = |path: &PathBuf| match file_of(path, number).map(|path| FileStamp::of_path(&path)) {
-            Ok(Ok(stamp)) => format!("{}: {stamp:?}\n", path.display()),
-            _ => format!("{}: none\n", path.display()),
+        let mut stamps = String::new();
+        let mut tell = |path: &Path, stamp: Option<FileStamp>| {
+            stamps += &match stamp {
+                Some(stamp) => format!("{}: {stamp:?}\n", path.display()),
+                None => format!("{}: none\n", path.display()),
+            };
         };
-        self.paths.iter().map(stamp).collect()
+        for path in &self.paths {
+            let at = file_of(path, number).ok();
+            tell(path, at.as_deref().and_then(stamp_of));
+            let beside = at.map(|at| self.files_beside(&at)).unwrap_or_default();
+            beside.iter().for_each(|path| tell(path, stamp_of(path)));
+        }
+        stamps
+    }
+
+    /// The files beside one, as far as it can be read now.
+    fn files_beside(&self, path: &Path) -> Vec<PathBuf> {
+        if !is_gltf_text(path) {
+            return Vec::new();
+        }
+        let lock = || self.beside.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((stamp, files)) = lock().get(path)
+            && stamp_of(path) == Some(*stamp)
+        {
+            return files.clone();
+        }
+        let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
+        let files = gltf::files_beside(&bytes).unwrap_or_default();
+        let files: Vec<PathBuf> = files.iter().map(|file| folder_of(path).join(&file.path)).collect();
+        lock().insert(path.to_owned(), (stamp, files.clone()));
+        files
     }
 
     /// Finds and hashes those of a frame.
@@ -129,9 +162,9 @@ impl ObstacleFiles {
             let at = file_of(path, number).map_err(|error| failed(path, error.into()))?;
             let still = (at == *path).then_some(index);
             match still.and_then(|index| self.known_of(index)) {
-                Some(known) if FileStamp::of_path(&at).ok() == Some(known.stamp) => Ok(FoundObstacle {
+                Some(known) if known.is_as_it_was() => Ok(FoundObstacle {
                     path: at,
-                    stamp: known.stamp,
+                    files: known.files,
                     hash: known.hash,
                     content: Content::Obstacle(known.obstacle),
                     still,
@@ -160,8 +193,7 @@ impl ObstacleFiles {
                     all.obstacles.members.push(obstacle);
                     continue;
                 }
-                Content::Data(data) => *data,
-                Content::Bytes(bytes) => parse(&file.path, &bytes)?.0,
+                Content::Bytes(bytes, beside) => parse(&file.path, &bytes, beside)?,
             };
             let shape = shape_of(data)
                 .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
@@ -173,7 +205,7 @@ impl ObstacleFiles {
             all.all_bytes += bytes;
             match file.still {
                 Some(index) => {
-                    let known = Known { stamp: file.stamp, hash: file.hash, obstacle: Arc::clone(&obstacle) };
+                    let known = Known { files: file.files, hash: file.hash, obstacle: Arc::clone(&obstacle) };
                     if let Some(place) =
                         self.known.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
                     {
@@ -189,6 +221,13 @@ impl ObstacleFiles {
 
     fn known_of(&self, index: usize) -> Option<Known> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
+    }
+}
+
+impl Known {
+    /// Whether none of its files was written since.
+    fn is_as_it_was(&self) -> bool {
+        self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
     }
 }
 
@@ -223,37 +262,56 @@ fn file_of(path: &Path, number: Option<u64>) -> io::Result<PathBuf> {
     }
 }
 
+fn stamp_of(path: &Path) -> Option<FileStamp> {
+    FileStamp::of_path(path).ok()
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
+}
+
 fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, FrameError> {
     let unchanged = read_unchanged(&path).map_err(|error| of_obstacle(&path, error.cause))?;
     let (bytes, stamp) = unchanged.ok_or_else(|| of_obstacle(&path, Cause::Changed))?;
-    let hash = XxHash3_128::oneshot(&bytes);
-    if !is_gltf_text(&path) {
-        return Ok(FoundObstacle { path, stamp, hash, content: Content::Bytes(bytes), still });
+    let mut hash = XxHash3_128::oneshot(&bytes);
+    let mut files = vec![(path.clone(), stamp)];
+    let mut contents = HashMap::new();
+    if is_gltf_text(&path) {
+        let mut hasher: Option<Hasher> = None;
+        for gltf::FileBeside { path: relative, byte_count } in
+            gltf::files_beside(&bytes).map_err(|error| failed(&path, error))?
+        {
+            let at = folder_of(&path).join(&relative);
+            let unchanged = read_start_unchanged(&at, byte_count).map_err(|error| {
+                let what = format!("its buffer {relative}: {error}");
+                failed(&path, io::Error::new(error.kind(), what).into())
+            })?;
+            let (bytes, stamp) = unchanged.ok_or_else(|| of_obstacle(&at, Cause::Changed))?;
+            hasher.get_or_insert_with(Hasher::new).write(&bytes);
+            files.push((at, stamp));
+            contents.insert(relative, bytes);
+        }
+        hash ^= hasher.map_or(0, |hasher| hasher.finish_128());
     }
-    // Its buffers may be files beside it: they count, too.
-    let (data, beside) = parse(&path, &bytes)?;
-    let hash = beside.map_or(hash, |beside| hash ^ beside);
-    Ok(FoundObstacle { path, stamp, hash, content: Content::Data(Box::new(data)), still })
+    Ok(FoundObstacle { path, files, hash, content: Content::Bytes(bytes, contents), still })
 }
 
+/// Only these may have their buffers in files of their own.
 fn is_gltf_text(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf"))
 }
 
-/// What is in the bytes of a file; and the hash of the files beside it that belong to it.
-fn parse(path: &Path, bytes: &[u8]) -> Result<(ObstacleData, Option<u128>), FrameError> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let beside_hash: Mutex<Option<Hasher>> = Mutex::default();
-    let beside = |relative: &str| {
-        let bytes = fs::read(folder.join(relative))?;
-        let mut hasher = beside_hash.lock().unwrap_or_else(PoisonError::into_inner);
-        hasher.get_or_insert_with(Hasher::new).write(&bytes);
-        Ok(bytes)
+/// What is in the bytes of a file, with those of the files beside it.
+fn parse(path: &Path, bytes: &[u8], beside: HashMap<String, Vec<u8>>) -> Result<ObstacleData, FrameError> {
+    let beside = Mutex::new(beside);
+    // Each is asked for once.
+    let take = |relative: &str| {
+        let bytes = beside.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
+        bytes.ok_or_else(|| {
+            io::Error::new(io::ErrorKind::Unsupported, "only a .gltf may have files beside it; use .glb")
+        })
     };
-    let data = read_obstacle(bytes, &name_of(path), &Limits::default(), &beside)
-        .map_err(|error| failed(path, error))?;
-    let hasher = beside_hash.into_inner().unwrap_or_else(PoisonError::into_inner);
-    Ok((data, hasher.map(|hasher| hasher.finish_128())))
+    read_obstacle(bytes, &name_of(path), &Limits::default(), &take).map_err(|error| failed(path, error))
 }
 
 fn shape_of(data: ObstacleData) -> Result<Shape, String> {
@@ -335,4 +393,81 @@ fn failed(path: &Path, error: meniscus_formats::Error) -> FrameError {
 /// An error of a frame on account of an obstacle.
 fn of_obstacle(path: &Path, cause: Cause) -> FrameError {
     FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Obstacle(Box::new(cause)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    /// A triangle in a file beside the document.
+    const DOCUMENT: &str = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}],
+        "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"URI"}]}"#;
+
+    fn triangle(size: f32) -> Vec<u8> {
+        let numbers = [0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, size, 0.0];
+        numbers.iter().flat_map(|number: &f32| number.to_le_bytes()).collect()
+    }
+
+    #[test]
+    fn files_beside_are_a_part_of_the_obstacle() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, buffer) = (folder.path().join("a.gltf"), folder.path().join("a.bin"));
+        fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
+        fs::write(&buffer, triangle(1.0)).expect("written");
+        let settings = Settings::resolve(0.1, &crate::settings::Choices::default()).expect("settings");
+        let files = ObstacleFiles::new(vec![path.clone()]);
+        let find = || files.find(None).expect("both files");
+        let is_known = |found: &FoundObstacles| matches!(found.found[0].content, Content::Obstacle(_));
+        let first = find();
+        let (recorded, stamps) = (first.recorded(), files.stamps(None));
+        let loaded = files.load(first, &settings, 1 << 20).expect("a triangle");
+        assert_eq!(loaded.open_edge_count, 3);
+        let again = find();
+        assert!(is_known(&again));
+        assert_eq!((again.recorded(), files.stamps(None)), (recorded.clone(), stamps.clone()));
+        // Longer than the buffer: what is behind it is not read, but the file is another.
+        fs::write(&buffer, [triangle(1.0), vec![1; 8]].concat()).expect("written");
+        assert_ne!(files.stamps(None), stamps);
+        let longer = find();
+        assert!(!is_known(&longer));
+        assert_eq!(longer.recorded(), recorded);
+        fs::write(&buffer, triangle(2.0)).expect("written");
+        let other = find();
+        assert!(!is_known(&other));
+        assert_ne!(other.recorded(), recorded);
+        // Who did not see it before knows of it, too.
+        assert_eq!(ObstacleFiles::new(vec![path]).stamps(None), files.stamps(None));
+    }
+
+    #[test]
+    fn a_document_names_no_files_elsewhere() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let inner = folder.path().join("inner");
+        fs::create_dir_all(inner.join("b.bin")).expect("made");
+        fs::write(folder.path().join("a.bin"), triangle(1.0)).expect("written");
+        let path = inner.join("a.gltf");
+        let absolute = folder.path().join("a.bin").display().to_string().replace('\\', "/");
+        for (uri, word) in [
+            ("../a.bin", "not beside"),
+            (absolute.as_str(), "not beside"),
+            ("b.bin", "no regular file"),
+            ("c.bin", "c.bin"),
+        ] {
+            fs::write(&path, DOCUMENT.replace("URI", uri)).expect("written");
+            let error = ObstacleFiles::new(vec![path.clone()]).find(None).err().expect(uri).to_string();
+            assert!(error.contains(word), "{error}");
+        }
+        // Under another name it is asked for nothing.
+        let path = inner.join("a.json");
+        fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
+        fs::write(inner.join("a.bin"), triangle(1.0)).expect("written");
+        let files = ObstacleFiles::new(vec![path]);
+        let settings = Settings::resolve(0.1, &crate::settings::Choices::default()).expect("settings");
+        let found = files.find(None).expect("readable");
+        let error = files.load(found, &settings, 1 << 20).err().expect("a buffer elsewhere").to_string();
+        assert!(error.contains("only a .gltf"), "{error}");
+    }
 }

@@ -43,14 +43,40 @@ pub(super) fn read_unchanged(path: &Path) -> Result<Option<(Vec<u8>, FileStamp)>
     read.map_err(|error| FrameError::file(path, Stage::Read, error))
 }
 
+/// The first bytes of a file, no more than `most`, and its stamp; `None` when it was written, replaced or removed
+/// meanwhile.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for what is no regular file, such as a pipe, which may have no end.
+pub(super) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    // A pipe would wait for somebody to open its other end.
+    if !path.metadata()?.is_file() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "no regular file"));
+    }
+    read_start_between_stamps(path, most, |file| {
+        let mut bytes = Vec::new();
+        file.take(most).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    })
+}
+
 /// Reads between two looks at the file.
 fn read_between_stamps(
     path: &Path,
     read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
 ) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    read_start_between_stamps(path, u64::MAX, read)
+}
+
+/// The same of no more than so many bytes.
+fn read_start_between_stamps(
+    path: &Path,
+    most: u64,
+    read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
+) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
     let input = InputFile::open(path)?;
     let bytes = read(&mut &input.file)?;
-    let is_whole = !input.is_regular || bytes.len() as u64 == input.stamp.size;
+    let is_whole = !input.is_regular || bytes.len() as u64 == input.stamp.size.min(most);
     Ok((input.is_unchanged()? && is_whole).then_some((bytes, input.stamp)))
 }
 

@@ -3,6 +3,8 @@
 //! The crate gltf goes through the elements, sparse ones too; but it believes what the document says of them. So
 //! all that is said is compared with the bytes that are there, before it is asked.
 
+use std::rc::Rc;
+
 use ::gltf::accessor::{DataType, Dimensions, Item, Iter, sparse};
 use ::gltf::buffer::{Buffer, View};
 use ::gltf::{Accessor, Semantic};
@@ -10,9 +12,9 @@ use ::gltf::{Accessor, Semantic};
 use super::FORMAT;
 use crate::error::{Error, Place, Result};
 
-/// The bytes of the document's buffers.
+/// The bytes of the document's buffers. Some share a file.
 pub(super) struct Buffers {
-    pub(super) bytes: Vec<Vec<u8>>,
+    pub(super) bytes: Vec<Rc<Vec<u8>>>,
 }
 
 impl Buffers {
@@ -73,7 +75,7 @@ impl Buffers {
             return Ok(Vec::new());
         }
         self.check(accessor)?;
-        let bytes = |buffer: Buffer| self.bytes.get(buffer.index()).map(Vec::as_slice);
+        let bytes = |buffer: Buffer| self.bytes.get(buffer.index()).map(|bytes| bytes.as_slice());
         let elements = Iter::new(accessor.clone(), bytes).ok_or_else(|| beyond(accessor.count()))?;
         Ok(elements.take(accessor.count()).collect())
     }

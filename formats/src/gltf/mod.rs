@@ -12,13 +12,15 @@
 //! This work is based on:
 //! The Khronos 3D Formats Working Group. glTF 2.0 Specification. 2021
 
+mod beside;
 mod buffer;
 mod read;
 mod read_provenance;
 mod vertex_data;
 mod write;
 
-pub use read::{Beside, read_mesh, read_mesh_with};
+pub use beside::{Beside, FileBeside, files_beside};
+pub use read::{read_mesh, read_mesh_with};
 pub use vertex_data::attribute_notes;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 

@@ -6,6 +6,8 @@
 //!
 //! Materials, skins, morphs and animations are not looked at. Quantized meshes are read.
 
+use std::rc::Rc;
+
 use ::gltf::json::{self, validation};
 use ::gltf::mesh::Mode;
 use ::gltf::{Document, Primitive, Semantic, buffer::Source};
@@ -13,14 +15,12 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
+use super::beside::{Beside, ReadBeside, is_data};
 use super::buffer::{Buffers, invalid};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
-
-/// Gives the bytes of a file beside the one that is read, by its relative path.
-pub type Beside<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;
 
 /// Reads all triangles of the default scene (or of the first, or of all meshes if there is no scene)
 /// as one mesh in world space. Normals are kept if every part has them.
@@ -47,16 +47,19 @@ fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshDa
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
     let places: Places = parse(json)?;
+    let mut files = ReadBeside::new(beside);
     let buffers = document.buffers().map(|buffer| match buffer.source() {
         Source::Bin => bin
             .filter(|_| buffer.index() == 0)
-            .map(<[u8]>::to_vec)
+            .map(|bin| Rc::new(bin.to_vec()))
             .ok_or_else(|| invalid("a buffer without data")),
-        Source::Uri(uri) => from_uri(uri, beside),
+        Source::Uri(uri) if is_data(uri) => embedded(uri).map(Rc::new),
+        Source::Uri(uri) => files.bytes(uri),
     });
+    let buffers = Buffers { bytes: buffers.collect::<Result<_>>()? };
     let mut collector = Collector {
-        buffers: Buffers { bytes: buffers.collect::<Result<_>>()? },
-        budget: limits.decompressed_bytes_of(bytes.len() as u64),
+        buffers,
+        budget: limits.decompressed_bytes_of((bytes.len() as u64).saturating_add(files.size_bytes)),
         mesh: MeshData::default(),
         has_normals: true,
     };
@@ -101,45 +104,19 @@ fn with_nodes_in_scenes(json: &[u8]) -> Option<json::Root> {
     serde_json::from_value(document).ok()
 }
 
-fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
+pub(super) fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T> {
     serde_json::from_slice(json)
         .map_err(|error| Error::invalid(FORMAT, Place::Line(error.line() as u64), error.to_string()))
 }
 
-/// The bytes of a buffer that is not in the binary chunk.
-fn from_uri(uri: &str, beside: Option<&Beside>) -> Result<Vec<u8>> {
-    if let Some(data) = uri.strip_prefix("data:") {
-        let (_, base64) =
-            data.split_once(";base64,").ok_or_else(|| invalid("a data URI that is not base64"))?;
-        return STANDARD.decode(base64).map_err(|error| invalid(format!("a data URI: {error}")));
-    }
-    let Some(beside) = beside else {
-        let what = "a buffer in a file of its own; export as .glb, or embed it";
-        return Err(Error::unsupported(FORMAT, what));
-    };
-    let path = percent_decoded(uri).ok_or_else(|| invalid(format!("the URI {uri}")))?;
-    if path.contains(':') || path.starts_with(['/', '\\']) {
-        let what = format!("a buffer that is not beside the file, but at {uri}");
-        return Err(Error::unsupported(FORMAT, what));
-    }
-    beside(&path)
-        .map_err(|error| std::io::Error::new(error.kind(), format!("its buffer {path}: {error}")).into())
-}
-
-/// A path as it was before it became part of a URI.
-fn percent_decoded(uri: &str) -> Option<String> {
-    let mut parts = uri.split('%');
-    let mut bytes = parts.next()?.as_bytes().to_vec();
-    for part in parts {
-        let (code, rest) = part.split_at_checked(2)?;
-        bytes.push(u8::from_str_radix(code, 16).ok()?);
-        bytes.extend_from_slice(rest.as_bytes());
-    }
-    String::from_utf8(bytes).ok()
+/// The bytes in a URI.
+fn embedded(uri: &str) -> Result<Vec<u8>> {
+    let (_, base64) = uri.split_once(";base64,").ok_or_else(|| invalid("a data URI that is not base64"))?;
+    STANDARD.decode(base64).map_err(|error| invalid(format!("a data URI: {error}")))
 }
 
 /// The JSON and, if there is one, the binary chunk.
-fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
+pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
     let error = |offset: u64, what: &str| Err(Error::invalid(FORMAT, Place::Offset(offset), what));
     if !bytes.starts_with(&GLB_MAGIC) {
         return Ok((bytes, None));
