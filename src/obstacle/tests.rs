@@ -292,6 +292,26 @@ fn parts_are_joined_and_cavities_stay() {
     assert!(matches!(filled.leaf(IVec3::splat(-4), &UNIT, 0.5), ObstacleLeaf::Inside));
 }
 
+/// One part beside that faces inwards is turned, of few parts and of many cavities; of too many it is told.
+#[test]
+fn parts_that_face_inwards_are_turned_or_told() {
+    let cube = |x: usize, y: usize, size: f64| {
+        let min = DVec3::new(x as f64, y as f64, 0.0) * 4.0;
+        Mesh::cuboid(min, min + size)
+    };
+    let block = Mesh::cuboid(DVec3::new(-2.0, -2.0, -2.0), DVec3::new(262.0, 262.0, 3.0));
+    for (cavity_count, is_asked) in [(3, true), (4000, true), (4100, false)] {
+        let aside = Mesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).turned();
+        let mut mesh = aside.and(block.clone());
+        for index in 0..cavity_count {
+            mesh = mesh.and(cube(index % 65, index / 65, 1.0).turned());
+        }
+        let findings = *mesh.solid().findings();
+        let expected = if is_asked { (12, 0) } else { (0, cavity_count + 1) };
+        assert_eq!((findings.turned_count, findings.unasked_part_count), expected, "{cavity_count}");
+    }
+}
+
 /// A hole is closed by a patch: distances are continuous there, and its edges are told.
 #[test]
 fn holes_are_closed() {

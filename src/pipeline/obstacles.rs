@@ -350,6 +350,10 @@ fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
             let findings = solid.findings();
             tell(findings.open_edge_count, "open edges: holes are closed where its winding number is 1/2");
             tell(findings.turned_count, "triangles faced the other way, and were turned");
+            tell(
+                findings.unasked_part_count,
+                "parts seem to face inwards, and were left so: it has too many parts to tell cavities",
+            );
             tell(findings.broken_count, "triangles left out: a corner is not finite, or does not exist");
             if findings.triangle_count == 0 {
                 notes.push(format!(
