@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-use glam::{DVec3, IVec3};
+use glam::{DVec3, IVec3, Vec3};
 
 use super::tree::Tree;
 use super::winding::{winding, winding_gradient};
@@ -490,4 +490,21 @@ fn nothing_encloses_nothing() {
         assert!(!solid.touches(IVec3::ZERO, &UNIT, 6.0));
         assert_eq!(solid.depth(DVec3::ZERO), None);
     }
+}
+
+/// A vertex that is moved to a wall faces into it; what is not moved keeps its normal.
+#[test]
+fn vertices_that_are_moved_face_the_wall() {
+    let wall = Mesh::cuboid(DVec3::new(-30.0, -30.0, -20.0), DVec3::new(30.0, 30.0, 0.25));
+    let obstacles = Obstacles { members: vec![obstacle(&wall, 0)] };
+    let mut mesh = crate::mesh::Mesh {
+        positions: vec![Vec3::new(1.0, 2.0, -0.25), Vec3::new(1.0, 2.0, 0.2), Vec3::new(1.0, 2.0, 0.5)],
+        normals: vec![Vec3::X; 3],
+        ..crate::mesh::Mesh::default()
+    };
+    let tally = obstacles.clear(&mut mesh, &UNIT, HALF_WIDTH);
+    assert_eq!(tally.moved_count, 1);
+    assert!(mesh.positions[0].distance(Vec3::new(1.0, 2.0, 0.25)) < 1e-6, "{}", mesh.positions[0]);
+    assert!(mesh.normals[0].distance(Vec3::NEG_Z) < 1e-6, "{}", mesh.normals[0]);
+    assert_eq!(mesh.normals[1..], [Vec3::X; 2]);
 }
