@@ -470,6 +470,7 @@ fn leaves_that_are_kept_are_those_that_are_computed() {
             }
         }
         assert!(obstacles.members[0].kept.size_bytes() <= kept_bytes_max);
+        assert!(obstacles.members[0].size_bytes() <= obstacles.members[0].size_bytes_max());
         assert_eq!(obstacles.members[0].kept.size_bytes() > 0, kept_bytes_max > 0);
     }
     let obstacles = Obstacles { members: vec![obstacle(&mesh, 0)] };

@@ -183,7 +183,7 @@ impl ObstacleFiles {
             let name = name_of(&file.path);
             let data = match file.content {
                 Content::Obstacle(obstacle) => {
-                    all.all_bytes += obstacle.size_bytes() as u64;
+                    all.all_bytes += obstacle.size_bytes_max() as u64;
                     all.open_edge_count += open_edges(obstacle.shape());
                     all.obstacles.members.push(obstacle);
                     continue;
@@ -196,7 +196,7 @@ impl ObstacleFiles {
             all.open_edge_count += open_edges(&shape);
             let obstacle =
                 Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
-            let bytes = obstacle.size_bytes() as u64 + kept_bytes_max;
+            let bytes = obstacle.size_bytes_max() as u64;
             all.all_bytes += bytes;
             match file.still {
                 Some(index) => {
