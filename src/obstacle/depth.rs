@@ -35,17 +35,20 @@ const NEAR: f32 = 1.0;
 
 impl Obstacles {
     /// Moves vertices out of obstacles, where the obstacles are sharper than the grid, and tells how deep the
-    /// deepest then is. `half_width` is that of the leaves that are kept.
+    /// deepest then is. Where it then lies against an obstacle, the surface faces straight into it. `half_width` is that
+    /// of the leaves that are kept.
     pub fn clear(&self, mesh: &mut Mesh, lattice: &Lattice, half_width: f32) -> DepthTally {
         let origin = mesh.origin;
-        let of_vertex = |position: &mut Vec3| {
+        let of_vertex = |(position, normal): (&mut Vec3, &mut Vec3)| {
             let mut tally = DepthTally::default();
-            let Some((depth, outside)) = self.depth(origin + position.as_dvec3(), lattice, half_width) else {
+            let point = origin + position.as_dvec3();
+            let Some((depth, outside)) = self.depth(point, lattice, half_width) else {
                 return tally;
             };
             tally.deepest_voxels = depth;
             if DEPTH_MAX < depth && depth < MOVE_MAX {
                 *position = (outside - origin).as_vec3();
+                *normal = (point - outside).normalize_or_zero().as_vec3();
                 // It may have come into another one.
                 let left = self.depth(origin + position.as_dvec3(), lattice, half_width);
                 tally = DepthTally { deepest_voxels: left.map_or(0.0, |(depth, _)| depth), moved_count: 1 };
@@ -56,7 +59,8 @@ impl Obstacles {
             deepest_voxels: one.deepest_voxels.max(other.deepest_voxels),
             moved_count: one.moved_count + other.moved_count,
         };
-        mesh.positions.par_iter_mut().map(of_vertex).reduce(DepthTally::default, both)
+        let vertices = mesh.positions.par_iter_mut().zip(&mut mesh.normals);
+        vertices.map(of_vertex).reduce(DepthTally::default, both)
     }
 
     /// How deep a point of the world is in an obstacle, in voxels, and the nearest place on its surface; none if

@@ -73,4 +73,8 @@ impl KeptLeaves {
         let size = |shard: &Mutex<Shard>| shard.lock().unwrap_or_else(PoisonError::into_inner).size_bytes;
         self.shards.iter().map(size).sum()
     }
+    /// The memory that it may come to take, in bytes.
+    pub(super) fn size_bytes_max(&self) -> usize {
+        self.most_bytes.saturating_mul(SHARDS)
+    }
 }

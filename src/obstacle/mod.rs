@@ -47,6 +47,16 @@ pub enum Shape {
     Sampled(Box<Sampled>),
 }
 
+impl Shape {
+    /// The memory that it takes, in bytes.
+    fn size_bytes(&self) -> usize {
+        match self {
+            Shape::Solid(solid) => solid.size_bytes(),
+            Shape::Sampled(sampled) => sampled.size_bytes(),
+        }
+    }
+}
+
 /// Something that the fluid must not enter.
 pub struct Obstacle {
     shape: Shape,
@@ -67,11 +77,12 @@ impl Obstacle {
 
     /// The memory that it takes, in bytes.
     pub fn size_bytes(&self) -> usize {
-        self.kept.size_bytes()
-            + match &self.shape {
-                Shape::Solid(solid) => solid.size_bytes(),
-                Shape::Sampled(sampled) => sampled.size_bytes(),
-            }
+        self.kept.size_bytes() + self.shape.size_bytes()
+    }
+
+    /// The memory that it takes once as many leaves are kept as may be, in bytes.
+    pub fn size_bytes_max(&self) -> usize {
+        self.kept.size_bytes_max().saturating_add(self.shape.size_bytes())
     }
 
     /// Its signed distances in the leaf with this origin, in voxels, within ± `half_width`.

@@ -38,6 +38,8 @@ pub struct MeshFindings {
     pub turned_count: usize,
     /// Edges where the surface ends, as at a hole.
     pub open_edge_count: usize,
+    /// Parts that seem to face inwards, and were left as they are: of so many parts nobody asked which are cavities.
+    pub unasked_part_count: usize,
 }
 
 /// Triangles that agree on what is outside.
@@ -64,7 +66,7 @@ impl Surface {
         let mut turned = vec![false; faces.len()];
         let parts = agree(&points, &faces, &edges, &mut turned);
         turn(&mut faces, &turned);
-        turn_parts(&points, &mut faces, &parts, &mut turned);
+        findings.unasked_part_count = turn_parts(&points, &mut faces, &parts, &mut turned);
         findings.turned_count = turned.iter().filter(|&&turned| turned).count();
         let rim = Rim::new(rim(&points, &faces));
         findings.open_edge_count = rim.len();
@@ -210,10 +212,11 @@ const PARTS_MAX: usize = 4096;
 /// A part is a cavity if so many of its corners, or all, are inside other parts.
 const PLACES_ASKED: usize = 64;
 
-/// Turns parts with a negative volume, but for cavities.
-fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &mut [bool]) {
+/// Turns parts with a negative volume, but for cavities. Returns how many such parts were left as they are, since
+/// there are too many parts.
+fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &mut [bool]) -> usize {
     let part_count = parts.iter().max().map_or(0, |&last| last as usize + 1);
-    let Some(&anchor) = points.first() else { return };
+    let Some(&anchor) = points.first() else { return 0 };
     let mut volumes = vec![0.0; part_count];
     for (face, &part) in faces.iter().zip(parts) {
         let [a, b, c] = corners(points, *face).map(|corner| corner - anchor);
@@ -224,25 +227,12 @@ fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &
     if is_inside_out {
         volumes.iter_mut().for_each(|volume| *volume = -*volume);
     }
-    let suspects: Vec<usize> = (0..part_count).filter(|&part| volumes[part] < 0.0).collect();
-    if !suspects.is_empty() && part_count <= PARTS_MAX {
-        for suspect in suspects {
-            let others = faces.iter().zip(parts).filter(|&(face, &part)| {
-                part as usize != suspect && volumes[part as usize] > 0.0 && !is_flat(&corners(points, *face))
-            });
-            let outward = |(face, &part): (&[u32; 3], &u32)| {
-                let [a, b, c] = corners(points, *face);
-                if wrong[part as usize] { [a, c, b] } else { [a, b, c] }
-            };
-            let others = Tree::new(others.map(outward).collect());
-            let places = || {
-                let members = faces.iter().zip(parts).filter(|&(_, &part)| part as usize == suspect);
-                members.map(|(face, _)| points[face[0] as usize])
-            };
-            let every = places().count().div_ceil(PLACES_ASKED);
-            if !places().step_by(every).all(|place| winding(&others, place) > 0.5) {
-                wrong[suspect] ^= true;
-            }
+    let suspect_count = volumes.iter().filter(|&&volume| volume < 0.0).count();
+    let is_asked = part_count <= PARTS_MAX;
+    if suspect_count > 0 && is_asked {
+        let is_cavity = are_cavities(points, faces, parts, (&volumes, is_inside_out));
+        for ((wrong, volume), is_cavity) in wrong.iter_mut().zip(&volumes).zip(is_cavity) {
+            *wrong ^= *volume < 0.0 && !is_cavity;
         }
     }
     for ((face, &part), turned) in faces.iter_mut().zip(parts).zip(turned) {
@@ -251,6 +241,30 @@ fn turn_parts(points: &[DVec3], faces: &mut [[u32; 3]], parts: &[u32], turned: &
             *turned ^= true;
         }
     }
+    if is_asked { 0 } else { suspect_count }
+}
+
+/// Of each part, whether its volume is negative and it lies within those whose volume is positive. The triangles are
+/// to be turned, if all are `inside_out`.
+fn are_cavities(
+    points: &[DVec3],
+    faces: &[[u32; 3]],
+    parts: &[u32],
+    (volumes, inside_out): (&[f64], bool),
+) -> Vec<bool> {
+    let outward = |[a, b, c]: [DVec3; 3]| if inside_out { [a, c, b] } else { [a, b, c] };
+    let of_sound = faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] > 0.0);
+    let of_sound = of_sound.map(|(face, _)| corners(points, *face)).filter(|corners| !is_flat(corners));
+    let sound = Tree::new(of_sound.map(outward).collect());
+    let mut places: Vec<Vec<DVec3>> = vec![Vec::new(); volumes.len()];
+    for (face, &part) in faces.iter().zip(parts).filter(|&(_, &part)| volumes[part as usize] < 0.0) {
+        places[part as usize].push(points[face[0] as usize]);
+    }
+    let is_cavity = |places: &Vec<DVec3>| {
+        let every = places.len().div_ceil(PLACES_ASKED).max(1);
+        !places.is_empty() && places.iter().step_by(every).all(|&place| winding(&sound, place) > 0.5)
+    };
+    places.iter().map(is_cavity).collect()
 }
 
 /// The edges that are not walked as often one way as the other.

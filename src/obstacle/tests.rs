@@ -3,7 +3,7 @@
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
 
-use glam::{DVec3, IVec3};
+use glam::{DVec3, IVec3, Vec3};
 
 use super::tree::Tree;
 use super::winding::{winding, winding_gradient};
@@ -292,6 +292,26 @@ fn parts_are_joined_and_cavities_stay() {
     assert!(matches!(filled.leaf(IVec3::splat(-4), &UNIT, 0.5), ObstacleLeaf::Inside));
 }
 
+/// One part beside that faces inwards is turned, of few parts and of many cavities; of too many it is told.
+#[test]
+fn parts_that_face_inwards_are_turned_or_told() {
+    let cube = |x: usize, y: usize, size: f64| {
+        let min = DVec3::new(x as f64, y as f64, 0.0) * 4.0;
+        Mesh::cuboid(min, min + size)
+    };
+    let block = Mesh::cuboid(DVec3::new(-2.0, -2.0, -2.0), DVec3::new(262.0, 262.0, 3.0));
+    for (cavity_count, is_asked) in [(3, true), (4000, true), (4100, false)] {
+        let aside = Mesh::cuboid(DVec3::new(-9.0, -9.0, -9.0), DVec3::splat(-5.0)).turned();
+        let mut mesh = aside.and(block.clone());
+        for index in 0..cavity_count {
+            mesh = mesh.and(cube(index % 65, index / 65, 1.0).turned());
+        }
+        let findings = *mesh.solid().findings();
+        let expected = if is_asked { (12, 0) } else { (0, cavity_count + 1) };
+        assert_eq!((findings.turned_count, findings.unasked_part_count), expected, "{cavity_count}");
+    }
+}
+
 /// A hole is closed by a patch: distances are continuous there, and its edges are told.
 #[test]
 fn holes_are_closed() {
@@ -450,6 +470,7 @@ fn leaves_that_are_kept_are_those_that_are_computed() {
             }
         }
         assert!(obstacles.members[0].kept.size_bytes() <= kept_bytes_max);
+        assert!(obstacles.members[0].size_bytes() <= obstacles.members[0].size_bytes_max());
         assert_eq!(obstacles.members[0].kept.size_bytes() > 0, kept_bytes_max > 0);
     }
     let obstacles = Obstacles { members: vec![obstacle(&mesh, 0)] };
@@ -470,4 +491,21 @@ fn nothing_encloses_nothing() {
         assert!(!solid.touches(IVec3::ZERO, &UNIT, 6.0));
         assert_eq!(solid.depth(DVec3::ZERO), None);
     }
+}
+
+/// A vertex that is moved to a wall faces into it; what is not moved keeps its normal.
+#[test]
+fn vertices_that_are_moved_face_the_wall() {
+    let wall = Mesh::cuboid(DVec3::new(-30.0, -30.0, -20.0), DVec3::new(30.0, 30.0, 0.25));
+    let obstacles = Obstacles { members: vec![obstacle(&wall, 0)] };
+    let mut mesh = crate::mesh::Mesh {
+        positions: vec![Vec3::new(1.0, 2.0, -0.25), Vec3::new(1.0, 2.0, 0.2), Vec3::new(1.0, 2.0, 0.5)],
+        normals: vec![Vec3::X; 3],
+        ..crate::mesh::Mesh::default()
+    };
+    let tally = obstacles.clear(&mut mesh, &UNIT, HALF_WIDTH);
+    assert_eq!(tally.moved_count, 1);
+    assert!(mesh.positions[0].distance(Vec3::new(1.0, 2.0, 0.25)) < 1e-6, "{}", mesh.positions[0]);
+    assert!(mesh.normals[0].distance(Vec3::NEG_Z) < 1e-6, "{}", mesh.normals[0]);
+    assert_eq!(mesh.normals[1..], [Vec3::X; 2]);
 }

@@ -188,7 +188,7 @@ impl ObstacleFiles {
             let name = name_of(&file.path);
             let data = match file.content {
                 Content::Obstacle(obstacle) => {
-                    all.all_bytes += obstacle.size_bytes() as u64;
+                    all.all_bytes += obstacle.size_bytes_max() as u64;
                     all.open_edge_count += open_edges(obstacle.shape());
                     all.obstacles.members.push(obstacle);
                     continue;
@@ -201,7 +201,7 @@ impl ObstacleFiles {
             all.open_edge_count += open_edges(&shape);
             let obstacle =
                 Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
-            let bytes = obstacle.size_bytes() as u64 + kept_bytes_max;
+            let bytes = obstacle.size_bytes_max() as u64;
             all.all_bytes += bytes;
             match file.still {
                 Some(index) => {
@@ -355,6 +355,10 @@ fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
             let findings = solid.findings();
             tell(findings.open_edge_count, "open edges: holes are closed where its winding number is 1/2");
             tell(findings.turned_count, "triangles faced the other way, and were turned");
+            tell(
+                findings.unasked_part_count,
+                "parts seem to face inwards, and were left so: it has too many parts to tell cavities",
+            );
             tell(findings.broken_count, "triangles left out: a corner is not finite, or does not exist");
             if findings.triangle_count == 0 {
                 notes.push(format!(

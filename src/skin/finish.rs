@@ -12,7 +12,7 @@ use glam::{DVec3, IVec3, Vec3};
 use super::{Scene, lattice};
 use crate::certify::Exempt;
 use crate::contour;
-use crate::grid::{LEAF_EDGE, offset_in_leaf};
+use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::mesh::{Mesh, decimate};
 use crate::obstacle::ObstacleLeaf;
@@ -49,16 +49,14 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
     }
     if settings.fill_cavities > 0.0 {
         // What an obstacle keeps the fluid out of is no cavity.
-        let is_kept = |origin: IVec3, offset: usize| match scene.obstacle(origin) {
-            ObstacleLeaf::Outside => false,
-            ObstacleLeaf::Inside => true,
-            ObstacleLeaf::Near(distances) => distances.values[offset] < 0.0,
+        let kept = |origin: IVec3| match scene.obstacle(origin) {
+            ObstacleLeaf::Outside => LeafMask::EMPTY,
+            ObstacleLeaf::Inside => LeafMask::FULL,
+            ObstacleLeaf::Near(distances) => LeafMask::from_fn(|offset| distances.values[offset] < 0.0),
         };
-        let has_obstacles = !scene.obstacles.is_empty();
-        let filled = match has_obstacles {
-            true => trim::fill_cavities(band, bounds, settings.fill_cavities, Some(&is_kept)),
-            false => trim::fill_cavities(band, bounds, settings.fill_cavities, None),
-        };
+        let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
+            if scene.obstacles.is_empty() { None } else { Some(&kept) };
+        let filled = trim::fill_cavities(band, bounds, settings.fill_cavities, kept);
         report.cavity_count = filled.cavity_count;
         report.cavity_voxel_count = filled.voxel_count;
     }

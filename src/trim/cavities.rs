@@ -34,19 +34,19 @@ pub struct FilledCavities {
 /// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside, and the lower
 /// bounds there are lowered to φ.
 ///
-/// What has a voxel that `is_kept` is no cavity: it is given the origin of a leaf, and a place in it.
+/// What has a voxel that is `kept` is no cavity: that tells those of a leaf, by its origin, and is asked once of each.
 pub fn fill_cavities(
     band: &mut NarrowBand,
     bounds: &mut Bounds,
     volume_voxels: f64,
-    is_kept: Option<&dyn Fn(IVec3, usize) -> bool>,
+    kept: Option<&dyn Fn(IVec3) -> LeafMask>,
 ) -> FilledCavities {
     let topology = band.topology.clone();
     let complement = |mask: LeafMask| LeafMask { words: mask.words.map(|word| !word) };
     let outside: Vec<LeafMask> = negative_masks(&band.phi).into_iter().map(complement).collect();
     let mut surroundings = Surroundings::new(&topology, Pieces::new(&topology, &outside, Contact::Edges));
-    if let Some(is_kept) = is_kept {
-        surroundings.keep(is_kept);
+    if let Some(kept) = kept {
+        surroundings.keep(kept);
     }
     let mut filled = FilledCavities::default();
     for piece in 0..surroundings.pieces.count as u32 {
@@ -103,12 +103,15 @@ impl<'a> Surroundings<'a> {
     }
 
     /// Makes the pieces with a voxel that is kept open.
-    fn keep(&mut self, is_kept: &dyn Fn(IVec3, usize) -> bool) {
+    fn keep(&mut self, kept: &dyn Fn(IVec3) -> LeafMask) {
         for (leaf, &origin) in self.topology.origins().iter().enumerate() {
+            let kept = kept(origin);
+            if kept.is_empty() {
+                continue;
+            }
             for (piece, mask) in self.pieces.of_leaf(leaf) {
-                let verdict = &mut self.verdicts[piece as usize];
-                if *verdict == Verdict::Unknown && mask.iter().any(|offset| is_kept(origin, offset)) {
-                    *verdict = Verdict::Open;
+                if !mask.and(&kept).is_empty() {
+                    self.verdicts[piece as usize] = Verdict::Open;
                 }
             }
         }
