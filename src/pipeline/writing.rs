@@ -201,7 +201,7 @@ pub(super) fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Ve
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
         notes.extend(left_out.map(|name| {
             format!(
-                "{name} is not in the .vdb, whose grids have one number or a vector of three for each voxel"
+                "{name} is not in the .vdb: its grids are of numbers that can be averaged, one or three for each voxel"
             )
         }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
