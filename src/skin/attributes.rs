@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::time::Instant;
 
 use super::{Surface, lattice};
-use crate::particles::{Attribute, AttributeValues, Cloud, Meaning};
+use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, Shapes};
 use crate::report::TransferReport;
 use crate::settings::Settings;
 use crate::transfer::{BandAttribute, Reach, to_band, to_vertices};
@@ -46,7 +46,7 @@ pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targe
     let started = Instant::now();
     let selected: Vec<&Attribute> =
         cloud.attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
-    let reach = reach(settings, surface.report.shaping.longest);
+    let reach = reach(settings, &cloud.shapes);
     let mut report = TransferReport {
         attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
         ..TransferReport::default()
@@ -69,19 +69,21 @@ pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targe
 /// Voxels of the band for each place that they have their values from: never many more.
 const VOXELS_PER_PLACE: usize = 6;
 
-/// How far values reach: see [`crate::transfer`]. `longest` is the longest half axis of any particle, in units of the
-/// radii.
-fn reach(settings: &Settings, longest: f32) -> Reach {
+/// How far values reach: see [`crate::transfer`].
+fn reach<'a>(settings: &Settings, shapes: &'a Shapes) -> Reach<'a> {
     let Settings { radius_init, radius_max, voxel_size, .. } = *settings;
-    let radius_world = RADII * radius_init;
-    let farthest = radius_max * f64::from(longest.max(1.0)) + MARGIN_VOXELS * voxel_size;
-    Reach { radius_world, limit_world: farthest.max(radius_world) }
+    Reach {
+        radius_world: RADII * radius_init,
+        radius_max_world: radius_max,
+        margin_world: MARGIN_VOXELS * voxel_size,
+        shapes,
+    }
 }
 
 /// The radius within which values are averaged, in units of r_init.
 const RADII: f64 = 2.0;
 
-/// Vertices are rarely farther than this beyond r_max of all particles, in voxels.
+/// Vertices are rarely farther than this beyond the largest surfaces of all particles, in voxels.
 const MARGIN_VOXELS: f64 = 2.0;
 
 /// The attribute as a grid can have it, if one can: a colour without its alpha.
@@ -95,5 +97,56 @@ fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
             Some(Cow::Owned(Attribute { name, meaning, arity: 3, values: AttributeValues::Numbers(opaque) }))
         }
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::obstacle::Obstacles;
+    use crate::particles::Particles;
+    use crate::settings::{AttributeSelection, Choices};
+    use crate::skin::skin_cloud;
+
+    /// Drops at these places along x, and how large they are.
+    fn drops(drops: &[(f64, f32)]) -> Cloud {
+        let attribute = |name: &str, values| Attribute {
+            name: name.to_owned(),
+            meaning: Meaning::Other,
+            arity: 1,
+            values: AttributeValues::Numbers(values),
+        };
+        let places = drops.iter().map(|(x, _)| [*x, 0.0, 0.0]).collect();
+        let attributes = vec![
+            attribute("pscale", drops.iter().map(|(_, radius)| *radius).collect()),
+            attribute("x", drops.iter().map(|(x, _)| *x as f32).collect()),
+        ];
+        Cloud { attributes, ..Cloud::from(Particles::Double(places)) }
+    }
+
+    #[test]
+    fn large_drops_have_their_values_however_large_others_are() {
+        let choices = Choices {
+            radius_attribute: Some("pscale".into()),
+            attributes: Some(AttributeSelection::All),
+            ..Choices::default()
+        };
+        let settings = Settings::resolve(0.1, &choices).expect("sound");
+        let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
+        let told = surface.report.transfer.clone().expect("transferred").vertices;
+        assert!(told.lonely_count == surface.mesh.positions.len() && told.empty_count == 0, "{told:?}");
+        let AttributeValues::Numbers(found) = &surface.attributes.vertices[1].values else { panic!("reals") };
+        for (position, x) in surface.mesh.positions.iter().zip(found) {
+            let own = if f64::from(position.x) + surface.mesh.origin.x < 4.0 { 0.0 } else { 9.0 };
+            assert_eq!(*x, own, "at {position}");
+        }
+        let reference = surface.attributes.vertices.clone();
+        let (more, _) =
+            crate::skin::shape(drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]), &settings);
+        let targets = Targets { vertices: true, band_half_width_voxels: None };
+        transfer(&mut surface, &more, &settings, targets);
+        for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
+            assert_eq!(one.values, other.values);
+        }
     }
 }

@@ -39,7 +39,7 @@ struct Nodes {
 
 /// Those attributes of the particles that are numbers, where |φ| is less than the half width.
 ///
-/// Panics if an attribute has not one value for each component of each particle.
+/// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
 pub fn to_band(
     particles: &Particles,
     attributes: &[&Attribute],
@@ -53,8 +53,8 @@ pub fn to_band(
     let places = node_places(band, lattice, &needed);
     let place_of = |place: usize| places[place];
     // Some places do not come as near to the surface as they should.
-    let limit_world = reach.limit_world + f64::from(half_width_voxels) * lattice.voxel_size;
-    let reach = Reach { limit_world, ..reach };
+    let margin_world = reach.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
+    let reach = Reach { margin_world, ..reach };
     let source = Source::new(particles, attributes, reach, (places.len(), &place_of));
     let (blended, counts) = at_places(&source, places.len(), &place_of);
     let mut end = 0;

@@ -1,15 +1,16 @@
-//! Places without a particle within the radius: the nearest one up to the limit.
+//! Places without a particle within the radius: the nearest one that reaches them.
 //!
-//! They are few, around particles that are larger than others, so all particles are sorted once more for them,
-//! into cells of the limit.
+//! They are around particles that are larger than others: few as a rule, or all of the surface where the particles have
+//! radii of their own. Only particles that reach farther than the radius can serve them, so only these are sorted, into
+//! a [tree](super::tree): a place looks at a few of them, however far they reach.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::blend::Blended;
 use super::source::Source;
+use super::tree::{Seen, Tree};
 use super::{NO_PARTICLE, TransferCounts};
-use crate::neighbors::{NOBODY, Neighbors, Surroundings};
 
 /// Gives lonely places what the nearest particle has. Returns how many there were, and how many are left.
 pub(super) fn serve(
@@ -20,14 +21,15 @@ pub(super) fn serve(
     let is_lonely = |place: &usize| blended.nearest[*place] == NO_PARTICLE;
     let lonely: Vec<usize> = (0..blended.nearest.len()).filter(is_lonely).collect();
     let mut counts = TransferCounts { empty_count: lonely.len(), ..TransferCounts::default() };
-    if lonely.is_empty() || source.reach.limit_world <= source.reach.radius_world {
+    if lonely.is_empty() {
         return counts;
     }
-    let neighbors = Neighbors::new(source.particles, source.reach.limit_world);
-    let nearest: Vec<u32> = lonely
-        .par_iter()
-        .map_init(Surroundings::default, |around, &place| nearest(&neighbors, place_of(place), around))
-        .collect();
+    let see = |particle: u32| Seen {
+        position: source.particles.position(particle as usize),
+        limit_world: source.reach.limit_world(particle),
+    };
+    let tree = Tree::new(reaching(source, &see), &see);
+    let nearest: Vec<u32> = lonely.par_iter().map(|&place| tree.nearest(place_of(place), see)).collect();
     for (place, particle) in lonely.into_iter().zip(nearest) {
         if particle == NO_PARTICLE {
             continue;
@@ -47,21 +49,12 @@ pub(super) fn serve(
     counts
 }
 
-/// The nearest particle within the limit; of several, the first.
-fn nearest(neighbors: &Neighbors, place: DVec3, around: &mut Surroundings) -> u32 {
-    let Some((cell, local)) = neighbors.locate(place) else { return NO_PARTICLE };
-    around.gather(neighbors, cell, usize::MAX);
-    let (mut least, mut found) = (1.0, NO_PARTICLE);
-    for eight in around.eights() {
-        for k in 0..8 {
-            let [x, y, z] = eight.along.map(|along| along[k]);
-            let distance_squared = (glam::Vec3::new(x, y, z) - local).length_squared();
-            let index = eight.indices[k];
-            let is_nearer = distance_squared < least || distance_squared == least && index < found;
-            if index != NOBODY && is_nearer {
-                (least, found) = (distance_squared, index);
-            }
-        }
-    }
-    found
+/// The particles that reach farther than the radius.
+fn reaching(source: &Source, see: &(impl Fn(u32) -> Seen + Sync)) -> Vec<u32> {
+    let end = u32::try_from(source.particles.len()).unwrap_or(NO_PARTICLE);
+    let is_reaching = |&particle: &u32| {
+        let Seen { position, limit_world } = see(particle);
+        source.reach.radius_world < limit_world && position.is_finite()
+    };
+    (0..end).into_par_iter().filter(is_reaching).collect()
 }

@@ -15,16 +15,16 @@
 //! 2·r_init, half as much again as r_max: over a lattice of particles a vertex then has about 20 particles, 12
 //! where it is farthest from them. The weights fall to a half at 0.45 R, some 1.2 particle spacings. So the noise of
 //! single particles is taken out, and a shear over a few of them is not. Particles may be larger than r_max says
-//! (radii of their own, ellipsoids): where none is within R, the nearest one is taken up to a limit that says how
-//! far one can be. Where there is none, numbers are 0, integers −1, strings none, and that is counted.
+//! (radii of their own, ellipsoids): where none is within R, the nearest one is taken of those whose own surface
+//! can be so far from them. Where there is none, numbers are 0, integers −1, strings none, and that is counted.
 //!
 //! **In the band** around the surface values are wanted for several voxels across, for renderers go by volumes.
 //! Outside of it they are those of the nearest place on the surface, since what is far from all particles has none
 //! of its own. The mean has no detail as fine as voxels, so it is taken for every second voxel along each axis, and
 //! those between get the mean of their neighbours.
 //!
-//! Invariants: values depend on the particles within the radius, or within the limit, alone: what happens farther
-//! away changes no bit of them. Nor does the number of threads.
+//! Invariants: values depend on the particles within the radius, or on those that reach the place, alone: what happens
+//! farther away changes no bit of them, be it how large other particles are. Nor does the number of threads.
 
 mod band;
 mod blend;
@@ -32,12 +32,13 @@ mod lonely;
 mod near;
 mod nodes;
 mod source;
+mod tree;
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::mesh::Mesh;
-use crate::particles::{Attribute, AttributeValues, Particles};
+use crate::particles::{Attribute, AttributeValues, Particles, Shapes};
 
 pub use band::{BandAttribute, to_band};
 
@@ -46,11 +47,23 @@ use source::Source;
 
 /// How far values reach, world units.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
+pub struct Reach<'a> {
     /// From here on a particle has no part in a mean.
     pub radius_world: f64,
-    /// Up to here the nearest particle is taken where no other is. No less than the radius.
-    pub limit_world: f64,
+    /// r_max of the settings: no surface of a ball is farther from its centre.
+    pub radius_max_world: f64,
+    /// Places may be so much farther from a particle than its surface can be.
+    pub margin_world: f64,
+    /// What the particles are: one shape for each of them, if they are not balls.
+    pub shapes: &'a Shapes,
+}
+
+impl Reach<'_> {
+    /// Up to here a particle is taken where none is within the radius. It depends on this particle alone.
+    fn limit_world(&self, particle: u32) -> f64 {
+        let longest = self.shapes.longest(particle as usize).max(1.0);
+        self.radius_max_world * f64::from(longest) + self.margin_world
+    }
 }
 
 /// What happened on the way.
@@ -58,9 +71,9 @@ pub struct Reach {
 pub struct TransferCounts {
     /// Places that got values: vertices, or voxels for which a mean was taken.
     pub place_count: usize,
-    /// Of these, those without a particle within the radius, which got the values of the nearest one.
+    /// Of these, those without a particle within the radius, which got the values of the nearest one that reaches them.
     pub lonely_count: usize,
-    /// And those without a particle within the limit.
+    /// And those that no particle reaches.
     pub empty_count: usize,
     /// Values that were left out, for they are not finite; of all particles near the surface.
     pub left_out_count: usize,
@@ -68,7 +81,7 @@ pub struct TransferCounts {
 
 /// The attributes of the vertices of a mesh, in the order of those of the particles.
 ///
-/// Panics if an attribute has not one value for each component of each particle.
+/// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
 pub fn to_vertices(
     particles: &Particles,
     attributes: &[&Attribute],
@@ -142,3 +155,5 @@ fn at_places(
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_sizes;

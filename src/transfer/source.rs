@@ -19,7 +19,7 @@ use crate::particles::{Attribute, AttributeValues, Particles};
 pub(super) struct Source<'a> {
     pub(super) particles: &'a Particles,
     pub(super) attributes: Vec<&'a Attribute>,
-    pub(super) reach: Reach,
+    pub(super) reach: Reach<'a>,
     /// The particles near the places, in cells of the radius.
     pub(super) neighbors: Neighbors,
     /// Their indices among all particles, in order.
@@ -45,7 +45,7 @@ impl<'a> Source<'a> {
     pub(super) fn new(
         particles: &'a Particles,
         attributes: Vec<&'a Attribute>,
-        reach: Reach,
+        reach: Reach<'a>,
         places: (usize, &(impl Fn(usize) -> DVec3 + Sync)),
     ) -> Source<'a> {
         for attribute in &attributes {

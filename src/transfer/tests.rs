@@ -10,7 +10,8 @@ use crate::level_set::NarrowBand;
 use crate::particles::Meaning;
 use crate::space::Lattice;
 
-const REACH: Reach = Reach { radius_world: 0.26, limit_world: 0.6 };
+const REACH: Reach =
+    Reach { radius_world: 0.26, radius_max_world: 0.5, margin_world: 0.1, shapes: &Shapes::Balls };
 const VOXEL: f64 = 0.05;
 
 fn to_vertices(
@@ -247,7 +248,7 @@ fn lonely_places_get_the_nearest_and_empty_ones_nothing() {
     let AttributeValues::Strings { indices, .. } = &transferred[3].values else { panic!("no strings") };
     assert_eq!(*indices, [0, 0, 0, -1, 0, -1, -1]);
     assert_eq!((counts.place_count, counts.lonely_count, counts.empty_count), (7, 3, 3));
-    let no_farther = Reach { limit_world: REACH.radius_world, ..REACH };
+    let no_farther = Reach { radius_max_world: 0.1, ..REACH };
     let (_, counts) = to_vertices(&Particles::Single(positions), &attributes, &mesh, no_farther);
     assert_eq!((counts.lonely_count, counts.empty_count), (0, 6));
     let (transferred, _) =
@@ -268,7 +269,7 @@ fn far_changes_and_threads_change_no_bit() {
         found(&transferred[0]).iter().map(|value| value.to_bits()).collect::<Vec<u32>>()
     };
     let reference = run(&positions);
-    let mut more = ball(DVec3::new(1.7 + 2.0 * REACH.limit_world, 0.0, 0.0), 0.8);
+    let mut more = ball(DVec3::new(1.7 + 2.0 * REACH.limit_world(0), 0.0, 0.0), 0.8);
     let far = more.clone();
     more.extend(&positions);
     more.extend(ball(DVec3::splat(-90.0), 0.4));
