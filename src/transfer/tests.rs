@@ -281,9 +281,19 @@ fn far_changes_and_threads_change_no_bit() {
 
 /// The band of a ball, and the leaves around it.
 fn band(center: DVec3, radius: f64, half_width: f32) -> NarrowBand {
-    let phi = |voxel: IVec3| (((voxel.as_dvec3() * VOXEL - center).length() - radius) / VOXEL) as f32;
-    let first = ((center - radius) / VOXEL).as_ivec3() - 12;
-    let last = ((center + radius) / VOXEL).as_ivec3() + 12;
+    band_of(&[center], radius, half_width)
+}
+
+/// The band of several balls.
+fn band_of(centers: &[DVec3], radius: f64, half_width: f32) -> NarrowBand {
+    let distance = |place: DVec3| {
+        centers.iter().map(|center| (place - *center).length()).fold(f64::INFINITY, f64::min) - radius
+    };
+    let phi = |voxel: IVec3| (distance(voxel.as_dvec3() * VOXEL) / VOXEL) as f32;
+    let [least, most] =
+        [DVec3::min, DVec3::max].map(|of| centers.iter().copied().reduce(of).unwrap_or_default());
+    let first = ((least - radius) / VOXEL).as_ivec3() - 12;
+    let last = ((most + radius) / VOXEL).as_ivec3() + 12;
     let steps = |axis: usize| (first[axis] >> 3..=last[axis] >> 3).map(|leaf| leaf * LEAF_EDGE);
     let mut origins = Vec::new();
     for x in steps(0) {
@@ -358,6 +368,23 @@ fn voxels_of_the_band_have_the_values_of_the_surface() {
         assert_eq!(each_voxel(&band, &found[2], |_, _, values| assert_eq!(values, [0.1])), count);
         assert!(counts.place_count < count / 4, "{counts:?} for {count} voxels");
     }
+}
+
+/// Between two surfaces, where the slopes of φ cancel out, values are those of one of them.
+#[test]
+fn no_voxel_between_two_surfaces_is_without_values() {
+    // The gap is eight voxels: its middle is a sheet of voxels.
+    let centers = [DVec3::new(-1.0, 0.0, 0.0), DVec3::new(1.0, 0.0, 0.0)];
+    let positions: Vec<[f64; 3]> = centers.iter().flat_map(|&center| ball(center, 0.67)).collect();
+    let sides = positions.iter().map(|position| position[0].signum() as f32).collect();
+    let side = numbers("side", 1, sides);
+    let (band, lattice) = (band_of(&centers, 0.8, 6.0), Lattice { voxel_size: VOXEL });
+    let (found, counts) = to_band(&Particles::Double(positions), &[&side], (&band, &lattice), 3.0, REACH);
+    assert_eq!((counts.lonely_count, counts.empty_count), (0, 0));
+    each_voxel(&band, &found[0], |voxel, _, values| {
+        let of_one = values[0] == voxel.x.signum() as f32;
+        assert!(of_one || voxel.x.abs() < 2, "{values:?} at {voxel}");
+    });
 }
 
 #[test]
