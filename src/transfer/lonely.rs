@@ -2,7 +2,7 @@
 //!
 //! They are around particles that are larger than others: few as a rule, or all of the surface where the particles have
 //! radii of their own. Only particles that reach farther than the radius can serve them, so only these are sorted, into
-//! a [tree](super::tree): a place looks at a few of them, however far they reach.
+//! a [tree](super::tree): a place looks at a small part of them, however far they reach.
 
 use glam::DVec3;
 use rayon::prelude::*;
