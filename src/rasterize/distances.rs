@@ -73,13 +73,12 @@ impl<'a> Gauge<'a> {
         known: Option<(&Topology, &Distances)>,
     ) -> Distances {
         let settled = |origin| need.settled(origin);
-        let known_leaf = |origin, field: fn(&Distances) -> &Field| -> Option<&Leaf> {
-            let (topology, distances) = known?;
-            topology.find(origin).map(|leaf| &field(distances).leaves[leaf])
-        };
         match self {
             Gauge::Centers(eights, reach) => {
-                let known = |origin| known_leaf(origin, |distances| distances.field(Sphere::Max));
+                let known = |origin| {
+                    let (topology, distances) = known?;
+                    topology.find(origin).map(|leaf| &distances.field(Sphere::Max).leaves[leaf])
+                };
                 Distances::Nearest(nearest_distances(eights, leaves, *reach, settled, known))
             }
             Gauge::Balls(bodies) => {

@@ -78,33 +78,65 @@ pub(super) fn scenes() -> Vec<(&'static str, Vec<[f32; 3]>)> {
 /// Everything by the definition, of all particles; distances and differences rounded as they are there.
 fn reference(positions: &[[f32; 3]], radii: Radii) -> (NarrowBand, Bounds) {
     let nearest = Distances::new(positions, radii.max + EXACT_MARGIN);
+    let sizes = [radii.max, radii.init, radii.min];
+    let is_crossing = |voxel| nearest.is_crossing(voxel, radii.init);
     let half_width = radii.half_width();
+    let signed = |topology: &Topology, surface: usize| nearest.signed(topology, sizes[surface], half_width);
+    assembled(nearest.leaves.keys().copied(), is_crossing, signed, half_width)
+}
+
+/// The level sets around the crossings in these leaves; `signed` has the distances to S_max, S_0 and S_min.
+pub(super) fn assembled(
+    leaves: impl Iterator<Item = IVec3>,
+    is_crossing: impl Fn(IVec3) -> bool,
+    signed: impl Fn(&Topology, usize) -> Field,
+    half_width: f32,
+) -> (NarrowBand, Bounds) {
     let mut stored = Vec::new();
-    for &origin in nearest.leaves.keys() {
+    for origin in leaves {
         let mut surface = CoordBox::EMPTY;
-        for voxel in
-            (0..512).map(voxel_in_leaf).filter(|&voxel| nearest.is_crossing(origin + voxel, radii.init))
-        {
+        for voxel in (0..512).map(voxel_in_leaf).filter(|&voxel| is_crossing(origin + voxel)) {
             surface.include(voxel);
         }
         stored.push((origin, surface.expanded(if surface.is_empty() { 0 } else { half_width as i32 + 1 })));
     }
     let topology = Topology::new(leaves_of_boxes(&stored, |_| true));
-    let phi = nearest.signed(&topology, radii.init, half_width);
+    let phi = signed(&topology, 1);
     let has_value = |leaf: &usize| phi.leaves[*leaf].values.iter().any(|value| value.abs() < half_width);
     let kept: Vec<usize> = (0..topology.len()).filter(has_value).collect();
     let phi = Field { leaves: kept.iter().map(|&leaf| phi.leaves[leaf]).collect() };
     let topology = Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect());
-    let mut bounds = Bounds {
-        lower: nearest.signed(&topology, radii.max, half_width),
-        upper: nearest.signed(&topology, radii.min, half_width),
-    };
+    let mut bounds = Bounds { lower: signed(&topology, 0), upper: signed(&topology, 2) };
     for (lower, upper) in bounds.lower.leaves.iter_mut().zip(&bounds.upper.leaves) {
         lower.values.iter_mut().zip(upper.values).for_each(|(lower, upper)| *lower = lower.min(upper));
     }
     let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width };
     bounds.clamp(&mut band.phi);
     (band, bounds)
+}
+
+/// Signed distances: `told` has a voxel's value, and whether it is known; the others are swept.
+pub(super) fn swept(topology: &Topology, half_width: f32, told: impl Fn(IVec3) -> (f32, bool)) -> Field {
+    let mut distance = Field::splat(topology.len(), 0.0);
+    let mut known = vec![LeafMask::EMPTY; topology.len()];
+    for (leaf, &origin) in topology.origins().iter().enumerate() {
+        for offset in 0..512 {
+            let (value, is_known) = told(origin + voxel_in_leaf(offset));
+            distance.leaves[leaf].values[offset] = match value < 0.0 {
+                _ if is_known => value,
+                true => -UNREACHED,
+                false => UNREACHED,
+            };
+            if is_known {
+                known[leaf].insert(offset);
+            }
+        }
+    }
+    extend(topology, &mut distance, &known, Sweeps::accurate(sweep_count(half_width)));
+    for value in distance.leaves.iter_mut().flat_map(|leaf| &mut leaf.values) {
+        *value = value.clamp(-half_width, half_width);
+    }
+    distance
 }
 
 /// The distances to the nearest of all particles; infinite beyond the reach.
@@ -153,32 +185,13 @@ impl Distances {
     }
 
     fn signed(&self, topology: &Topology, radius: f32, half_width: f32) -> Field {
-        let mut distance = Field::splat(topology.len(), 0.0);
-        let mut known = vec![LeafMask::EMPTY; topology.len()];
-        for (leaf, &origin) in topology.origins().iter().enumerate() {
-            for offset in 0..512 {
-                let voxel = origin + voxel_in_leaf(offset);
-                let nearest = self.at(voxel);
-                let beside = |step: &IVec3| {
-                    topology.find_voxel(voxel + step).is_some() && self.at(voxel + step) >= radius
-                };
-                let is_known =
-                    nearest != f32::INFINITY && (nearest >= radius || FACE_STEPS.iter().any(beside));
-                distance.leaves[leaf].values[offset] = match nearest < radius {
-                    _ if is_known => nearest - radius,
-                    true => -UNREACHED,
-                    false => UNREACHED,
-                };
-                if is_known {
-                    known[leaf].insert(offset);
-                }
-            }
-        }
-        extend(topology, &mut distance, &known, Sweeps::accurate(sweep_count(half_width)));
-        for value in distance.leaves.iter_mut().flat_map(|leaf| &mut leaf.values) {
-            *value = value.clamp(-half_width, half_width);
-        }
-        distance
+        swept(topology, half_width, |voxel| {
+            let nearest = self.at(voxel);
+            let beside =
+                |step: &IVec3| topology.find_voxel(voxel + step).is_some() && self.at(voxel + step) >= radius;
+            let is_known = nearest != f32::INFINITY && (nearest >= radius || FACE_STEPS.iter().any(beside));
+            (nearest - radius, is_known)
+        })
     }
 }
 

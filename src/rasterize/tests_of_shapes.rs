@@ -3,10 +3,9 @@
 use glam::{IVec3, Vec3};
 use rustc_hash::FxHashMap;
 
-use super::tests::{LATTICE, RADII, Values, jittered, scenes, values, values_of};
+use super::tests::{LATTICE, RADII, Values, assembled, jittered, scenes, swept, values, values_of};
 use super::*;
 use crate::grid::{offset_in_leaf, voxel_in_leaf};
-use crate::level_set::{Sweeps, UNREACHED, extend};
 use crate::particles::{Cloud, Ellipsoid, Particles, Shapes};
 
 fn cloud(positions: &[[f32; 3]], shapes: Shapes) -> Cloud {
@@ -130,32 +129,9 @@ fn windows_are_parts_of_the_whole() {
 
 /// Everything by the definition, of all particles; values rounded as they are there.
 fn reference(source: &Cloud, radii: Radii) -> (NarrowBand, Bounds) {
-    let values = Definition::new(source, radii);
-    let half_width = radii.half_width();
-    let mut stored = Vec::new();
-    for &origin in values.leaves.keys() {
-        let mut surface = CoordBox::EMPTY;
-        for voxel in (0..512).map(voxel_in_leaf).filter(|&voxel| values.is_crossing(origin + voxel)) {
-            surface.include(voxel);
-        }
-        stored.push((origin, surface.expanded(if surface.is_empty() { 0 } else { half_width as i32 + 1 })));
-    }
-    let topology = Topology::new(leaves_of_boxes(&stored, |_| true));
-    let phi = values.signed(&topology, 1, half_width);
-    let has_value = |leaf: &usize| phi.leaves[*leaf].values.iter().any(|value| value.abs() < half_width);
-    let kept: Vec<usize> = (0..topology.len()).filter(has_value).collect();
-    let phi = Field { leaves: kept.iter().map(|&leaf| phi.leaves[leaf]).collect() };
-    let topology = Topology::new(kept.iter().map(|&leaf| topology.origins()[leaf]).collect());
-    let mut bounds = Bounds {
-        lower: values.signed(&topology, 0, half_width),
-        upper: values.signed(&topology, 2, half_width),
-    };
-    for (lower, upper) in bounds.lower.leaves.iter_mut().zip(&bounds.upper.leaves) {
-        lower.values.iter_mut().zip(upper.values).for_each(|(lower, upper)| *lower = lower.min(upper));
-    }
-    let mut band = NarrowBand { topology: Arc::new(topology), phi, half_width };
-    bounds.clamp(&mut band.phi);
-    (band, bounds)
+    let (values, half_width) = (Definition::new(source, radii), radii.half_width());
+    let signed = |topology: &Topology, surface: usize| values.signed(topology, surface, half_width);
+    assembled(values.leaves.keys().copied(), |voxel| values.is_crossing(voxel), signed, half_width)
 }
 
 /// The least of all particles' values at every voxel that any of them counts for, for the three radii.
@@ -217,33 +193,15 @@ impl Definition {
     }
 
     fn signed(&self, topology: &Topology, surface: usize, half_width: f32) -> Field {
-        let mut distance = Field::splat(topology.len(), 0.0);
-        let mut known = vec![LeafMask::EMPTY; topology.len()];
-        for (leaf, &origin) in topology.origins().iter().enumerate() {
-            for offset in 0..512 {
-                let voxel = origin + voxel_in_leaf(offset);
-                let value = self.at(voxel, surface);
-                let beside = |step: &IVec3| {
-                    let is_other = (self.at(voxel + step, surface) < 0.0) != (value < 0.0);
-                    topology.find_voxel(voxel + step).is_some() && is_other
-                };
-                let is_exact = value >= 0.0 && self.is_exact_outside;
-                let is_known = value != f32::INFINITY && (is_exact || FACE_STEPS.iter().any(beside));
-                distance.leaves[leaf].values[offset] = match value < 0.0 {
-                    _ if is_known => value,
-                    true => -UNREACHED,
-                    false => UNREACHED,
-                };
-                if is_known {
-                    known[leaf].insert(offset);
-                }
-            }
-        }
-        extend(topology, &mut distance, &known, Sweeps::accurate(sweep_count(half_width)));
-        for value in distance.leaves.iter_mut().flat_map(|leaf| &mut leaf.values) {
-            *value = value.clamp(-half_width, half_width);
-        }
-        distance
+        swept(topology, half_width, |voxel| {
+            let value = self.at(voxel, surface);
+            let beside = |step: &IVec3| {
+                let is_other = (self.at(voxel + step, surface) < 0.0) != (value < 0.0);
+                topology.find_voxel(voxel + step).is_some() && is_other
+            };
+            let is_exact = value >= 0.0 && self.is_exact_outside;
+            (value, value != f32::INFINITY && (is_exact || FACE_STEPS.iter().any(beside)))
+        })
     }
 }
 
