@@ -13,8 +13,8 @@
 //!
 //! ```text
 //!   ┌──────────┐        the box around the ellipsoid and a margin: T⁻¹ tells it exactly.
-//!   │   ╭────╮ │        Of the rows that it touches those are passed by that are deep already, in all three:
-//!   │ ╭─╯ ╭──╯ │        the innermost surface decides
+//!   │   ╭────╮ │        Of the rows that it touches those are passed by whose values no particle so far from
+//!   │ ╭─╯ ╭──╯ │        them can lower: nine of ten
 //!   │ ╰───╯    │
 //!   └──────────┘
 //! ```
@@ -28,8 +28,8 @@ use rayon::prelude::*;
 
 use super::EXACT_MARGIN;
 use super::bin::ParticleBins;
-use super::sphere::OUT_OF_REACH;
-use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, Topology, leaf_steps_within};
+use super::sphere::{OUT_OF_REACH, greatest};
+use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, leaf_steps_within};
 use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes};
 
@@ -48,12 +48,14 @@ pub(super) trait Form: Copy + Sync + Send {
     /// The longest half axis, in units of the radii.
     fn longest(&self) -> f32;
 
+    /// The shortest half axis, or less, in units of the radii.
+    fn shortest(&self) -> f32;
+
     /// How far from the centre it counts along each axis, in voxels, where its outermost radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
 
-    /// Lowers the rows of the three leaves to the particle's values; it lies at `center`, in voxels from the
-    /// leaves' first.
-    fn lower<V: Lanes>(&self, leaves: &mut [Leaf; 3], center: Vec3, extents: Vec3, radii: [f32; 3]);
+    /// Lowers the values of a leaf to the particle's; it lies at `center`, in voxels from the leaf's first.
+    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3);
 }
 
 /// A ball: its radii in units of the settings'.
@@ -76,6 +78,8 @@ struct Class<F> {
     boxes: Vec<EightBoxes>,
     /// Eight for each of the boxes.
     bodies: Vec<Body<F>>,
+    /// The half axes of each leaf's particles.
+    axes: Vec<Axes>,
     /// How far one of them counts, in voxels.
     reach: f32,
     /// The steps to leaves so near.
@@ -91,6 +95,13 @@ struct Body<F> {
     center: Vec3,
     extents: Vec3,
     form: F,
+}
+
+/// No half axis of some particles is shorter or longer than these, in units of the radii.
+#[derive(Clone, Copy)]
+struct Axes {
+    shortest: f32,
+    longest: f32,
 }
 
 impl<F: Form> Bodies<F> {
@@ -173,7 +184,7 @@ impl<F: Form> Class<F> {
             .map(of_leaf)
             .filter(|(_, bodies)| !bodies.is_empty())
             .collect();
-        let (mut starts, mut boxes, mut bodies) = (vec![0], Vec::new(), Vec::new());
+        let (mut starts, mut boxes, mut bodies, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
         let mut reach = 0f32;
         for (_, of_leaf) in &leaves {
             for eight in of_leaf.chunks(8) {
@@ -181,10 +192,11 @@ impl<F: Form> Class<F> {
                 bodies.extend((0..8).map(|place| eight[place.min(eight.len() - 1)]));
             }
             starts.push(boxes.len());
+            axes.push(Axes::of(of_leaf.iter().map(|body| body.form)));
             reach = of_leaf.iter().fold(reach, |reach, body| reach.max(body.extents.max_element()));
         }
         let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
-        Class { topology, starts, boxes, bodies, reach, steps: leaf_steps_within(reach) }
+        Class { topology, starts, boxes, bodies, axes, reach, steps: leaf_steps_within(reach) }
     }
 
     fn leaf(&self, leaf: usize, step: IVec3) -> Around<'_, F> {
@@ -193,7 +205,23 @@ impl<F: Form> Class<F> {
             step: step.as_vec3(),
             boxes: &self.boxes[first..last],
             bodies: &self.bodies[8 * first..8 * last],
+            axes: self.axes[leaf],
         }
+    }
+}
+
+impl Axes {
+    /// Those of no particle at all.
+    const NONE: Axes = Axes { shortest: f32::INFINITY, longest: 0.0 };
+
+    fn of<F: Form>(forms: impl Iterator<Item = F>) -> Axes {
+        let axes = forms.map(|form| Axes { shortest: form.shortest(), longest: form.longest() });
+        axes.fold(Axes::NONE, Axes::with)
+    }
+
+    #[inline(always)]
+    fn with(self, other: Axes) -> Axes {
+        Axes { shortest: self.shortest.min(other.shortest), longest: self.longest.max(other.longest) }
     }
 }
 
@@ -216,6 +244,7 @@ struct Around<'a, F> {
     boxes: &'a [EightBoxes],
     /// Eight for each of the boxes.
     bodies: &'a [Body<F>],
+    axes: Axes,
 }
 
 /// The signed distances of a leaf.
@@ -230,31 +259,80 @@ impl<F: Form> Kernel for Signed<'_, F> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> [Leaf; 3] {
-        let mut leaves = [Leaf::splat(OUT_OF_REACH); 3];
-        for leaf in &mut leaves {
-            for row in 0..64 {
-                let settled = V::mask(self.settled.row(row));
-                V::select(settled, V::splat(-DEEP), V::splat(OUT_OF_REACH)).store(leaf.row_mut(row));
-            }
+        let mut axes = Axes::NONE;
+        for around in self.around {
+            axes = axes.with(around.axes);
         }
+        let mut values = Values::new::<V>(self.settled, self.radii, axes);
         for around in self.around {
             for (eight, boxes) in around.boxes.iter().enumerate() {
                 for place in Bits(near_bits::<V>(boxes, around.step)) {
                     let body = &around.bodies[8 * eight + (place & 7)];
-                    let center = body.center + around.step;
-                    body.form.lower::<V>(&mut leaves, center, body.extents, self.radii);
+                    body.form.lower::<V>(&mut values, body.center + around.step, body.extents);
                 }
             }
         }
-        for leaf in &mut leaves {
-            for row in 0..64 {
+        for leaf in &mut values.leaves {
+            for row in 0..ROW_COUNT {
                 let row = leaf.row_mut(row);
                 V::load(row).max(V::splat(-DEEP)).store(row);
             }
         }
-        leaves
+        values.leaves
     }
 }
+
+/// The values of a leaf for the particles seen so far, and which others could lower them.
+///
+/// A particle lowers a value v of the union of radius r only if q is less than r + v/c where v is positive, and
+/// r + v/a where it is negative: its half axes are between c and a, and so is q/|T²(x − p)|. What is [`DEEP`] is deep
+/// enough, and what is farther outside than [`ELLIPSOID_MARGIN`] is beside no voxel inside.
+pub(super) struct Values {
+    leaves: [Leaf; 3],
+    radii: [f32; 3],
+    axes: Axes,
+    /// The squares of q from which on nothing is lowered.
+    limits: Leaf,
+    /// The greatest of each row.
+    row_limits: [f32; ROW_COUNT],
+}
+
+impl Values {
+    #[inline(always)]
+    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: Axes) -> Values {
+        let leaves = [Leaf::splat(OUT_OF_REACH); 3];
+        let limits = Leaf::splat(0.0);
+        let mut values = Values { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
+        for row in 0..ROW_COUNT {
+            let settled = V::mask(settled.row(row));
+            for leaf in &mut values.leaves {
+                V::select(settled, V::splat(-DEEP), V::splat(OUT_OF_REACH)).store(leaf.row_mut(row));
+            }
+            values.limit_row::<V>(row);
+        }
+        values
+    }
+
+    /// Finds out what can still lower a row.
+    #[inline(always)]
+    fn limit_row<V: Lanes>(&mut self, row: usize) {
+        let (outside, inside) = (V::splat(1.0 / self.axes.shortest), V::splat(1.0 / self.axes.longest));
+        let (zero, deep) = (V::splat(0.0), V::splat(-DEEP));
+        let mut limit = zero;
+        for (leaf, radius) in self.leaves.iter().zip(self.radii) {
+            let value = V::load(leaf.row(row));
+            let beyond = value.max(zero).min(V::splat(ELLIPSOID_MARGIN)).mul(outside);
+            let of_union = V::splat(radius + LIMIT_SLACK).add(beyond).add(value.min(zero).mul(inside));
+            limit = limit.max(V::select(deep.lt(value), of_union, zero));
+        }
+        let squared = limit.mul(limit);
+        squared.store(self.limits.row_mut(row));
+        self.row_limits[row] = greatest(squared);
+    }
+}
+
+/// More than what rounding does to q.
+const LIMIT_SLACK: f32 = 1e-3;
 
 /// Which of eight boxes, moved by a step, touch that of a leaf's voxels.
 #[inline(always)]
@@ -305,12 +383,17 @@ impl Form for Ball {
         self.0
     }
 
+    #[inline(always)]
+    fn shortest(&self) -> f32 {
+        self.0
+    }
+
     fn extents(&self, outermost: f32) -> Vec3 {
         Vec3::splat(outermost * self.0 + EXACT_MARGIN)
     }
 
     #[inline(always)]
-    fn lower<V: Lanes>(&self, leaves: &mut [Leaf; 3], center: Vec3, extents: Vec3, radii: [f32; 3]) {
+    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
         let reach_squared = extents.x * extents.x;
         let dz = along_z::<V>(center.z);
         let dz_squared = dz.mul(dz);
@@ -319,15 +402,15 @@ impl Form for Ball {
             for y in voxels_within(center.y, extents.y) {
                 let dy = y as f32 - center.y;
                 let (row, across) = (x * 8 + y, dx * dx + dy * dy);
-                if across > reach_squared || is_deep::<V>(leaves, row) {
+                if across > reach_squared || is_deep::<V>(&values.leaves, row) {
                     continue;
                 }
                 let squared = V::splat(across).add(dz_squared);
                 let counts = V::not(V::splat(reach_squared).lt(squared));
                 let distance = squared.sqrt();
-                for (leaf, radius) in leaves.iter_mut().zip(radii) {
-                    let values = distance.sub(V::splat(self.0 * radius));
-                    lower_row::<V>(leaf.row_mut(row), counts, values);
+                for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
+                    let apart = distance.sub(V::splat(self.0 * radius));
+                    lower_row::<V>(leaf.row_mut(row), counts, apart);
                 }
             }
         }
@@ -340,43 +423,88 @@ impl Form for Ellipsoid {
         self.longest
     }
 
+    fn shortest(&self) -> f32 {
+        1.0 / longest_image(self)
+    }
+
     fn extents(&self, outermost: f32) -> Vec3 {
         outermost * Ellipsoid::extents(self) + ELLIPSOID_MARGIN
     }
 
     #[inline(always)]
-    fn lower<V: Lanes>(&self, leaves: &mut [Leaf; 3], center: Vec3, extents: Vec3, radii: [f32; 3]) {
+    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
         let [xx, yy, zz, xy, xz, yz] = self.to_ball;
         // No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
         let ratio_min = 1.0 / (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
+        let shadow = Shadow::of(self);
         let dz = along_z::<V>(center.z);
-        let counts = V::not(V::splat(extents.z).lt(dz.abs()));
+        let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
         for x in voxels_within(center.x, extents.x) {
             let dx = x as f32 - center.x;
             for y in voxels_within(center.y, extents.y) {
-                let row = x * 8 + y;
-                if is_deep::<V>(leaves, row) {
+                let (row, dy) = (x * 8 + y, y as f32 - center.y);
+                if shadow.least_squared(dx, dy) > values.row_limits[row] {
                     continue;
                 }
-                let dy = y as f32 - center.y;
                 let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
                 let (tx, ty, tz) =
                     (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y), V::splat(at.z).add(along_z));
                 let q_squared = length_squared(tx, ty, tz);
+                let counts = V::both(counts_along_z, q_squared.lt(V::load(values.limits.row(row))));
+                if V::bits(counts) == 0 {
+                    continue;
+                }
                 let wx = V::splat(xx).mul(tx).add(V::splat(xy).mul(ty)).add(V::splat(xz).mul(tz));
                 let wy = V::splat(xy).mul(tx).add(V::splat(yy).mul(ty)).add(V::splat(yz).mul(tz));
                 let wz = V::splat(xz).mul(tx).add(V::splat(yz).mul(ty)).add(V::splat(zz).mul(tz));
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
                 let ratio = q_squared.div(w_squared).sqrt().max(V::splat(ratio_min));
                 let q = q_squared.sqrt();
-                for (leaf, radius) in leaves.iter_mut().zip(radii) {
-                    let values = q.sub(V::splat(radius)).mul(ratio);
-                    lower_row::<V>(leaf.row_mut(row), counts, values);
+                for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
+                    let apart = q.sub(V::splat(radius)).mul(ratio);
+                    lower_row::<V>(leaf.row_mut(row), counts, apart);
                 }
+                values.limit_row::<V>(row);
             }
         }
     }
+}
+
+/// What an ellipsoid is along rows of voxels: |T·d|², at its least over all z, is a square form of d's x and y.
+struct Shadow {
+    xx: f32,
+    yy: f32,
+    xy: f32,
+}
+
+impl Shadow {
+    #[inline(always)]
+    fn of(ellipsoid: &Ellipsoid) -> Shadow {
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
+        // What is along T·z is undone by a step along z.
+        let per_square = 1.0 / z.dot(z);
+        let (x_on_z, y_on_z) = (x.dot(z), y.dot(z));
+        Shadow {
+            xx: x.dot(x) - x_on_z * x_on_z * per_square,
+            yy: y.dot(y) - y_on_z * y_on_z * per_square,
+            xy: x.dot(y) - x_on_z * y_on_z * per_square,
+        }
+    }
+
+    /// The least |T·d|² of a row.
+    #[inline(always)]
+    fn least_squared(&self, dx: f32, dy: f32) -> f32 {
+        dx * (self.xx * dx + 2.0 * self.xy * dy) + self.yy * dy * dy
+    }
+}
+
+/// T makes no vector of length 1 longer than this: the greatest sum of a row's absolute values.
+#[inline(always)]
+fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f32::abs);
+    (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)
 }
 
 #[inline(always)]

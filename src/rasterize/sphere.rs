@@ -174,8 +174,9 @@ impl Limits {
     }
 }
 
+/// The greatest of eight values that are not negative.
 #[inline(always)]
-fn greatest<V: Lanes>(values: V) -> f32 {
+pub(super) fn greatest<V: Lanes>(values: V) -> f32 {
     let mut row = [0.0; 8];
     values.store(&mut row);
     let mut greatest = 0.0;
