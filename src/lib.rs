@@ -29,6 +29,7 @@ pub mod certify;
 
 pub mod anisotropy;
 pub mod contour;
+pub mod preview;
 pub mod rasterize;
 pub mod smooth;
 pub mod spacing;

@@ -1,0 +1,127 @@
+//! What light does: a bright sky, a sun over the beholder's left shoulder, and ground that throws some of it back.
+
+use glam::{DVec3, Vec3};
+
+use super::View;
+use super::sky::Sky;
+
+/// The light of a scene.
+pub(super) struct Lighting<'a> {
+    sky: &'a Sky,
+    up: Vec3,
+    /// Towards the sun.
+    sun: Vec3,
+}
+
+/// What arrives at a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Light {
+    /// From everywhere around, for a surface of this direction; 1 where nothing is in the way.
+    pub(super) ambient: Vec3,
+    /// The part of the sun that is seen.
+    pub(super) sun: f32,
+}
+
+impl Light {
+    pub(super) const NONE: Light = Light { ambient: Vec3::ZERO, sun: 0.0 };
+
+    pub(super) fn plus(self, other: Light, weight: f32) -> Light {
+        Light { ambient: self.ambient + weight * other.ambient, sun: self.sun + weight * other.sun }
+    }
+
+    pub(super) fn times(self, factor: f32) -> Light {
+        Light { ambient: self.ambient * factor, sun: self.sun * factor }
+    }
+}
+
+/// The colours are linear.
+const WATER: Vec3 = Vec3::new(0.105, 0.34, 0.66);
+/// What shows the inside.
+const INSIDE: Vec3 = Vec3::new(0.85, 0.25, 0.03);
+const SUN: Vec3 = Vec3::new(1.12, 1.05, 0.95);
+const ZENITH: Vec3 = Vec3::new(0.70, 0.78, 0.90);
+const HORIZON: Vec3 = Vec3::new(0.74, 0.76, 0.79);
+const FROM_BELOW: Vec3 = Vec3::new(0.36, 0.35, 0.34);
+const BACKGROUND: Vec3 = Vec3::new(0.80, 0.82, 0.845);
+/// Half the angle of a cone of ambient light, and of the sun's: 30° and 5°, which blurs shadows with distance.
+const AMBIENT_TANGENT: f32 = 0.577;
+const SUN_TANGENT: f32 = 0.09;
+/// Of the five cones around the middle one: cosine and sine of their angle to it.
+const TILT: (f32, f32) = (0.5, 0.866);
+const MIDDLE_WEIGHT: f32 = 0.25;
+
+impl<'a> Lighting<'a> {
+    pub(super) fn new(sky: &'a Sky, view: &View) -> Lighting<'a> {
+        let up = view.up.direction();
+        let backward = (-view.camera.forward).reject_from(up).normalize_or(-view.camera.up);
+        let right = view.camera.right.reject_from(up).normalize_or(view.camera.right);
+        let sun = up * 0.78 - right * 0.5 + backward * 0.42;
+        Lighting { sky, up: up.as_vec3(), sun: sun.normalize().as_vec3() }
+    }
+
+    /// The light at a place, in voxels, on a surface of this direction.
+    pub(super) fn arriving(&self, place: DVec3, normal: Vec3) -> Light {
+        let (aside, across) = normal.any_orthonormal_pair();
+        let mut ambient = MIDDLE_WEIGHT * self.from(place, normal);
+        for cone in 0..5 {
+            let angle = cone as f32 * (std::f32::consts::TAU / 5.0);
+            let around = aside * angle.cos() + across * angle.sin();
+            let direction = normal * TILT.0 + around * TILT.1;
+            ambient += (1.0 - MIDDLE_WEIGHT) / 5.0 * self.from(place, direction);
+        }
+        let faces_sun = normal.dot(self.sun) > 0.0;
+        let sun = if faces_sun { self.sky.through(place, self.sun, SUN_TANGENT) } else { 0.0 };
+        Light { ambient, sun }
+    }
+
+    /// What comes from a direction.
+    fn from(&self, place: DVec3, direction: Vec3) -> Vec3 {
+        self.radiance(direction) * self.sky.through(place, direction, AMBIENT_TANGENT)
+    }
+
+    /// What comes from there if nothing is in the way.
+    fn radiance(&self, direction: Vec3) -> Vec3 {
+        let height = direction.dot(self.up);
+        if height > 0.0 {
+            HORIZON.lerp(ZENITH, height)
+        } else {
+            HORIZON.lerp(FROM_BELOW, (-2.0 * height).min(1.0))
+        }
+    }
+
+    /// The colour of the surface: `toward` the beholder.
+    pub(super) fn water(&self, light: Light, normal: Vec3, toward: Vec3, is_front: bool) -> Vec3 {
+        let albedo = if is_front { WATER } else { INSIDE };
+        let facing = normal.dot(self.sun).max(0.0) * light.sun;
+        let half = (self.sun + toward).normalize_or(normal);
+        let glint = normal.dot(half).max(0.0).powi(90) * light.sun;
+        let edge = (1.0 - normal.dot(toward).clamp(0.0, 1.0)).powi(5);
+        let mirrored = self.radiance(2.0 * normal.dot(toward) * normal - toward);
+        // What is mirrored is hidden by what hides the sky.
+        let open = (light.ambient.y / HORIZON.y).min(1.0);
+        albedo * (light.ambient + SUN * facing) + (0.02 + 0.5 * edge) * open * mirrored + 0.55 * glint * SUN
+    }
+
+    /// The colour of the ground: that of the background, but for what is in the way of its light.
+    pub(super) fn ground(&self, light: Light) -> Vec3 {
+        let facing = self.up.dot(self.sun);
+        let open = self.arriving_in_the_open() + SUN * facing;
+        BACKGROUND * ((light.ambient + SUN * facing * light.sun) / open)
+    }
+
+    fn arriving_in_the_open(&self) -> Vec3 {
+        let tilted = self.radiance(self.up * TILT.0 + self.up.any_orthonormal_vector() * TILT.1);
+        MIDDLE_WEIGHT * self.radiance(self.up) + (1.0 - MIDDLE_WEIGHT) * tilted
+    }
+
+    /// The colour of nothing.
+    pub(super) fn background(&self) -> Vec3 {
+        BACKGROUND
+    }
+
+    /// The light on a place of which nothing is known but its direction.
+    pub(super) fn open(&self, normal: Vec3) -> Light {
+        let height = 0.5 + 0.5 * normal.dot(self.up);
+        Light { ambient: FROM_BELOW.lerp(ZENITH, height), sun: 1.0 }
+    }
+}
