@@ -246,6 +246,9 @@ fn say_settings(
     ));
 }
 
+/// What was said before so many frames has scrolled away.
+const FRAMES_IN_VIEW: usize = 20;
+
 /// A frame that was asked for.
 struct PlannedFrame {
     input: PathBuf,
@@ -267,6 +270,8 @@ struct Run {
     done_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
+    /// How many frames were noted before the first of these.
+    failed_first: Option<usize>,
 }
 
 impl Run {
@@ -280,6 +285,7 @@ impl Run {
             done_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
+            failed_first: None,
         }
     }
 
@@ -355,7 +361,7 @@ impl Run {
                         console.warn(format_args!("error: {of}{why}"));
                     }
                     self.record.add_failed(input, *sequence_index, why);
-                    self.failures.push(format!("{}: {why}", input.display()));
+                    self.fail(format!("{}: {why}", input.display()));
                 }
                 _ => {
                     self.record.add_not_started(input, *sequence_index);
@@ -396,15 +402,20 @@ impl Run {
             Outcome::Changed => {
                 let failure = format!("{name}: the file was written while it was read");
                 console.warn(format_args!("error: {failure}"));
-                self.failures.push(failure);
+                self.fail(failure);
             }
             Outcome::Failed(error) => {
                 console.warn(format_args!("error: {error}"));
-                self.failures.push(error.to_string());
+                self.fail(error.to_string());
             }
             Outcome::NotStarted => self.not_started_count += 1,
         }
         console.advance_bar();
+    }
+
+    fn fail(&mut self, failure: String) {
+        self.failed_first.get_or_insert(self.noted_count);
+        self.failures.push(failure);
     }
 
     /// The summary, the report and the verdict.
@@ -418,8 +429,8 @@ impl Run {
             summary += &format!(", {} not started", self.not_started_count);
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
-        // One frame's error has just been told; those of many have scrolled away.
-        if self.noted_count > 1 {
+        // An error that was just told is not told again; one of long ago has scrolled away.
+        if self.failed_first.is_some_and(|first| self.noted_count - first > FRAMES_IN_VIEW) {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }

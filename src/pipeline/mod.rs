@@ -44,7 +44,7 @@ mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
-pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage};
 pub use frame_particles::FrameParticles;
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};

@@ -11,10 +11,10 @@
 //! The buffers of a `.gltf` may be files beside it. They are a part of it: hashed with it, and read again when one of
 //! them was written again.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fmt;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::{Path, PathBuf, absolute};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
@@ -26,7 +26,7 @@ use twox_hash::xxhash3_128::Hasher;
 use crate::obstacle::{LevelSetSource, Obstacle, Obstacles, Sampled, Shape, Solid};
 use crate::settings::Settings;
 
-use super::frame::{Cause, FrameError, Stage};
+use super::frame::ObstacleError;
 use super::number_pattern::NumberPattern;
 use super::reading::{read_start_unchanged, read_unchanged};
 use super::stamp::FileStamp;
@@ -99,7 +99,10 @@ pub struct FrameObstacles {
 impl ObstacleFiles {
     /// Obstacles at these paths. Where there is no such file, and the name has a place for a number as in
     /// `body.####.obj`, each frame has the file with its own.
-    pub fn new(paths: Vec<PathBuf>) -> ObstacleFiles {
+    pub fn new(mut paths: Vec<PathBuf>) -> ObstacleFiles {
+        // What stands in the way twice is there once, and what is wrong with it is told once.
+        let mut seen = HashSet::new();
+        paths.retain(|path| seen.insert(absolute(path).unwrap_or_else(|_| path.clone())));
         let known = Mutex::new(vec![None; paths.len()]);
         ObstacleFiles { paths, known, beside: Mutex::default() }
     }
@@ -157,9 +160,9 @@ impl ObstacleFiles {
     }
 
     /// Finds and hashes those of a frame.
-    pub(super) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, FrameError> {
+    pub(super) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, ObstacleError> {
         let found = self.paths.iter().enumerate().map(|(index, path)| {
-            let at = file_of(path, number).map_err(|error| failed(path, error.into()))?;
+            let at = file_of(path, number)?;
             let still = (at == *path).then_some(index);
             match still.and_then(|index| self.known_of(index)) {
                 Some(known) if known.is_as_it_was() => Ok(FoundObstacle {
@@ -181,11 +184,10 @@ impl ObstacleFiles {
         found: FoundObstacles,
         settings: &Settings,
         kept_bytes_max: u64,
-    ) -> Result<FrameObstacles, FrameError> {
+    ) -> Result<FrameObstacles, ObstacleError> {
         let mut all = FrameObstacles { recorded: found.recorded(), ..FrameObstacles::default() };
         let kept_bytes_max = kept_bytes_max / found.found.len().max(1) as u64;
         for file in found.found {
-            let name = name_of(&file.path);
             let data = match file.content {
                 Content::Obstacle(obstacle) => {
                     all.all_bytes += obstacle.size_bytes_max() as u64;
@@ -197,7 +199,7 @@ impl ObstacleFiles {
             };
             let shape = shape_of(data)
                 .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
-            all.notes.extend(notes_of(&shape, &name, settings));
+            all.notes.extend(notes_of(&shape, &file.path, settings));
             all.open_edge_count += open_edges(&shape);
             let obstacle =
                 Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
@@ -245,20 +247,22 @@ fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
 }
 
 /// The file that a path stands for in a frame with this number.
-fn file_of(path: &Path, number: Option<u64>) -> io::Result<PathBuf> {
-    let missing = |what: String| Err(io::Error::new(io::ErrorKind::NotFound, what));
+fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
+    let missing =
+        |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));
     if path.is_file() {
         return Ok(path.to_owned());
     }
-    let (Some(pattern), folder) = (pattern_of(path), path.parent().unwrap_or(Path::new(""))) else {
-        return missing("no such file".into());
-    };
+    let Some(pattern) = pattern_of(path) else { return missing(path, "no such file".into()) };
     let Some(number) = number else {
-        return missing("the frame has no number, so none of these files is its own".into());
+        return missing(path, "the frame has no number, so none of these files is its own".into());
     };
-    match pattern.file_of(folder, number)? {
+    match pattern.file_of(folder_of(path), number).map_err(|error| failed(path, error.into()))? {
         Some(file) => Ok(file),
-        None => missing(format!("no file for frame {number}")),
+        None => {
+            let expected = folder_of(path).join(pattern.name_of(number));
+            missing(&expected, format!("no such file, and frame {number} needs its own of {}", name_of(path)))
+        }
     }
 }
 
@@ -270,9 +274,9 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().unwrap_or(Path::new(""))
 }
 
-fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, FrameError> {
-    let unchanged = read_unchanged(&path).map_err(|error| of_obstacle(&path, error.cause))?;
-    let (bytes, stamp) = unchanged.ok_or_else(|| of_obstacle(&path, Cause::Changed))?;
+fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, ObstacleError> {
+    let unchanged = read_unchanged(&path).map_err(|error| failed(&path, error.into()))?;
+    let (bytes, stamp) = unchanged.ok_or_else(|| changed(&path))?;
     let mut hash = XxHash3_128::oneshot(&bytes);
     let mut files = vec![(path.clone(), stamp)];
     let mut contents = HashMap::new();
@@ -286,7 +290,7 @@ fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, FrameError
                 let what = format!("its buffer {relative}: {error}");
                 failed(&path, io::Error::new(error.kind(), what).into())
             })?;
-            let (bytes, stamp) = unchanged.ok_or_else(|| of_obstacle(&at, Cause::Changed))?;
+            let (bytes, stamp) = unchanged.ok_or_else(|| changed(&at))?;
             hasher.get_or_insert_with(Hasher::new).write(&bytes);
             files.push((at, stamp));
             contents.insert(relative, bytes);
@@ -302,7 +306,7 @@ fn is_gltf_text(path: &Path) -> bool {
 }
 
 /// What is in the bytes of a file, with those of the files beside it.
-fn parse(path: &Path, bytes: &[u8], beside: HashMap<String, Vec<u8>>) -> Result<ObstacleData, FrameError> {
+fn parse(path: &Path, bytes: &[u8], beside: HashMap<String, Vec<u8>>) -> Result<ObstacleData, ObstacleError> {
     let beside = Mutex::new(beside);
     // Each is asked for once.
     let take = |relative: &str| {
@@ -343,7 +347,8 @@ fn source_of(data: LevelSetData) -> LevelSetSource {
 const KNOWN_MIN: f64 = 1.0;
 
 /// What a user should know of an obstacle.
-fn notes_of(shape: &Shape, name: &str, settings: &Settings) -> Vec<String> {
+fn notes_of(shape: &Shape, path: &Path, settings: &Settings) -> Vec<String> {
+    let name = path.display();
     let mut notes = Vec::new();
     let mut tell = |count: usize, what: &str| {
         if count > 0 {
@@ -390,13 +395,12 @@ fn name_of(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn failed(path: &Path, error: meniscus_formats::Error) -> FrameError {
-    of_obstacle(path, Cause::File(error))
+fn failed(path: &Path, error: meniscus_formats::Error) -> ObstacleError {
+    ObstacleError { path: path.to_owned(), source: Some(error) }
 }
 
-/// An error of a frame on account of an obstacle.
-fn of_obstacle(path: &Path, cause: Cause) -> FrameError {
-    FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Obstacle(Box::new(cause)) }
+fn changed(path: &Path) -> ObstacleError {
+    ObstacleError { path: path.to_owned(), source: None }
 }
 
 #[cfg(test)]
@@ -447,16 +451,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_given_twice_is_there_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.obj");
+        fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
+        let files = ObstacleFiles::new(vec![path.clone(), folder.path().join("./a.obj"), path.clone()]);
+        let settings = Settings::resolve(0.1, &crate::settings::Choices::default()).expect("settings");
+        let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 20).expect("a triangle");
+        assert_eq!(loaded.obstacles.members.len(), 1);
+        let [note] = &loaded.notes[..] else { panic!("{:?}", loaded.notes) };
+        assert!(note.contains(&*path.to_string_lossy()) && note.contains("3 open edges"), "{note}");
+    }
+
+    #[test]
     fn a_document_names_no_files_elsewhere() {
         let folder = tempfile::tempdir().expect("a folder");
         let inner = folder.path().join("inner");
         fs::create_dir_all(inner.join("b.bin")).expect("made");
         fs::write(folder.path().join("a.bin"), triangle(1.0)).expect("written");
         let path = inner.join("a.gltf");
-        let absolute = folder.path().join("a.bin").display().to_string().replace('\\', "/");
+        let absolute_uri = folder.path().join("a.bin").display().to_string().replace('\\', "/");
         for (uri, word) in [
             ("../a.bin", "not beside"),
-            (absolute.as_str(), "not beside"),
+            (absolute_uri.as_str(), "not beside"),
             ("b.bin", "no regular file"),
             ("c.bin", "c.bin"),
         ] {

@@ -287,7 +287,9 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     /// The particles of a frame, and the notes on them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let failed = |error: io::Error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
-        let obstacles = frame.obstacles.find(frame.number).map_err(Outcome::Failed)?;
+        let of_obstacle = |error| FrameError::of_stage(frame, Stage::Read, Cause::Obstacle(Box::new(error)));
+        let found = frame.obstacles.find(frame.number);
+        let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
         let file = InputFile::open(&frame.input).map_err(failed)?;
         let wanted = Wanted::by(&frame.settings);
         if file.is_regular()
@@ -309,7 +311,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 return self.planned(number, frame, move || Ok((particles, notes)), obstacles, input);
             }
         }
-        let unchanged = read_unchanged(&frame.input).map_err(Outcome::Failed)?;
+        let unchanged = read_unchanged(&frame.input).map_err(failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
         if self.conduct.skip_done && is_done(frame, input.hash, &obstacles.recorded()) {
@@ -336,10 +338,11 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let planned = self.crew.run(number, move || {
             let (particles, mut notes) = parse()?;
             let kept_bytes_max = allowed_bytes / OBSTACLE_SHARE;
-            let mut obstacles = frame.obstacles.load(found, &frame.settings, kept_bytes_max)?;
+            let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
+            let loaded = frame.obstacles.load(found, &frame.settings, kept_bytes_max);
+            let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             notes.append(&mut obstacles.notes);
-            let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes);
-            let plan = plan.map_err(|cause| FrameError::of_stage(&frame, Stage::Read, cause))?;
+            let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);
                 notes.push(format!(
