@@ -44,7 +44,7 @@ use super::method::Method;
 use super::obstacles::{FoundObstacles, FrameObstacles};
 use super::provenance::is_done;
 use super::reading::{InputFile, parse_particles, read_unchanged};
-use super::writing::{Written, attribute_notes, write_files, write_surface};
+use super::writing::{Written, surface_notes, write_files, write_surface};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -491,7 +491,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: [known.notes, attribute_notes(&surface, &frame.outputs.formats)].concat(),
+                notes: [known.notes, surface_notes(&surface, &frame.outputs.formats)].concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }

@@ -413,6 +413,38 @@ fn obstacles_that_are_none_are_told() {
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
 }
 
+/// Nothing is left of a surface that is in an obstacle, beyond a box, or all islands: that is told, and written.
+#[test]
+fn why_nothing_is_left_is_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &block(4, 0.0));
+    fs::write(path.join("ball.obj"), ball(DVec3::splat(0.15), 3.0).obj()).expect("written");
+    let arguments =
+        ["dam.1.ply", "--voxel-size", "0.05", "--format", "obj", "--out", "o", "--report", "r.json"];
+    let box_beyond = ["--clip", "5,5,5,6,6,6"];
+    let ball = ["--obstacle", "ball.obj"];
+    for (more, word) in [
+        (&box_beyond[..], "the clip box holds nothing of the surface"),
+        (&["--drop-islands", "100"], "every piece of the surface was dropped"),
+        (&ball, "all of the surface is inside obstacles"),
+        (&[ball, box_beyond].concat(), "all of the surface is inside obstacles"),
+        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box holds nothing"),
+    ] {
+        let ran = convert(path, &[&arguments, more].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.matches(word).count(), 1, "{more:?}: {}", ran.err);
+        let frame = &report(&path.join("r.json"))["frames"][0];
+        let notes: Vec<&str> =
+            frame["notes"].as_array().expect("notes").iter().filter_map(Value::as_str).collect();
+        assert!(notes.iter().any(|note| note.contains(word)), "{more:?}: {notes:?}");
+        assert_eq!((&frame["vertices"], &frame["status"]), (&0.into(), &"converted".into()), "{more:?}");
+        assert!(path.join("o/dam.1.obj").exists());
+    }
+    let all = convert(path, &[&arguments[..], &["--clip", "-5,-5,-5,0.1,5,5"]].concat());
+    assert!(!all.err.contains("nothing of the surface"), "{}", all.err);
+}
+
 /// A second run of the daemon's command does nothing, until the obstacle is another.
 #[test]
 fn the_daemon_knows_what_its_outputs_went_around() {
