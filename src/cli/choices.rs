@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::{Result, bail};
 use meniscus_formats::{gltf, vdb};
 
 use crate::pipeline::{OutputFormat, OutputOptions};
@@ -126,6 +127,24 @@ pub(super) fn ignored(args: &MethodArgs) -> Vec<String> {
     ];
     let ignored = cases.into_iter().filter(|(_, is_given, is_used, _)| *is_given && !is_used);
     ignored.map(|(option, _, _, with)| format!("{option} is ignored: it is for {with} only")).collect()
+}
+
+/// Refuses a number that was to be the value of --smooth-normals and is taken for an input, since that has its value
+/// after a =.
+///
+/// # Errors
+/// What to write instead.
+pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
+    let is_stray = |input: &&PathBuf| {
+        input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()
+    };
+    if args.mesh.smooth_normals.is_some()
+        && let Some(input) = inputs.iter().find(is_stray)
+    {
+        let number = input.display();
+        bail!("{number}: no such file or folder; for {number} rounds, write --smooth-normals={number}");
+    }
+    Ok(())
 }
 
 /// What is written, to `folder`: .glb and .vdb by default.

@@ -19,7 +19,7 @@ use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{ConvertArgs, OnErrorChoice};
-use super::choices::{choices, ignored, output_options};
+use super::choices::{choices, ignored, output_options, refuse_stray_rounds};
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
@@ -94,6 +94,7 @@ struct SelectedSequence {
 }
 
 fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection> {
+    refuse_stray_rounds(&args.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
     for warning in &found.warnings {
         console.warn(format_args!("warning: {warning}"));
