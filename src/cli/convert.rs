@@ -39,7 +39,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         return print_settings(&[], &args.method, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
-    for warning in ignored(&args.method) {
+    for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
         console.warn(format_args!("warning: {warning}"));
     }
     if let Some(warning) = level_warning() {

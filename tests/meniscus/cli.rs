@@ -262,6 +262,38 @@ fn what_is_ignored_is_told() {
     }
 }
 
+/// Options for files that are not written; and none is said of where they are.
+#[test]
+fn what_changes_no_file_is_told() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    let mesh = ["--contour", "--decimate", "--smooth-normals", "--quads", "--up"];
+    let vdb = ["--vdb-half", "--vdb-compression"];
+    for (format, told) in [
+        ("vdb", &mesh[..]),
+        ("obj", &["--up", "--vdb-half", "--vdb-compression"]),
+        ("obj,gltf", &vdb),
+        ("ply,vdb", &["--quads", "--up"]),
+        ("glb,vdb", &["--quads"]),
+    ] {
+        for option in mesh.iter().chain(&vdb) {
+            let value = match *option {
+                "--contour" => "=dual",
+                "--decimate" => "=0.1",
+                "--up" => "=z",
+                "--vdb-compression" => "=none",
+                _ => "",
+            };
+            let typed = format!("{option}{value}");
+            let arguments = ["convert", "dam.1.ply", "--print-settings", "--format", format, &typed];
+            let ran = meniscus(folder.path(), &arguments);
+            assert_eq!(ran.status, 0, "{}", ran.err);
+            let line = format!("warning: {option} changes no file: it is for ");
+            assert_eq!(ran.err.contains(&line), told.contains(option), "{format} {option}: {}", ran.err);
+        }
+    }
+}
+
 #[test]
 fn what_lies_beside_the_frames_is_passed_over() {
     let folder = folder();

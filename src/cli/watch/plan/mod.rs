@@ -124,7 +124,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
         None => Settings::check(&choices)?,
     }
-    warnings.extend(ignored(&frames.method));
+    warnings.extend(ignored(&frames.method, frames.format.as_deref(), &frames.formats));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
