@@ -1,6 +1,5 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -57,10 +56,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
-    let frames = sequences.iter().flat_map(|sequence| &sequence.selected);
-    let read: BTreeSet<PathBuf> = frames.flat_map(|file| obstacles.files_of(file.number())).collect();
-    let inputs: Vec<PathBuf> = found.into_iter().chain(read).collect();
-    refuse_conflicts(&sequences, &inputs, &outputs, args.report.as_deref())?;
+    refuse_conflicts(&sequences, &found, &obstacles, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
 
     let on_error = match args.on_error {
@@ -138,6 +134,7 @@ fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
 fn refuse_conflicts(
     sequences: &[SelectedSequence],
     found: &[PathBuf],
+    obstacles: &ObstacleFiles,
     outputs: &OutputOptions,
     report: Option<&Path>,
 ) -> Result<()> {
@@ -155,7 +152,7 @@ fn refuse_conflicts(
     }
     let planned: Vec<(PathBuf, String)> =
         sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
-    Ok(check_outputs(&planned, found, outputs, report)?)
+    Ok(check_outputs(&planned, found, obstacles, outputs, report)?)
 }
 
 fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {

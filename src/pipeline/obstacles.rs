@@ -28,6 +28,7 @@ use crate::settings::Settings;
 
 use super::frame::ObstacleError;
 use super::number_pattern::NumberPattern;
+use super::outputs::{Conflict, are_one_file, entry};
 use super::reading::{read_start_unchanged, read_unchanged};
 use super::stamp::FileStamp;
 
@@ -39,6 +40,15 @@ pub struct ObstacleFiles {
     known: Mutex<Vec<Option<Known>>>,
     /// The files beside a `.gltf`, and what that was when it told of them.
     beside: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
+}
+
+/// What the files of a frame are at a time.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ObstacleStamps {
+    /// In short: equal ones mean that none was written since.
+    pub text: String,
+    /// Whether none is missing.
+    pub are_all_there: bool,
 }
 
 /// A file that was read.
@@ -118,16 +128,41 @@ impl ObstacleFiles {
         self.paths.iter().find(is_missing).map(PathBuf::as_path)
     }
 
-    /// The files of a frame, as far as they are there.
-    pub fn files_of(&self, number: Option<u64>) -> Vec<PathBuf> {
-        self.paths.iter().filter_map(|path| file_of(path, number).ok()).collect()
+    /// Refuses an output that would replace one of these, or would be taken for one: of those that move, that is
+    /// any file with a number of theirs.
+    ///
+    /// # Errors
+    /// Which obstacle that is.
+    pub fn refuse_output(&self, output: &Path) -> Result<(), Conflict> {
+        let is_member = |path: &Path, pattern: NumberPattern| {
+            let (entry, of_pattern) = (entry(output), entry(path));
+            let name = entry.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            entry.parent() == of_pattern.parent() && pattern.span_in(name).is_some()
+        };
+        let is_in_the_way = |path: &&PathBuf| {
+            are_one_file(path, output)
+                || !path.is_file() && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
+                || self.files_beside(path).iter().any(|beside| are_one_file(beside, output))
+        };
+        match self.paths.iter().find(is_in_the_way) {
+            Some(path) => {
+                Err(Conflict::ReplacesObstacle { output: output.to_owned(), obstacle: path.clone() })
+            }
+            None => Ok(()),
+        }
     }
 
-    /// What the files of a frame are now, in short: equal ones mean that none was written since.
-    pub fn stamps(&self, number: Option<u64>) -> String {
-        let mut stamps = String::new();
+    /// Whether all of them stand still: then each frame has the same.
+    pub fn stand_still(&self) -> bool {
+        self.paths.iter().all(|path| path.is_file() || pattern_of(path).is_none())
+    }
+
+    /// What the files of a frame are now.
+    pub fn stamps(&self, number: Option<u64>) -> ObstacleStamps {
+        let mut stamps = ObstacleStamps { text: String::new(), are_all_there: true };
         let mut tell = |path: &Path, stamp: Option<FileStamp>| {
-            stamps += &match stamp {
+            stamps.are_all_there &= stamp.is_some();
+            stamps.text += &match stamp {
                 Some(stamp) => format!("{}: {stamp:?}\n", path.display()),
                 None => format!("{}: none\n", path.display()),
             };
@@ -448,6 +483,36 @@ mod tests {
         assert_ne!(other.recorded(), recorded);
         // Who did not see it before knows of it, too.
         assert_eq!(ObstacleFiles::new(vec![path]).stamps(None), files.stamps(None));
+    }
+
+    #[test]
+    fn outputs_that_would_be_obstacles_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("inner")).expect("made");
+        for name in ["still.obj", "body.0001.obj"] {
+            fs::write(at(name), "v 0 0 0\n").expect("written");
+        }
+        fs::write(at("a.gltf"), DOCUMENT.replace("URI", "a.glb")).expect("written");
+        let names = ["inner/../still.obj", "body.####.obj", "missing.obj", "a.gltf"];
+        let files = ObstacleFiles::new(names.map(at).to_vec());
+        for (output, is_refused) in [
+            ("still.obj", true),
+            ("inner/../still.obj", true),
+            ("still.ply", false),
+            ("inner/still.obj", false),
+            ("body.0001.obj", true),
+            ("body.0002.obj", true),
+            ("inner/../body.0003.obj", true),
+            ("body.2.obj", false),
+            ("body.0002.glb", false),
+            ("inner/body.0002.obj", false),
+            ("missing.obj", true),
+            ("a.glb", true),
+        ] {
+            assert_eq!(files.refuse_output(&at(output)).is_err(), is_refused, "{output}");
+        }
+        assert!(!files.stand_still() && ObstacleFiles::new(vec![at("still.obj")]).stand_still());
     }
 
     #[test]

@@ -238,7 +238,11 @@ fn why_tells_everything_that_decides() {
     let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
     tells("in/dam.1.ply", &configured, &words);
     fs::write(path.join("meniscus.toml"), format!("{config}voxel_size = 0.05\n")).expect("written");
-    tells("in/dam.1.ply", &configured, &["settings  not as recorded", "because its settings are others"]);
+    tells(
+        "in/dam.1.ply",
+        &configured,
+        &["settings  not as recorded", "because its settings or obstacles are others"],
+    );
     fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
     tells("in/dam.1.ply", &configured, &["name      not one of a frame"]);
     for (frame, options, words) in [
@@ -292,7 +296,7 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
     tells("in/dam.1.ply", &["settings  not compared: that needs a voxel size that is known"]);
     ask(&|watch| watch.voxel_size = Some(0.05));
-    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings are others"]);
+    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles are others"]);
     // The file wins.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
     let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
