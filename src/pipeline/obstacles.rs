@@ -194,6 +194,21 @@ impl ObstacleFiles {
         files
     }
 
+    /// Memory that it may take to load those of a frame that are not known yet, in bytes.
+    pub(super) fn loading_bytes(&self, number: Option<u64>) -> u64 {
+        let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
+        let of_one = |(index, path): (usize, &PathBuf)| {
+            if self.known_of(index).is_some_and(|known| known.is_as_it_was()) {
+                return 0;
+            }
+            let Ok(at) = file_of(path, number) else { return 0 };
+            let beside = self.files_beside(&at);
+            let bytes = beside.iter().map(|path| size(path)).fold(size(&at), u64::saturating_add);
+            bytes.saturating_mul(loading_factor(&at))
+        };
+        self.paths.iter().enumerate().map(of_one).fold(0, u64::saturating_add)
+    }
+
     /// Finds and hashes those of a frame.
     pub(super) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, ObstacleError> {
         let found = self.paths.iter().enumerate().map(|(index, path)| {
@@ -419,6 +434,19 @@ fn notes_of(shape: &Shape, path: &Path, settings: &Settings) -> Vec<String> {
     notes
 }
 
+/// Memory for reading an obstacle and making it one, in sizes of its file: about 320 bytes for a triangle. Measured on
+/// two million of them, and on a level set of 15 million values.
+fn loading_factor(path: &Path) -> u64 {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match &*extension {
+        "vdb" => 5,
+        "obj" => 9,
+        // Of what is packed nobody knows before how large it is.
+        "gz" => 45,
+        _ => 18,
+    }
+}
+
 fn open_edges(shape: &Shape) -> usize {
     match shape {
         Shape::Solid(solid) => solid.findings().open_edge_count,
@@ -524,6 +552,13 @@ mod tests {
         let settings = Settings::resolve(0.1, &crate::settings::Choices::default()).expect("settings");
         let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 20).expect("a triangle");
         assert_eq!(loaded.obstacles.members.len(), 1);
+        // What is known needs no more memory to be loaded, until it is another.
+        let size = path.metadata().expect("there").len();
+        assert_eq!(ObstacleFiles::new(vec![path.clone()]).loading_bytes(None), 9 * size);
+        assert_eq!(files.loading_bytes(None), 0);
+        fs::write(&path, "v 0 0 0\n").expect("written");
+        assert_eq!(files.loading_bytes(None), 9 * 8);
+        assert_eq!(ObstacleFiles::new(vec![folder.path().join("b.obj")]).loading_bytes(None), 0);
         let [note] = &loaded.notes[..] else { panic!("{:?}", loaded.notes) };
         assert!(note.contains(&*path.to_string_lossy()) && note.contains("3 open edges"), "{note}");
     }

@@ -274,11 +274,16 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         }
         // A file that cannot be looked at will not be read either.
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
-        let mut memory = self.budget.hold(file_bytes.saturating_mul(READING_MEMORY));
+        let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
+        let bytes = file_bytes.saturating_mul(READING_MEMORY).saturating_add(obstacle_bytes);
+        let mut memory = self.budget.hold(bytes);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
         memory.resize(read.particles.size_bytes().saturating_add(read.obstacles.own_bytes));
+        // Those that stand still are there for the frames that follow, too.
+        let standing_bytes = read.obstacles.all_bytes - read.obstacles.own_bytes;
+        self.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let read_seconds = start.elapsed().as_secs_f64();
         let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
         Ok((read, Known { input, read_seconds, notes, obstacles, memory, seat: None }))
