@@ -1,6 +1,5 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -19,7 +18,7 @@ use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{ConvertArgs, OnErrorChoice};
-use super::choices::{choices, ignored, output_options};
+use super::choices::{choices, ignored, output_options, refuse_stray_rounds};
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
@@ -39,7 +38,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         return print_settings(&[], &args.method, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
-    for warning in ignored(&args.method) {
+    for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
         console.warn(format_args!("warning: {warning}"));
     }
     if let Some(warning) = level_warning() {
@@ -57,10 +56,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
-    let frames = sequences.iter().flat_map(|sequence| &sequence.selected);
-    let read: BTreeSet<PathBuf> = frames.flat_map(|file| obstacles.files_of(file.number())).collect();
-    let inputs: Vec<PathBuf> = found.into_iter().chain(read).collect();
-    refuse_conflicts(&sequences, &inputs, &outputs, args.report.as_deref())?;
+    refuse_conflicts(&sequences, &found, &obstacles, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
 
     let on_error = match args.on_error {
@@ -94,6 +90,7 @@ struct SelectedSequence {
 }
 
 fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection> {
+    refuse_stray_rounds(&args.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
     for warning in &found.warnings {
         console.warn(format_args!("warning: {warning}"));
@@ -137,6 +134,7 @@ fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
 fn refuse_conflicts(
     sequences: &[SelectedSequence],
     found: &[PathBuf],
+    obstacles: &ObstacleFiles,
     outputs: &OutputOptions,
     report: Option<&Path>,
 ) -> Result<()> {
@@ -154,7 +152,7 @@ fn refuse_conflicts(
     }
     let planned: Vec<(PathBuf, String)> =
         sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
-    Ok(check_outputs(&planned, found, outputs, report)?)
+    Ok(check_outputs(&planned, found, obstacles, outputs, report)?)
 }
 
 fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
@@ -246,6 +244,9 @@ fn say_settings(
     ));
 }
 
+/// What was said before so many frames has scrolled away.
+const FRAMES_IN_VIEW: usize = 20;
+
 /// A frame that was asked for.
 struct PlannedFrame {
     input: PathBuf,
@@ -267,6 +268,8 @@ struct Run {
     done_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
+    /// How many frames were noted before the first of these.
+    failed_first: Option<usize>,
 }
 
 impl Run {
@@ -280,6 +283,7 @@ impl Run {
             done_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
+            failed_first: None,
         }
     }
 
@@ -355,7 +359,7 @@ impl Run {
                         console.warn(format_args!("error: {of}{why}"));
                     }
                     self.record.add_failed(input, *sequence_index, why);
-                    self.failures.push(format!("{}: {why}", input.display()));
+                    self.fail(format!("{}: {why}", input.display()));
                 }
                 _ => {
                     self.record.add_not_started(input, *sequence_index);
@@ -396,15 +400,20 @@ impl Run {
             Outcome::Changed => {
                 let failure = format!("{name}: the file was written while it was read");
                 console.warn(format_args!("error: {failure}"));
-                self.failures.push(failure);
+                self.fail(failure);
             }
             Outcome::Failed(error) => {
                 console.warn(format_args!("error: {error}"));
-                self.failures.push(error.to_string());
+                self.fail(error.to_string());
             }
             Outcome::NotStarted => self.not_started_count += 1,
         }
         console.advance_bar();
+    }
+
+    fn fail(&mut self, failure: String) {
+        self.failed_first.get_or_insert(self.noted_count);
+        self.failures.push(failure);
     }
 
     /// The summary, the report and the verdict.
@@ -418,8 +427,8 @@ impl Run {
             summary += &format!(", {} not started", self.not_started_count);
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
-        // One frame's error has just been told; those of many have scrolled away.
-        if self.noted_count > 1 {
+        // An error that was just told is not told again; one of long ago has scrolled away.
+        if self.failed_first.is_some_and(|first| self.noted_count - first > FRAMES_IN_VIEW) {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }

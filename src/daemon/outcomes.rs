@@ -219,9 +219,9 @@ impl Daemon<'_> {
     /// The fingerprint of what a frame is converted with. Of one that was queued it is that of then: an obstacle that
     /// is written meanwhile is another one.
     fn made_with(&self, id: &FrameId, frame: &FrameState) -> String {
-        match frame.queued_with.is_empty() {
+        match frame.made_with.is_empty() {
             true => self.sequences.get(frame.sequence).fingerprint(&self.obstacles[id.root], &id.path),
-            false => frame.queued_with.clone(),
+            false => frame.made_with.clone(),
         }
     }
 

@@ -18,7 +18,8 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, FrameFile, ObstacleFiles, automatic_voxel_size, settings_fingerprint,
+    FileStamp, FrameError, FrameFile, ObstacleFiles, ObstacleStamps, automatic_voxel_size,
+    settings_fingerprint,
 };
 use crate::settings::Settings;
 
@@ -55,6 +56,16 @@ impl Sequence {
         match &self.settings {
             SequenceSettings::Fixed(settings, fingerprint) => {
                 frame_fingerprint(settings, fingerprint, obstacles, frame)
+            }
+            _ => String::new(),
+        }
+    }
+
+    /// The same of a frame among obstacles with these stamps.
+    pub(super) fn fingerprint_among(&self, stamps: &ObstacleStamps) -> String {
+        match &self.settings {
+            SequenceSettings::Fixed(settings, fingerprint) => {
+                fingerprint_among(settings, fingerprint, stamps)
             }
             _ => String::new(),
         }
@@ -150,7 +161,11 @@ fn frame_fingerprint(
         return fingerprint.to_owned();
     }
     let stamps = obstacles.stamps(FrameFile::new(frame.to_owned()).number());
-    let text = format!("{fingerprint}\n{}\n{stamps}", settings.void_threshold);
+    fingerprint_among(settings, fingerprint, &stamps)
+}
+
+fn fingerprint_among(settings: &Settings, fingerprint: &str, stamps: &ObstacleStamps) -> String {
+    let text = format!("{fingerprint}\n{}\n{}", settings.void_threshold, stamps.text);
     format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
 }
 

@@ -44,12 +44,12 @@ mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
-pub use frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage};
 pub use frame_particles::FrameParticles;
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
 pub use number_pattern::{NumberPattern, files_in};
-pub use obstacles::{FrameObstacles, ObstacleFiles};
+pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
 pub use provenance::{is_own_output, settings_fingerprint};
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};

@@ -285,6 +285,11 @@ impl FromStr for AttributeSelection {
         if names.iter().any(String::is_empty) {
             return Err(format!("`{text}` is no list of attributes, such as velocity,Cd; or all"));
         }
+        if names.len() > 1 && names.iter().any(|name| name == "all") {
+            return Err(format!(
+                "`{text}` names attributes beside all: write all, or only names, such as velocity,Cd"
+            ));
+        }
         Ok(if names == ["all"] { AttributeSelection::All } else { AttributeSelection::Named(names) })
     }
 }
@@ -381,5 +386,9 @@ mod tests {
         assert_eq!("all".parse(), Ok(AttributeSelection::All));
         assert_eq!("v, id".parse(), Ok(AttributeSelection::Named(vec!["v".into(), "id".into()])));
         assert!("v,,id".parse::<AttributeSelection>().is_err());
+        for text in ["all,age", "age, all", "all,all"] {
+            let why = text.parse::<AttributeSelection>().expect_err(text);
+            assert!(why.contains(text) && why.contains("beside all"), "{why}");
+        }
     }
 }

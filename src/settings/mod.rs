@@ -124,7 +124,7 @@ const VELOCITY_GAIN: f64 = 0.01;
 const NEIGHBOR_RADIUS_MAX_VOXELS: f64 = 200.0;
 
 /// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
-const ISLAND_MAX: f64 = 1000.0;
+pub const ISLAND_MAX: u32 = 1000;
 
 /// Cavities of this many voxels are rooms.
 const CAVITY_VOXELS_MAX: f64 = 1e6;
@@ -133,10 +133,10 @@ const CAVITY_VOXELS_MAX: f64 = 1e6;
 const DECIMATE_MAX: f64 = 1.0;
 
 /// Rounds after which normals tell nothing of the surface.
-const ROUNDS_MAX: f64 = 1000.0;
+pub const ROUNDS_MAX: u32 = 1000;
 
 /// Steps of either kind: a hundred times what the paper takes.
-const STEPS_MAX: f64 = 1e6;
+pub const STEPS_MAX: u32 = 1_000_000;
 
 /// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
@@ -200,9 +200,11 @@ impl Settings {
     }
 
     fn check_solver(&self) -> Result<(), SettingsError> {
-        require(self.redistance_every > 0, || "redistance at least every so many steps: 1 or more".into())?;
-        within("number of steps", f64::from(self.steps), 0.0, STEPS_MAX)?;
-        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, STEPS_MAX)?;
+        let steps_max = f64::from(STEPS_MAX);
+        let every = f64::from(self.redistance_every);
+        within("number of steps after which distances are restored", every, 1.0, steps_max)?;
+        within("number of steps", f64::from(self.steps), 0.0, steps_max)?;
+        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, steps_max)?;
         within("step size in h⁴", self.step_size, 1e-6, 1e4)?;
         if self.integrator == Integrator::Adaptive {
             let time = f64::from(self.steps) * self.step_size;
@@ -214,10 +216,20 @@ impl Settings {
 
     fn check_edits(&self) -> Result<(), SettingsError> {
         within("void threshold in h", self.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
-        within("number of particles of pieces to drop", f64::from(self.drop_islands), 0.0, ISLAND_MAX)?;
+        within(
+            "number of particles of pieces to drop",
+            f64::from(self.drop_islands),
+            0.0,
+            f64::from(ISLAND_MAX),
+        )?;
         within("volume of cavities to fill in h³", self.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
         within("error of decimation in h", self.decimate, 0.0, DECIMATE_MAX)?;
-        within("number of rounds of --smooth-normals", f64::from(self.smooth_normals), 0.0, ROUNDS_MAX)?;
+        within(
+            "number of rounds of --smooth-normals",
+            f64::from(self.smooth_normals),
+            0.0,
+            f64::from(ROUNDS_MAX),
+        )?;
         self.check_quads()
     }
 
@@ -361,9 +373,9 @@ fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, 
             let radius = choices.neighbor_radius.unwrap_or(NEIGHBOR_RADIUS * radius_min);
             let radius = positive("radius within which neighbours count", radius)?;
             require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
-                let voxels = radius / h;
                 format!(
-                    "neighbours count within {voxels} voxels; more than {NEIGHBOR_RADIUS_MAX_VOXELS} is not supported"
+                    "the radius within which neighbours count is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
+                    radius / h
                 )
             })?;
             let position_smoothing = choices.position_smoothing.unwrap_or(0.0);
@@ -378,20 +390,33 @@ fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, 
 }
 
 fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
-    let is_sound = |axis: usize| {
-        let (min, max) = (clip.min[axis], clip.max[axis]);
-        min.is_finite() && max.is_finite() && min < max
-    };
-    require((0..3).all(is_sound), || {
-        format!("the box {clip} is empty: each number of its first corner must be below that of the second")
+    require(clip.min.iter().chain(&clip.max).all(|number| number.is_finite()), || {
+        format!(
+            "the box {clip} has a number that is not finite: x0,y0,z0,x1,y1,z1 must be six finite numbers"
+        )
     })?;
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let (min, max) = (clip.min[axis], clip.max[axis]);
+        require(min < max, || {
+            format!(
+                "the box {clip} is empty: its {name}0 is {min} and must be below its {name}1, which is {max}: \
+                 x0,y0,z0 is the least corner, x1,y1,z1 the greatest"
+            )
+        })?;
+    }
     Ok(clip)
 }
 
 fn within(name: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
     require((least..=most).contains(&value), || {
+        let [least, most] = [least, most].map(in_short);
         format!("the {name} is {value}; it must be from {least} to {most}")
     })
+}
+
+/// A bound without a row of zeros.
+fn in_short(bound: f64) -> String {
+    if bound != 0.0 && bound < 1e-3 { format!("{bound:e}") } else { bound.to_string() }
 }
 
 fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {

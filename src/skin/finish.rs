@@ -35,14 +35,15 @@ pub(super) fn has_edits(settings: &Settings) -> bool {
 /// Takes away what the settings ask for. `particles` are those of each leaf, in voxels relative to its origin.
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
-    bounds: &mut Bounds,
+    mut bounds: Option<&mut Bounds>,
     particles: impl IntoIterator<Item = (IVec3, P)>,
     (scene, settings): (&Scene, &Settings),
     report: &mut EditReport,
 ) -> Edits {
     let mut edits = Edits::default();
     if settings.drop_islands > 0 {
-        let dropped = trim::drop_islands(band, bounds, u64::from(settings.drop_islands), particles);
+        let dropped =
+            trim::drop_islands(band, bounds.as_deref_mut(), u64::from(settings.drop_islands), particles);
         report.island_count = dropped.piece_count;
         report.island_particle_count = dropped.particle_count;
         edits.islands = Some(dropped);
@@ -56,7 +57,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         };
         let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
             if scene.obstacles.is_empty() { None } else { Some(&kept) };
-        let filled = trim::fill_cavities(band, bounds, settings.fill_cavities, kept);
+        let filled = trim::fill_cavities(band, bounds.as_deref_mut(), settings.fill_cavities, kept);
         report.cavity_count = filled.cavity_count;
         report.cavity_voxel_count = filled.voxel_count;
     }

@@ -147,7 +147,9 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let scene = scene(settings, &obstacles);
     let Scene { lattice, radii, .. } = scene;
     let edits = match finish::has_edits(settings) {
-        true => finish::edit(&mut band, &mut bounds, bins.leaves(), (&scene, settings), &mut report.edits),
+        true => {
+            finish::edit(&mut band, Some(&mut bounds), bins.leaves(), (&scene, settings), &mut report.edits)
+        }
         false => Edits::default(),
     };
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);

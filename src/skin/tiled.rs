@@ -15,7 +15,7 @@ use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
 use crate::certify::{Part, ParticleChecks, certificate};
 use crate::contour;
-use crate::grid::{Field, LEAF_EDGE};
+use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
 use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::ParticleSource;
@@ -169,11 +169,8 @@ pub fn contour<S: ParticleSource>(
             let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
             particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
         }
-        // Those of the frame were checked; what becomes of them here nobody asks.
-        let anything = |value: f32| Field::splat(band.topology.len(), value);
-        let mut bounds = Bounds { lower: anything(-half_width), upper: anything(half_width) };
-        let to = (&scene, settings);
-        edits = finish::edit(&mut band, &mut bounds, particles, to, &mut report.edits);
+        // The bounds were checked, and what becomes of them nobody asks.
+        edits = finish::edit(&mut band, None, particles, (&scene, settings), &mut report.edits);
     }
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.mesh = mesh.measure();

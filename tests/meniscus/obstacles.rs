@@ -366,7 +366,11 @@ fn obstacles_that_move_have_a_file_of_each_frame() {
         ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--on-error", "continue"];
     let all = convert(path, &[&arguments[..], &["--obstacle", "body.####.obj"]].concat());
     assert_eq!(all.status, 1, "{}", all.err);
-    assert!(all.err.contains("obstacle body.####.obj: no file for frame 3"), "{}", all.err);
+    // Once, with the frame and the file that it was to have.
+    let missing: Vec<&str> = all.err.lines().filter(|line| line.contains("frame 3")).collect();
+    let expected =
+        "error: dam.3.ply: obstacle body.0003.obj: no such file, and frame 3 needs its own of body.####.obj";
+    assert_eq!(missing, [expected], "{}", all.err);
     let vdb = |number: u32| fs::read(path.join(format!("o/dam.{number}.vdb"))).expect("readable");
     assert!(vdb(1) != vdb(2) && !path.join("o/dam.3.vdb").exists());
     for (number, same) in [("1", true), ("2", false)] {
@@ -380,7 +384,8 @@ fn obstacles_that_move_have_a_file_of_each_frame() {
     }
     fs::write(path.join("body.0003.obj"), "v 1 2 3\nv 1 2\n").expect("written");
     let broken = convert(path, &[&arguments[..], &["--obstacle", "body.%04d.obj", "--skip-done"]].concat());
-    assert!(broken.err.contains("body.0003.obj: OBJ, at line 2: "), "{}", broken.err);
+    let told = "dam.3.ply: obstacle body.0003.obj: OBJ, at line 2: ";
+    assert_eq!(broken.err.matches(told).count(), 1, "{}", broken.err);
     assert_eq!(broken.out.matches("done already").count(), 2, "{}", broken.out);
 }
 
@@ -406,6 +411,38 @@ fn obstacles_that_are_none_are_told() {
     assert_eq!(open.status, 0, "{}", open.err);
     assert!(open.err.contains("obstacle open.obj: ") && open.err.contains("open edges"), "{}", open.err);
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
+}
+
+/// Nothing is left of a surface that is in an obstacle, beyond a box, or all islands: that is told, and written.
+#[test]
+fn why_nothing_is_left_is_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &block(4, 0.0));
+    fs::write(path.join("ball.obj"), ball(DVec3::splat(0.15), 3.0).obj()).expect("written");
+    let arguments =
+        ["dam.1.ply", "--voxel-size", "0.05", "--format", "obj", "--out", "o", "--report", "r.json"];
+    let box_beyond = ["--clip", "5,5,5,6,6,6"];
+    let ball = ["--obstacle", "ball.obj"];
+    for (more, word) in [
+        (&box_beyond[..], "the clip box holds nothing of the surface"),
+        (&["--drop-islands", "100"], "every piece of the surface was dropped"),
+        (&ball, "all of the surface is inside obstacles"),
+        (&[ball, box_beyond].concat(), "all of the surface is inside obstacles"),
+        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box holds nothing"),
+    ] {
+        let ran = convert(path, &[&arguments, more].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.matches(word).count(), 1, "{more:?}: {}", ran.err);
+        let frame = &report(&path.join("r.json"))["frames"][0];
+        let notes: Vec<&str> =
+            frame["notes"].as_array().expect("notes").iter().filter_map(Value::as_str).collect();
+        assert!(notes.iter().any(|note| note.contains(word)), "{more:?}: {notes:?}");
+        assert_eq!((&frame["vertices"], &frame["status"]), (&0.into(), &"converted".into()), "{more:?}");
+        assert!(path.join("o/dam.1.obj").exists());
+    }
+    let all = convert(path, &[&arguments[..], &["--clip", "-5,-5,-5,0.1,5,5"]].concat());
+    assert!(!all.err.contains("nothing of the surface"), "{}", all.err);
 }
 
 /// A second run of the daemon's command does nothing, until the obstacle is another.
