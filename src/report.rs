@@ -40,6 +40,8 @@ pub struct SkinReport {
     pub seconds: StageSeconds,
     /// What was checked of the result.
     pub certificate: Certificate,
+    /// Vertices that were out of their bounds by more than half a voxel, and were moved back.
+    pub vertices_returned: usize,
     /// ∫H² over the surface, from φ; 4π for a sphere of any size.
     pub bending_energy: f64,
     /// What was measured on the mesh.

@@ -15,10 +15,10 @@ use crate::rasterize::{ParticleBins, Radii};
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// What a cell may hide, in voxels.
-const CELL_MARGIN: f32 = 0.5;
+pub(super) const CELL_MARGIN: f32 = 0.5;
 
 /// Vertices in a piece of work.
-const PIECE: usize = 4096;
+pub(super) const PIECE: usize = 4096;
 
 /// Vertices that meet particles at once.
 pub(super) const LANES: usize = 8;
@@ -52,16 +52,16 @@ impl Kernel for PieceChecks<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) -> ParticleChecks {
         let mut checks = ParticleChecks::NOTHING;
-        let mut near = NearLeaves { origin: IVec3::MAX, leaves: Vec::with_capacity(self.steps.len()) };
+        let mut near = NearLeaves::nowhere();
         let mut rest = self.positions;
         while let Some(&first) = rest.first() {
-            let (origin, _) = self.place(first);
+            let (origin, _) = place_of(self.part, first);
             let mut locals = [[0.0; LANES]; 3];
             let mut count = 0;
             // The last vertex repeats in lanes that would be empty.
             for lane in 0..LANES {
                 if let Some(&position) = rest.get(count) {
-                    let (leaf, local) = self.place(position);
+                    let (leaf, local) = place_of(self.part, position);
                     if count == lane && leaf == origin {
                         [locals[0][lane], locals[1][lane], locals[2][lane]] = local.to_array();
                         count += 1;
@@ -77,9 +77,7 @@ impl Kernel for PieceChecks<'_> {
             if !self.part.owned.contains(origin) {
                 continue;
             }
-            if near.origin != origin {
-                near.find(self.part.bins, origin, self.steps);
-            }
+            near.find_around(self.part.bins, origin, self.steps);
             let distances = near.distances(self.part.bins, &locals);
             let Radii { min, max, .. } = self.part.radii;
             let Sides { is_inside_min, is_within_max } = match self.bodies {
@@ -90,7 +88,7 @@ impl Kernel for PieceChecks<'_> {
                 Some(bodies) => bodies.sides(&near, &locals, [min, max], CELL_MARGIN),
             };
             for (lane, &position) in positions.iter().enumerate() {
-                if self.is_exempt(position) {
+                if is_exempt(self.part, position) {
                     continue;
                 }
                 checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
@@ -103,21 +101,20 @@ impl Kernel for PieceChecks<'_> {
     }
 }
 
-impl PieceChecks<'_> {
-    /// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
-    #[inline(always)]
-    fn place(&self, position: Vec3) -> (IVec3, Vec3) {
-        let index = (self.part.mesh.origin + position.as_dvec3()) / self.part.lattice.voxel_size;
-        let edge = f64::from(LEAF_EDGE);
-        let origin: DVec3 = (index / edge).floor() * edge;
-        (origin.as_ivec3(), (index - origin).as_vec3())
-    }
+/// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
+#[inline(always)]
+pub(super) fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
+    let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
+    let edge = f64::from(LEAF_EDGE);
+    let origin: DVec3 = (index / edge).floor() * edge;
+    (origin.as_ivec3(), (index - origin).as_vec3())
+}
 
-    #[inline(always)]
-    fn is_exempt(&self, position: Vec3) -> bool {
-        let Part { exempt, mesh, lattice, .. } = self.part;
-        !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
-    }
+/// Whether a vertex need not be between the spheres.
+#[inline(always)]
+pub(super) fn is_exempt(part: &Part, position: Vec3) -> bool {
+    let Part { exempt, mesh, lattice, .. } = part;
+    !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
 }
 
 /// The leaves around one that hold particles, the nearest first.
@@ -128,7 +125,17 @@ pub(super) struct NearLeaves {
 }
 
 impl NearLeaves {
-    fn find(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
+    /// Around no leaf.
+    pub(super) fn nowhere() -> NearLeaves {
+        NearLeaves { origin: IVec3::MAX, leaves: Vec::new() }
+    }
+
+    /// Those that hold particles, of the leaves so many steps from one.
+    #[inline(always)]
+    pub(super) fn find_around(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
+        if self.origin == origin {
+            return;
+        }
         self.origin = origin;
         self.leaves.clear();
         let found =
@@ -190,8 +197,8 @@ pub(super) fn is_inside_one(
     radius: f32,
 ) -> bool {
     let longest = bodies.map_or(1.0, Bodies::longest);
-    let mut near = NearLeaves { origin, leaves: Vec::new() };
-    near.find(bins, origin, &leaf_steps_within(radius * longest));
+    let mut near = NearLeaves::nowhere();
+    near.find_around(bins, origin, &leaf_steps_within(radius * longest));
     let points = point.to_array().map(|axis| [axis; LANES]);
     match bodies {
         None => near.distances(bins, &points)[0] < radius,

@@ -70,6 +70,11 @@ impl ParticleChecks {
         ParticleChecks { particles_outside, particles_exempt, ..vertices }
     }
 
+    /// Whether vertices are out of their bounds.
+    pub fn has_strays(&self) -> bool {
+        self.vertices_inside_min + self.vertices_outside_max > 0
+    }
+
     /// The checks of two parts that have no leaf in common, together.
     pub fn and(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {

@@ -209,6 +209,8 @@ struct CertificateRecord {
     particles_outside: usize,
     /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
+    /// Vertices that were out of their bounds, and were moved back.
+    vertices_returned: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
@@ -461,6 +463,7 @@ fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_outside_max: certificate.vertices_outside_max,
         particles_outside: certificate.particles_outside,
         particles_exempt: certificate.particles_exempt,
+        vertices_returned: report.vertices_returned,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
     }

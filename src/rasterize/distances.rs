@@ -53,14 +53,13 @@ pub(super) enum Gauge<'a> {
 impl<'a> Gauge<'a> {
     /// For these particles.
     pub(super) fn new(bins: &'a ParticleBins, radii: Radii) -> Gauge<'a> {
-        let sizes = [radii.max, radii.init, radii.min];
         match &bins.shapes {
             Shapes::Balls => Gauge::Centers(Eights::new(bins), radii.exact_reach(1.0)),
             Shapes::Scaled(scales) => {
-                Gauge::Balls(Bodies::new(bins, sizes, |particle| Ball(scales[particle])))
+                Gauge::Balls(Bodies::new(bins, radii, |particle| Ball(scales[particle])))
             }
             Shapes::Ellipsoids(ellipsoids) => {
-                Gauge::Ellipsoids(Bodies::new(bins, sizes, |particle| ellipsoids[particle]))
+                Gauge::Ellipsoids(Bodies::new(bins, radii, |particle| ellipsoids[particle]))
             }
         }
     }

@@ -26,9 +26,9 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::EXACT_MARGIN;
 use super::bin::ParticleBins;
 use super::sphere::{OUT_OF_REACH, greatest};
+use super::{EXACT_MARGIN, Radii};
 use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, leaf_steps_within};
 use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes};
@@ -51,6 +51,9 @@ pub(super) trait Form: Copy + Sync + Send {
     /// The shortest half axis, or less, in units of the radii.
     fn shortest(&self) -> f32;
 
+    /// Of each union, S_max, S_0 and S_min, the distance up to which no particle that is so near is passed by.
+    fn told(radii: &Radii) -> [f32; 3];
+
     /// How far from the centre it counts along each axis, in voxels, where its outermost radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
 
@@ -67,6 +70,8 @@ pub(super) struct Bodies<F> {
     classes: Vec<Class<F>>,
     /// r_max, r_init, r_min.
     radii: [f32; 3],
+    /// Of each union the distance up to which every particle so near was looked at.
+    told: [f32; 3],
 }
 
 /// Particles of about one size.
@@ -105,8 +110,10 @@ struct Axes {
 }
 
 impl<F: Form> Bodies<F> {
-    /// Those of the bins; `radii` are r_max, r_init and r_min.
-    pub(super) fn new(bins: &ParticleBins, radii: [f32; 3], form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
+    /// Those of the bins.
+    pub(super) fn new(bins: &ParticleBins, radii: Radii, form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
+        let told = F::told(&radii);
+        let radii = [radii.max, radii.init, radii.min];
         let class_of = |particle: usize| {
             let doublings = (form(particle).longest() / CLASS_LONGEST).log2().ceil();
             // A float is no smaller than 0 here, and far below 256.
@@ -119,7 +126,7 @@ impl<F: Form> Bodies<F> {
         let class = |&number: &u8| {
             Class::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| form(particle)))
         };
-        Bodies { classes: numbers.iter().map(class).collect(), radii }
+        Bodies { classes: numbers.iter().map(class).collect(), radii, told }
     }
 
     /// The signed distances to the three unions for all of these leaves, in the order of the radii; deep inside
@@ -140,7 +147,8 @@ impl<F: Form> Bodies<F> {
             }
             let around = self.around(origin);
             let settled = settled(origin);
-            [*max, *init, *min] = simd::dispatch(Signed { around: &around, radii: self.radii, settled });
+            [*max, *init, *min] =
+                simd::dispatch(Signed { around: &around, radii: self.radii, told: self.told, settled });
         });
         fields
     }
@@ -251,6 +259,7 @@ struct Around<'a, F> {
 struct Signed<'a, F> {
     around: &'a [Around<'a, F>],
     radii: [f32; 3],
+    told: [f32; 3],
     settled: &'a LeafMask,
 }
 
@@ -272,10 +281,11 @@ impl<F: Form> Kernel for Signed<'_, F> {
                 }
             }
         }
-        for leaf in &mut values.leaves {
+        for (leaf, told) in values.leaves.iter_mut().zip(self.told) {
             for row in 0..ROW_COUNT {
                 let row = leaf.row_mut(row);
-                V::load(row).max(V::splat(-DEEP)).store(row);
+                let value = V::load(row).max(V::splat(-DEEP));
+                V::select(V::splat(told).lt(value), V::splat(OUT_OF_REACH), value).store(row);
             }
         }
         values.leaves
@@ -388,6 +398,11 @@ impl Form for Ball {
         self.0
     }
 
+    /// The larger a ball is, the farther it is from S_0 where it ceases to count; so the smallest tells.
+    fn told(radii: &Radii) -> [f32; 3] {
+        [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.shortest * (radii.max - radius))
+    }
+
     fn extents(&self, outermost: f32) -> Vec3 {
         Vec3::splat(outermost * self.0 + EXACT_MARGIN)
     }
@@ -425,6 +440,11 @@ impl Form for Ellipsoid {
 
     fn shortest(&self) -> f32 {
         1.0 / longest_image(self)
+    }
+
+    /// Nobody asks for more than what is beside the surfaces.
+    fn told(_: &Radii) -> [f32; 3] {
+        [OUT_OF_REACH; 3]
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {

@@ -10,7 +10,7 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::{Scene, lattice};
-use crate::certify::Exempt;
+use crate::certify::{Exempt, Part, ParticleChecks, strays};
 use crate::contour;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
@@ -84,6 +84,32 @@ pub(super) fn mesh(
         clip.hold(&mut mesh);
     }
     mesh
+}
+
+/// Checks a mesh in parts. Vertices that are out of their bounds are moved back, and then all are checked again.
+///
+/// # Errors
+/// Those of the parts.
+pub(super) fn check<E>(
+    mesh: &mut Mesh,
+    report: &mut SkinReport,
+    mut each_part: impl FnMut(&Mesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
+) -> Result<ParticleChecks, E> {
+    let mut checks = ParticleChecks::NOTHING;
+    each_part(mesh, &mut |part| checks = checks.and(ParticleChecks::of(part)))?;
+    if !checks.has_strays() {
+        return Ok(checks);
+    }
+    let mut found = Vec::new();
+    each_part(mesh, &mut |part| found.extend(strays(part)))?;
+    for stray in &found {
+        mesh.positions[stray.vertex] = stray.position;
+    }
+    report.vertices_returned = found.len();
+    report.mesh = mesh.measure();
+    let mut checks = ParticleChecks::NOTHING;
+    each_part(mesh, &mut |part| checks = checks.and(ParticleChecks::of(part)))?;
+    Ok(checks)
 }
 
 /// Makes the mesh what the settings ask for, and measures it again if that changed it.

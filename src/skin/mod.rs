@@ -13,6 +13,7 @@ mod shelves;
 pub mod tiled;
 mod tiles;
 
+use std::convert::Infallible;
 use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
@@ -20,7 +21,7 @@ pub use plan::{Plan, Surroundings, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
-use crate::certify::{Part, ParticleChecks, certificate};
+use crate::certify::{Part, certificate};
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
@@ -155,10 +156,12 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.mesh = mesh.measure();
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
-    let whole = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
+    let Ok(checks) = finish::check(&mut mesh, &mut report, |mesh, check| {
+        check(&Part { bins: &bins, radii, band: &band, mesh, lattice: &lattice, owned, exempt });
+        Ok::<(), Infallible>(())
+    });
     let violation_count = bounds.violation_count(&band.phi);
-    report.certificate =
-        certificate(ParticleChecks::of(&whole), violation_count, &mesh, &report.mesh, &lattice);
+    report.certificate = certificate(checks, violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();

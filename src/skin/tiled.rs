@@ -13,7 +13,7 @@ use super::finish::{self, Edits, Exemptions};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
-use crate::certify::{Part, ParticleChecks, certificate};
+use crate::certify::{Part, certificate};
 use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
@@ -175,12 +175,13 @@ pub fn contour<S: ParticleSource>(
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.mesh = mesh.measure();
     let exempt = &Exemptions { scene: &scene, edits: &edits };
-    let mut checks = ParticleChecks::NOTHING;
-    for tile in tiles {
-        let (owned, bins) = tile_particles(tile)?;
-        let part = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
-        checks = checks.and(ParticleChecks::of(&part));
-    }
+    let checks = finish::check(&mut mesh, &mut report, |mesh, check| {
+        for &tile in &tiles {
+            let (owned, bins) = tile_particles(tile)?;
+            check(&Part { bins: &bins, radii, band: &band, mesh, lattice: &lattice, owned, exempt });
+        }
+        Ok::<(), TiledError<S::Error>>(())
+    })?;
     report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     finish::simplify(&mut mesh, settings, &mut report);
