@@ -230,7 +230,19 @@ fn smooth_config(settings: &Settings) -> smooth::Config {
         step_size: settings.step_size as f32,
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
+        keeps_spheres: can_spheres_shrink(settings),
     }
+}
+
+/// What implicit steps may take of a lone sphere's radius, in voxels.
+const SHRINKING_MAX: f64 = 0.15;
+
+/// Whether implicit steps could take more than that before a lone sphere is as small as its bound lets it be. Not so with the
+/// radii that follow from the voxel size; with radii of the particles' own, always.
+fn can_spheres_shrink(settings: &Settings) -> bool {
+    let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
+    let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
+    settings.own_radii.is_some() || left - least > SHRINKING_MAX
 }
 
 /// Memory that a topology takes for a leaf: its origin, its neighbours, and its place in the map.
