@@ -65,6 +65,23 @@ pub(super) trait Form: Copy + Sync + Send {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ball(pub(super) f32);
 
+/// An ellipsoid: its half axes in units of the settings' radii.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stretched {
+    ellipsoid: Ellipsoid,
+    shadow: Shadow,
+    /// No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
+    ratio_min: f32,
+}
+
+impl Stretched {
+    pub(super) fn new(ellipsoid: Ellipsoid) -> Stretched {
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
+        Stretched { shadow: Shadow::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
+    }
+}
+
 /// Particles of any shape, to be found around a leaf.
 pub(super) struct Bodies<F> {
     classes: Vec<Class<F>>,
@@ -432,14 +449,14 @@ impl Form for Ball {
     }
 }
 
-impl Form for Ellipsoid {
+impl Form for Stretched {
     #[inline(always)]
     fn longest(&self) -> f32 {
-        self.longest
+        self.ellipsoid.longest
     }
 
     fn shortest(&self) -> f32 {
-        1.0 / longest_image(self)
+        1.0 / longest_image(&self.ellipsoid)
     }
 
     /// Nobody asks for more than what is beside the surfaces.
@@ -448,15 +465,13 @@ impl Form for Ellipsoid {
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
-        outermost * Ellipsoid::extents(self) + ELLIPSOID_MARGIN
+        outermost * self.ellipsoid.extents() + ELLIPSOID_MARGIN
     }
 
     #[inline(always)]
     fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
-        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
-        // No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
-        let ratio_min = 1.0 / (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
-        let shadow = Shadow::of(self);
+        let Stretched { ellipsoid, shadow, ratio_min } = self;
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let dz = along_z::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -479,7 +494,7 @@ impl Form for Ellipsoid {
                 let wy = V::splat(xy).mul(tx).add(V::splat(yy).mul(ty)).add(V::splat(yz).mul(tz));
                 let wz = V::splat(xz).mul(tx).add(V::splat(yz).mul(ty)).add(V::splat(zz).mul(tz));
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
-                let ratio = q_squared.div(w_squared).sqrt().max(V::splat(ratio_min));
+                let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
                 let q = q_squared.sqrt();
                 for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
                     let apart = q.sub(V::splat(radius)).mul(ratio);
@@ -492,6 +507,7 @@ impl Form for Ellipsoid {
 }
 
 /// What an ellipsoid is along rows of voxels: |T·d|², at its least over all z, is a square form of d's x and y.
+#[derive(Clone, Copy, Debug)]
 struct Shadow {
     xx: f32,
     yy: f32,
@@ -499,7 +515,6 @@ struct Shadow {
 }
 
 impl Shadow {
-    #[inline(always)]
     fn of(ellipsoid: &Ellipsoid) -> Shadow {
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
@@ -521,7 +536,6 @@ impl Shadow {
 }
 
 /// T makes no vector of length 1 longer than this: the greatest sum of a row's absolute values.
-#[inline(always)]
 fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
     let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f32::abs);
     (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)
