@@ -9,6 +9,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::particle_checks::{Part, ParticleChecks};
+use super::strays::{MOVE_MAX, Stray, returned};
 use super::surfaces::{Bodies, Sides};
 use crate::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::rasterize::{ParticleBins, Radii};
@@ -18,7 +19,7 @@ use crate::simd::{Kernel, Lanes, dispatch};
 pub(super) const CELL_MARGIN: f32 = 0.5;
 
 /// Vertices in a piece of work.
-pub(super) const PIECE: usize = 4096;
+const PIECE: usize = 4096;
 
 /// Vertices that meet particles at once.
 pub(super) const LANES: usize = 8;
@@ -26,15 +27,19 @@ pub(super) const LANES: usize = 8;
 /// One coordinate of each of these vertices.
 pub(super) type Column = [f32; LANES];
 
-/// Checks how far the vertices of a part are from its particles.
-pub(super) fn check_vertices(part: &Part) -> ParticleChecks {
+/// Checks how far the vertices of a part are from its particles; and where those belong that are out of their bounds.
+pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
     let bodies = Bodies::of(part.bins);
     let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
-    let steps = leaf_steps_within(part.radii.max * longest + CELL_MARGIN);
-    let pieces = part.mesh.positions.par_chunks(PIECE);
-    let checks = pieces
-        .map(|positions| dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, positions }));
-    checks.reduce(|| ParticleChecks::NOTHING, ParticleChecks::and)
+    let steps = leaf_steps_within(part.radii.max * longest + CELL_MARGIN + 2.0 * MOVE_MAX);
+    let pieces = part.mesh.positions.par_chunks(PIECE).enumerate();
+    let check = |(piece, positions)| {
+        let first = piece * PIECE;
+        dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, first, positions })
+    };
+    let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
+    let checks = pieces.iter().fold(ParticleChecks::NOTHING, |checks, (piece, _)| checks.and(*piece));
+    (checks, pieces.into_iter().flat_map(|(_, strays)| strays).collect())
 }
 
 /// Checks some vertices.
@@ -43,15 +48,17 @@ struct PieceChecks<'a> {
     /// The particles, where they have shapes of their own.
     bodies: Option<&'a Bodies<'a>>,
     steps: &'a [IVec3],
+    /// The number of the first of them.
+    first: usize,
     positions: &'a [Vec3],
 }
 
 impl Kernel for PieceChecks<'_> {
-    type Output = ParticleChecks;
+    type Output = (ParticleChecks, Vec<Stray>);
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> ParticleChecks {
-        let mut checks = ParticleChecks::NOTHING;
+    fn run<V: Lanes>(self) -> (ParticleChecks, Vec<Stray>) {
+        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
         let mut near = NearLeaves::nowhere();
         let mut rest = self.positions;
         while let Some(&first) = rest.first() {
@@ -72,6 +79,7 @@ impl Kernel for PieceChecks<'_> {
                     local[lane] = local[count - 1];
                 }
             }
+            let first = self.first + self.positions.len() - rest.len();
             let positions = &rest[..count];
             rest = &rest[count..];
             if !self.part.owned.contains(origin) {
@@ -95,15 +103,29 @@ impl Kernel for PieceChecks<'_> {
                 checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
                 checks.vertices_inside_min += usize::from(is_inside_min[lane]);
                 checks.vertices_outside_max += usize::from(!is_within_max[lane]);
+                if is_inside_min[lane] | !is_within_max[lane] {
+                    let local = Vec3::new(locals[0][lane], locals[1][lane], locals[2][lane]);
+                    strays.extend(self.stray(&near, first + lane, origin, local));
+                }
             }
         }
-        checks
+        (checks, strays)
+    }
+}
+
+impl PieceChecks<'_> {
+    /// A vertex that is out of its bounds: there are few.
+    #[cold]
+    fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
+        let place = origin.as_dvec3() + returned(self.part, near, local)?.as_dvec3();
+        let Part { mesh, lattice, .. } = self.part;
+        Some(Stray { vertex, position: (place * lattice.voxel_size - mesh.origin).as_vec3() })
     }
 }
 
 /// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
 #[inline(always)]
-pub(super) fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
+fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
     let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
     let edge = f64::from(LEAF_EDGE);
     let origin: DVec3 = (index / edge).floor() * edge;
@@ -112,7 +134,7 @@ pub(super) fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
 
 /// Whether a vertex need not be between the spheres.
 #[inline(always)]
-pub(super) fn is_exempt(part: &Part, position: Vec3) -> bool {
+fn is_exempt(part: &Part, position: Vec3) -> bool {
     let Part { exempt, mesh, lattice, .. } = part;
     !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
 }

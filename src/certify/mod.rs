@@ -20,8 +20,8 @@ mod surfaces;
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-pub use particle_checks::{Part, ParticleChecks};
-pub use strays::{Stray, strays};
+pub use particle_checks::{Part, ParticleChecks, check};
+pub use strays::Stray;
 
 use crate::mesh::{Mesh, MeshMeasures};
 use crate::space::Lattice;

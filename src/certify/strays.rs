@@ -7,12 +7,10 @@
 //! ```
 
 use glam::Vec3;
-use rayon::prelude::*;
 
-use super::distances::{CELL_MARGIN, NearLeaves, PIECE, is_exempt, place_of};
+use super::distances::{CELL_MARGIN, NearLeaves};
 use super::particle_checks::Part;
-use super::surfaces::{Bodies, distances_and_outward};
-use crate::grid::leaf_steps_within;
+use super::surfaces::distances_and_outward;
 use crate::rasterize::{ParticleBins, Radii};
 
 /// A vertex that is out of its bounds, and the nearest place in them.
@@ -24,47 +22,13 @@ pub struct Stray {
     pub position: Vec3,
 }
 
-/// The strays of a part, as far as there is a place for them within a voxel.
-pub fn strays(part: &Part) -> Vec<Stray> {
-    let longest = Bodies::of(part.bins).map_or(1.0, |bodies| bodies.longest());
-    let steps = leaf_steps_within(part.radii.max * longest + REACH);
-    let of_piece = |(piece, positions): (usize, &[Vec3])| {
-        let mut near = NearLeaves::nowhere();
-        let mut found = Vec::new();
-        for (index, &position) in positions.iter().enumerate() {
-            let (origin, local) = place_of(part, position);
-            if !part.owned.contains(origin) || is_exempt(part, position) {
-                continue;
-            }
-            near.find_around(part.bins, origin, &steps);
-            let Some(local) = settled(part, &near, local) else { continue };
-            let index_space = origin.as_dvec3() + local.as_dvec3();
-            let position = (index_space * part.lattice.voxel_size - part.mesh.origin).as_vec3();
-            found.push(Stray { vertex: piece * PIECE + index, position });
-        }
-        found
-    };
-    part.mesh.positions.par_chunks(PIECE).enumerate().flat_map_iter(of_piece).collect()
-}
-
-/// How far around r_max particles are looked for, in voxels.
-const REACH: f32 = 2.0;
-
-/// No vertex is moved farther than this, in voxels.
-const MOVE_MAX: f32 = 1.0;
-
-/// Steps after which a vertex is left where it is.
-const STEPS_MAX: usize = 8;
-
-/// How much farther than to its bound a vertex is moved, in voxels: more than its position is rounded.
-const SLACK: f32 = 2e-3;
-
-/// Where a vertex, given relative to its leaf, belongs; `None` where it may stay, or where no place is found.
-fn settled(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
+/// Where a vertex that is out of its bounds belongs, given relative to the leaf that the leaves are near to; `None` if
+/// there is no place for it within a voxel.
+pub(super) fn returned(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
     let mut place = local;
     for _ in 0..STEPS_MAX {
         match step(part.bins, near, part.radii, place) {
-            None => return (place != local).then_some(place),
+            None => return Some(place),
             Some(step) => place += step,
         }
         if place.distance(local) > MOVE_MAX {
@@ -74,12 +38,26 @@ fn settled(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
     None
 }
 
+/// No vertex is moved farther than this, in voxels.
+pub(super) const MOVE_MAX: f32 = 1.0;
+
+/// Steps after which a vertex is left where it is.
+const STEPS_MAX: usize = 8;
+
+/// How much farther than to its bound a vertex is moved, in voxels: more than its position is rounded.
+const SLACK: f32 = 2e-3;
+
 /// The way to the bound that a place is beyond; `None` where it is beyond neither.
 fn step(bins: &ParticleBins, near: &NearLeaves, radii: Radii, place: Vec3) -> Option<Vec3> {
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
     for &(from_leaf, leaf) in &near.leaves {
         for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
             let apart = place - from_leaf - center;
+            // What is said of an ellipsoid far away is less than its distance; and who is near must not depend on
+            // which leaves were looked at.
+            if apart.length() > radii.max * bins.shapes.longest(index) + CELL_MARGIN + MOVE_MAX {
+                continue;
+            }
             let ([to_min, to_max], outward) =
                 distances_and_outward(&bins.shapes, index, apart, [radii.min, radii.max]);
             if to_min < deepest.0 {
@@ -90,9 +68,11 @@ fn step(bins: &ParticleBins, near: &NearLeaves, radii: Radii, place: Vec3) -> Op
             }
         }
     }
-    if deepest.0 < -CELL_MARGIN {
+    // Whoever is asked for has been found out of bounds, if by rounding only.
+    let margin = CELL_MARGIN - SLACK / 2.0;
+    if deepest.0 < -margin {
         Some(deepest.1 * (SLACK - CELL_MARGIN - deepest.0))
-    } else if nearest.0 > CELL_MARGIN && nearest.0.is_finite() {
+    } else if nearest.0 > margin && nearest.0.is_finite() {
         Some(nearest.1 * (CELL_MARGIN - SLACK - nearest.0))
     } else {
         None
@@ -102,7 +82,7 @@ fn step(bins: &ParticleBins, near: &NearLeaves, radii: Radii, place: Vec3) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::certify::{NothingExempt, ParticleChecks};
+    use crate::certify::{NothingExempt, check};
     use crate::contour::{Contouring, contour};
     use crate::particles::{Cloud, Ellipsoid, Particles, Shapes};
     use crate::rasterize::{Rasterized, Scene, rasterize};
@@ -132,16 +112,15 @@ mod tests {
             let (owned, exempt) = (CoordBox::ALL, &NothingExempt);
             let part =
                 Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
-            let before = ParticleChecks::of(&part);
+            let (before, found) = check(&part);
             assert!(before.vertices_inside_min == 1 && before.vertices_outside_max == 1, "{before:?}");
-            let found = strays(&part);
             let mut mended = mesh.clone();
             for stray in &found {
                 mended.positions[stray.vertex] = stray.position;
             }
-            let after = ParticleChecks::of(&Part { mesh: &mended, ..part });
+            let (after, _) = check(&Part { mesh: &mended, ..part });
             assert_eq!(found.len(), 2, "{found:?}");
-            assert!(!after.has_strays(), "{after:?}");
+            assert_eq!(after.vertices_inside_min + after.vertices_outside_max, 0, "{after:?}");
         }
     }
 }

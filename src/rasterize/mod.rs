@@ -310,7 +310,8 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
     // What is not stored is at least the half width away, and a voxel beside it nearly so. Outer bounds that are
-    // farther than the band has room for must not let the surface out of it; those of balls that are alike never do.
+    // farther than the band has room for must not let the surface out of it; those of balls that are alike never do. Inward it
+    // goes far only where it is sharply convex, as only small balls are, and their own S_min is near.
     let held_beyond = if bins.shapes.are_balls() { f32::INFINITY } else { half_width - 2.0 };
     finish(&mut band, &mut bounds, held_beyond);
     let contact = match scene.obstacles.is_empty() {

@@ -10,7 +10,7 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::{Scene, lattice};
-use crate::certify::{Exempt, Part, ParticleChecks, strays};
+use crate::certify::{self, Exempt, Part, ParticleChecks};
 use crate::contour;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
@@ -95,21 +95,27 @@ pub(super) fn check<E>(
     report: &mut SkinReport,
     mut each_part: impl FnMut(&Mesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
 ) -> Result<ParticleChecks, E> {
-    let mut checks = ParticleChecks::NOTHING;
-    each_part(mesh, &mut |part| checks = checks.and(ParticleChecks::of(part)))?;
-    if !checks.has_strays() {
+    let mut check_all = |mesh: &Mesh| {
+        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
+        each_part(mesh, &mut |part| {
+            let (of_part, found) = certify::check(part);
+            checks = checks.and(of_part);
+            strays.extend(found);
+        })?;
+        Ok((checks, strays))
+    };
+    let (checks, strays) = check_all(mesh)?;
+    if strays.is_empty() {
         return Ok(checks);
     }
-    let mut found = Vec::new();
-    each_part(mesh, &mut |part| found.extend(strays(part)))?;
-    for stray in &found {
+    for stray in &strays {
         mesh.positions[stray.vertex] = stray.position;
+        mesh.normals[stray.vertex] = Vec3::ZERO;
     }
-    report.vertices_returned = found.len();
+    contour::fill_zero_normals(mesh);
+    report.vertices_returned = strays.len();
     report.mesh = mesh.measure();
-    let mut checks = ParticleChecks::NOTHING;
-    each_part(mesh, &mut |part| checks = checks.and(ParticleChecks::of(part)))?;
-    Ok(checks)
+    Ok(check_all(mesh)?.0)
 }
 
 /// Makes the mesh what the settings ask for, and measures it again if that changed it.

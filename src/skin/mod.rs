@@ -238,7 +238,7 @@ fn smooth_config(settings: &Settings) -> smooth::Config {
 const SHRINKING_MAX: f64 = 0.15;
 
 /// Whether implicit steps could take more than that before a lone sphere is as small as its bound lets it be. Not so with the
-/// radii that follow from the voxel size; with radii of the particles' own, always.
+/// radii that follow from the voxel size, after 15 Laplacian steps; with radii of the particles' own, always.
 fn can_spheres_shrink(settings: &Settings) -> bool {
     let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
     let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
