@@ -27,6 +27,8 @@ pub struct Settings {
     pub radius_init: f64,
     /// r_max, world units.
     pub radius_max: f64,
+    /// r_max / r_min as it was chosen: their quotient may be another number by a rounding.
+    pub radius_ratio: f64,
     /// Where particles have radii of their own: then the three above are those of a particle whose
     /// radius is `radius_min` / `scale`.
     pub own_radii: Option<OwnRadii>,
@@ -102,6 +104,9 @@ pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 /// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
+/// r_max / r_min, as the paper has it.
+const RADIUS_RATIO: f64 = 2.0;
+
 /// Narrower gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 1.0;
 
@@ -162,17 +167,18 @@ impl Settings {
     /// # Errors
     /// When a number is not finite or out of its range, or when the radii are out of order.
     pub fn resolve(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
-        let below = choices.preset.map_or_else(Choices::default, Preset::choices);
-        let choices = choices.clone().over(below);
+        let choices = choices.with_preset();
         let h = positive("voxel size", voxel_size)?;
-        let [radius_min, radius_init, radius_max] = radii(h, &choices)?;
+        let radius_ratio = choices.radius_ratio.unwrap_or(RADIUS_RATIO);
+        let [radius_min, radius_init, radius_max] = radii(h, radius_ratio, &choices)?;
         let integrator = choices.integrator.unwrap_or(Integrator::Fast);
-        let explicit = matches!(integrator, Integrator::Explicit | Integrator::Adaptive);
+        let explicit = is_explicit(integrator);
         let settings = Settings {
             voxel_size: h,
             radius_min,
             radius_init,
             radius_max,
+            radius_ratio,
             own_radii: own_radii(&choices)?,
             anisotropy: anisotropy(&choices, radius_min, h)?,
             void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
@@ -185,7 +191,7 @@ impl Settings {
             attributes: choices.attributes,
             integrator,
             laplacian_steps: choices.laplacian_steps.unwrap_or(15),
-            steps: choices.steps.unwrap_or(if explicit { 500 } else { 5 }),
+            steps: choices.steps.unwrap_or_else(|| default_steps(integrator)),
             step_size: positive(
                 "step size",
                 choices.step_size.unwrap_or(if explicit { 0.01 } else { 20.0 }),
@@ -253,7 +259,7 @@ impl Settings {
         Choices {
             preset: None,
             radius_min: Some(self.radius_min),
-            radius_ratio: Some(self.radius_max / self.radius_min),
+            radius_ratio: Some(self.radius_ratio),
             radius_init: Some(self.radius_init),
             radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
             radius_scale: self.own_radii.as_ref().map(|own| own.scale),
@@ -297,7 +303,7 @@ impl Settings {
     /// When there is none.
     pub fn check(choices: &Choices) -> Result<(), SettingsError> {
         let sound = |radius: &f64| radius.is_finite() && *radius > 0.0;
-        let ratio = choices.radius_ratio.unwrap_or(2.0);
+        let ratio = choices.radius_ratio.unwrap_or(RADIUS_RATIO);
         // One that puts a radius that was given between the others. What is wrong with the ratio
         // is told by `resolve`.
         let voxel_size = match (choices.radius_min.filter(sound), choices.radius_init.filter(sound)) {
@@ -334,10 +340,19 @@ impl Settings {
     }
 }
 
+/// Whether an integrator takes many small steps, and not a few large ones.
+fn is_explicit(integrator: Integrator) -> bool {
+    matches!(integrator, Integrator::Explicit | Integrator::Adaptive)
+}
+
+/// The biharmonic steps of an integrator, unless others are asked for.
+fn default_steps(integrator: Integrator) -> u32 {
+    if is_explicit(integrator) { 500 } else { 5 }
+}
+
 /// r_min, r_init and r_max.
-fn radii(h: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
+fn radii(h: f64, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
     let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
-    let ratio = choices.radius_ratio.unwrap_or(2.0);
     require(ratio.is_finite() && ratio >= 1.0, || {
         format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
     })?;
@@ -454,6 +469,34 @@ mod tests {
         for (index, settings) in all.iter().enumerate() {
             assert_eq!(Settings::resolve(0.5, &settings.to_choices()).as_ref(), Ok(settings));
             assert!(!all[..index].contains(settings), "{settings:?} twice");
+        }
+    }
+
+    #[test]
+    fn ratios_are_printed_as_they_were_chosen() {
+        // 3 r_min / r_min is not 3 for all of these.
+        for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
+            let choices = Choices { preset: Some(Preset::Smooth), ..Choices::default() };
+            let settings = Settings::resolve(voxel_size, &choices).expect("sound");
+            assert_eq!(settings.to_choices().radius_ratio, Some(3.0));
+            assert_eq!(Settings::resolve(voxel_size, &settings.to_choices()), Ok(settings));
+        }
+    }
+
+    #[test]
+    fn presets_take_as_much_more_or_less_with_any_integrator() {
+        for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive]
+        {
+            let resolved = |preset, steps| {
+                let choices = Choices { preset, steps, integrator: Some(integrator), ..Choices::default() };
+                Settings::resolve(1.0, &choices).expect("sound")
+            };
+            let own = resolved(None, None);
+            for (preset, fifths) in [(Preset::Smooth, 10), (Preset::Preview, 1), (Preset::Water, 5)] {
+                let settings = resolved(Some(preset), None);
+                assert_eq!((5 * settings.steps, settings.step_size), (fifths * own.steps, own.step_size));
+                assert_eq!(resolved(Some(preset), Some(7)).steps, 7);
+            }
         }
     }
 
