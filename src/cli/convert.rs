@@ -35,7 +35,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let start = Instant::now();
     clean_up_when_interrupted();
     if args.print_settings && args.inputs.is_empty() {
-        return print_settings(&[], &args.method, &thread_pool(args.threads)?, console);
+        return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
     for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
@@ -46,7 +46,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     }
     if args.print_settings {
         let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
-        return print_settings(&sequences, &args.method, &thread_pool(args.threads)?, console);
+        return print_settings(&sequences, args, &thread_pool(args.threads)?, console);
     }
     let obstacles = Arc::new(ObstacleFiles::new(args.method.obstacles.obstacle.clone()));
     if let Some(missing) = obstacles.missing() {

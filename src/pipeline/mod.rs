@@ -51,7 +51,7 @@ pub use method::{LevelSetSkinning, Method};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
-pub use provenance::{is_own_output, settings_fingerprint};
+pub use provenance::{compression_name, is_own_output, settings_fingerprint, up_name};
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use sink::{stop_writing, write_whole};

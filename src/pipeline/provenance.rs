@@ -124,7 +124,8 @@ fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     pairs
 }
 
-fn compression_name(compression: vdb::Compression) -> &'static str {
+/// A way of packing values, as it is typed.
+pub fn compression_name(compression: vdb::Compression) -> &'static str {
     match compression {
         vdb::Compression::None => "none",
         vdb::Compression::ActiveMask => "active",
@@ -132,7 +133,8 @@ fn compression_name(compression: vdb::Compression) -> &'static str {
     }
 }
 
-fn up_name(up: gltf::UpAxis) -> &'static str {
+/// An axis, as it is typed.
+pub fn up_name(up: gltf::UpAxis) -> &'static str {
     match up {
         gltf::UpAxis::Y => "y",
         gltf::UpAxis::Z => "z",
