@@ -171,11 +171,13 @@ fn resolve_settings(
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Result<(Settings, SequenceRecord), String>> {
+    let choices = choices(&args.method);
     let automatic = match args.method.first.voxel_size {
         Some(_) => None,
         None => {
             let paths = || sequence.frames.iter().map(|file| &*file.path);
-            match pool.install(|| automatic_voxel_size(paths())) {
+            let own_radii = choices.own_radii()?;
+            match pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref())) {
                 Ok(automatic) => Some(automatic),
                 Err(error) => return Ok(Err(error.to_string())),
             }
@@ -183,8 +185,8 @@ fn resolve_settings(
     };
     let given = args.method.first.voxel_size;
     let voxel_size = given.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
-    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(&args.method))
-        .with_context(|| sequence.name.clone())?;
+    let settings =
+        Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices).with_context(|| sequence.name.clone())?;
     say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
     if automatic.is_some() {
         warn_of_siblings(sequence, console);
@@ -229,11 +231,14 @@ fn say_settings(
     let frames = counted(selected_count, "frame");
     let voxel_size = match automatic {
         None => settings.voxel_size.to_string(),
-        Some(automatic) => format!(
-            "{} (half the particle spacing {}, measured on {})",
-            significant(automatic.voxel_size),
-            significant(automatic.spacing),
-            automatic.measured_on.file_name().unwrap_or_default().to_string_lossy()
+        Some(AutomaticVoxelSize { voxel_size, spacing, radius_median, measured_on }) => format!(
+            "{} ({}, measured on {})",
+            significant(*voxel_size),
+            match radius_median {
+                Some(radius) => format!("1/√3 of the particles' median r_min {}", significant(*radius)),
+                None => format!("half the particle spacing {}", significant(*spacing)),
+            },
+            measured_on.file_name().unwrap_or_default().to_string_lossy()
         ),
     };
     let [radius_min, radius_init, radius_max] =

@@ -45,11 +45,12 @@ pub(super) fn print_settings(
         let settings = Settings::resolve(given.unwrap_or(1.0), &choices)?;
         print(&keys(&settings, args, given.is_some())?, console);
     }
+    let own_radii = choices.own_radii()?;
     for sequence in sequences {
         let paths = || sequence.frames.iter().map(|file| &*file.path);
         let voxel_size = match given {
             Some(voxel_size) => voxel_size,
-            None => pool.install(|| automatic_voxel_size(paths()))?.voxel_size,
+            None => pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref()))?.voxel_size,
         };
         let settings = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
         console.say(format_args!("# {}", sequence.name));

@@ -68,7 +68,10 @@ fn shape_notes(shaping: &Shaping) -> Vec<String> {
             notes.push(format!("{} {what}", counted(count, "particle")));
         }
     };
-    tell(shaping.small_radius_count, "too small for the grid: r_min = √3·h was taken");
+    let holding = rounded_down(shaping.small_radius_min / 3f64.sqrt());
+    let small =
+        format!("too small for the grid: r_min = √3·h was taken; --voxel-size {holding} would hold them all");
+    tell(shaping.small_radius_count, &small);
     tell(shaping.invalid_radius_count, "without a radius that is a positive number: the least was taken");
     tell(shaping.large_radius_count, "too large for the grid: the largest radius that it holds was taken");
     tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
@@ -156,9 +159,29 @@ pub(super) fn significant(value: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
+/// A positive number to three significant digits, and not above it.
+fn rounded_down(value: f64) -> String {
+    let near: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let below = if near > value { near - 10f64.powf(value.log10().floor() - 2.0) } else { near };
+    significant(below)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn voxels_that_hold_a_particle_are_not_rounded_up() {
+        for (value, expected) in [
+            (0.123_456, "0.123"),
+            (0.129_999, "0.129"),
+            (9.999e-7, "9.99e-7"),
+            (12345.0, "12300"),
+            (0.5, "0.5"),
+        ] {
+            assert_eq!(rounded_down(value), expected);
+        }
+    }
 
     #[test]
     fn six_digits_say_enough_at_any_magnitude() {

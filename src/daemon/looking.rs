@@ -229,7 +229,7 @@ impl Daemon<'_> {
                 let why = why.clone();
                 self.fail_for_good(id, stamp, why);
             }
-            SequenceSettings::Unknown | SequenceSettings::BeingMeasured => {
+            SequenceSettings::Unknown(_) | SequenceSettings::BeingMeasured => {
                 self.dirty_sequences.insert(sequence);
             }
         }
@@ -330,7 +330,7 @@ impl Daemon<'_> {
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.phase = phase;
         // Others may have waited for this one, to be measured after it.
-        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown) {
+        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(frame.sequence);
         }
     }

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
-use crate::particles::{Attribute, AttributeValues, Meaning};
-use crate::settings::{Anisotropy, AttributeSelection, Settings};
+use crate::particles::{Attribute, AttributeValues, Cloud, Meaning};
+use crate::settings::{Anisotropy, AttributeSelection, OwnRadii, Settings};
 
 /// What a frame needs of the attributes in its file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,15 +35,19 @@ impl Needed {
 impl Wanted {
     /// What these settings ask for.
     pub fn by(settings: &Settings) -> Wanted {
-        let mut needed = Vec::new();
-        if let Some(own) = &settings.own_radii {
-            needed.push(Needed { name: own.attribute.clone(), arity: 1, option: "--radius-attribute" });
-        }
+        let mut needed = Wanted::radii(settings.own_radii.as_ref()).needed;
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             let name = "velocity".to_owned();
             needed.push(Needed { name, arity: 3, option: "--anisotropy velocity" });
         }
         Wanted { needed, selected: settings.attributes.clone() }
+    }
+
+    /// The particles' own radii only.
+    pub(super) fn radii(own: Option<&OwnRadii>) -> Wanted {
+        let needed =
+            |own: &OwnRadii| Needed { name: own.attribute.clone(), arity: 1, option: "--radius-attribute" };
+        Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
     /// Whether positions are enough.
@@ -94,6 +98,14 @@ impl Wanted {
     pub fn is_selected(&self, attribute: &Attribute) -> bool {
         self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
+}
+
+/// r_min of each particle whose own radius is a positive number, world units.
+pub(super) fn own_radii_min(cloud: &Cloud, own: &OwnRadii) -> Vec<f64> {
+    let attribute = cloud.attribute_of(&own.attribute, 1);
+    let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
+    let radii = radii.iter().map(|&radius| own.scale * f64::from(radius));
+    radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
 }
 
 /// A file's attribute as the method has it: reals in 32 bits, colours from 0 to 1.

@@ -36,6 +36,8 @@ pub struct SequenceRecord {
     /// Null where the voxel size was given, or where there is none.
     spacing: Option<f64>,
     spacing_measured_on: Option<String>,
+    /// Of particles with radii of their own, where the voxel size follows it; else null.
+    radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<SettingsRecord>,
     error: Option<String>,
@@ -122,6 +124,7 @@ struct MeasuredRecord {
 #[derive(Clone, Copy, Debug, Serialize)]
 struct ShapesRecord {
     small_radii: usize,
+    small_radius_min: f64,
     large_radii: usize,
     invalid_radii: usize,
     raised: usize,
@@ -314,6 +317,7 @@ impl SequenceRecord {
             sequence: name.to_owned(),
             spacing: automatic.map(|automatic| automatic.spacing),
             spacing_measured_on: automatic.map(|automatic| text(&automatic.measured_on)),
+            radius_median: automatic.and_then(|automatic| automatic.radius_median),
             settings: Some(settings_record(settings)),
             error: None,
         }
@@ -325,6 +329,7 @@ impl SequenceRecord {
             sequence: name.to_owned(),
             spacing: None,
             spacing_measured_on: None,
+            radius_median: None,
             settings: None,
             error: Some(why.to_owned()),
         }
@@ -401,6 +406,7 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
     let shaping = &report.shaping;
     (*shaping != Shaping::default()).then_some(ShapesRecord {
         small_radii: shaping.small_radius_count,
+        small_radius_min: shaping.small_radius_min,
         large_radii: shaping.large_radius_count,
         invalid_radii: shaping.invalid_radius_count,
         raised: shaping.raised_count,

@@ -179,7 +179,7 @@ impl Settings {
             radius_init,
             radius_max,
             radius_ratio,
-            own_radii: own_radii(&choices)?,
+            own_radii: choices.own_radii()?,
             anisotropy: anisotropy(&choices, radius_min, h)?,
             void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
             drop_islands: choices.drop_islands.unwrap_or(0),
@@ -373,10 +373,16 @@ fn radii(h: f64, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsErro
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
 }
 
-fn own_radii(choices: &Choices) -> Result<Option<OwnRadii>, SettingsError> {
-    let Some(attribute) = &choices.radius_attribute else { return Ok(None) };
-    let scale = positive("radius scale", choices.radius_scale.unwrap_or(1.0))?;
-    Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+impl Choices {
+    /// Where particles have radii of their own, if they have.
+    ///
+    /// # Errors
+    /// When their scale is no positive number.
+    pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
+        let Some(attribute) = &self.radius_attribute else { return Ok(None) };
+        let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
+        Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+    }
 }
 
 fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, SettingsError> {
