@@ -143,6 +143,9 @@ pub const ROUNDS_MAX: u32 = 1000;
 /// Steps of either kind: a hundred times what the paper takes.
 pub const STEPS_MAX: u32 = 1_000_000;
 
+/// More steps than this take so long that somebody should know before.
+const STEPS_TOLD: f64 = 2000.0;
+
 /// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
@@ -330,6 +333,14 @@ impl Settings {
                     .into(),
             );
         }
+        let (least, steps) = self.step_count();
+        if steps > STEPS_TOLD {
+            let at_least = if least { "at least " } else { "" };
+            warnings.push(format!(
+                "{at_least}{steps:.0} steps for each frame will take long; {} are the default",
+                default_steps(self.integrator)
+            ));
+        }
         if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(
                 "r_min is {:.3} voxels: below √3 a particle may fall between the voxels and be left outside",
@@ -337,6 +348,18 @@ impl Settings {
             ));
         }
         warnings
+    }
+}
+
+impl Settings {
+    /// How many biharmonic steps there will be, and whether that is the least: adaptive ones are as large as is stable
+    /// at most.
+    fn step_count(&self) -> (bool, f64) {
+        let steps = f64::from(self.steps);
+        match self.integrator {
+            Integrator::Adaptive => (true, steps * (self.step_size / EXPLICIT_STEP_MAX)),
+            Integrator::Fast | Integrator::Implicit | Integrator::Explicit => (false, steps),
+        }
     }
 }
 
@@ -503,6 +526,26 @@ mod tests {
                 assert_eq!((5 * settings.steps, settings.step_size), (fifths * own.steps, own.step_size));
                 assert_eq!(resolved(Some(preset), Some(7)).steps, 7);
             }
+        }
+    }
+
+    #[test]
+    fn many_steps_are_told_before_they_are_taken() {
+        let told = |integrator, steps, step_size| {
+            let choices = Choices { integrator: Some(integrator), steps, step_size, ..Choices::default() };
+            Settings::resolve(1.0, &choices)
+                .expect("sound")
+                .warnings()
+                .into_iter()
+                .find(|warning| warning.contains(" steps for each"))
+        };
+        let adaptive = told(Integrator::Adaptive, None, Some(20.0)).expect("so many");
+        assert!(adaptive.starts_with("at least 720000 steps"), "{adaptive}");
+        let explicit = told(Integrator::Explicit, Some(5000), None).expect("so many");
+        assert!(explicit.starts_with("5000 steps") && explicit.contains("500 are the default"), "{explicit}");
+        for integrator in [Integrator::Fast, Integrator::Explicit, Integrator::Adaptive] {
+            assert_eq!(told(integrator, None, None), None);
+            assert_eq!(told(integrator, Some(2000), None), None);
         }
     }
 
