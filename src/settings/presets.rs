@@ -20,6 +20,10 @@ pub enum Preset {
     Smooth,
 }
 
+/// How far particles of sheets are moved to the mean of their neighbours. On a crown of 28 554 particles, three voxels to
+/// the spacing, 0.4 leaves the sheet whole, 0.5 tears one hole into it and 0.6 to 0.9 two; bending energy falls by 5 % from there to 0.9.
+const SPLASH_SMOOTHING: f64 = 0.4;
+
 impl Preset {
     /// Every preset there is.
     pub const ALL: [Preset; 6] =
@@ -50,7 +54,12 @@ impl Preset {
             Preset::Water => Choices { fill_cavities: Some(200.0), ..none },
             Preset::Splash => {
                 let anisotropy = Some(AnisotropyKind::Neighbors);
-                Choices { anisotropy, position_smoothing: Some(0.9), fill_cavities: Some(200.0), ..none }
+                Choices {
+                    anisotropy,
+                    position_smoothing: Some(SPLASH_SMOOTHING),
+                    fill_cavities: Some(200.0),
+                    ..none
+                }
             }
             Preset::Granular => Choices { radius_ratio: Some(1.25), steps: fifths_of_steps(1), ..none },
             Preset::Preview => Choices { steps: fifths_of_steps(1), ..none },
