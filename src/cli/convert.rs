@@ -25,7 +25,7 @@ use super::inputs::find_inputs;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::print_settings::print_settings;
-use super::wording::{counted, described, notes, significant};
+use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant};
 
 /// Converts what the arguments ask for.
 ///
@@ -65,7 +65,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     };
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
-        let settings = resolve_settings(sequence, args, &pool, console)?;
+        let settings = resolve_settings(sequence, args, (&outputs, &obstacles), &pool, console)?;
         run.add(sequence, settings, &outputs, &obstacles);
     }
     out_folder.keep();
@@ -168,6 +168,7 @@ fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
 fn resolve_settings(
     SelectedSequence { sequence, selected }: &SelectedSequence,
     args: &ConvertArgs,
+    files: (&OutputOptions, &ObstacleFiles),
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Result<(Settings, SequenceRecord), String>> {
@@ -194,7 +195,7 @@ fn resolve_settings(
     for warning in settings.warnings() {
         console.warn(format_args!("warning: {}: {warning}", sequence.name));
     }
-    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref());
+    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref(), files);
     Ok(Ok((settings, record)))
 }
 
@@ -248,9 +249,6 @@ fn say_settings(
         sequence.name
     ));
 }
-
-/// What was said before so many frames has scrolled away.
-const FRAMES_IN_VIEW: usize = 20;
 
 /// A frame that was asked for.
 struct PlannedFrame {

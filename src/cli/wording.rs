@@ -3,6 +3,9 @@
 use crate::pipeline::FrameReport;
 use crate::report::{Shaping, SkinReport, TransferReport};
 
+/// What was said before more frames than this has scrolled away.
+pub(super) const FRAMES_IN_VIEW: usize = 20;
+
 /// One line about a frame that was converted.
 pub(super) fn described(report: &FrameReport) -> String {
     let skin = &report.skin;

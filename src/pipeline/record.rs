@@ -14,6 +14,9 @@ use crate::report::{EditReport, Shaping, SkinReport, TransferCounts, TransferRep
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
+use super::obstacles::ObstacleFiles;
+use super::outputs::OutputOptions;
+use super::provenance::chosen_options;
 use super::sink::write_whole;
 use super::voxel_size::AutomaticVoxelSize;
 
@@ -311,14 +314,25 @@ impl RunRecord {
 }
 
 impl SequenceRecord {
-    /// A sequence with settings, and where its voxel size is from unless it was given.
-    pub fn new(name: &str, settings: &Settings, automatic: Option<&AutomaticVoxelSize>) -> SequenceRecord {
+    /// A sequence with settings, and where its voxel size is from unless it was given; what is written, and what stands
+    /// in the way.
+    pub fn new(
+        name: &str,
+        settings: &Settings,
+        automatic: Option<&AutomaticVoxelSize>,
+        (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
+    ) -> SequenceRecord {
+        let mut more = settings.more();
+        if !obstacles.is_empty() {
+            more.insert("void_threshold", settings.void_threshold.to_string());
+        }
+        more.extend(chosen_options(outputs, settings));
         SequenceRecord {
             sequence: name.to_owned(),
             spacing: automatic.map(|automatic| automatic.spacing),
             spacing_measured_on: automatic.map(|automatic| text(&automatic.measured_on)),
             radius_median: automatic.and_then(|automatic| automatic.radius_median),
-            settings: Some(settings_record(settings)),
+            settings: Some(settings_record(settings, more)),
             error: None,
         }
     }
@@ -336,7 +350,7 @@ impl SequenceRecord {
     }
 }
 
-fn settings_record(settings: &Settings) -> SettingsRecord {
+fn settings_record(settings: &Settings, more: BTreeMap<&'static str, String>) -> SettingsRecord {
     SettingsRecord {
         voxel_size: settings.voxel_size,
         radius_min: settings.radius_min,
@@ -349,7 +363,7 @@ fn settings_record(settings: &Settings) -> SettingsRecord {
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
         contour: contouring_name(settings.contouring),
-        more: settings.more(),
+        more,
         warnings: settings.warnings(),
     }
 }
