@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, ObstacleFiles, OnError, Outcome,
     OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
-    default_in_flight, default_memory_bytes, is_own_output,
+    default_in_flight, is_own_output,
 };
 use crate::settings::Settings;
 use crate::simd::level_warning;
@@ -25,6 +25,7 @@ use super::inputs::find_inputs;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::print_settings::print_settings;
+use super::quantities::memory_bytes;
 use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant};
 
 /// Converts what the arguments ask for.
@@ -38,8 +39,11 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
-    for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
-        console.warn(format_args!("warning: {warning}"));
+    // What is wrong with an option that is ignored as well is told as that.
+    if is_sound(args) {
+        for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
+            console.warn(format_args!("warning: {warning}"));
+        }
     }
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
@@ -50,7 +54,13 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     }
     let obstacles = Arc::new(ObstacleFiles::new(args.method.obstacles.obstacle.clone()));
     if let Some(missing) = obstacles.missing() {
-        bail!("{}: there is no such obstacle", missing.display());
+        let missing_name = missing.display();
+        match missing.is_dir() {
+            true => bail!(
+                "{missing_name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj"
+            ),
+            false => bail!("{missing_name}: there is no such obstacle"),
+        }
     }
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
@@ -58,6 +68,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     refuse_conflicts(&sequences, &found, &obstacles, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
+    let memory_bytes = memory_bytes(args.memory)?;
 
     let on_error = match args.on_error {
         OnErrorChoice::Stop => OnError::Stop,
@@ -69,9 +80,17 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         run.add(sequence, settings, &outputs, &obstacles);
     }
     out_folder.keep();
-    let memory_bytes = args.memory.unwrap_or_else(default_memory_bytes);
     run.convert(args.skip_done, memory_bytes, &pool, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
+}
+
+/// Whether the settings make sense, as far as can be told before frames are looked at.
+fn is_sound(args: &ConvertArgs) -> bool {
+    let choices = choices(&args.method);
+    match args.method.first.voxel_size {
+        Some(voxel_size) => Settings::resolve(voxel_size, &choices).is_ok(),
+        None => Settings::check(&choices).is_ok(),
+    }
 }
 
 /// What to convert.

@@ -27,6 +27,26 @@ struct Needed {
 }
 
 impl Needed {
+    /// What to say where it is not among these attributes, of which it is told which there are.
+    fn why_missing(&self, all: &[Attribute], there: &str) -> String {
+        let Needed { name, arity, option } = self;
+        let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
+        match all.iter().find(|attribute| attribute.is_called(name)) {
+            None => format!("the particles have no attribute `{name}`, which {option} needs: {there}"),
+            Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
+                format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
+            }
+            Some(Attribute { name, arity: 1, .. }) => {
+                format!("the particles' attribute `{name}` is one number for each, and {option} needs {kind}")
+            }
+            Some(Attribute { name, arity, .. }) => {
+                format!(
+                    "the particles' attribute `{name}` has {arity} numbers for each, and {option} needs {kind}"
+                )
+            }
+        }
+    }
+
     fn is(&self, attribute: &Attribute) -> bool {
         attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
     }
@@ -73,12 +93,8 @@ impl Wanted {
         };
         let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
         let is_missing = |needed: &&Needed| !all.iter().any(|attribute| needed.is(attribute));
-        if let Some(Needed { name, arity, option }) = self.needed.iter().find(is_missing) {
-            let kind = if *arity == 1 { "a number" } else { "a vector of three numbers" };
-            return Err(format!(
-                "the particles have no attribute `{name}` that is {kind} for each, which {option} needs: {}",
-                there()
-            ));
+        if let Some(needed) = self.needed.iter().find(is_missing) {
+            return Err(needed.why_missing(&all, &there()));
         }
         let named: &[String] = match &self.selected {
             Some(AttributeSelection::Named(names)) => names,
@@ -186,7 +202,14 @@ mod tests {
         // A whole number is one, a colour is none.
         assert!(by_radius("Kind").of(two_particles()).is_ok());
         let error = by_radius("rgb").of(two_particles()).expect_err("three numbers");
-        assert!(error.contains("`rgb` that is a number"), "{error}");
+        assert!(error.contains("`rgb` has 3 numbers") && error.contains("needs one number"), "{error}");
+        let error = by_radius("kind").of(vec![file_attribute(
+            "kind",
+            None,
+            1,
+            Values::Strings { table: vec!["a".to_owned()], indices: vec![0] },
+        )]);
+        assert!(error.expect_err("words").contains("`kind` is text"));
         let error = by_radius("size").of(two_particles()).expect_err("not there");
         assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
     }

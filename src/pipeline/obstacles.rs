@@ -303,7 +303,9 @@ fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
     if path.is_file() {
         return Ok(path.to_owned());
     }
-    let Some(pattern) = pattern_of(path) else { return missing(path, "no such file".into()) };
+    let Some(pattern) = pattern_of(path) else {
+        return missing(path, if path.is_dir() { "it is a folder".into() } else { "no such file".into() });
+    };
     let Some(number) = number else {
         return missing(path, "the frame has no number, so none of these files is its own".into());
     };

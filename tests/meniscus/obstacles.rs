@@ -297,6 +297,11 @@ fn the_command_goes_around_obstacles_and_says_so() {
     assert!(told["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{told}");
     assert_eq!(told["open_edges"], 0);
     assert!(frame["certificate"]["holds"].as_bool().expect("a certificate"));
+    assert_eq!(run(&["--report", "r.json", "--up", "z", "--vdb-half"]).status, 0);
+    let more = &report(&path.join("r.json"))["settings"][0]["more"];
+    let expected = serde_json::json!({"void_threshold": "1", "up": "z", "vdb_half": "true"});
+    assert_eq!(*more, expected);
+    assert_eq!(run(&[]).status, 0);
 
     let glb = || fs::read(path.join("o/dam.1.glb")).expect("readable");
     let (before, again) = (glb(), run(&["--skip-done"]));
@@ -402,6 +407,11 @@ fn obstacles_that_are_none_are_told() {
         "{}",
         missing.err
     );
+    let in_folder = convert(path, &[&arguments[..], &["."]].concat());
+    assert!(in_folder.status == 2 && in_folder.err.contains("a folder is no obstacle"), "{}", in_folder.err);
+    fs::write(path.join("empty.obj"), "").expect("written");
+    let empty = convert(path, &[&arguments[..], &["empty.obj"]].concat());
+    assert!(empty.err.contains("obstacle empty.obj: the file is empty"), "{}", empty.err);
     let particles = convert(path, &[&arguments[..], &["dam.1.ply"]].concat());
     assert!(particles.err.contains("no triangle"), "{}", particles.err);
     let mut open = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
