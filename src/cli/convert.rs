@@ -1,5 +1,6 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -11,7 +12,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, ObstacleFiles, OnError, Outcome,
     OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
-    default_in_flight, is_own_output,
+    default_in_flight, gist, is_own_output,
 };
 use crate::settings::Settings;
 use crate::simd::level_warning;
@@ -26,7 +27,7 @@ use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::print_settings::print_settings;
 use super::quantities::memory_bytes;
-use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant};
+use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant, standing_notes};
 
 /// Converts what the arguments ask for.
 ///
@@ -290,6 +291,9 @@ struct Run {
     done_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
+    /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
+    told: HashSet<(usize, String)>,
+    untold_count: usize,
     /// How many frames were noted before the first of these.
     failed_first: Option<usize>,
 }
@@ -305,6 +309,8 @@ impl Run {
             done_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
+            told: HashSet::new(),
+            untold_count: 0,
             failed_first: None,
         }
     }
@@ -406,7 +412,11 @@ impl Run {
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;
-                for note in notes(report) {
+                let standing = standing_notes(report).into_iter();
+                let is_new = |note: &String| self.told.insert((sequence_index, gist(note)));
+                let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
+                self.untold_count += known.len();
+                for note in new.into_iter().chain(notes(report)) {
                     console.warn(format_args!("warning: {name}: {note}"));
                 }
                 if !has_bar {
@@ -454,6 +464,10 @@ impl Run {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }
+        }
+        if self.untold_count > 0 {
+            let more = counted(self.untold_count, "more warning");
+            console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
         }
         if let Some(path) = report
             // Through a link, what it names is replaced and not the link.

@@ -23,9 +23,17 @@ pub(super) fn described(report: &FrameReport) -> String {
     )
 }
 
-/// What a user should know of a frame though it was converted.
+/// What a user should know of a frame though it was converted, and of the frames after it as a rule.
+pub(super) fn standing_notes(report: &FrameReport) -> Vec<String> {
+    let skin = &report.skin;
+    let of_shapes = shape_notes(&skin.shaping, skin.particle_count);
+    let of_attributes = skin.transfer.iter().flat_map(transfer_notes);
+    report.notes.iter().cloned().chain(of_shapes).chain(of_attributes).collect()
+}
+
+/// What a user should know of this frame.
 pub(super) fn notes(report: &FrameReport) -> Vec<String> {
-    let mut notes = report.notes.clone();
+    let mut notes = Vec::new();
     let skin = &report.skin;
     if skin.dropped_count > 0 {
         notes.push(format!(
@@ -33,7 +41,6 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
             counted(skin.dropped_count, "particle")
         ));
     }
-    notes.extend(shape_notes(&skin.shaping));
     if skin.contact.particle_count > 0 {
         let particles = counted(skin.contact.particle_count, "particle");
         let is_most = 2 * skin.contact.particle_count > skin.particle_count;
@@ -41,7 +48,6 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
         let hint = if is_most { "; a container needs walls, or it is taken for full" } else { "" };
         notes.push(format!("{particles} inside obstacles: the surface goes around these all the same{hint}"));
     }
-    notes.extend(skin.transfer.iter().flat_map(transfer_notes));
     if skin.convergence.is_some_and(|convergence| !convergence.reached) {
         notes.push("the conjugate gradients did not reach their tolerance".to_owned());
     }
@@ -63,8 +69,8 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
 }
 
 /// What a user should know of the shapes of particles. That stretched ones are raised to what the grid can hold is
-/// nothing to tell: at the default radii nearly all are.
-fn shape_notes(shaping: &Shaping) -> Vec<String> {
+/// nothing to tell: at the default radii nearly all are. Nor is it that some are not stretched: drops fly alone.
+fn shape_notes(shaping: &Shaping, particle_count: usize) -> Vec<String> {
     let mut notes = Vec::new();
     let mut tell = |count: usize, what: &str| {
         if count > 0 {
@@ -77,7 +83,9 @@ fn shape_notes(shaping: &Shaping) -> Vec<String> {
     tell(shaping.small_radius_count, &small);
     tell(shaping.invalid_radius_count, "without a radius that is a positive number: the least was taken");
     tell(shaping.large_radius_count, "too large for the grid: the largest radius that it holds was taken");
-    tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
+    if 2 * shaping.ball_count > particle_count {
+        tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
+    }
     notes
 }
 

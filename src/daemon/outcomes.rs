@@ -4,7 +4,9 @@ use std::io;
 use std::path::Path;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, output_path};
+use crate::pipeline::{
+    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, gist, output_path,
+};
 
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::{FrameRecord, OutputRecord, Standing, now_ms};
@@ -48,6 +50,11 @@ impl Daemon<'_> {
             "converted"
         );
         for note in &report.notes {
+            // What is so with one frame is so with the next, as a rule.
+            let sequence = self.frames.get(id).map(|frame| frame.sequence);
+            if sequence.is_some_and(|index| !self.sequences.get_mut(index).told.insert(gist(note))) {
+                continue;
+            }
             tracing::warn!(frame = %id.path.display(), "{note}");
         }
         if !skin.certificate.holds() {

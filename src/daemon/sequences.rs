@@ -47,6 +47,8 @@ pub(super) struct Sequence {
     pub(super) sparse: HashSet<FrameId>,
     /// That its frames wait for one with more particles was told.
     pub(super) is_told: bool,
+    /// The gist of what was told of its frames.
+    pub(super) told: HashSet<String>,
 }
 
 impl Sequence {
@@ -102,7 +104,14 @@ impl Sequences {
         let (_, folder, name) = place.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
         let settings = new(&key);
-        self.all.push(Sequence { key, root: id.root, settings, sparse: HashSet::new(), is_told: false });
+        self.all.push(Sequence {
+            key,
+            root: id.root,
+            settings,
+            sparse: HashSet::new(),
+            is_told: false,
+            told: HashSet::new(),
+        });
         self.index_of.insert(place, self.all.len() - 1);
         self.all.len() - 1
     }

@@ -30,6 +30,7 @@ mod frame_particles;
 mod memory;
 mod method;
 mod number_pattern;
+mod obstacle_notes;
 mod obstacles;
 mod outputs;
 mod provenance;
@@ -44,7 +45,7 @@ mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
-pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage};
+pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist};
 pub use frame_particles::FrameParticles;
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};

@@ -423,6 +423,42 @@ fn obstacles_that_are_none_are_told() {
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
 }
 
+/// Other units or axes are no error, but nobody means them.
+#[test]
+fn obstacles_that_do_nothing_are_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for number in [1, 2] {
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(4, 0.1 * f64::from(number)));
+    }
+    let told = |name: &str, body: &Body| {
+        fs::write(path.join(name), body.obj()).expect("written");
+        let arguments =
+            ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--report", "r.json"];
+        let ran = convert(path, &[&arguments[..], &["--obstacle", name]].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let notes = |frame: usize| {
+            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("touches nothing")
+        };
+        assert_eq!(notes(0), notes(1), "each frame has it in the report");
+        (ran.err.matches("touches nothing of the frame").count(), ran.err)
+    };
+    // Just in reach, and just beyond it: r_max is 2√3 voxels.
+    let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
+    assert_eq!(told("near.obj", &at(0.5 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
+    let (count, err) = told("far.obj", &at(0.5 + 0.05 * (12f64.sqrt() + 4.1)));
+    assert_eq!(count, 1, "once for a sequence: {err}");
+    assert!(
+        err.contains("dam.1.ply: obstacle far.obj: touches")
+            && err.contains("the particles (0.1, 0, 0) to (0.4,"),
+        "{err}"
+    );
+    let mut plane = at(0.3);
+    plane.triangles.truncate(2);
+    let (_, err) = told("plane.obj", &plane);
+    assert!(err.contains("encloses nothing"), "{err}");
+}
+
 /// Nothing is left of a surface that is in an obstacle, beyond a box, or all islands: that is told, and written.
 #[test]
 fn why_nothing_is_left_is_told() {
