@@ -429,7 +429,7 @@ fn obstacles_that_do_nothing_are_told() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     for number in [1, 2] {
-        write_ply(&path.join(format!("dam.{number}.ply")), &block(4, 0.1 * f64::from(number)));
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(4, 0.1));
     }
     let told = |name: &str, body: &Body| {
         fs::write(path.join(name), body.obj()).expect("written");
@@ -445,8 +445,8 @@ fn obstacles_that_do_nothing_are_told() {
     };
     // Just in reach, and just beyond it: r_max is 2√3 voxels.
     let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
-    assert_eq!(told("near.obj", &at(0.5 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
-    let (count, err) = told("far.obj", &at(0.5 + 0.05 * (12f64.sqrt() + 4.1)));
+    assert_eq!(told("near.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
+    let (count, err) = told("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
     assert_eq!(count, 1, "once for a sequence: {err}");
     assert!(
         err.contains("dam.1.ply: obstacle far.obj: touches")
