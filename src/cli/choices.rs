@@ -111,8 +111,7 @@ pub(super) fn ignored(
 
 /// Options that are without effect, and what they are for.
 fn without_use(args: &MethodArgs) -> Vec<(&'static str, &'static str)> {
-    let choices = choices(args);
-    let choices = choices.clone().over(choices.preset.map_or_else(Choices::default, Preset::choices));
+    let choices = choices(args).with_preset();
     let ParticleArgs {
         radius_scale, max_stretch, neighbor_radius, position_smoothing, velocity_gain, ..
     } = &args.particles;

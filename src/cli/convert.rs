@@ -1,5 +1,6 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -11,7 +12,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, ObstacleFiles, OnError, Outcome,
     OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
-    default_in_flight, default_memory_bytes, is_own_output,
+    default_in_flight, gist, is_own_output,
 };
 use crate::settings::Settings;
 use crate::simd::level_warning;
@@ -25,7 +26,8 @@ use super::inputs::find_inputs;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::print_settings::print_settings;
-use super::wording::{counted, described, notes, significant};
+use super::quantities::memory_bytes;
+use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant, standing_notes};
 
 /// Converts what the arguments ask for.
 ///
@@ -35,22 +37,31 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let start = Instant::now();
     clean_up_when_interrupted();
     if args.print_settings && args.inputs.is_empty() {
-        return print_settings(&[], &args.method, &thread_pool(args.threads)?, console);
+        return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
-    for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
-        console.warn(format_args!("warning: {warning}"));
+    // What is wrong with an option that is ignored as well is told as that.
+    if is_sound(args) {
+        for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
+            console.warn(format_args!("warning: {warning}"));
+        }
     }
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
     }
     if args.print_settings {
         let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
-        return print_settings(&sequences, &args.method, &thread_pool(args.threads)?, console);
+        return print_settings(&sequences, args, &thread_pool(args.threads)?, console);
     }
     let obstacles = Arc::new(ObstacleFiles::new(args.method.obstacles.obstacle.clone()));
     if let Some(missing) = obstacles.missing() {
-        bail!("{}: there is no such obstacle", missing.display());
+        let missing_name = missing.display();
+        match missing.is_dir() {
+            true => bail!(
+                "{missing_name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj"
+            ),
+            false => bail!("{missing_name}: there is no such obstacle"),
+        }
     }
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
@@ -58,6 +69,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     refuse_conflicts(&sequences, &found, &obstacles, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
+    let memory_bytes = memory_bytes(args.memory)?;
 
     let on_error = match args.on_error {
         OnErrorChoice::Stop => OnError::Stop,
@@ -65,13 +77,21 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     };
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
-        let settings = resolve_settings(sequence, args, &pool, console)?;
+        let settings = resolve_settings(sequence, args, (&outputs, &obstacles), &pool, console)?;
         run.add(sequence, settings, &outputs, &obstacles);
     }
     out_folder.keep();
-    let memory_bytes = args.memory.unwrap_or_else(default_memory_bytes);
     run.convert(args.skip_done, memory_bytes, &pool, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
+}
+
+/// Whether the settings make sense, as far as can be told before frames are looked at.
+fn is_sound(args: &ConvertArgs) -> bool {
+    let choices = choices(&args.method);
+    match args.method.first.voxel_size {
+        Some(voxel_size) => Settings::resolve(voxel_size, &choices).is_ok(),
+        None => Settings::check(&choices).is_ok(),
+    }
 }
 
 /// What to convert.
@@ -168,14 +188,17 @@ fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
 fn resolve_settings(
     SelectedSequence { sequence, selected }: &SelectedSequence,
     args: &ConvertArgs,
+    files: (&OutputOptions, &ObstacleFiles),
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Result<(Settings, SequenceRecord), String>> {
+    let choices = choices(&args.method);
     let automatic = match args.method.first.voxel_size {
         Some(_) => None,
         None => {
             let paths = || sequence.frames.iter().map(|file| &*file.path);
-            match pool.install(|| automatic_voxel_size(paths())) {
+            let own_radii = choices.own_radii()?;
+            match pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref())) {
                 Ok(automatic) => Some(automatic),
                 Err(error) => return Ok(Err(error.to_string())),
             }
@@ -183,8 +206,8 @@ fn resolve_settings(
     };
     let given = args.method.first.voxel_size;
     let voxel_size = given.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
-    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(&args.method))
-        .with_context(|| sequence.name.clone())?;
+    let settings =
+        Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices).with_context(|| sequence.name.clone())?;
     say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
     if automatic.is_some() {
         warn_of_siblings(sequence, console);
@@ -192,7 +215,7 @@ fn resolve_settings(
     for warning in settings.warnings() {
         console.warn(format_args!("warning: {}: {warning}", sequence.name));
     }
-    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref());
+    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref(), files);
     Ok(Ok((settings, record)))
 }
 
@@ -229,11 +252,14 @@ fn say_settings(
     let frames = counted(selected_count, "frame");
     let voxel_size = match automatic {
         None => settings.voxel_size.to_string(),
-        Some(automatic) => format!(
-            "{} (half the particle spacing {}, measured on {})",
-            significant(automatic.voxel_size),
-            significant(automatic.spacing),
-            automatic.measured_on.file_name().unwrap_or_default().to_string_lossy()
+        Some(AutomaticVoxelSize { voxel_size, spacing, radius_median, measured_on }) => format!(
+            "{} ({}, measured on {})",
+            significant(*voxel_size),
+            match radius_median {
+                Some(radius) => format!("1/√3 of the particles' median r_min {}", significant(*radius)),
+                None => format!("half the particle spacing {}", significant(*spacing)),
+            },
+            measured_on.file_name().unwrap_or_default().to_string_lossy()
         ),
     };
     let [radius_min, radius_init, radius_max] =
@@ -243,9 +269,6 @@ fn say_settings(
         sequence.name
     ));
 }
-
-/// What was said before so many frames has scrolled away.
-const FRAMES_IN_VIEW: usize = 20;
 
 /// A frame that was asked for.
 struct PlannedFrame {
@@ -268,6 +291,9 @@ struct Run {
     done_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
+    /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
+    told: HashSet<(usize, String)>,
+    untold_count: usize,
     /// How many frames were noted before the first of these.
     failed_first: Option<usize>,
 }
@@ -283,6 +309,8 @@ impl Run {
             done_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
+            told: HashSet::new(),
+            untold_count: 0,
             failed_first: None,
         }
     }
@@ -384,7 +412,11 @@ impl Run {
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;
-                for note in notes(report) {
+                let standing = standing_notes(report).into_iter();
+                let is_new = |note: &String| self.told.insert((sequence_index, gist(note)));
+                let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
+                self.untold_count += known.len();
+                for note in new.into_iter().chain(notes(report)) {
                     console.warn(format_args!("warning: {name}: {note}"));
                 }
                 if !has_bar {
@@ -432,6 +464,10 @@ impl Run {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }
+        }
+        if self.untold_count > 0 {
+            let more = counted(self.untold_count, "more warning");
+            console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
         }
         if let Some(path) = report
             // Through a link, what it names is replaced and not the link.

@@ -21,7 +21,7 @@ use super::evidence::{completeness_of, sentinel_of};
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::Standing;
 use super::readiness::{Candidate, Readiness};
-use super::rounds::Daemon;
+use super::rounds::{Daemon, Failure};
 use super::scan::Seen;
 use super::selection::{Content, content};
 use super::sequences::SequenceSettings;
@@ -136,7 +136,8 @@ impl Daemon<'_> {
                 self.claim_own(id).ok().map(|()| Phase::Done(*stamp))?
             }
             Decision::Skip(SkipReason::FailedUnchanged) => {
-                self.failed.insert(id.clone(), record.reason.clone().unwrap_or_default());
+                let reason = record.reason.clone().unwrap_or_default();
+                self.failed.insert(id.clone(), Failure { reason, told_at: None });
                 Phase::Failed(*stamp)
             }
             Decision::CompareContent | Decision::Convert(_) => return None,
@@ -229,7 +230,7 @@ impl Daemon<'_> {
                 let why = why.clone();
                 self.fail_for_good(id, stamp, why);
             }
-            SequenceSettings::Unknown | SequenceSettings::BeingMeasured => {
+            SequenceSettings::Unknown(_) | SequenceSettings::BeingMeasured => {
                 self.dirty_sequences.insert(sequence);
             }
         }
@@ -330,7 +331,7 @@ impl Daemon<'_> {
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.phase = phase;
         // Others may have waited for this one, to be measured after it.
-        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown) {
+        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(frame.sequence);
         }
     }

@@ -84,6 +84,11 @@ pub struct FrameReport {
     pub notes: Vec<String>,
 }
 
+/// What a note says, whatever its numbers are: one with the same gist need not be told again of the next frame.
+pub fn gist(note: &str) -> String {
+    note.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect()
+}
+
 /// The stages of a frame, as users know them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {

@@ -28,6 +28,7 @@ use crate::settings::Settings;
 
 use super::frame::ObstacleError;
 use super::number_pattern::NumberPattern;
+use super::obstacle_notes::notes_of;
 use super::outputs::{Conflict, are_one_file, entry};
 use super::reading::{read_start_unchanged, read_unchanged};
 use super::stamp::FileStamp;
@@ -97,6 +98,8 @@ pub struct FrameObstacles {
     pub obstacles: Obstacles,
     /// What a user should know of those that were read for this frame.
     pub(super) notes: Vec<String>,
+    /// The file of each of them.
+    pub(super) paths: Vec<PathBuf>,
     /// What is recorded of them: names and hashes. Empty if there is none.
     pub(super) recorded: String,
     /// Edges at which meshes are open.
@@ -238,6 +241,7 @@ impl ObstacleFiles {
         let mut all = FrameObstacles { recorded: found.recorded(), ..FrameObstacles::default() };
         let kept_bytes_max = kept_bytes_max / found.found.len().max(1) as u64;
         for file in found.found {
+            all.paths.push(file.path.clone());
             let data = match file.content {
                 Content::Obstacle(obstacle) => {
                     all.all_bytes += obstacle.size_bytes_max() as u64;
@@ -303,7 +307,9 @@ fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
     if path.is_file() {
         return Ok(path.to_owned());
     }
-    let Some(pattern) = pattern_of(path) else { return missing(path, "no such file".into()) };
+    let Some(pattern) = pattern_of(path) else {
+        return missing(path, if path.is_dir() { "it is a folder".into() } else { "no such file".into() });
+    };
     let Some(number) = number else {
         return missing(path, "the frame has no number, so none of these files is its own".into());
     };
@@ -391,47 +397,6 @@ fn source_of(data: LevelSetData) -> LevelSetSource {
         axes: data.transform.axes.map(DVec3::from),
         translation: DVec3::from(data.transform.translation),
     }
-}
-
-/// A level set with a band that is narrower than this, in units of h, tells little of where it is.
-const KNOWN_MIN: f64 = 1.0;
-
-/// What a user should know of an obstacle.
-fn notes_of(shape: &Shape, path: &Path, settings: &Settings) -> Vec<String> {
-    let name = path.display();
-    let mut notes = Vec::new();
-    let mut tell = |count: usize, what: &str| {
-        if count > 0 {
-            notes.push(format!("obstacle {name}: {count} {what}"));
-        }
-    };
-    match shape {
-        Shape::Solid(solid) => {
-            let findings = solid.findings();
-            tell(findings.open_edge_count, "open edges: holes are closed where its winding number is 1/2");
-            tell(findings.turned_count, "triangles faced the other way, and were turned");
-            tell(
-                findings.unasked_part_count,
-                "parts seem to face inwards, and were left so: it has too many parts to tell cavities",
-            );
-            tell(findings.broken_count, "triangles left out: a corner is not finite, or does not exist");
-            if findings.triangle_count == 0 {
-                notes.push(format!(
-                    "obstacle {name}: no triangle has an area, so there is nothing in the way"
-                ));
-            }
-        }
-        Shape::Sampled(sampled) => {
-            let known = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
-            if known < KNOWN_MIN {
-                notes.push(format!(
-                    "obstacle {name}: its distances are known to {known:.2} h only, and its surface may be off by as much: \
-                     make it with a wider band"
-                ));
-            }
-        }
-    }
-    notes
 }
 
 /// Memory for reading an obstacle and making it one, in sizes of its file: about 320 bytes for a triangle. Measured on

@@ -41,6 +41,7 @@ use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, St
 use super::frame_particles::{FileParticles, FrameParticles};
 use super::memory::peak_memory_bytes;
 use super::method::Method;
+use super::obstacle_notes::out_of_reach;
 use super::obstacles::{FoundObstacles, FrameObstacles};
 use super::provenance::is_done;
 use super::reading::{InputFile, parse_particles, read_unchanged};
@@ -347,6 +348,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             let loaded = frame.obstacles.load(found, &frame.settings, kept_bytes_max);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             notes.append(&mut obstacles.notes);
+            notes.extend(out_of_reach(&obstacles, &particles, &frame.settings).map_err(failed)?);
             let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);

@@ -138,6 +138,12 @@ impl Choices {
         }
     }
 
+    /// These, and where one is not made that of the preset, if there is one.
+    pub fn with_preset(&self) -> Choices {
+        let below = self.preset.map(|preset| preset.choices(self.integrator.unwrap_or(Integrator::Fast)));
+        self.clone().over(below.unwrap_or_default())
+    }
+
     /// The choices that were made, by name.
     pub fn to_pairs(&self) -> Vec<(&'static str, String)> {
         let text = |number: &Option<f64>| number.map(|number| number.to_string());

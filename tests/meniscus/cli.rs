@@ -262,6 +262,21 @@ fn what_is_ignored_is_told() {
     }
 }
 
+/// An option that is ignored and wrong is told as wrong, once.
+#[test]
+fn what_is_wrong_is_not_told_as_ignored_too() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--max-stretch", "9"]);
+    assert!(
+        ran.status == 2 && ran.err.contains("from 1 to 8") && !ran.err.contains("ignored"),
+        "{}",
+        ran.err
+    );
+    let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--memory", "5"]);
+    assert!(ran.status == 2 && ran.err.contains("5 bytes of memory"), "{}", ran.err);
+}
+
 /// Options for files that are not written; and none is said of where they are.
 #[test]
 fn what_changes_no_file_is_told() {

@@ -297,6 +297,11 @@ fn the_command_goes_around_obstacles_and_says_so() {
     assert!(told["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{told}");
     assert_eq!(told["open_edges"], 0);
     assert!(frame["certificate"]["holds"].as_bool().expect("a certificate"));
+    assert_eq!(run(&["--report", "r.json", "--up", "z", "--vdb-half"]).status, 0);
+    let more = &report(&path.join("r.json"))["settings"][0]["more"];
+    let expected = serde_json::json!({"void_threshold": "1", "up": "z", "vdb_half": "true"});
+    assert_eq!(*more, expected);
+    assert_eq!(run(&[]).status, 0);
 
     let glb = || fs::read(path.join("o/dam.1.glb")).expect("readable");
     let (before, again) = (glb(), run(&["--skip-done"]));
@@ -402,6 +407,11 @@ fn obstacles_that_are_none_are_told() {
         "{}",
         missing.err
     );
+    let in_folder = convert(path, &[&arguments[..], &["."]].concat());
+    assert!(in_folder.status == 2 && in_folder.err.contains("a folder is no obstacle"), "{}", in_folder.err);
+    fs::write(path.join("empty.obj"), "").expect("written");
+    let empty = convert(path, &[&arguments[..], &["empty.obj"]].concat());
+    assert!(empty.err.contains("obstacle empty.obj: the file is empty"), "{}", empty.err);
     let particles = convert(path, &[&arguments[..], &["dam.1.ply"]].concat());
     assert!(particles.err.contains("no triangle"), "{}", particles.err);
     let mut open = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
@@ -411,6 +421,42 @@ fn obstacles_that_are_none_are_told() {
     assert_eq!(open.status, 0, "{}", open.err);
     assert!(open.err.contains("obstacle open.obj: ") && open.err.contains("open edges"), "{}", open.err);
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
+}
+
+/// Other units or axes are no error, but nobody means them.
+#[test]
+fn obstacles_that_do_nothing_are_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for number in [1, 2] {
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(4, 0.1));
+    }
+    let told = |name: &str, body: &Body| {
+        fs::write(path.join(name), body.obj()).expect("written");
+        let arguments =
+            ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--report", "r.json"];
+        let ran = convert(path, &[&arguments[..], &["--obstacle", name]].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let notes = |frame: usize| {
+            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("touches nothing")
+        };
+        assert_eq!(notes(0), notes(1), "each frame has it in the report");
+        (ran.err.matches("touches nothing of the frame").count(), ran.err)
+    };
+    // Just in reach, and just beyond it: r_max is 2√3 voxels.
+    let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
+    assert_eq!(told("near.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
+    let (count, err) = told("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
+    assert_eq!(count, 1, "once for a sequence: {err}");
+    assert!(
+        err.contains("dam.1.ply: obstacle far.obj: touches")
+            && err.contains("the particles (0.1, 0, 0) to (0.4,"),
+        "{err}"
+    );
+    let mut plane = at(0.3);
+    plane.triangles.truncate(2);
+    let (_, err) = told("plane.obj", &plane);
+    assert!(err.contains("encloses nothing"), "{err}");
 }
 
 /// Nothing is left of a surface that is in an obstacle, beyond a box, or all islands: that is told, and written.

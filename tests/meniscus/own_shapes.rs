@@ -5,7 +5,7 @@
 use glam::{DVec3, Vec3};
 use meniscus::obstacle::Obstacles;
 use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::settings::{AnisotropyKind, Choices, Settings};
+use meniscus::settings::{AnisotropyKind, Choices, Preset, Settings};
 use meniscus::skin::{Surface, skin_cloud};
 use meniscus::smooth::Integrator;
 
@@ -191,11 +191,14 @@ fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
     let stretched = of(&by_neighbors());
     let more = of(&Choices { max_stretch: Some(6.0), ..by_neighbors() });
     let moved = of(&Choices { position_smoothing: Some(0.9), ..by_neighbors() });
+    let splash =
+        of(&Choices { preset: Some(Preset::Splash), fill_cavities: Some(0.0), ..Choices::default() });
     println!("roughness of a sheet in h: balls {balls:.4}, stretched {stretched:.4}, by up to 6 {more:.4}");
-    println!("stretched, and moved to their neighbours' mean: {moved:.4}");
+    println!("stretched, and moved to their neighbours' mean: {moved:.4}, as the preset has it {splash:.4}");
     assert!(stretched < balls / 3.0, "{stretched} of {balls}");
     assert!(more < balls / 4.0, "{more} of {balls}");
     assert!(moved < balls / 2.0, "{moved} of {balls}");
+    assert!(splash < moved && splash < balls / 2.0, "{splash} of {balls}");
 }
 
 /// Fig. 11, on the right, and Eq. 16: half axes (1 + s)² along the velocity and 1/(1 + s) across.

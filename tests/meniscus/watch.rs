@@ -325,30 +325,69 @@ fn each_journal_says_what_is_watched_for_its_own_outputs() {
     }
 }
 
-/// What --print-settings prints can be put into a file, and makes the same surface.
+/// What --print-settings prints can be put into a file, and makes the same files, whatever was asked for.
 #[test]
 fn printed_settings_are_keys_of_a_file() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    fs::create_dir(path.join("in")).expect("made");
+    fs::create_dir_all(path.join("in")).expect("made");
     write_ply(&path.join("in/dam.1.ply"), &block(5, 0.0));
-    let options =
-        ["--preset", "splash", "--voxel-size", "0.05", "--clip", "-1,-1,-1,0.31,2,2", "--max-stretch", "3"];
-    let printed = meniscus(path, &[&["convert", "--print-settings"], &options[..]].concat());
-    assert_eq!(printed.status, 0, "{}", printed.err);
-    assert!(
-        printed.out.contains("anisotropy = \"neighbors\"\n") && printed.out.contains("fill_cavities = 200\n")
-    );
-    let config =
-        format!("[[watch]]\ninput = \"in\"\noutput = \"watched\"\nformats = [\"glb\"]\n{}", printed.out);
-    fs::write(path.join("meniscus.toml"), config).expect("written");
-    let watched = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
-    assert_eq!(watched.status, 0, "{}", watched.err);
-    let converted = ["convert", "in", "--out", "converted", "--format", "glb"];
-    let converted = meniscus(path, &[&converted[..], &options[..]].concat());
-    assert_eq!(converted.status, 0, "{}", converted.err);
-    let bytes = |out: &str| fs::read(path.join(out).join("dam.1.glb")).expect("there");
-    assert!(bytes("watched") == bytes("converted"));
+    let corners = "v -1 -1 -1\nv 0.2 -1 -1\nv -1 0.2 -1\nv -1 -1 0.2\n";
+    let faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    fs::write(path.join("a \"b\".obj"), format!("{corners}{faces}")).expect("written");
+    let obstacle = ["--obstacle", "a \"b\".obj", "--up", "z", "--vdb-half", "--vdb-compression", "none"];
+    for (index, (options, printed_keys)) in [
+        (
+            &[
+                "--preset",
+                "splash",
+                "--voxel-size",
+                "0.05",
+                "--clip",
+                "-1,-1,-1,0.31,2,2",
+                "--max-stretch",
+                "3",
+            ][..],
+            &["anisotropy = \"neighbors\"\n", "fill_cavities = 200\n", "formats = [\"glb\", \"vdb\"]\n"][..],
+        ),
+        (
+            &[&["--preset", "granular", "--voxel-size", ".03"][..], &obstacle].concat(),
+            &["up = \"z\"\n", "vdb_half = true\n", "vdb_compression = \"none\"\n", "void_threshold = 1\n"],
+        ),
+        (&["--preset", "smooth"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
+        (
+            &["--preset", "preview", "--integrator", "explicit", "--format", "obj,vdb", "--quads"],
+            &["steps = 100\n", "quads = true\n", "step_size = 0.01\n"],
+        ),
+        (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let printed = meniscus(path, &[&["convert", "in", "--print-settings"], options].concat());
+        assert_eq!((printed.status, &*printed.err), (0, ""), "{options:?}");
+        for key in printed_keys {
+            assert!(printed.out.contains(key), "{options:?}: no {key} in {}", printed.out);
+        }
+        let (watched, converted) = (format!("watched{index}"), format!("converted{index}"));
+        // Where the file lies does not matter.
+        let config = path.join(format!("etc{index}/meniscus.toml"));
+        fs::create_dir(config.parent().expect("a folder")).expect("made");
+        let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);
+        fs::write(&config, blocks).expect("written");
+        let ran = meniscus(path, &["watch", "--config", &config.to_string_lossy(), "--once"]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert!(!ran.err.contains("WARN"), "{}", ran.err);
+        let ran = meniscus(path, &[&["convert", "in", "--out", &converted], options].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let mut count = 0;
+        for extension in ["glb", "vdb", "obj"] {
+            let bytes = |out: &str| fs::read(path.join(out).join(format!("dam.1.{extension}"))).ok();
+            assert!(bytes(&watched) == bytes(&converted), "{options:?}: {extension}");
+            count += usize::from(bytes(&watched).is_some());
+        }
+        assert!(count > 0);
+    }
     // A length says nothing without a voxel.
     let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
     assert!(refused.status == 2 && refused.err.contains("--voxel-size"), "{}", refused.err);

@@ -20,10 +20,11 @@ use anyhow::{Context, Result, anyhow, bail};
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 use crate::cli::choices::{choices, ignored, output_options, refuse_stray_rounds};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
 use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
-use crate::pipeline::{default_in_flight, default_memory_bytes};
+use crate::pipeline::default_in_flight;
 use crate::settings::Settings;
 
 /// What to do, and what to say of it before.
@@ -212,7 +213,7 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<Config
         },
         threads,
         in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
-        memory_bytes: daemon.memory.unwrap_or_else(default_memory_bytes),
+        memory_bytes: memory_bytes(daemon.memory)?,
         disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
         patience: patience(once, daemon)?,
         poll: daemon.poll.unwrap_or(Poll::Auto),
