@@ -40,7 +40,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
-    // What is wrong with an option that is ignored as well is told as that.
+    // An option may be wrong and without effect: that it is wrong is told, and later.
     if is_sound(args) {
         for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
             console.warn(format_args!("warning: {warning}"));

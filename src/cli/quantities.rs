@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::{Result as Checked, bail};
+use anyhow::bail;
 use bytesize::ByteSize;
 
 use crate::daemon::Poll;
@@ -59,7 +59,7 @@ pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
 ///
 /// # Errors
 /// When it is too little for any frame.
-pub(super) fn memory_bytes(given: Option<u64>) -> Checked<u64> {
+pub(super) fn memory_bytes(given: Option<u64>) -> anyhow::Result<u64> {
     match given {
         Some(bytes) if bytes < MEMORY_MIN_BYTES => {
             bail!("{bytes} bytes of memory are too little for any frame: give 1MiB at least, or such as 8GiB")

@@ -281,10 +281,11 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
-        memory.resize(read.particles.size_bytes().saturating_add(read.obstacles.own_bytes));
-        // Those that stand still are there for the frames that follow, too.
+        // Those that stand still are there for the frames that follow, too. They are named by where they are, which the
+        // frames of this line keep as it is; and nobody takes their room between this and the next.
         let standing_bytes = read.obstacles.all_bytes - read.obstacles.own_bytes;
         self.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
+        memory.resize(read.particles.size_bytes().saturating_add(read.obstacles.own_bytes));
         let read_seconds = start.elapsed().as_secs_f64();
         let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
         Ok((read, Known { input, read_seconds, notes, obstacles, memory, seat: None }))

@@ -20,6 +20,9 @@ use super::reading::{ReadFrame, parse_particles, read_file};
 /// Voxels along the distance between two particles.
 pub const VOXELS_PER_SPACING: f64 = 2.0;
 
+/// Voxels to the spacing of particles, at most, however small their own radii are.
+const VOXELS_PER_SPACING_MAX: f64 = 8.0;
+
 /// A voxel size, and where it is from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AutomaticVoxelSize {
@@ -103,7 +106,9 @@ fn measured(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Opti
     let by_spacing = spacing / VOXELS_PER_SPACING;
     let radius_median = own_radii.and_then(|own| median(own_radii_min(&read.cloud, own)));
     let radius_median = radius_median.filter(|radius| radius / 3f64.sqrt() < by_spacing);
-    let voxel_size = radius_median.map_or(by_spacing, |radius| radius / 3f64.sqrt());
+    // Radii in another unit than the positions would ask for a grid that nobody can have.
+    let least = spacing / VOXELS_PER_SPACING_MAX;
+    let voxel_size = radius_median.map_or(by_spacing, |radius| (radius / 3f64.sqrt()).max(least));
     Some(AutomaticVoxelSize { voxel_size, spacing, radius_median, measured_on: path.to_owned() })
 }
 
@@ -140,6 +145,8 @@ mod tests {
         let small = measured(Path::new("a"), &of_radii([0.25, 0.01, 40.0]), Some(&own)).expect("enough");
         assert_eq!(small.radius_median, Some(0.5));
         assert_eq!(small.voxel_size, 0.5 / 3f64.sqrt());
+        let tiny = measured(Path::new("a"), &of_radii([1e-6; 3]), Some(&own)).expect("enough");
+        assert_eq!(tiny.voxel_size, tiny.spacing / 8.0);
         for (radii, own) in
             [([3.0, 2.0, 1.0], Some(&own)), ([0.25, 0.01, 40.0], None), ([0.0, -1.0, f32::NAN], Some(&own))]
         {
