@@ -275,6 +275,7 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
         step_size: 20.0,
         redistance_every: 1,
         cg_tolerance: 0.0,
+        keeps_spheres: false,
     };
     let mut band = shell.band.clone();
     let mut memory = Memory::new(shell.leaf_count());
@@ -283,7 +284,8 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
         let start = Instant::now();
         let mut work =
             Work { config: &config, band: &mut band, bounds: &shell.bounds, memory: &mut memory, own: None };
-        let tally = pool.install(|| work.perform(Act::Passes { step: 0, first: 0, count }));
+        let tally =
+            pool.install(|| work.perform(Act::Passes { step: 0, first: 0, count, holds_tips: false }));
         (start.elapsed().as_secs_f64(), tally.moved_count)
     };
     // What acts of several passes and of one differ by is passes alone, without finding out what is free and where to

@@ -40,6 +40,8 @@ pub struct SkinReport {
     pub seconds: StageSeconds,
     /// What was checked of the result.
     pub certificate: Certificate,
+    /// Vertices that were out of their bounds by more than half a voxel, and were moved back.
+    pub vertices_returned: usize,
     /// ∫H² over the surface, from φ; 4π for a sphere of any size.
     pub bending_energy: f64,
     /// What was measured on the mesh.
@@ -66,6 +68,8 @@ pub struct TransferReport {
 pub struct Shaping {
     /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
     pub small_radius_count: usize,
+    /// r_min of the smallest of them, as it was to be, world units; 0 if there is none.
+    pub small_radius_min: f64,
     /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
     pub raised_count: usize,
     /// Particles so large that their r_max was lowered to the largest there may be.

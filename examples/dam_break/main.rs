@@ -72,7 +72,8 @@ fn tell(summary: &Summary, after: Duration) -> Result<(), Box<dyn Error>> {
         summary.done_count,
         after.as_secs_f64()
     )?;
-    if summary.failed.is_empty() { Ok(()) } else { Err(summary.failed.join("\n").into()) }
+    let failed: Vec<&str> = summary.failed.iter().map(|failed| &*failed.what).collect();
+    if failed.is_empty() { Ok(()) } else { Err(failed.join("\n").into()) }
 }
 
 /// What `meniscus watch CACHE --out SURFACES` does: its defaults, written out.

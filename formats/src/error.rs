@@ -38,7 +38,7 @@ pub enum Error {
     Io(std::io::Error),
     /// The file ends too soon. What there is of it may be the beginning of a good one.
     Short {
-        /// The format as users know it, such as `PLY`.
+        /// The format as users know it, such as `PLY`; nothing where there is too little to tell.
         format: &'static str,
         /// Where.
         place: Place,
@@ -101,6 +101,12 @@ impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Error::Io(source) => write!(f, "{source}"),
+            // What is wrong with a file that has no format yet is wrong with all of it.
+            Error::Short { format: "", what, .. } | Error::Invalid { format: "", what, .. } => {
+                f.write_str(what)
+            }
+            Error::Short { format, place: Place::File, what }
+            | Error::Invalid { format, place: Place::File, what } => write!(f, "{format}: {what}"),
             Error::Short { format, place, what } | Error::Invalid { format, place, what } => {
                 write!(f, "{format}, {place}: {what}")
             }

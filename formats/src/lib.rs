@@ -83,7 +83,7 @@ fn check_readable(kind: Kind) -> Result<()> {
 /// What the file is, and what to do instead.
 fn unreadable(kind: Kind) -> Error {
     let what = match kind {
-        Kind::Empty => return Error::short("particles", Place::File, "the file is empty"),
+        Kind::Empty => return Error::short("", Place::File, "the file is empty"),
         Kind::ClassicGeo => "text geometry is not read: save it as classic binary .bgeo or as PLY",
         Kind::HoudiniJsonBinary | Kind::HoudiniJsonText | Kind::HoudiniSc => {
             "geometry of Houdini 12 and later is not read yet: save it as classic .bgeo (.bhclassic) or as PLY"

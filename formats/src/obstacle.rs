@@ -50,7 +50,7 @@ pub fn read_obstacle(
         Kind::Glb | Kind::GltfJson => gltf::read_mesh_with(bytes, limits, beside)?,
         Kind::Ply => ply::read_mesh(bytes, limits)?,
         Kind::OpenVdb => return level_set(bytes, limits),
-        Kind::Empty => return Err(Error::short("obstacle", Place::File, "the file is empty")),
+        Kind::Empty => return Err(Error::short("", Place::File, "the file is empty")),
         _ => {
             let what = "not a format that obstacles are read from: use .obj, .glb, .gltf, .ply or .vdb";
             return Err(Error::unsupported(kind.name(), what));

@@ -97,6 +97,16 @@ pub(crate) fn purposes<'a>(attributes: &[VertexAttribute<'a>]) -> Vec<Purpose<'a
     found
 }
 
+/// What to say of a colour where a file has places for numbers from 0 to 1 only, and some are not.
+pub(crate) fn cut_note<'a>(
+    name: &str,
+    values: impl IntoIterator<Item = &'a f32>,
+    file: &str,
+) -> Option<String> {
+    let cut = values.into_iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
+    (cut != 0).then(|| format!("{cut} values of {name} are beyond 0 to 1, and cut to it in {file}"))
+}
+
 /// Whether all numbers are finite. No branch depends on a single one.
 pub(crate) fn all_finite(numbers: &[f32]) -> bool {
     numbers.iter().fold(true, |all, number| all & number.is_finite())

@@ -57,20 +57,29 @@ fn obj_files_of_any_dialect_are_read() {
 fn obj_errors_name_the_line() {
     let vertices = "v 0 0 0\nv 1 0 0\n# comment\nv 1 1 0\n";
     for (text, line, word) in [
-        ("f 1 2 4\n", 6, "out of bounds"),
+        ("f 1 2 4\n", 5, "vertex 4, and there are 3"),
         ("f 1 2 -4\n", 5, "`-4`"),
         ("f 0 1 2\n", 5, "`0`"),
         ("f 1 2 x\n", 5, "`x`"),
         ("f 1 2 99999999999\n", 5, "`99999999999`"),
         ("\nv 1 2\n", 6, "position"),
         ("v 1 2 three\n", 5, "position"),
-        ("vn 0 0 1\nf 1//1 2//1 3//2\n", 7, "normal"),
+        ("vn 0 0 1\nf 1//1 2//1 3//2\n", 6, "normal"),
     ] {
         let error = read(format!("{vertices}{text}").as_bytes(), "a.obj").expect_err(text).to_string();
         assert!(
             error.starts_with(&format!("OBJ, at line {line}: ")) && error.contains(word),
             "{text}: {error}"
         );
+    }
+    // What is counted from the start may come later: whether it does is known at the end.
+    for (text, line, what) in [
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9", 4, "vertex 9, and there are 3"),
+        ("f 1 2 3\nf 1 2 4\nf 1 2 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\n", 2, "vertex 4, and there are 3"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//2 2//1 3//1\nf 1 2 8\nvn 0 0 1\n", 4, "normal 2, and there are 1"),
+    ] {
+        let error = read(text.as_bytes(), "a.obj").expect_err(text).to_string();
+        assert!(error.contains(&format!("at line {line}: ")) && error.contains(what), "{error}");
     }
     let nothing = read(vertices.as_bytes(), "a.obj").expect_err("no faces").to_string();
     assert!(nothing.contains("no triangle"), "{nothing}");

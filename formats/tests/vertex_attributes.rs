@@ -126,7 +126,9 @@ fn the_gltf_crate_finds_all_that_has_a_place() {
         attribute("id", Some(Role::Id), 1, VertexValues::Integers(&ids)),
         attribute("material", None, 1, VertexValues::Strings { table: &table, indices: &kinds }),
     ];
-    assert_eq!(gltf::attribute_notes(&attributes), [""; 0]);
+    let notes = gltf::attribute_notes(&attributes);
+    assert!(notes.len() == 1 && notes[0].contains("vectors beside single numbers"), "{notes:?}");
+    assert_eq!(gltf::attribute_notes(&attributes[..2]), [""; 0], "a colour is none of those");
     let bytes = glb(&attributes);
     let document = ::gltf::Gltf::from_slice(&bytes).expect("a document");
     let blob = document.blob.as_ref().expect("a binary chunk");
@@ -255,7 +257,8 @@ fn odd_names_are_made_legal_and_told() {
     ];
     expected.sort_unstable();
     assert_eq!(names, expected);
-    assert_eq!(gltf::attribute_notes(&attributes).len(), 6);
+    let notes = gltf::attribute_notes(&attributes);
+    assert_eq!(notes.iter().filter(|note| note.contains("is called")).count(), 6, "{notes:?}");
 }
 
 #[test]
@@ -289,6 +292,17 @@ fn what_does_not_come_through_is_told() {
         ]
     );
     let cut = bright.iter().filter(|&&value| value > 1.0).count();
+    assert!(
+        obj::attribute_notes(&attributes)
+            .contains(&format!("{cut} values of Cd are beyond 0 to 1, and cut to it in the .obj"))
+    );
+    let text = written(&attributes, |mesh, out| {
+        obj::write(mesh, &obj::WriteOptions::default(), &[], out).expect("writing to memory");
+    });
+    let text = String::from_utf8(text).expect("text");
+    let colors = text.lines().filter(|line| line.starts_with("v ")).flat_map(|line| line.split(' ').skip(4));
+    let colors: Vec<f32> = colors.map(|number| number.parse().expect("a number")).collect();
+    assert_eq!(colors, bright.iter().map(|value| value.clamp(0.0, 1.0)).collect::<Vec<f32>>());
     assert_eq!(
         ply::attribute_notes(&attributes),
         [

@@ -9,13 +9,14 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::particle_checks::{Part, ParticleChecks};
+use super::strays::{MOVE_MAX, Stray, returned};
 use super::surfaces::{Bodies, Sides};
 use crate::grid::{LEAF_EDGE, leaf_steps_within};
 use crate::rasterize::{ParticleBins, Radii};
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// What a cell may hide, in voxels.
-const CELL_MARGIN: f32 = 0.5;
+pub(super) const CELL_MARGIN: f32 = 0.5;
 
 /// Vertices in a piece of work.
 const PIECE: usize = 4096;
@@ -26,15 +27,19 @@ pub(super) const LANES: usize = 8;
 /// One coordinate of each of these vertices.
 pub(super) type Column = [f32; LANES];
 
-/// Checks how far the vertices of a part are from its particles.
-pub(super) fn check_vertices(part: &Part) -> ParticleChecks {
+/// Checks how far the vertices of a part are from its particles; and where those belong that are out of their bounds.
+pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
     let bodies = Bodies::of(part.bins);
     let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
-    let steps = leaf_steps_within(part.radii.max * longest + CELL_MARGIN);
-    let pieces = part.mesh.positions.par_chunks(PIECE);
-    let checks = pieces
-        .map(|positions| dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, positions }));
-    checks.reduce(|| ParticleChecks::NOTHING, ParticleChecks::and)
+    let steps = leaf_steps_within(part.radii.max * longest + CELL_MARGIN + 2.0 * MOVE_MAX);
+    let pieces = part.mesh.positions.par_chunks(PIECE).enumerate();
+    let check = |(piece, positions)| {
+        let first = piece * PIECE;
+        dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, first, positions })
+    };
+    let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
+    let checks = pieces.iter().fold(ParticleChecks::NOTHING, |checks, (piece, _)| checks.and(*piece));
+    (checks, pieces.into_iter().flat_map(|(_, strays)| strays).collect())
 }
 
 /// Checks some vertices.
@@ -43,25 +48,27 @@ struct PieceChecks<'a> {
     /// The particles, where they have shapes of their own.
     bodies: Option<&'a Bodies<'a>>,
     steps: &'a [IVec3],
+    /// The number of the first of them.
+    first: usize,
     positions: &'a [Vec3],
 }
 
 impl Kernel for PieceChecks<'_> {
-    type Output = ParticleChecks;
+    type Output = (ParticleChecks, Vec<Stray>);
 
     #[inline(always)]
-    fn run<V: Lanes>(self) -> ParticleChecks {
-        let mut checks = ParticleChecks::NOTHING;
-        let mut near = NearLeaves { origin: IVec3::MAX, leaves: Vec::with_capacity(self.steps.len()) };
+    fn run<V: Lanes>(self) -> (ParticleChecks, Vec<Stray>) {
+        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
+        let mut near = NearLeaves::nowhere();
         let mut rest = self.positions;
         while let Some(&first) = rest.first() {
-            let (origin, _) = self.place(first);
+            let (origin, _) = place_of(self.part, first);
             let mut locals = [[0.0; LANES]; 3];
             let mut count = 0;
             // The last vertex repeats in lanes that would be empty.
             for lane in 0..LANES {
                 if let Some(&position) = rest.get(count) {
-                    let (leaf, local) = self.place(position);
+                    let (leaf, local) = place_of(self.part, position);
                     if count == lane && leaf == origin {
                         [locals[0][lane], locals[1][lane], locals[2][lane]] = local.to_array();
                         count += 1;
@@ -72,14 +79,13 @@ impl Kernel for PieceChecks<'_> {
                     local[lane] = local[count - 1];
                 }
             }
+            let first = self.first + self.positions.len() - rest.len();
             let positions = &rest[..count];
             rest = &rest[count..];
             if !self.part.owned.contains(origin) {
                 continue;
             }
-            if near.origin != origin {
-                near.find(self.part.bins, origin, self.steps);
-            }
+            near.find_around(self.part.bins, origin, self.steps);
             let distances = near.distances(self.part.bins, &locals);
             let Radii { min, max, .. } = self.part.radii;
             let Sides { is_inside_min, is_within_max } = match self.bodies {
@@ -90,34 +96,47 @@ impl Kernel for PieceChecks<'_> {
                 Some(bodies) => bodies.sides(&near, &locals, [min, max], CELL_MARGIN),
             };
             for (lane, &position) in positions.iter().enumerate() {
-                if self.is_exempt(position) {
+                if is_exempt(self.part, position) {
                     continue;
                 }
                 checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
                 checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
                 checks.vertices_inside_min += usize::from(is_inside_min[lane]);
                 checks.vertices_outside_max += usize::from(!is_within_max[lane]);
+                if is_inside_min[lane] | !is_within_max[lane] {
+                    let local = Vec3::new(locals[0][lane], locals[1][lane], locals[2][lane]);
+                    strays.extend(self.stray(&near, first + lane, origin, local));
+                }
             }
         }
-        checks
+        (checks, strays)
     }
 }
 
 impl PieceChecks<'_> {
-    /// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
-    #[inline(always)]
-    fn place(&self, position: Vec3) -> (IVec3, Vec3) {
-        let index = (self.part.mesh.origin + position.as_dvec3()) / self.part.lattice.voxel_size;
-        let edge = f64::from(LEAF_EDGE);
-        let origin: DVec3 = (index / edge).floor() * edge;
-        (origin.as_ivec3(), (index - origin).as_vec3())
+    /// A vertex that is out of its bounds: there are few.
+    #[cold]
+    fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
+        let place = origin.as_dvec3() + returned(self.part, near, local)?.as_dvec3();
+        let Part { mesh, lattice, .. } = self.part;
+        Some(Stray { vertex, position: (place * lattice.voxel_size - mesh.origin).as_vec3() })
     }
+}
 
-    #[inline(always)]
-    fn is_exempt(&self, position: Vec3) -> bool {
-        let Part { exempt, mesh, lattice, .. } = self.part;
-        !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
-    }
+/// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
+#[inline(always)]
+fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
+    let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
+    let edge = f64::from(LEAF_EDGE);
+    let origin: DVec3 = (index / edge).floor() * edge;
+    (origin.as_ivec3(), (index - origin).as_vec3())
+}
+
+/// Whether a vertex need not be between the spheres.
+#[inline(always)]
+fn is_exempt(part: &Part, position: Vec3) -> bool {
+    let Part { exempt, mesh, lattice, .. } = part;
+    !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
 }
 
 /// The leaves around one that hold particles, the nearest first.
@@ -128,7 +147,17 @@ pub(super) struct NearLeaves {
 }
 
 impl NearLeaves {
-    fn find(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
+    /// Around no leaf.
+    pub(super) fn nowhere() -> NearLeaves {
+        NearLeaves { origin: IVec3::MAX, leaves: Vec::new() }
+    }
+
+    /// Those that hold particles, of the leaves so many steps from one.
+    #[inline(always)]
+    pub(super) fn find_around(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
+        if self.origin == origin {
+            return;
+        }
         self.origin = origin;
         self.leaves.clear();
         let found =
@@ -190,8 +219,8 @@ pub(super) fn is_inside_one(
     radius: f32,
 ) -> bool {
     let longest = bodies.map_or(1.0, Bodies::longest);
-    let mut near = NearLeaves { origin, leaves: Vec::new() };
-    near.find(bins, origin, &leaf_steps_within(radius * longest));
+    let mut near = NearLeaves::nowhere();
+    near.find_around(bins, origin, &leaf_steps_within(radius * longest));
     let points = point.to_array().map(|axis| [axis; LANES]);
     match bodies {
         None => near.distances(bins, &points)[0] < radius,

@@ -14,12 +14,14 @@
 mod containment;
 mod distances;
 mod particle_checks;
+mod strays;
 mod surfaces;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
-pub use particle_checks::{Part, ParticleChecks};
+pub use particle_checks::{Part, ParticleChecks, check};
+pub use strays::Stray;
 
 use crate::mesh::{Mesh, MeshMeasures};
 use crate::space::Lattice;

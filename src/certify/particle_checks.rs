@@ -9,7 +9,7 @@
 //! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
 //! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
 
-use super::{Exempt, containment, distances};
+use super::{Exempt, Stray, containment, distances};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::rasterize::{ParticleBins, Radii};
@@ -63,13 +63,6 @@ impl ParticleChecks {
         particles_exempt: 0,
     };
 
-    /// Checks a part of a frame.
-    pub fn of(part: &Part) -> ParticleChecks {
-        let vertices = distances::check_vertices(part);
-        let [particles_outside, particles_exempt] = containment::particles_outside(part);
-        ParticleChecks { particles_outside, particles_exempt, ..vertices }
-    }
-
     /// The checks of two parts that have no leaf in common, together.
     pub fn and(self, other: ParticleChecks) -> ParticleChecks {
         ParticleChecks {
@@ -81,6 +74,14 @@ impl ParticleChecks {
             particles_exempt: self.particles_exempt + other.particles_exempt,
         }
     }
+}
+
+/// Checks a part of a frame; and says where those vertices belong that are out of their bounds, if there is a place for
+/// them within a voxel.
+pub fn check(part: &Part) -> (ParticleChecks, Vec<Stray>) {
+    let (vertices, strays) = distances::check_vertices(part);
+    let [particles_outside, particles_exempt] = containment::particles_outside(part);
+    (ParticleChecks { particles_outside, particles_exempt, ..vertices }, strays)
 }
 
 #[cfg(test)]
@@ -113,15 +114,8 @@ mod tests {
         let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
             let part = |owned: CoordBox| {
-                ParticleChecks::of(&Part {
-                    bins,
-                    radii,
-                    band: &band,
-                    mesh: &mesh,
-                    lattice: &lattice,
-                    owned,
-                    exempt: &NothingExempt,
-                })
+                let exempt = &NothingExempt;
+                check(&Part { bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt }).0
             };
             let whole = part(CoordBox::ALL);
             let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];

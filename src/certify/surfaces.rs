@@ -96,3 +96,17 @@ fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f3
         }
     }
 }
+
+/// The same, and the direction in which they grow.
+pub(super) fn distances_and_outward(
+    shapes: &Shapes,
+    index: usize,
+    apart: Vec3,
+    radii: [f32; 2],
+) -> ([f32; 2], Vec3) {
+    let steepest = match shapes {
+        Shapes::Balls | Shapes::Scaled(_) => apart,
+        Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].apply(ellipsoids[index].apply(apart)),
+    };
+    (distances(shapes, index, apart, radii), steepest.normalize_or(Vec3::X))
+}

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use anyhow::{Result, bail};
 use meniscus_formats::{gltf, vdb};
 
 use crate::pipeline::{OutputFormat, OutputOptions};
@@ -96,9 +97,21 @@ fn contouring_of(contour: ContourChoice) -> Contouring {
 }
 
 /// What was typed and changes nothing, a sentence each.
-pub(super) fn ignored(args: &MethodArgs) -> Vec<String> {
-    let choices = choices(args);
-    let choices = choices.clone().over(choices.preset.map_or_else(Choices::default, Preset::choices));
+pub(super) fn ignored(
+    args: &MethodArgs,
+    formats: Option<&[Format]>,
+    format_args: &FormatArgs,
+) -> Vec<String> {
+    let ignored = without_use(args).into_iter();
+    let ignored = ignored.map(|(option, with)| format!("{option} is ignored: it is for {with} only"));
+    let idle = without_file(args, &distinct(formats), format_args).into_iter();
+    let idle = idle.map(|(option, kind)| format!("{option} changes no file: it is for {kind} only"));
+    ignored.chain(idle).collect()
+}
+
+/// Options that are without effect, and what they are for.
+fn without_use(args: &MethodArgs) -> Vec<(&'static str, &'static str)> {
+    let choices = choices(args).with_preset();
     let ParticleArgs {
         radius_scale, max_stretch, neighbor_radius, position_smoothing, velocity_gain, ..
     } = &args.particles;
@@ -125,7 +138,49 @@ pub(super) fn ignored(args: &MethodArgs) -> Vec<String> {
         ),
     ];
     let ignored = cases.into_iter().filter(|(_, is_given, is_used, _)| *is_given && !is_used);
-    ignored.map(|(option, _, _, with)| format!("{option} is ignored: it is for {with} only")).collect()
+    ignored.map(|(option, _, _, with)| (option, with)).collect()
+}
+
+/// Options for files of a kind that is not written, and which that is.
+fn without_file(
+    args: &MethodArgs,
+    written: &[OutputFormat],
+    format_args: &FormatArgs,
+) -> Vec<(&'static str, &'static str)> {
+    let MeshArgs { contour, decimate, smooth_normals, quads } = &args.mesh;
+    let has = |format| written.contains(&format);
+    let has_mesh = written.iter().any(|&format| format != OutputFormat::Vdb);
+    let has_gltf = has(OutputFormat::Glb) || has(OutputFormat::Gltf);
+    let (obj, vdb) = (has(OutputFormat::Obj), has(OutputFormat::Vdb));
+    let cases = [
+        ("--contour", contour.is_some(), has_mesh, "meshes"),
+        ("--decimate", decimate.is_some(), has_mesh, "meshes"),
+        ("--smooth-normals", smooth_normals.is_some(), has_mesh, "meshes"),
+        ("--quads", *quads, obj, ".obj"),
+        ("--up", format_args.up.is_some(), has_gltf, ".glb and .gltf"),
+        ("--vdb-half", format_args.vdb_half, vdb, ".vdb"),
+        ("--vdb-compression", format_args.vdb_compression.is_some(), vdb, ".vdb"),
+    ];
+    let idle = cases.into_iter().filter(|(_, is_given, is_written, _)| *is_given && !is_written);
+    idle.map(|(option, _, _, kind)| (option, kind)).collect()
+}
+
+/// Refuses a number that was to be the value of --smooth-normals and is taken for an input, since that has its value
+/// after a =.
+///
+/// # Errors
+/// What to write instead.
+pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Result<()> {
+    let is_stray = |input: &&PathBuf| {
+        input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()
+    };
+    if args.mesh.smooth_normals.is_some()
+        && let Some(input) = inputs.iter().find(is_stray)
+    {
+        let number = input.display();
+        bail!("{number}: no such file or folder; for {number} rounds, write --smooth-normals={number}");
+    }
+    Ok(())
 }
 
 /// What is written, to `folder`: .glb and .vdb by default.
@@ -134,6 +189,24 @@ pub(super) fn output_options(
     formats: Option<&[Format]>,
     args: &FormatArgs,
 ) -> OutputOptions {
+    OutputOptions {
+        folder,
+        formats: distinct(formats),
+        up: match args.up.unwrap_or(UpChoice::Y) {
+            UpChoice::Y => gltf::UpAxis::Y,
+            UpChoice::Z => gltf::UpAxis::Z,
+        },
+        vdb_half: args.vdb_half,
+        vdb_compression: match args.vdb_compression.unwrap_or(CompressionChoice::Blosc) {
+            CompressionChoice::None => vdb::Compression::None,
+            CompressionChoice::Active => vdb::Compression::ActiveMask,
+            CompressionChoice::Blosc => vdb::Compression::Blosc,
+        },
+    }
+}
+
+/// The formats to write, each once: .glb and .vdb by default.
+fn distinct(formats: Option<&[Format]>) -> Vec<OutputFormat> {
     let mut distinct = Vec::new();
     for &format in formats.unwrap_or(&[Format::Glb, Format::Vdb]) {
         let format = match format {
@@ -147,18 +220,5 @@ pub(super) fn output_options(
             distinct.push(format);
         }
     }
-    OutputOptions {
-        folder,
-        formats: distinct,
-        up: match args.up.unwrap_or(UpChoice::Y) {
-            UpChoice::Y => gltf::UpAxis::Y,
-            UpChoice::Z => gltf::UpAxis::Z,
-        },
-        vdb_half: args.vdb_half,
-        vdb_compression: match args.vdb_compression.unwrap_or(CompressionChoice::Blosc) {
-            CompressionChoice::None => vdb::Compression::None,
-            CompressionChoice::Active => vdb::Compression::ActiveMask,
-            CompressionChoice::Blosc => vdb::Compression::Blosc,
-        },
-    }
+    distinct
 }

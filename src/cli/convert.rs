@@ -1,6 +1,6 @@
 //! `meniscus convert`: frames of particles into meshes and level sets.
 
-use std::collections::BTreeSet;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::available_parallelism;
@@ -12,21 +12,22 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::pipeline::{
     self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, ObstacleFiles, OnError, Outcome,
     OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
-    default_in_flight, default_memory_bytes, is_own_output,
+    default_in_flight, gist, is_own_output,
 };
 use crate::settings::Settings;
 use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{ConvertArgs, OnErrorChoice};
-use super::choices::{choices, ignored, output_options};
+use super::choices::{choices, ignored, output_options, refuse_stray_rounds};
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::print_settings::print_settings;
-use super::wording::{counted, described, notes, significant};
+use super::quantities::memory_bytes;
+use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant, standing_notes};
 
 /// Converts what the arguments ask for.
 ///
@@ -36,32 +37,39 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let start = Instant::now();
     clean_up_when_interrupted();
     if args.print_settings && args.inputs.is_empty() {
-        return print_settings(&[], &args.method, &thread_pool(args.threads)?, console);
+        return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let Selection { sequences, found } = select_frames(args, console)?;
-    for warning in ignored(&args.method) {
-        console.warn(format_args!("warning: {warning}"));
+    // An option may be wrong and without effect: that it is wrong is told, and later.
+    if is_sound(args) {
+        for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
+            console.warn(format_args!("warning: {warning}"));
+        }
     }
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
     }
     if args.print_settings {
         let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
-        return print_settings(&sequences, &args.method, &thread_pool(args.threads)?, console);
+        return print_settings(&sequences, args, &thread_pool(args.threads)?, console);
     }
     let obstacles = Arc::new(ObstacleFiles::new(args.method.obstacles.obstacle.clone()));
     if let Some(missing) = obstacles.missing() {
-        bail!("{}: there is no such obstacle", missing.display());
+        let missing_name = missing.display();
+        match missing.is_dir() {
+            true => bail!(
+                "{missing_name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj"
+            ),
+            false => bail!("{missing_name}: there is no such obstacle"),
+        }
     }
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
     let out_folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
-    let frames = sequences.iter().flat_map(|sequence| &sequence.selected);
-    let read: BTreeSet<PathBuf> = frames.flat_map(|file| obstacles.files_of(file.number())).collect();
-    let inputs: Vec<PathBuf> = found.into_iter().chain(read).collect();
-    refuse_conflicts(&sequences, &inputs, &outputs, args.report.as_deref())?;
+    refuse_conflicts(&sequences, &found, &obstacles, &outputs, args.report.as_deref())?;
     let pool = thread_pool(args.threads)?;
+    let memory_bytes = memory_bytes(args.memory)?;
 
     let on_error = match args.on_error {
         OnErrorChoice::Stop => OnError::Stop,
@@ -69,13 +77,21 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     };
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
-        let settings = resolve_settings(sequence, args, &pool, console)?;
+        let settings = resolve_settings(sequence, args, (&outputs, &obstacles), &pool, console)?;
         run.add(sequence, settings, &outputs, &obstacles);
     }
     out_folder.keep();
-    let memory_bytes = args.memory.unwrap_or_else(default_memory_bytes);
     run.convert(args.skip_done, memory_bytes, &pool, console);
     run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console)
+}
+
+/// Whether the settings make sense, as far as can be told before frames are looked at.
+fn is_sound(args: &ConvertArgs) -> bool {
+    let choices = choices(&args.method);
+    match args.method.first.voxel_size {
+        Some(voxel_size) => Settings::resolve(voxel_size, &choices).is_ok(),
+        None => Settings::check(&choices).is_ok(),
+    }
 }
 
 /// What to convert.
@@ -94,6 +110,7 @@ struct SelectedSequence {
 }
 
 fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection> {
+    refuse_stray_rounds(&args.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
     for warning in &found.warnings {
         console.warn(format_args!("warning: {warning}"));
@@ -137,6 +154,7 @@ fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
 fn refuse_conflicts(
     sequences: &[SelectedSequence],
     found: &[PathBuf],
+    obstacles: &ObstacleFiles,
     outputs: &OutputOptions,
     report: Option<&Path>,
 ) -> Result<()> {
@@ -154,7 +172,7 @@ fn refuse_conflicts(
     }
     let planned: Vec<(PathBuf, String)> =
         sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
-    Ok(check_outputs(&planned, found, outputs, report)?)
+    Ok(check_outputs(&planned, found, obstacles, outputs, report)?)
 }
 
 fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
@@ -170,14 +188,17 @@ fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
 fn resolve_settings(
     SelectedSequence { sequence, selected }: &SelectedSequence,
     args: &ConvertArgs,
+    files: (&OutputOptions, &ObstacleFiles),
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Result<(Settings, SequenceRecord), String>> {
+    let choices = choices(&args.method);
     let automatic = match args.method.first.voxel_size {
         Some(_) => None,
         None => {
             let paths = || sequence.frames.iter().map(|file| &*file.path);
-            match pool.install(|| automatic_voxel_size(paths())) {
+            let own_radii = choices.own_radii()?;
+            match pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref())) {
                 Ok(automatic) => Some(automatic),
                 Err(error) => return Ok(Err(error.to_string())),
             }
@@ -185,8 +206,8 @@ fn resolve_settings(
     };
     let given = args.method.first.voxel_size;
     let voxel_size = given.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
-    let settings = Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices(&args.method))
-        .with_context(|| sequence.name.clone())?;
+    let settings =
+        Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices).with_context(|| sequence.name.clone())?;
     say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
     if automatic.is_some() {
         warn_of_siblings(sequence, console);
@@ -194,7 +215,7 @@ fn resolve_settings(
     for warning in settings.warnings() {
         console.warn(format_args!("warning: {}: {warning}", sequence.name));
     }
-    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref());
+    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref(), files);
     Ok(Ok((settings, record)))
 }
 
@@ -231,11 +252,14 @@ fn say_settings(
     let frames = counted(selected_count, "frame");
     let voxel_size = match automatic {
         None => settings.voxel_size.to_string(),
-        Some(automatic) => format!(
-            "{} (half the particle spacing {}, measured on {})",
-            significant(automatic.voxel_size),
-            significant(automatic.spacing),
-            automatic.measured_on.file_name().unwrap_or_default().to_string_lossy()
+        Some(AutomaticVoxelSize { voxel_size, spacing, radius_median, measured_on }) => format!(
+            "{} ({}, measured on {})",
+            significant(*voxel_size),
+            match radius_median {
+                Some(radius) => format!("1/√3 of the particles' median r_min {}", significant(*radius)),
+                None => format!("half the particle spacing {}", significant(*spacing)),
+            },
+            measured_on.file_name().unwrap_or_default().to_string_lossy()
         ),
     };
     let [radius_min, radius_init, radius_max] =
@@ -267,6 +291,11 @@ struct Run {
     done_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
+    /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
+    told: HashSet<(usize, String)>,
+    untold_count: usize,
+    /// How many frames were noted before the first of these.
+    failed_first: Option<usize>,
 }
 
 impl Run {
@@ -280,6 +309,9 @@ impl Run {
             done_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
+            told: HashSet::new(),
+            untold_count: 0,
+            failed_first: None,
         }
     }
 
@@ -355,7 +387,7 @@ impl Run {
                         console.warn(format_args!("error: {of}{why}"));
                     }
                     self.record.add_failed(input, *sequence_index, why);
-                    self.failures.push(format!("{}: {why}", input.display()));
+                    self.fail(format!("{}: {why}", input.display()));
                 }
                 _ => {
                     self.record.add_not_started(input, *sequence_index);
@@ -380,7 +412,11 @@ impl Run {
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;
-                for note in notes(report) {
+                let standing = standing_notes(report).into_iter();
+                let is_new = |note: &String| self.told.insert((sequence_index, gist(note)));
+                let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
+                self.untold_count += known.len();
+                for note in new.into_iter().chain(notes(report)) {
                     console.warn(format_args!("warning: {name}: {note}"));
                 }
                 if !has_bar {
@@ -396,15 +432,20 @@ impl Run {
             Outcome::Changed => {
                 let failure = format!("{name}: the file was written while it was read");
                 console.warn(format_args!("error: {failure}"));
-                self.failures.push(failure);
+                self.fail(failure);
             }
             Outcome::Failed(error) => {
                 console.warn(format_args!("error: {error}"));
-                self.failures.push(error.to_string());
+                self.fail(error.to_string());
             }
             Outcome::NotStarted => self.not_started_count += 1,
         }
         console.advance_bar();
+    }
+
+    fn fail(&mut self, failure: String) {
+        self.failed_first.get_or_insert(self.noted_count);
+        self.failures.push(failure);
     }
 
     /// The summary, the report and the verdict.
@@ -418,11 +459,15 @@ impl Run {
             summary += &format!(", {} not started", self.not_started_count);
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
-        // One frame's error has just been told; those of many have scrolled away.
-        if self.noted_count > 1 {
+        // An error that was just told is not told again; one of long ago has scrolled away.
+        if self.failed_first.is_some_and(|first| self.noted_count - first > FRAMES_IN_VIEW) {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }
+        }
+        if self.untold_count > 0 {
+            let more = counted(self.untold_count, "more warning");
+            console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
         }
         if let Some(path) = report
             // Through a link, what it names is replaced and not the link.

@@ -1,14 +1,22 @@
 //! `--print-settings`: what options and presets stand for, as keys of a file.
+//!
+//! A `[[watch]]` block with these keys makes the same files. Keys that change nothing are left out: a file with them
+//! would be warned of.
+
+use std::path::{PathBuf, absolute};
 
 use anyhow::{Context, Result, bail};
 use rayon::ThreadPool;
+use toml::Value;
 
-use crate::pipeline::{Sequence, automatic_voxel_size};
-use crate::settings::{Choices, Settings};
+use crate::pipeline::{
+    OutputFormat, OutputOptions, Sequence, automatic_voxel_size, compression_name, up_name,
+};
+use crate::settings::Settings;
 
 use super::Verdict;
-use super::args::MethodArgs;
-use super::choices::choices;
+use super::args::{ConvertArgs, MethodArgs};
+use super::choices::{choices, output_options};
 use super::console::Console;
 
 /// Prints the settings of each sequence; where there is none, those of any, with lengths in units of the voxel size
@@ -18,12 +26,12 @@ use super::console::Console;
 /// When the options make no sense, or no voxel size can be found.
 pub(super) fn print_settings(
     sequences: &[&Sequence],
-    args: &MethodArgs,
+    args: &ConvertArgs,
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Verdict> {
-    let choices = choices(args);
-    let given = args.first.voxel_size;
+    let choices = choices(&args.method);
+    let given = args.method.first.voxel_size;
     if sequences.is_empty() {
         let lengths = [choices.radius_min, choices.radius_init, choices.neighbor_radius];
         if given.is_none() && (lengths.iter().any(Option::is_some) || choices.clip.is_some()) {
@@ -34,34 +42,101 @@ pub(super) fn print_settings(
         if given.is_none() {
             console.say(format_args!("# these follow the voxel size, here 1:"));
         }
-        print(&Settings::resolve(given.unwrap_or(1.0), &choices)?, given.is_some(), console);
+        let settings = Settings::resolve(given.unwrap_or(1.0), &choices)?;
+        print(&keys(&settings, args, given.is_some())?, console);
     }
+    let own_radii = choices.own_radii()?;
     for sequence in sequences {
         let paths = || sequence.frames.iter().map(|file| &*file.path);
         let voxel_size = match given {
             Some(voxel_size) => voxel_size,
-            None => pool.install(|| automatic_voxel_size(paths()))?.voxel_size,
+            None => pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref()))?.voxel_size,
         };
         let settings = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
         console.say(format_args!("# {}", sequence.name));
-        print(&settings, true, console);
+        print(&keys(&settings, args, true)?, console);
     }
     Ok(Verdict::Done)
 }
 
-fn print(settings: &Settings, has_voxel_size: bool, console: &mut Console) {
-    if has_voxel_size {
-        console.say(format_args!("voxel_size = {}", settings.voxel_size));
+/// A key and its value, as they stand in a file.
+type Key = (String, String);
+
+fn print(keys: &[Key], console: &mut Console) {
+    for (name, value) in keys {
+        console.say(format_args!("{name} = {value}"));
     }
-    let made: Choices = settings.to_choices();
-    for (name, value) in made.to_pairs() {
+}
+
+/// The keys that say what these settings and options are.
+fn keys(settings: &Settings, args: &ConvertArgs, has_voxel_size: bool) -> Result<Vec<Key>> {
+    let outputs = output_options(PathBuf::new(), args.format.as_deref(), &args.formats);
+    let obstacles = obstacle_paths(&args.method)?;
+    let key = |name: &str, value: String| (name.to_owned(), value);
+    let formats = outputs.formats.iter().map(|format| format.extension().to_owned());
+    let mut keys = vec![key("formats", list(formats.collect()))];
+    if has_voxel_size {
+        keys.push(key("voxel_size", settings.voxel_size.to_string()));
+    }
+    if !obstacles.is_empty() {
+        keys.push(key("obstacles", list(obstacles.clone())));
+    }
+    for (name, value) in settings.to_choices().to_pairs() {
+        if !is_of_use(name, &outputs.formats, !obstacles.is_empty()) {
+            continue;
+        }
+        let value = if WORDS.contains(&name) { quoted(value) } else { value };
         // Lengths without a voxel size are there to be seen, not to be used.
         let mark = if !has_voxel_size && LENGTHS.contains(&name) { "#" } else { "" };
-        match WORDS.contains(&name) {
-            true => console.say(format_args!("{mark}{name} = {value:?}")),
-            false => console.say(format_args!("{mark}{name} = {value}")),
-        }
+        keys.push((format!("{mark}{name}"), value));
     }
+    keys.extend(format_keys(&outputs));
+    Ok(keys)
+}
+
+/// The obstacles, as they can be found from wherever the file will lie.
+fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
+    let paths = args.obstacles.obstacle.iter().map(|path| {
+        let whole = absolute(path).with_context(|| format!("`{}` is no path", path.display()))?;
+        let text = whole.to_str().map(str::to_owned);
+        text.with_context(|| format!("{}: a file of settings can name only what is Unicode", whole.display()))
+    });
+    paths.collect()
+}
+
+/// How files are written, of those formats that are.
+fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
+    let mut keys = Vec::new();
+    let is_gltf = |format: &OutputFormat| matches!(format, OutputFormat::Glb | OutputFormat::Gltf);
+    if outputs.formats.iter().any(is_gltf) {
+        keys.push(("up".to_owned(), quoted(up_name(outputs.up).to_owned())));
+    }
+    if outputs.formats.contains(&OutputFormat::Vdb) {
+        let compression = compression_name(outputs.vdb_compression).to_owned();
+        keys.push(("vdb_half".to_owned(), outputs.vdb_half.to_string()));
+        keys.push(("vdb_compression".to_owned(), quoted(compression)));
+    }
+    keys
+}
+
+/// Whether a choice can change what is written.
+fn is_of_use(name: &str, formats: &[OutputFormat], has_obstacles: bool) -> bool {
+    match name {
+        "void_threshold" => has_obstacles,
+        "contour" | "decimate" | "smooth_normals" => {
+            formats.iter().any(|&format| format != OutputFormat::Vdb)
+        }
+        "quads" => formats.contains(&OutputFormat::Obj),
+        _ => true,
+    }
+}
+
+fn quoted(text: String) -> String {
+    Value::String(text).to_string()
+}
+
+fn list(texts: Vec<String>) -> String {
+    Value::Array(texts.into_iter().map(Value::String).collect()).to_string()
 }
 
 /// The keys whose values are lengths.

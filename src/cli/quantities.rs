@@ -2,15 +2,20 @@
 
 use std::time::Duration;
 
+use anyhow::bail;
 use bytesize::ByteSize;
 
 use crate::daemon::Poll;
+use crate::pipeline::default_memory_bytes;
 
 /// Nobody waits longer; and a moment so far away can still be computed.
 const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);
 
 /// Looking more often than this is all that a machine would do.
 const POLL_MIN: Duration = Duration::from_millis(50);
+
+/// No frame does with less memory, in bytes: whoever asks for that has left out the unit.
+const MEMORY_MIN_BYTES: u64 = 1 << 20;
 
 /// A time from nothing to 30 days.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
@@ -50,9 +55,29 @@ pub(super) fn parse_bytes(text: &str) -> Result<u64, String> {
     Ok(size.as_u64())
 }
 
+/// The memory that frames may take, in bytes: what was asked for, or half of what there is.
+///
+/// # Errors
+/// When it is too little for any frame.
+pub(super) fn memory_bytes(given: Option<u64>) -> anyhow::Result<u64> {
+    match given {
+        Some(bytes) if bytes < MEMORY_MIN_BYTES => {
+            bail!("{bytes} bytes of memory are too little for any frame: give 1MiB at least, or such as 8GiB")
+        }
+        Some(bytes) => Ok(bytes),
+        None => Ok(default_memory_bytes()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn memory_without_a_unit_is_too_little() {
+        assert!(memory_bytes(Some(5)).is_err_and(|why| why.to_string().contains("5 bytes of memory")));
+        assert_eq!(memory_bytes(Some(1 << 20)).ok(), Some(1 << 20));
+    }
 
     #[test]
     fn times_have_units_and_bounds() {

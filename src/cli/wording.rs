@@ -3,6 +3,9 @@
 use crate::pipeline::FrameReport;
 use crate::report::{Shaping, SkinReport, TransferReport};
 
+/// What was said before more frames than this has scrolled away.
+pub(super) const FRAMES_IN_VIEW: usize = 20;
+
 /// One line about a frame that was converted.
 pub(super) fn described(report: &FrameReport) -> String {
     let skin = &report.skin;
@@ -20,9 +23,17 @@ pub(super) fn described(report: &FrameReport) -> String {
     )
 }
 
-/// What a user should know of a frame though it was converted.
+/// What a user should know of a frame though it was converted, and of the frames after it as a rule.
+pub(super) fn standing_notes(report: &FrameReport) -> Vec<String> {
+    let skin = &report.skin;
+    let of_shapes = shape_notes(&skin.shaping, skin.particle_count);
+    let of_attributes = skin.transfer.iter().flat_map(transfer_notes);
+    report.notes.iter().cloned().chain(of_shapes).chain(of_attributes).collect()
+}
+
+/// What a user should know of this frame.
 pub(super) fn notes(report: &FrameReport) -> Vec<String> {
-    let mut notes = report.notes.clone();
+    let mut notes = Vec::new();
     let skin = &report.skin;
     if skin.dropped_count > 0 {
         notes.push(format!(
@@ -30,7 +41,6 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
             counted(skin.dropped_count, "particle")
         ));
     }
-    notes.extend(shape_notes(&skin.shaping));
     if skin.contact.particle_count > 0 {
         let particles = counted(skin.contact.particle_count, "particle");
         let is_most = 2 * skin.contact.particle_count > skin.particle_count;
@@ -38,7 +48,6 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
         let hint = if is_most { "; a container needs walls, or it is taken for full" } else { "" };
         notes.push(format!("{particles} inside obstacles: the surface goes around these all the same{hint}"));
     }
-    notes.extend(skin.transfer.iter().flat_map(transfer_notes));
     if skin.convergence.is_some_and(|convergence| !convergence.reached) {
         notes.push("the conjugate gradients did not reach their tolerance".to_owned());
     }
@@ -60,18 +69,23 @@ pub(super) fn notes(report: &FrameReport) -> Vec<String> {
 }
 
 /// What a user should know of the shapes of particles. That stretched ones are raised to what the grid can hold is
-/// nothing to tell: at the default radii nearly all are.
-fn shape_notes(shaping: &Shaping) -> Vec<String> {
+/// nothing to tell: at the default radii nearly all are. Nor is it that some are not stretched: drops fly alone.
+fn shape_notes(shaping: &Shaping, particle_count: usize) -> Vec<String> {
     let mut notes = Vec::new();
     let mut tell = |count: usize, what: &str| {
         if count > 0 {
             notes.push(format!("{} {what}", counted(count, "particle")));
         }
     };
-    tell(shaping.small_radius_count, "too small for the grid: r_min = √3·h was taken");
+    let holding = rounded_down(shaping.small_radius_min / 3f64.sqrt());
+    let small =
+        format!("too small for the grid: r_min = √3·h was taken; --voxel-size {holding} would hold them all");
+    tell(shaping.small_radius_count, &small);
     tell(shaping.invalid_radius_count, "without a radius that is a positive number: the least was taken");
     tell(shaping.large_radius_count, "too large for the grid: the largest radius that it holds was taken");
-    tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
+    if 2 * shaping.ball_count > particle_count {
+        tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
+    }
     notes
 }
 
@@ -156,9 +170,29 @@ pub(super) fn significant(value: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
+/// A positive number to three significant digits, and not above it.
+fn rounded_down(value: f64) -> String {
+    let near: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let below = if near > value { near - 10f64.powf(value.log10().floor() - 2.0) } else { near };
+    significant(below)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn voxels_that_hold_a_particle_are_not_rounded_up() {
+        for (value, expected) in [
+            (0.123_456, "0.123"),
+            (0.129_999, "0.129"),
+            (9.999e-7, "9.99e-7"),
+            (12345.0, "12300"),
+            (0.5, "0.5"),
+        ] {
+            assert_eq!(rounded_down(value), expected);
+        }
+    }
 
     #[test]
     fn six_digits_say_enough_at_any_magnitude() {

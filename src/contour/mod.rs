@@ -31,6 +31,7 @@ mod ring;
 use glam::{DVec3, IVec3, Vec3};
 
 pub use curvature::{bending_energy, mean_curvatures};
+pub use normals::fill_zero_normals;
 
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::level_set::NarrowBand;

@@ -22,7 +22,7 @@ pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
 
 /// Gives each vertex whose normal is zero the mean of its triangles' normals, weighted by area; and
 /// where these cancel, as on a sheet folded flat, the z axis.
-pub(super) fn fill_zero_normals(mesh: &mut Mesh) {
+pub fn fill_zero_normals(mesh: &mut Mesh) {
     if mesh.normals.iter().all(|&normal| normal != Vec3::ZERO) {
         return;
     }

@@ -123,9 +123,11 @@ impl fmt::Display for SkipReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             SkipReason::Done => {
-                "it is done: its input and settings are those recorded, and its outputs are there"
+                "it is done: its input, settings and obstacles are those recorded, and its outputs are there"
             }
-            SkipReason::FailedUnchanged => "it failed, and neither it nor its settings have changed since",
+            SkipReason::FailedUnchanged => {
+                "it failed, and neither it nor its settings or obstacles have changed since"
+            }
         })
     }
 }
@@ -136,7 +138,7 @@ impl fmt::Display for ConvertReason {
             ConvertReason::New => f.write_str("nothing is recorded of it: it is new"),
             ConvertReason::InputChanged => f.write_str("it was written again, and is not what it was"),
             ConvertReason::SettingsChanged => {
-                f.write_str("its settings are others than those it was converted with")
+                f.write_str("its settings or obstacles are others than those it was converted with")
             }
             ConvertReason::OutputMissing(path) => {
                 write!(f, "its output {} is gone, or is not as it was written", path.display())
@@ -281,6 +283,9 @@ mod tests {
         let missing = Decision::Convert(ConvertReason::OutputMissing("/out/a.glb".into()));
         assert_eq!(missing.to_string(), "its output /out/a.glb is gone, or is not as it was written");
         let settings = Decision::Convert(ConvertReason::SettingsChanged);
-        assert_eq!(settings.to_string(), "its settings are others than those it was converted with");
+        assert_eq!(
+            settings.to_string(),
+            "its settings or obstacles are others than those it was converted with"
+        );
     }
 }

@@ -48,8 +48,9 @@ pub(super) struct FrameState {
     pub(super) sequence: usize,
     /// How far it is.
     pub(super) phase: Phase,
-    /// The fingerprint of what it was queued to be converted with; empty before.
-    pub(super) queued_with: String,
+    /// The fingerprint of what it was queued to be converted with, or of what the journal says it was made with where
+    /// that may change while the daemon runs; else empty.
+    pub(super) made_with: String,
     /// Failures in a row that may pass by themselves.
     pub(super) attempt_count: u32,
     /// The scan that saw it last.
@@ -127,7 +128,7 @@ impl Frames {
         let state = FrameState {
             sequence,
             phase: Phase::Settling(candidate),
-            queued_with: String::new(),
+            made_with: String::new(),
             attempt_count: 0,
             scan_count,
             alarm_at: None,

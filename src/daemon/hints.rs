@@ -110,6 +110,7 @@ impl Daemon<'_> {
             tracing::warn!(path = %path.display(), "cannot be looked into: {error}");
         }
         self.sight_all(index, found.files);
+        self.look_at_obstacles(index);
         let count = self.scan_count;
         // Nothing is known of what lies where the scan could not look.
         let is_hidden = |id: &FrameId| found.problems.iter().any(|(path, _)| id.path.starts_with(path));

@@ -18,10 +18,10 @@ use crate::settings::Settings;
 
 use super::decision::{Decision, SkipReason, decide};
 use super::evidence::{completeness_of, sentinel_of};
-use super::frames::{FrameId, Phase};
+use super::frames::{FrameId, FrameState, Phase};
 use super::journal::Standing;
 use super::readiness::{Candidate, Readiness};
-use super::rounds::Daemon;
+use super::rounds::{Daemon, Failure};
 use super::scan::Seen;
 use super::selection::{Content, content};
 use super::sequences::SequenceSettings;
@@ -130,17 +130,25 @@ impl Daemon<'_> {
         let missing = record.outputs.iter().find(|output| !output.is_there()).map(|output| &output.path);
         let missing = unrecorded.or(missing).map(|path| &**path);
         let settings = self.sequences.get(sequence).fingerprint(&self.obstacles[id.root], &id.path);
-        match decide(Some(record), stamp, &settings, missing) {
+        let phase = match decide(Some(record), stamp, &settings, missing) {
             Decision::Skip(SkipReason::Done) => {
                 // Its outputs are its own, also when another input comes that would have the same.
-                self.claim_own(id).is_ok().then_some(Phase::Done(*stamp))
+                self.claim_own(id).ok().map(|()| Phase::Done(*stamp))?
             }
             Decision::Skip(SkipReason::FailedUnchanged) => {
-                self.failed.insert(id.clone(), record.reason.clone().unwrap_or_default());
-                Some(Phase::Failed(*stamp))
+                let reason = record.reason.clone().unwrap_or_default();
+                self.failed.insert(id.clone(), Failure { reason, told_at: None });
+                Phase::Failed(*stamp)
             }
-            Decision::CompareContent | Decision::Convert(_) => None,
+            Decision::CompareContent | Decision::Convert(_) => return None,
+        };
+        // Obstacles may be written again later.
+        if !self.obstacles[id.root].is_empty()
+            && let Some(frame) = self.frames.get_mut(id)
+        {
+            frame.made_with = settings;
         }
+        Some(phase)
     }
 
     /// A frame that is done stays so only while its outputs are there.
@@ -153,6 +161,42 @@ impl Daemon<'_> {
         if let Some(missing) = missing {
             tracing::info!(frame = %id.path.display(), "{} is gone: converted again", missing.display());
             self.ready(id, stamp);
+        }
+    }
+
+    /// Frames of a root that went around obstacles, or failed for them, and of which one was written again since, are
+    /// converted again. Obstacles are looked at whenever their root is, and nobody hears of them before.
+    pub(super) fn look_at_obstacles(&mut self, root: usize) {
+        let obstacles = Arc::clone(&self.obstacles[root]);
+        if obstacles.is_empty() || !self.outputs_are_there {
+            return;
+        }
+        // What stands still is looked at once, and not for every frame.
+        let of_all = obstacles.stand_still().then(|| obstacles.stamps(None));
+        let is_other = |id: &FrameId, frame: &FrameState| {
+            let of_frame = || obstacles.stamps(FrameFile::new(id.path.to_path_buf()).number());
+            let stamps = of_all.clone().unwrap_or_else(of_frame);
+            // What was removed is no other obstacle: who takes it away does not take back what was made with it.
+            stamps.are_all_there
+                && self.sequences.get(frame.sequence).fingerprint_among(&stamps) != frame.made_with
+        };
+        let is_stale = |id: &FrameId, frame: &FrameState| {
+            let is_ended = matches!(frame.phase, Phase::Done(_) | Phase::Failed(_));
+            let was_begun = !frame.made_with.is_empty() && !self.refused.contains(id);
+            id.root == root && is_ended && was_begun && is_other(id, frame)
+        };
+        let stale = self.frames.iter().filter(|(id, frame)| is_stale(id, frame));
+        let mut stale: Vec<(FrameId, FileStamp)> =
+            stale.map(|(id, frame)| (id.clone(), frame.phase.stamp())).collect();
+        stale.sort_by(|(one, _), (other, _)| one.cmp(other));
+        for (id, stamp) in stale {
+            tracing::info!(frame = %id.path.display(), "an obstacle was written again: converted again");
+            self.failed.remove(&id);
+            if let Some(frame) = self.frames.get_mut(&id) {
+                frame.attempt_count = 0;
+            }
+            self.ready(&id, stamp);
+            self.pulse();
         }
     }
 
@@ -186,7 +230,7 @@ impl Daemon<'_> {
                 let why = why.clone();
                 self.fail_for_good(id, stamp, why);
             }
-            SequenceSettings::Unknown | SequenceSettings::BeingMeasured => {
+            SequenceSettings::Unknown(_) | SequenceSettings::BeingMeasured => {
                 self.dirty_sequences.insert(sequence);
             }
         }
@@ -195,7 +239,7 @@ impl Daemon<'_> {
     fn enqueue(&mut self, id: &FrameId, stamp: FileStamp, settings: Arc<Settings>) {
         let obstacles = Arc::clone(&self.obstacles[id.root]);
         if let Some(frame) = self.frames.get_mut(id) {
-            frame.queued_with = self.sequences.get(frame.sequence).fingerprint(&obstacles, &id.path);
+            frame.made_with = self.sequences.get(frame.sequence).fingerprint(&obstacles, &id.path);
         }
         let frame = Frame {
             input: id.path.to_path_buf(),
@@ -226,7 +270,7 @@ impl Daemon<'_> {
     /// Makes the outputs of this frame its own.
     ///
     /// # Errors
-    /// When another input has them already, or when one of them would replace a file of particles.
+    /// When another input has them already, or when one of them would replace a file of particles or an obstacle.
     fn claim(&mut self, id: &FrameId) -> Result<(), String> {
         let claimed = self.free_stem(id)?;
         for output in self.output_paths(id) {
@@ -235,6 +279,10 @@ impl Daemon<'_> {
                     "its output {} would replace a file of particles: choose another folder or format",
                     output.display()
                 ));
+            }
+            // Those of the frames of other folders, too.
+            for obstacles in &self.obstacles {
+                obstacles.refuse_output(&output).map_err(|conflict| conflict.to_string())?;
             }
         }
         self.claims.insert(claimed, id.clone());
@@ -283,7 +331,7 @@ impl Daemon<'_> {
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.phase = phase;
         // Others may have waited for this one, to be measured after it.
-        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown) {
+        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(frame.sequence);
         }
     }

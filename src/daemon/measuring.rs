@@ -20,22 +20,20 @@ impl Daemon<'_> {
     /// Has the sequences measured that wait for it and can be.
     pub(super) fn resolve_sequences(&mut self) {
         for index in std::mem::take(&mut self.dirty_sequences) {
-            if let Some(files) = self.files_to_measure(index) {
+            if let Some(order) = self.what_to_measure(index) {
                 self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
                 self.measuring_count += 1;
                 // The thread at the other end lives as long as the loop.
-                let _ = self.to_measure.send(MeasureOrder { sequence: index, files });
+                let _ = self.to_measure.send(order);
             }
         }
     }
 
     /// The complete frames of a sequence that come before all that are still being written, in natural
     /// order; `None` where there is none, or nothing to measure.
-    fn files_to_measure(&self, index: usize) -> Option<Vec<(PathBuf, FileStamp)>> {
+    fn what_to_measure(&self, index: usize) -> Option<MeasureOrder> {
         let sequence = self.sequences.get(index);
-        if !matches!(sequence.settings, SequenceSettings::Unknown) {
-            return None;
-        }
+        let SequenceSettings::Unknown(own_radii) = &sequence.settings else { return None };
         let mut members: Vec<(&FrameId, Option<FileStamp>)> = self
             .frames
             .iter()
@@ -49,7 +47,7 @@ impl Daemon<'_> {
         members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
         let files: Vec<(PathBuf, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.path.to_path_buf(), stamp?))).collect();
-        (!files.is_empty()).then_some(files)
+        (!files.is_empty()).then(|| MeasureOrder { sequence: index, files, own_radii: own_radii.clone() })
     }
 
     /// A sequence was measured, or could not be.

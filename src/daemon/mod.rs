@@ -97,10 +97,20 @@ pub struct Summary {
     pub ended: Ended,
     /// Frames whose outputs are there: made in this run, or found done.
     pub done_count: usize,
-    /// A sentence for each frame that failed, in natural order.
-    pub failed: Vec<String>,
+    /// Each frame that failed, in natural order.
+    pub failed: Vec<FailedFrame>,
     /// Frames that were seen and are left for the next time.
     pub left_count: usize,
+}
+
+/// A frame that failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FailedFrame {
+    /// A sentence: which frame, and why.
+    pub what: String,
+    /// How many frames were finished since that was told; `None` if it was known from an earlier run, and not told in
+    /// this one.
+    pub frames_since: Option<usize>,
 }
 
 /// Why a run ended.

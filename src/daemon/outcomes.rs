@@ -4,18 +4,21 @@ use std::io;
 use std::path::Path;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, output_path};
+use crate::pipeline::{
+    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, gist, output_path,
+};
 
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::{FrameRecord, OutputRecord, Standing, now_ms};
 use super::readiness::Candidate;
 use super::retry::{Remedy, backoff, remedy};
-use super::rounds::Daemon;
+use super::rounds::{Daemon, Failure};
 use super::scan::look;
 
 impl Daemon<'_> {
     /// The pipeline is finished with a frame.
     pub(super) fn finished(&mut self, id: &FrameId, frame: &Frame, outcome: Outcome) {
+        self.finished_count += 1;
         let Some(state) = self.frames.get(id) else { return };
         let stamp = state.phase.stamp();
         match outcome {
@@ -47,6 +50,11 @@ impl Daemon<'_> {
             "converted"
         );
         for note in &report.notes {
+            // What is so with one frame is so with the next, as a rule.
+            let sequence = self.frames.get(id).map(|frame| frame.sequence);
+            if sequence.is_some_and(|index| !self.sequences.get_mut(index).told.insert(gist(note))) {
+                continue;
+            }
             tracing::warn!(frame = %id.path.display(), "{note}");
         }
         if !skin.certificate.holds() {
@@ -135,7 +143,7 @@ impl Daemon<'_> {
     fn fail_until_restart(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Retrying, stamp, Some(reason.clone()));
-        self.failed.insert(id.clone(), reason);
+        self.note_failure(id, reason);
     }
 
     fn retry_at(&mut self, id: &FrameId, stamp: FileStamp, at: Instant, reason: &str) {
@@ -149,7 +157,7 @@ impl Daemon<'_> {
         tracing::error!(frame = %id.path.display(), "{reason}");
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Failed, stamp, Some(reason.clone()));
-        self.failed.insert(id.clone(), reason);
+        self.note_failure(id, reason);
         // It will have no outputs: whoever was refused their names may have them.
         self.give_way(id);
     }
@@ -161,7 +169,13 @@ impl Daemon<'_> {
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Refused, stamp, Some(reason.clone()));
         self.refused.insert(id.clone());
-        self.failed.insert(id.clone(), reason);
+        self.note_failure(id, reason);
+    }
+
+    /// A failure that was just told.
+    fn note_failure(&mut self, id: &FrameId, reason: String) {
+        let told_at = Some(self.finished_count);
+        self.failed.insert(id.clone(), Failure { reason, told_at });
     }
 
     /// It is time to try a frame again.
@@ -219,9 +233,9 @@ impl Daemon<'_> {
     /// The fingerprint of what a frame is converted with. Of one that was queued it is that of then: an obstacle that
     /// is written meanwhile is another one.
     fn made_with(&self, id: &FrameId, frame: &FrameState) -> String {
-        match frame.queued_with.is_empty() {
+        match frame.made_with.is_empty() {
             true => self.sequences.get(frame.sequence).fingerprint(&self.obstacles[id.root], &id.path),
-            false => frame.queued_with.clone(),
+            false => frame.made_with.clone(),
         }
     }
 

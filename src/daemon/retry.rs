@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use meniscus_formats::Error;
 
-use crate::pipeline::{Cause, FrameError, Stage};
+use crate::pipeline::{Cause, FrameError, ObstacleError, Stage};
 
 /// What to do about a frame that failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,16 +30,16 @@ pub(super) fn remedy(error: &FrameError) -> Remedy {
         // These are where the outputs will be: who cannot write them could not write those.
         Cause::Scratch(refusal) if concerns_all(refusal.kind()) => Remedy::AwaitRoom,
         Cause::Scratch(_) | Cause::Changed => Remedy::Retry,
-        Cause::Obstacle(cause) => remedy_of_obstacle(cause),
+        Cause::Obstacle(error) => remedy_of_obstacle(error),
         Cause::TooLarge(_) => Remedy::AwaitRestart,
         Cause::Missing(_) | Cause::Panic(_) => Remedy::GiveUp,
     }
 }
 
 /// An obstacle that is not there may come, or be written yet; nobody watches for another one.
-fn remedy_of_obstacle(cause: &Cause) -> Remedy {
-    match cause {
-        Cause::File(source) if !matches!(source, Error::Io(_)) && !source.is_short() => Remedy::AwaitRestart,
+fn remedy_of_obstacle(error: &ObstacleError) -> Remedy {
+    match &error.source {
+        Some(source) if !matches!(source, Error::Io(_)) && !source.is_short() => Remedy::AwaitRestart,
         _ => Remedy::Retry,
     }
 }
@@ -123,11 +123,12 @@ mod tests {
         let too_large = TooLarge { least_bytes: 2, allowed_bytes: 1, is_coupled: false };
         assert_eq!(smoothing(Cause::TooLarge(too_large)), Remedy::AwaitRestart);
         assert_eq!(smoothing(Cause::Panic("no".into())), Remedy::GiveUp);
-        let obstacle = |cause| smoothing(Cause::Obstacle(Box::new(cause)));
-        assert_eq!(obstacle(Cause::File(io(io::ErrorKind::NotFound))), Remedy::Retry);
-        assert_eq!(obstacle(Cause::Changed), Remedy::Retry);
+        let obstacle =
+            |source| smoothing(Cause::Obstacle(Box::new(ObstacleError { path: "b".into(), source })));
+        assert_eq!(obstacle(Some(io(io::ErrorKind::NotFound))), Remedy::Retry);
+        assert_eq!(obstacle(None), Remedy::Retry);
         let invalid = Error::invalid("OBJ", Place::Line(3), "no");
-        assert_eq!(obstacle(Cause::File(invalid)), Remedy::AwaitRestart);
+        assert_eq!(obstacle(Some(invalid)), Remedy::AwaitRestart);
     }
 
     #[test]

@@ -22,7 +22,7 @@ use super::scan::look;
 use super::sequences::{MeasureOrder, Measured, Sequences, obstacle_files};
 use super::stores::{Listings, Presence, Stores};
 use super::watcher::{Hint, Watcher};
-use super::{Command, DaemonError, Ended, Notice, Summary};
+use super::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
 
 /// Everything that the loop knows.
 pub(super) struct Daemon<'a> {
@@ -47,8 +47,10 @@ pub(super) struct Daemon<'a> {
     /// No folder of outputs is unmounted: what is not in them is missing.
     pub(super) outputs_are_there: bool,
     pub(super) scan_count: u64,
-    /// Why frames failed.
-    pub(super) failed: HashMap<FrameId, String>,
+    /// Frames that failed.
+    pub(super) failed: HashMap<FrameId, Failure>,
+    /// How many frames the pipeline has finished with.
+    pub(super) finished_count: usize,
     /// Of these, those that other files kept from being converted.
     pub(super) refused: HashSet<FrameId>,
     pub(super) watcher: Option<Watcher>,
@@ -57,6 +59,14 @@ pub(super) struct Daemon<'a> {
     notices: &'a mut dyn FnMut(Notice),
     told: Told,
     started_ms: u64,
+}
+
+/// Why a frame failed.
+#[derive(Debug)]
+pub(super) struct Failure {
+    pub(super) reason: String,
+    /// How many frames were finished when it was told; `None` if it was not, in this run.
+    pub(super) told_at: Option<usize>,
 }
 
 /// What was told last.
@@ -102,6 +112,7 @@ impl<'a> Daemon<'a> {
             outputs_are_there: true,
             scan_count: 0,
             failed: HashMap::new(),
+            finished_count: 0,
             refused: HashSet::new(),
             watcher,
             hints,
@@ -420,9 +431,13 @@ impl<'a> Daemon<'a> {
             store.write_down(Journal::sync);
         }
         let tally = self.frames.tally();
-        let mut failed: Vec<(FrameId, String)> = std::mem::take(&mut self.failed).into_iter().collect();
+        let mut failed: Vec<(FrameId, Failure)> = std::mem::take(&mut self.failed).into_iter().collect();
         failed.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
-        let failed = failed.into_iter().map(|(id, reason)| told_of(&id.path, reason)).collect();
+        let failed = failed.into_iter().map(|(id, Failure { reason, told_at })| FailedFrame {
+            what: told_of(&id.path, reason),
+            frames_since: told_at.map(|told_at| self.finished_count - told_at),
+        });
+        let failed = failed.collect();
         let left_count = tally.settling + tally.held + tally.queued + tally.retrying;
         Summary { ended, done_count: tally.done, failed, left_count }
     }

@@ -18,9 +18,10 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, FrameFile, ObstacleFiles, automatic_voxel_size, settings_fingerprint,
+    FileStamp, FrameError, FrameFile, ObstacleFiles, ObstacleStamps, automatic_voxel_size,
+    settings_fingerprint,
 };
-use crate::settings::Settings;
+use crate::settings::{OwnRadii, Settings};
 
 use super::config::Watch;
 use super::frames::FrameId;
@@ -46,6 +47,8 @@ pub(super) struct Sequence {
     pub(super) sparse: HashSet<FrameId>,
     /// That its frames wait for one with more particles was told.
     pub(super) is_told: bool,
+    /// The gist of what was told of its frames.
+    pub(super) told: HashSet<String>,
 }
 
 impl Sequence {
@@ -59,6 +62,16 @@ impl Sequence {
             _ => String::new(),
         }
     }
+
+    /// The same of a frame among obstacles with these stamps.
+    pub(super) fn fingerprint_among(&self, stamps: &ObstacleStamps) -> String {
+        match &self.settings {
+            SequenceSettings::Fixed(settings, fingerprint) => {
+                fingerprint_among(settings, fingerprint, stamps)
+            }
+            _ => String::new(),
+        }
+    }
 }
 
 /// The settings of a sequence, or what is missing.
@@ -66,8 +79,8 @@ impl Sequence {
 pub(super) enum SequenceSettings {
     /// What all its frames are converted with, and what the journal knows these settings by.
     Fixed(Arc<Settings>, Arc<str>),
-    /// To be measured on the first frame there is.
-    Unknown,
+    /// To be measured on the first frame there is; and where its particles have radii of their own.
+    Unknown(Option<OwnRadii>),
     /// Under way.
     BeingMeasured,
     /// There are none, and this is why.
@@ -91,7 +104,14 @@ impl Sequences {
         let (_, folder, name) = place.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
         let settings = new(&key);
-        self.all.push(Sequence { key, root: id.root, settings, sparse: HashSet::new(), is_told: false });
+        self.all.push(Sequence {
+            key,
+            root: id.root,
+            settings,
+            sparse: HashSet::new(),
+            is_told: false,
+            told: HashSet::new(),
+        });
         self.index_of.insert(place, self.all.len() - 1);
         self.all.len() - 1
     }
@@ -109,14 +129,14 @@ impl SequenceSettings {
     /// The settings, where they need no measuring: the voxel size was given, or is remembered.
     pub(super) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
         let voxel_size = watch.voxel_size.or(remembered.map(|record| record.voxel_size));
-        let Some(voxel_size) = voxel_size else { return SequenceSettings::Unknown };
-        match Settings::resolve(voxel_size, &watch.choices) {
-            Ok(settings) => {
+        let settings = match voxel_size {
+            None => watch.choices.own_radii().map(SequenceSettings::Unknown),
+            Some(voxel_size) => Settings::resolve(voxel_size, &watch.choices).map(|settings| {
                 let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
                 SequenceSettings::Fixed(Arc::new(settings), fingerprint)
-            }
-            Err(error) => SequenceSettings::Impossible(error.to_string()),
-        }
+            }),
+        };
+        settings.unwrap_or_else(|error| SequenceSettings::Impossible(error.to_string()))
     }
 }
 
@@ -150,7 +170,11 @@ fn frame_fingerprint(
         return fingerprint.to_owned();
     }
     let stamps = obstacles.stamps(FrameFile::new(frame.to_owned()).number());
-    let text = format!("{fingerprint}\n{}\n{stamps}", settings.void_threshold);
+    fingerprint_among(settings, fingerprint, &stamps)
+}
+
+fn fingerprint_among(settings: &Settings, fingerprint: &str, stamps: &ObstacleStamps) -> String {
+    let text = format!("{fingerprint}\n{}\n{}", settings.void_threshold, stamps.text);
     format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))
 }
 
@@ -161,6 +185,8 @@ pub(super) struct MeasureOrder {
     pub(super) sequence: usize,
     /// Its complete frames, in natural order, and what they were when they were found complete.
     pub(super) files: Vec<(PathBuf, FileStamp)>,
+    /// Where its particles have radii of their own.
+    pub(super) own_radii: Option<OwnRadii>,
 }
 
 /// What came of it.
@@ -188,7 +214,7 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
         changed: None,
     };
     for (path, stamp) in order.files {
-        let found = automatic_voxel_size([&*path]);
+        let found = automatic_voxel_size([&*path], order.own_radii.as_ref());
         if FileStamp::of_path(&path).ok() != Some(stamp) {
             measured.changed = Some(path);
             break;

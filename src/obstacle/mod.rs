@@ -27,7 +27,7 @@ mod winding;
 
 use std::sync::Arc;
 
-use glam::IVec3;
+use glam::{DVec3, IVec3};
 
 pub use contact::{ContactTally, hold_contact};
 pub use depth::DepthTally;
@@ -48,6 +48,14 @@ pub enum Shape {
 }
 
 impl Shape {
+    /// The least and the greatest corner of a box that it is in, in world units; `None` if there is nothing of it.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        match self {
+            Shape::Solid(solid) => solid.bounds(),
+            Shape::Sampled(sampled) => sampled.bounds(),
+        }
+    }
+
     /// The memory that it takes, in bytes.
     fn size_bytes(&self) -> usize {
         match self {

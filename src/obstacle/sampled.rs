@@ -144,6 +144,21 @@ impl Sampled {
         (self.source.background - voxel_size).max(voxel_size).min(0.9999 * self.source.background)
     }
 
+    /// A box around all that has values of its own.
+    pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
+        let LevelSetSource { origins, tiles, axes: [x, y, z], translation, .. } = &self.source;
+        let leaves = origins.iter().map(|&origin| (origin, LEAF_EDGE));
+        let cubes = leaves.chain(tiles.iter().map(|&(origin, size, _)| (origin, size)));
+        let corners = cubes.flat_map(|(origin, edge)| {
+            (0..8).map(move |corner| {
+                let far = IVec3::new(corner & 1, corner >> 1 & 1, corner >> 2) * (edge - 1);
+                let [i, j, k] = (origin.as_dvec3() + far.as_dvec3()).to_array();
+                i * *x + j * *y + k * *z + *translation
+            })
+        });
+        corners.map(|corner| [corner; 2]).reduce(|[min, max], [one, _]| [min.min(one), max.max(one)])
+    }
+
     /// The memory that it takes, in bytes.
     pub fn size_bytes(&self) -> usize {
         size_of_val(&*self.source.leaves) + 40 * self.source.origins.len() + 60 * self.source.tiles.len()

@@ -39,6 +39,11 @@ impl Solid {
         &self.surface.findings
     }
 
+    /// The box around it; patches over holes are within it, too.
+    pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
+        self.surface.tree.root().map(|node| [node.min, node.max])
+    }
+
     /// The memory that it takes, in bytes.
     pub fn size_bytes(&self) -> usize {
         self.surface.tree.size_bytes() + self.surface.rim.size_bytes()

@@ -21,7 +21,7 @@ use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::rim::Rim;
 use super::tree::Tree;
-use super::winding::winding;
+use super::winding::{WINDING_ERROR, winding};
 
 /// What was found in a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -38,6 +38,8 @@ pub struct MeshFindings {
     pub turned_count: usize,
     /// Edges where the surface ends, as at a hole.
     pub open_edge_count: usize,
+    /// Whether it is so open that it encloses nothing, like a plane.
+    pub encloses_nothing: bool,
     /// Parts that seem to face inwards, and were left as they are: of so many parts nobody asked which are cavities.
     pub unasked_part_count: usize,
 }
@@ -77,9 +79,30 @@ impl Surface {
             .collect();
         findings.triangle_count = corners.len();
         findings.degenerate_count += faces.len() - corners.len();
-        Surface { tree: Tree::new(corners), rim, findings }
+        let tree = Tree::new(corners);
+        findings.encloses_nothing = findings.open_edge_count > 0 && encloses_nothing(&tree);
+        Surface { tree, rim, findings }
     }
 }
+
+/// Whether the winding number is nowhere above 1/2, as far as can be told behind some of the triangles: there it is the
+/// greatest.
+fn encloses_nothing(tree: &Tree) -> bool {
+    let triangles = tree.triangles();
+    let every = triangles.len().div_ceil(ASKED_COUNT).max(1);
+    triangles.iter().step_by(every).all(|triangle| {
+        let area = area_vector(triangle);
+        let behind = area.normalize_or_zero() * (BEHIND * area.length().sqrt());
+        let [a, b, c] = triangle;
+        winding(tree, (a + b + c) / 3.0 - behind) < 0.5 + WINDING_ERROR
+    })
+}
+
+/// So many triangles are asked, about.
+const ASKED_COUNT: usize = 500;
+
+/// How far behind a triangle it is asked, in units of the root of its area.
+const BEHIND: f64 = 1e-3;
 
 /// The distinct positions, and for each position which of them it is. What is not finite is none.
 fn weld(positions: &[[f64; 3]]) -> (Vec<DVec3>, Vec<Option<u32>>) {

@@ -509,3 +509,37 @@ fn vertices_that_are_moved_face_the_wall() {
     assert!(mesh.normals[0].distance(Vec3::NEG_Z) < 1e-6, "{}", mesh.normals[0]);
     assert_eq!(mesh.normals[1..], [Vec3::X; 2]);
 }
+
+/// A plane, and terrain: there is nothing behind them.
+#[test]
+fn what_encloses_nothing_is_told() {
+    let terrain = |bumps: f64| {
+        let at = |u: f64, v: f64| {
+            DVec3::new(v * 40.0, (20.0 * v).sin() * (TAU * u).cos() * bumps, (TAU * u).cos() * 20.0)
+        };
+        Mesh::swept(24, 24, false, at)
+    };
+    let half_a_torus = |u: f64, v: f64| {
+        let (around, across) = (TAU * u, PI * v);
+        DVec3::new(
+            (9.0 + 4.0 * across.cos()) * around.cos(),
+            (9.0 + 4.0 * across.cos()) * around.sin(),
+            4.0 * across.sin(),
+        )
+    };
+    let mut open_box = Mesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
+    open_box.triangles.truncate(10);
+    let mut plane = Mesh::cuboid(DVec3::ZERO, DVec3::splat(4.0));
+    plane.triangles.truncate(2);
+    for (name, mesh, expected) in [
+        ("a plane", plane.clone(), true),
+        ("a plane that faces the other way", plane.clone().turned(), true),
+        ("hardly bent", terrain(0.0), true),
+        ("a box", Mesh::cuboid(DVec3::ZERO, DVec3::splat(4.0)), false),
+        ("a box without a side", open_box, false),
+        ("half a torus", Mesh::swept(24, 24, false, half_a_torus), false),
+        ("a plane beside a ball", plane.and(Mesh::ball(DVec3::splat(30.0), 5.0, 8)), false),
+    ] {
+        assert_eq!(mesh.solid().findings().encloses_nothing, expected, "{name}");
+    }
+}

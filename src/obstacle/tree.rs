@@ -54,6 +54,11 @@ impl Tree {
         Tree { nodes, triangles }
     }
 
+    /// All triangles.
+    pub(super) fn triangles(&self) -> &[[DVec3; 3]] {
+        &self.triangles
+    }
+
     /// The node of all triangles.
     pub(super) fn root(&self) -> Option<&Node> {
         self.nodes.first()

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
-use crate::particles::{Attribute, AttributeValues, Meaning};
-use crate::settings::{Anisotropy, AttributeSelection, Settings};
+use crate::particles::{Attribute, AttributeValues, Cloud, Meaning};
+use crate::settings::{Anisotropy, AttributeSelection, OwnRadii, Settings};
 
 /// What a frame needs of the attributes in its file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -27,6 +27,26 @@ struct Needed {
 }
 
 impl Needed {
+    /// What to say where it is not among these attributes, of which it is told which there are.
+    fn why_missing(&self, all: &[Attribute], there: &str) -> String {
+        let Needed { name, arity, option } = self;
+        let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
+        match all.iter().find(|attribute| attribute.is_called(name)) {
+            None => format!("the particles have no attribute `{name}`, which {option} needs: {there}"),
+            Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
+                format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
+            }
+            Some(Attribute { name, arity: 1, .. }) => {
+                format!("the particles' attribute `{name}` is one number for each, and {option} needs {kind}")
+            }
+            Some(Attribute { name, arity, .. }) => {
+                format!(
+                    "the particles' attribute `{name}` has {arity} numbers for each, and {option} needs {kind}"
+                )
+            }
+        }
+    }
+
     fn is(&self, attribute: &Attribute) -> bool {
         attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
     }
@@ -35,15 +55,19 @@ impl Needed {
 impl Wanted {
     /// What these settings ask for.
     pub fn by(settings: &Settings) -> Wanted {
-        let mut needed = Vec::new();
-        if let Some(own) = &settings.own_radii {
-            needed.push(Needed { name: own.attribute.clone(), arity: 1, option: "--radius-attribute" });
-        }
+        let mut needed = Wanted::radii(settings.own_radii.as_ref()).needed;
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             let name = "velocity".to_owned();
             needed.push(Needed { name, arity: 3, option: "--anisotropy velocity" });
         }
         Wanted { needed, selected: settings.attributes.clone() }
+    }
+
+    /// The particles' own radii only.
+    pub(super) fn radii(own: Option<&OwnRadii>) -> Wanted {
+        let needed =
+            |own: &OwnRadii| Needed { name: own.attribute.clone(), arity: 1, option: "--radius-attribute" };
+        Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
     /// Whether positions are enough.
@@ -69,12 +93,8 @@ impl Wanted {
         };
         let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
         let is_missing = |needed: &&Needed| !all.iter().any(|attribute| needed.is(attribute));
-        if let Some(Needed { name, arity, option }) = self.needed.iter().find(is_missing) {
-            let kind = if *arity == 1 { "a number" } else { "a vector of three numbers" };
-            return Err(format!(
-                "the particles have no attribute `{name}` that is {kind} for each, which {option} needs: {}",
-                there()
-            ));
+        if let Some(needed) = self.needed.iter().find(is_missing) {
+            return Err(needed.why_missing(&all, &there()));
         }
         let named: &[String] = match &self.selected {
             Some(AttributeSelection::Named(names)) => names,
@@ -94,6 +114,14 @@ impl Wanted {
     pub fn is_selected(&self, attribute: &Attribute) -> bool {
         self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
+}
+
+/// r_min of each particle whose own radius is a positive number, world units.
+pub(super) fn own_radii_min(cloud: &Cloud, own: &OwnRadii) -> Vec<f64> {
+    let attribute = cloud.attribute_of(&own.attribute, 1);
+    let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
+    let radii = radii.iter().map(|&radius| own.scale * f64::from(radius));
+    radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
 }
 
 /// A file's attribute as the method has it: reals in 32 bits, colours from 0 to 1.
@@ -174,7 +202,14 @@ mod tests {
         // A whole number is one, a colour is none.
         assert!(by_radius("Kind").of(two_particles()).is_ok());
         let error = by_radius("rgb").of(two_particles()).expect_err("three numbers");
-        assert!(error.contains("`rgb` that is a number"), "{error}");
+        assert!(error.contains("`rgb` has 3 numbers") && error.contains("needs one number"), "{error}");
+        let error = by_radius("kind").of(vec![file_attribute(
+            "kind",
+            None,
+            1,
+            Values::Strings { table: vec!["a".to_owned()], indices: vec![0] },
+        )]);
+        assert!(error.expect_err("words").contains("`kind` is text"));
         let error = by_radius("size").of(two_particles()).expect_err("not there");
         assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
     }

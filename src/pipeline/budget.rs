@@ -16,6 +16,7 @@
 //! A plan that is larger than the whole budget so runs alone, beside at most the particles of the next. The
 //! method makes none such: it skins in tiles what does not fit, or says that it cannot.
 
+use std::collections::HashMap;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Memory to be shared, in bytes.
@@ -30,6 +31,8 @@ struct Taken {
     /// Wide enough for any sum of sizes that somebody claims.
     bytes: u128,
     admitted_count: usize,
+    /// What is there for all frames: by whom, and how much.
+    aside: HashMap<usize, u64>,
 }
 
 /// A frame's part of the budget, given back when it is dropped.
@@ -47,13 +50,21 @@ impl Budget {
 
     /// Waits until there is room for so much more, or nothing is taken.
     pub(super) fn hold(&self, bytes: u64) -> Reservation<'_> {
-        let mut taken = self.wait_while(|taken| taken.bytes > 0 && !self.fits(taken.bytes, bytes));
+        let mut taken = self.wait_while(|taken| taken.bytes > 0 && !self.fits(taken, 0, bytes));
         taken.bytes += u128::from(bytes);
         Reservation { budget: self, bytes, is_admitted: false }
     }
 
-    fn fits(&self, taken_bytes: u128, bytes: u64) -> bool {
-        taken_bytes + u128::from(bytes) <= u128::from(self.limit)
+    /// Counts what is there for all frames, as long as there are any, in place of what `owner` had before. That there
+    /// is less room then makes nobody wait for ever: who waits still waits for other frames only.
+    pub(super) fn set_aside(&self, owner: usize, bytes: u64) {
+        self.taken().aside.insert(owner, bytes);
+        self.given_back.notify_all();
+    }
+
+    fn fits(&self, taken: &Taken, own_bytes: u128, bytes: u64) -> bool {
+        let aside_bytes: u128 = taken.aside.values().map(|&bytes| u128::from(bytes)).sum();
+        taken.bytes - own_bytes + aside_bytes + u128::from(bytes) <= u128::from(self.limit)
     }
 
     fn wait_while(&self, is_full: impl Fn(&Taken) -> bool) -> MutexGuard<'_, Taken> {
@@ -82,7 +93,7 @@ impl Reservation<'_> {
         let budget = self.budget;
         let own = u128::from(self.bytes);
         let mut taken =
-            budget.wait_while(|taken| taken.admitted_count > 0 && !budget.fits(taken.bytes - own, bytes));
+            budget.wait_while(|taken| taken.admitted_count > 0 && !budget.fits(taken, own, bytes));
         taken.bytes = taken.bytes - own + u128::from(bytes);
         taken.admitted_count += 1;
         self.bytes = bytes;
@@ -96,5 +107,26 @@ impl Drop for Reservation<'_> {
         taken.bytes -= u128::from(self.bytes);
         taken.admitted_count -= usize::from(self.is_admitted);
         self.budget.given_back.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_set_aside_is_room_for_nobody() {
+        let budget = Budget::new(10);
+        // Who is alone never waits.
+        budget.set_aside(1, 20);
+        drop(budget.hold(30));
+        for (owner, bytes) in [(1, 3), (2, 1)] {
+            budget.set_aside(owner, bytes);
+        }
+        let mut held = budget.hold(4);
+        let fits = |bytes| budget.fits(&budget.taken(), 0, bytes);
+        assert!(fits(2) && !fits(3));
+        held.resize(1);
+        assert!(fits(5) && !fits(6));
     }
 }

@@ -84,6 +84,11 @@ pub struct FrameReport {
     pub notes: Vec<String>,
 }
 
+/// What a note says, whatever its numbers are: one with the same gist need not be told again of the next frame.
+pub fn gist(note: &str) -> String {
+    note.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect()
+}
+
 /// The stages of a frame, as users know them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
@@ -130,8 +135,8 @@ pub enum Cause {
     File(meniscus_formats::Error),
     /// The input was written, replaced or removed while it was read.
     Changed,
-    /// An obstacle: its file is not there, or cannot be read.
-    Obstacle(Box<Cause>),
+    /// An obstacle.
+    Obstacle(Box<ObstacleError>),
     /// The particles lack an attribute without which they cannot be skinned as asked.
     Missing(String),
     /// The frame does not fit into the memory that it may take.
@@ -140,6 +145,25 @@ pub enum Cause {
     Scratch(io::Error),
     /// This program: a broken invariant, told by the panic's message.
     Panic(String),
+}
+
+/// What is wrong with an obstacle of a frame.
+#[derive(Debug)]
+pub struct ObstacleError {
+    /// Its file; of those that move, the one that the frame was to have.
+    pub path: PathBuf,
+    /// Why it cannot be read; `None` if it was written while it was read.
+    pub source: Option<meniscus_formats::Error>,
+}
+
+impl fmt::Display for ObstacleError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "obstacle {}: ", self.path.display())?;
+        match &self.source {
+            Some(source) => source.fmt(f),
+            None => f.write_str("changed while it was read"),
+        }
+    }
 }
 
 impl FrameError {
@@ -191,10 +215,7 @@ impl fmt::Display for FrameError {
             Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path.display()),
             Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path.display()),
             Cause::Changed => write!(f, "{}: changed while it was read", path.display()),
-            Cause::Obstacle(cause) => match &**cause {
-                Cause::File(source) => write!(f, "obstacle {}: {source}", path.display()),
-                _ => write!(f, "obstacle {}: changed while it was read", path.display()),
-            },
+            Cause::Obstacle(error) => write!(f, "{}: {error}", path.display()),
             Cause::Missing(what) => write!(f, "{}: {what}", path.display()),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
             Cause::Scratch(source) => {
@@ -211,10 +232,7 @@ impl std::error::Error for FrameError {
     fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
         match &self.cause {
             Cause::File(source) => Some(source),
-            Cause::Obstacle(cause) => match &**cause {
-                Cause::File(source) => Some(source),
-                _ => None,
-            },
+            Cause::Obstacle(error) => error.source.as_ref().map(|source| source as _),
             Cause::TooLarge(source) => Some(source),
             Cause::Scratch(source) => Some(source),
             Cause::Changed | Cause::Missing(_) | Cause::Panic(_) => None,

@@ -13,6 +13,7 @@ use crate::report::Shaping;
 use crate::settings::Settings;
 use crate::skin;
 
+use super::attributes::own_radii_min;
 use super::frame::Cause;
 use super::reading::InputFile;
 
@@ -89,7 +90,13 @@ impl FrameParticles {
     pub fn shaped(self, settings: &Settings) -> (FrameParticles, Shaping) {
         match self {
             FrameParticles::InMemory(cloud) => {
-                let (cloud, shaping) = skin::shape(cloud, settings);
+                let (cloud, mut shaping) = skin::shape(cloud, settings);
+                if shaping.small_radius_count > 0
+                    && let Some(own) = &settings.own_radii
+                {
+                    let least = own_radii_min(&cloud, own).into_iter().reduce(f64::min);
+                    shaping.small_radius_min = least.unwrap_or(0.0);
+                }
                 (FrameParticles::InMemory(cloud), shaping)
             }
             // What needs more than positions is never read in batches.

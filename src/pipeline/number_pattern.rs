@@ -31,14 +31,19 @@ impl<'a> NumberPattern<'a> {
         })
     }
 
+    /// The name with this number, with no more zeros in front than it needs.
+    pub fn name_of(&self, number: u64) -> String {
+        let width = self.width_min;
+        format!("{}{number:0width$}{}", self.before, self.after)
+    }
+
     /// The file of a folder that has this number, of several the first by name.
     ///
     /// # Errors
     /// When the folder cannot be looked into.
     pub fn file_of(&self, folder: &Path, number: u64) -> io::Result<Option<PathBuf>> {
-        let width = self.width_min;
-        let padded = folder.join(format!("{}{number:0width$}{}", self.before, self.after));
-        if width > 1 || padded.is_file() {
+        let padded = folder.join(self.name_of(number));
+        if self.width_min > 1 || padded.is_file() {
             return Ok(padded.is_file().then_some(padded));
         }
         // A number of any width may have any number of zeros in front.

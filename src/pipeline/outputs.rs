@@ -11,6 +11,8 @@ use std::path::{Path, PathBuf};
 
 use meniscus_formats::{gltf, vdb};
 
+use super::obstacles::ObstacleFiles;
+
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OutputFormat {
@@ -73,6 +75,13 @@ pub enum Conflict {
         /// The input.
         input: PathBuf,
     },
+    /// An output would replace an obstacle, or what is taken for one later.
+    ReplacesObstacle {
+        /// The output.
+        output: PathBuf,
+        /// The obstacle, as it was asked for.
+        obstacle: PathBuf,
+    },
     /// Two inputs, or an input and the report, have outputs of one name.
     SameOutput {
         /// The output.
@@ -91,6 +100,12 @@ impl fmt::Display for Conflict {
                 output.display(),
                 input.display()
             ),
+            Conflict::ReplacesObstacle { output, obstacle } => write!(
+                f,
+                "the output {} would replace the obstacle {}: choose another folder or format",
+                output.display(),
+                obstacle.display()
+            ),
             Conflict::SameOutput { output, makers: [first, second] } => write!(
                 f,
                 "{} and {} would both become {}: convert them one by one, into different folders",
@@ -105,7 +120,7 @@ impl fmt::Display for Conflict {
 impl std::error::Error for Conflict {}
 
 /// Checks that the outputs of all planned frames (input and stem), and `report` where there is one,
-/// replace neither one of `inputs` nor each other. The folder must exist: only then is it known
+/// replace neither one of `inputs` nor an obstacle nor each other. The folder must exist: only then is it known
 /// where its path leads.
 ///
 /// # Errors
@@ -113,6 +128,7 @@ impl std::error::Error for Conflict {}
 pub fn check_outputs(
     planned: &[(PathBuf, String)],
     inputs: &[PathBuf],
+    obstacles: &ObstacleFiles,
     options: &OutputOptions,
     report: Option<&Path>,
 ) -> Result<(), Conflict> {
@@ -128,11 +144,18 @@ pub fn check_outputs(
         if let Some(input) = identities(&output).iter().find_map(|identity| input_of.get(identity)) {
             return Err(Conflict::ReplacesInput { output, input: (*input).to_owned() });
         }
+        obstacles.refuse_output(&output)?;
         if let Some(other) = maker_of.insert(entry(&output), maker) {
             return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
         }
     }
     Ok(())
+}
+
+/// Whether two paths name one file, be it there or not.
+pub(super) fn are_one_file(one: &Path, other: &Path) -> bool {
+    let identities = identities(one);
+    self::identities(other).iter().any(|identity| identities.contains(identity))
 }
 
 /// Something that two names of one file have in common.
@@ -158,7 +181,7 @@ fn identities(path: &Path) -> Vec<Identity> {
 
 /// The entry in its folder that a path names: links in the folder's path are followed, the entry
 /// itself is not.
-fn entry(path: &Path) -> PathBuf {
+pub(super) fn entry(path: &Path) -> PathBuf {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

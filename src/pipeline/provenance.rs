@@ -115,6 +115,25 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static 
     }
 }
 
+/// Of how outputs are written, what is not as it is by itself.
+pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Vec<(&'static str, String)> {
+    let has = |format: &OutputFormat| options.formats.contains(format);
+    let mut chosen = Vec::new();
+    if has(&OutputFormat::Obj) && settings.quads {
+        chosen.push(("quads", settings.quads.to_string()));
+    }
+    if (has(&OutputFormat::Glb) || has(&OutputFormat::Gltf)) && options.up != gltf::UpAxis::Y {
+        chosen.push(("up", up_name(options.up).to_owned()));
+    }
+    if has(&OutputFormat::Vdb) && options.vdb_half {
+        chosen.push(("vdb_half", options.vdb_half.to_string()));
+    }
+    if has(&OutputFormat::Vdb) && options.vdb_compression != vdb::Compression::Blosc {
+        chosen.push(("vdb_compression", compression_name(options.vdb_compression).to_owned()));
+    }
+    chosen
+}
+
 /// Every setting that matters to an output in `format`.
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     let mut pairs = settings.pairs(format != OutputFormat::Vdb);
@@ -124,7 +143,8 @@ fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     pairs
 }
 
-fn compression_name(compression: vdb::Compression) -> &'static str {
+/// A way of packing values, as it is typed.
+pub fn compression_name(compression: vdb::Compression) -> &'static str {
     match compression {
         vdb::Compression::None => "none",
         vdb::Compression::ActiveMask => "active",
@@ -132,7 +152,8 @@ fn compression_name(compression: vdb::Compression) -> &'static str {
     }
 }
 
-fn up_name(up: gltf::UpAxis) -> &'static str {
+/// An axis, as it is typed.
+pub fn up_name(up: gltf::UpAxis) -> &'static str {
     match up {
         gltf::UpAxis::Y => "y",
         gltf::UpAxis::Z => "z",

@@ -34,13 +34,12 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
 ///
 /// # Errors
 /// When the system refuses.
-pub(super) fn read_unchanged(path: &Path) -> Result<Option<(Vec<u8>, FileStamp)>, FrameError> {
-    let read = read_between_stamps(path, |file| {
+pub(super) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    read_between_stamps(path, |file| {
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes)?;
         Ok(bytes)
-    });
-    read.map_err(|error| FrameError::file(path, Stage::Read, error))
+    })
 }
 
 /// The first bytes of a file, no more than `most`, and its stamp; `None` when it was written, replaced or removed

@@ -14,6 +14,9 @@ use crate::report::{EditReport, Shaping, SkinReport, TransferCounts, TransferRep
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
+use super::obstacles::ObstacleFiles;
+use super::outputs::OutputOptions;
+use super::provenance::chosen_options;
 use super::sink::write_whole;
 use super::voxel_size::AutomaticVoxelSize;
 
@@ -36,6 +39,8 @@ pub struct SequenceRecord {
     /// Null where the voxel size was given, or where there is none.
     spacing: Option<f64>,
     spacing_measured_on: Option<String>,
+    /// Of particles with radii of their own, where the voxel size follows it; else null.
+    radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<SettingsRecord>,
     error: Option<String>,
@@ -122,6 +127,7 @@ struct MeasuredRecord {
 #[derive(Clone, Copy, Debug, Serialize)]
 struct ShapesRecord {
     small_radii: usize,
+    small_radius_min: f64,
     large_radii: usize,
     invalid_radii: usize,
     raised: usize,
@@ -209,6 +215,8 @@ struct CertificateRecord {
     particles_outside: usize,
     /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
+    /// Vertices that were out of their bounds, and were moved back.
+    vertices_returned: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
@@ -308,13 +316,25 @@ impl RunRecord {
 }
 
 impl SequenceRecord {
-    /// A sequence with settings, and where its voxel size is from unless it was given.
-    pub fn new(name: &str, settings: &Settings, automatic: Option<&AutomaticVoxelSize>) -> SequenceRecord {
+    /// A sequence with settings, and where its voxel size is from unless it was given; what is written, and what stands
+    /// in the way.
+    pub fn new(
+        name: &str,
+        settings: &Settings,
+        automatic: Option<&AutomaticVoxelSize>,
+        (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
+    ) -> SequenceRecord {
+        let mut more = settings.more();
+        if !obstacles.is_empty() {
+            more.insert("void_threshold", settings.void_threshold.to_string());
+        }
+        more.extend(chosen_options(outputs, settings));
         SequenceRecord {
             sequence: name.to_owned(),
             spacing: automatic.map(|automatic| automatic.spacing),
             spacing_measured_on: automatic.map(|automatic| text(&automatic.measured_on)),
-            settings: Some(settings_record(settings)),
+            radius_median: automatic.and_then(|automatic| automatic.radius_median),
+            settings: Some(settings_record(settings, more)),
             error: None,
         }
     }
@@ -325,13 +345,14 @@ impl SequenceRecord {
             sequence: name.to_owned(),
             spacing: None,
             spacing_measured_on: None,
+            radius_median: None,
             settings: None,
             error: Some(why.to_owned()),
         }
     }
 }
 
-fn settings_record(settings: &Settings) -> SettingsRecord {
+fn settings_record(settings: &Settings, more: BTreeMap<&'static str, String>) -> SettingsRecord {
     SettingsRecord {
         voxel_size: settings.voxel_size,
         radius_min: settings.radius_min,
@@ -344,7 +365,7 @@ fn settings_record(settings: &Settings) -> SettingsRecord {
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
         contour: contouring_name(settings.contouring),
-        more: settings.more(),
+        more,
         warnings: settings.warnings(),
     }
 }
@@ -401,6 +422,7 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
     let shaping = &report.shaping;
     (*shaping != Shaping::default()).then_some(ShapesRecord {
         small_radii: shaping.small_radius_count,
+        small_radius_min: shaping.small_radius_min,
         large_radii: shaping.large_radius_count,
         invalid_radii: shaping.invalid_radius_count,
         raised: shaping.raised_count,
@@ -461,6 +483,7 @@ fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_outside_max: certificate.vertices_outside_max,
         particles_outside: certificate.particles_outside,
         particles_exempt: certificate.particles_exempt,
+        vertices_returned: report.vertices_returned,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
     }

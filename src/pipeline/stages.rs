@@ -41,10 +41,11 @@ use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, St
 use super::frame_particles::{FileParticles, FrameParticles};
 use super::memory::peak_memory_bytes;
 use super::method::Method;
+use super::obstacle_notes::out_of_reach;
 use super::obstacles::{FoundObstacles, FrameObstacles};
 use super::provenance::is_done;
 use super::reading::{InputFile, parse_particles, read_unchanged};
-use super::writing::{Written, attribute_notes, write_files, write_surface};
+use super::writing::{Written, surface_notes, write_files, write_surface};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -274,10 +275,16 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         }
         // A file that cannot be looked at will not be read either.
         let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
-        let mut memory = self.budget.hold(file_bytes.saturating_mul(READING_MEMORY));
+        let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
+        let bytes = file_bytes.saturating_mul(READING_MEMORY).saturating_add(obstacle_bytes);
+        let mut memory = self.budget.hold(bytes);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
+        // Those that stand still are there for the frames that follow, too. They are named by where they are, which the
+        // frames of this line keep as it is; and nobody takes their room between this and the next.
+        let standing_bytes = read.obstacles.all_bytes - read.obstacles.own_bytes;
+        self.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         memory.resize(read.particles.size_bytes().saturating_add(read.obstacles.own_bytes));
         let read_seconds = start.elapsed().as_secs_f64();
         let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
@@ -287,7 +294,9 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     /// The particles of a frame, and the notes on them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
         let failed = |error: io::Error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
-        let obstacles = frame.obstacles.find(frame.number).map_err(Outcome::Failed)?;
+        let of_obstacle = |error| FrameError::of_stage(frame, Stage::Read, Cause::Obstacle(Box::new(error)));
+        let found = frame.obstacles.find(frame.number);
+        let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
         let file = InputFile::open(&frame.input).map_err(failed)?;
         let wanted = Wanted::by(&frame.settings);
         if file.is_regular()
@@ -309,7 +318,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 return self.planned(number, frame, move || Ok((particles, notes)), obstacles, input);
             }
         }
-        let unchanged = read_unchanged(&frame.input).map_err(Outcome::Failed)?;
+        let unchanged = read_unchanged(&frame.input).map_err(failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
         if self.conduct.skip_done && is_done(frame, input.hash, &obstacles.recorded()) {
@@ -336,10 +345,12 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let planned = self.crew.run(number, move || {
             let (particles, mut notes) = parse()?;
             let kept_bytes_max = allowed_bytes / OBSTACLE_SHARE;
-            let mut obstacles = frame.obstacles.load(found, &frame.settings, kept_bytes_max)?;
+            let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
+            let loaded = frame.obstacles.load(found, &frame.settings, kept_bytes_max);
+            let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             notes.append(&mut obstacles.notes);
-            let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes);
-            let plan = plan.map_err(|cause| FrameError::of_stage(&frame, Stage::Read, cause))?;
+            notes.extend(out_of_reach(&obstacles, &particles, &frame.settings).map_err(failed)?);
+            let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
                 let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);
                 notes.push(format!(
@@ -488,7 +499,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: [known.notes, attribute_notes(&surface, &frame.outputs.formats)].concat(),
+                notes: [known.notes, surface_notes(&surface, &frame.outputs.formats)].concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }

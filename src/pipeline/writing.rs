@@ -13,6 +13,7 @@ use meniscus_formats::{
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::particles::{Attribute, AttributeValues, Meaning};
+use crate::report::SkinReport;
 use crate::skin::Surface;
 use crate::transfer::BandAttribute;
 
@@ -181,8 +182,32 @@ fn role(meaning: Meaning) -> Option<Role> {
     }
 }
 
+/// What a user should know of a surface and of its files.
+pub(super) fn surface_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
+    let why_empty = why_empty(&surface.report).map(str::to_owned);
+    why_empty.into_iter().chain(attribute_notes(surface, formats)).collect()
+}
+
+/// Why nothing is left of the surface of a frame that has particles.
+fn why_empty(report: &SkinReport) -> Option<&'static str> {
+    let SkinReport { edits, contact, .. } = report;
+    if report.particle_count == 0 || report.mesh.vertex_count > 0 {
+        return None;
+    }
+    // What came last had something left to take.
+    Some(if edits.clipped_voxel_count > 0 {
+        "the clip box holds nothing of the surface: the mesh is empty"
+    } else if edits.island_count > 0 {
+        "every piece of the surface was dropped, for none has as many particles as was asked for: the mesh is empty"
+    } else if contact.particle_count > 0 || contact.taken_count > 0 {
+        "all of the surface is inside obstacles: the mesh is empty"
+    } else {
+        "the particles are too small for the grid to have a surface: the mesh is empty"
+    })
+}
+
 /// What a user should know of attributes that the files do not hold as they are.
-pub(super) fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
+fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
     let has = |format| formats.contains(&format);
     let mut notes = Vec::new();

@@ -9,13 +9,13 @@
 use rayon::prelude::*;
 
 use super::bin::ParticleBins;
-use super::ellipsoid::{Ball, Bodies};
+use super::ellipsoid::{Ball, Bodies, Stretched};
 use super::need::Need;
 use super::signed_distance::Below;
 use super::sphere::{Eights, nearest_distances};
 use super::{Radii, keep};
 use crate::grid::{Field, Leaf, LeafMask, Topology};
-use crate::particles::{Ellipsoid, Shapes};
+use crate::particles::Shapes;
 use crate::simd;
 
 /// Which of the three unions of spheres.
@@ -47,20 +47,19 @@ pub(super) enum Gauge<'a> {
     /// Centres, and how far from them.
     Centers(Eights<'a>, f32),
     Balls(Bodies<Ball>),
-    Ellipsoids(Bodies<Ellipsoid>),
+    Ellipsoids(Bodies<Stretched>),
 }
 
 impl<'a> Gauge<'a> {
     /// For these particles.
     pub(super) fn new(bins: &'a ParticleBins, radii: Radii) -> Gauge<'a> {
-        let sizes = [radii.max, radii.init, radii.min];
         match &bins.shapes {
             Shapes::Balls => Gauge::Centers(Eights::new(bins), radii.exact_reach(1.0)),
             Shapes::Scaled(scales) => {
-                Gauge::Balls(Bodies::new(bins, sizes, |particle| Ball(scales[particle])))
+                Gauge::Balls(Bodies::new(bins, radii, |particle| Ball(scales[particle])))
             }
             Shapes::Ellipsoids(ellipsoids) => {
-                Gauge::Ellipsoids(Bodies::new(bins, sizes, |particle| ellipsoids[particle]))
+                Gauge::Ellipsoids(Bodies::new(bins, radii, |particle| Stretched::new(ellipsoids[particle])))
             }
         }
     }

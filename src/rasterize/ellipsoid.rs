@@ -26,9 +26,9 @@
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-use super::EXACT_MARGIN;
 use super::bin::ParticleBins;
 use super::sphere::{OUT_OF_REACH, greatest};
+use super::{EXACT_MARGIN, Radii};
 use crate::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, leaf_steps_within};
 use crate::particles::Ellipsoid;
 use crate::simd::{self, Kernel, Lanes};
@@ -51,6 +51,9 @@ pub(super) trait Form: Copy + Sync + Send {
     /// The shortest half axis, or less, in units of the radii.
     fn shortest(&self) -> f32;
 
+    /// Of each union, S_max, S_0 and S_min, the distance up to which no particle that is so near is passed by.
+    fn told(radii: &Radii) -> [f32; 3];
+
     /// How far from the centre it counts along each axis, in voxels, where its outermost radius is `outermost`.
     fn extents(&self, outermost: f32) -> Vec3;
 
@@ -62,11 +65,30 @@ pub(super) trait Form: Copy + Sync + Send {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ball(pub(super) f32);
 
+/// An ellipsoid: its half axes in units of the settings' radii.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stretched {
+    ellipsoid: Ellipsoid,
+    shadow: Shadow,
+    /// No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
+    ratio_min: f32,
+}
+
+impl Stretched {
+    pub(super) fn new(ellipsoid: Ellipsoid) -> Stretched {
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
+        Stretched { shadow: Shadow::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
+    }
+}
+
 /// Particles of any shape, to be found around a leaf.
 pub(super) struct Bodies<F> {
     classes: Vec<Class<F>>,
     /// r_max, r_init, r_min.
     radii: [f32; 3],
+    /// Of each union the distance up to which every particle so near was looked at.
+    told: [f32; 3],
 }
 
 /// Particles of about one size.
@@ -105,8 +127,10 @@ struct Axes {
 }
 
 impl<F: Form> Bodies<F> {
-    /// Those of the bins; `radii` are r_max, r_init and r_min.
-    pub(super) fn new(bins: &ParticleBins, radii: [f32; 3], form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
+    /// Those of the bins.
+    pub(super) fn new(bins: &ParticleBins, radii: Radii, form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
+        let told = F::told(&radii);
+        let radii = [radii.max, radii.init, radii.min];
         let class_of = |particle: usize| {
             let doublings = (form(particle).longest() / CLASS_LONGEST).log2().ceil();
             // A float is no smaller than 0 here, and far below 256.
@@ -119,7 +143,7 @@ impl<F: Form> Bodies<F> {
         let class = |&number: &u8| {
             Class::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| form(particle)))
         };
-        Bodies { classes: numbers.iter().map(class).collect(), radii }
+        Bodies { classes: numbers.iter().map(class).collect(), radii, told }
     }
 
     /// The signed distances to the three unions for all of these leaves, in the order of the radii; deep inside
@@ -140,7 +164,8 @@ impl<F: Form> Bodies<F> {
             }
             let around = self.around(origin);
             let settled = settled(origin);
-            [*max, *init, *min] = simd::dispatch(Signed { around: &around, radii: self.radii, settled });
+            [*max, *init, *min] =
+                simd::dispatch(Signed { around: &around, radii: self.radii, told: self.told, settled });
         });
         fields
     }
@@ -251,6 +276,7 @@ struct Around<'a, F> {
 struct Signed<'a, F> {
     around: &'a [Around<'a, F>],
     radii: [f32; 3],
+    told: [f32; 3],
     settled: &'a LeafMask,
 }
 
@@ -272,10 +298,11 @@ impl<F: Form> Kernel for Signed<'_, F> {
                 }
             }
         }
-        for leaf in &mut values.leaves {
+        for (leaf, told) in values.leaves.iter_mut().zip(self.told) {
             for row in 0..ROW_COUNT {
                 let row = leaf.row_mut(row);
-                V::load(row).max(V::splat(-DEEP)).store(row);
+                let value = V::load(row).max(V::splat(-DEEP));
+                V::select(V::splat(told).lt(value), V::splat(OUT_OF_REACH), value).store(row);
             }
         }
         values.leaves
@@ -388,6 +415,11 @@ impl Form for Ball {
         self.0
     }
 
+    /// The larger a ball is, the farther it is from S_0 where it ceases to count; so the smallest tells.
+    fn told(radii: &Radii) -> [f32; 3] {
+        [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.shortest * (radii.max - radius))
+    }
+
     fn extents(&self, outermost: f32) -> Vec3 {
         Vec3::splat(outermost * self.0 + EXACT_MARGIN)
     }
@@ -417,26 +449,29 @@ impl Form for Ball {
     }
 }
 
-impl Form for Ellipsoid {
+impl Form for Stretched {
     #[inline(always)]
     fn longest(&self) -> f32 {
-        self.longest
+        self.ellipsoid.longest
     }
 
     fn shortest(&self) -> f32 {
-        1.0 / longest_image(self)
+        1.0 / longest_image(&self.ellipsoid)
+    }
+
+    /// Nobody asks for more than what is beside the surfaces.
+    fn told(_: &Radii) -> [f32; 3] {
+        [OUT_OF_REACH; 3]
     }
 
     fn extents(&self, outermost: f32) -> Vec3 {
-        outermost * Ellipsoid::extents(self) + ELLIPSOID_MARGIN
+        outermost * self.ellipsoid.extents() + ELLIPSOID_MARGIN
     }
 
     #[inline(always)]
     fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
-        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
-        // No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
-        let ratio_min = 1.0 / (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
-        let shadow = Shadow::of(self);
+        let Stretched { ellipsoid, shadow, ratio_min } = self;
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let dz = along_z::<V>(center.z);
         let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
         let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
@@ -459,7 +494,7 @@ impl Form for Ellipsoid {
                 let wy = V::splat(xy).mul(tx).add(V::splat(yy).mul(ty)).add(V::splat(yz).mul(tz));
                 let wz = V::splat(xz).mul(tx).add(V::splat(yz).mul(ty)).add(V::splat(zz).mul(tz));
                 let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
-                let ratio = q_squared.div(w_squared).sqrt().max(V::splat(ratio_min));
+                let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
                 let q = q_squared.sqrt();
                 for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
                     let apart = q.sub(V::splat(radius)).mul(ratio);
@@ -472,6 +507,7 @@ impl Form for Ellipsoid {
 }
 
 /// What an ellipsoid is along rows of voxels: |T·d|², at its least over all z, is a square form of d's x and y.
+#[derive(Clone, Copy, Debug)]
 struct Shadow {
     xx: f32,
     yy: f32,
@@ -479,7 +515,6 @@ struct Shadow {
 }
 
 impl Shadow {
-    #[inline(always)]
     fn of(ellipsoid: &Ellipsoid) -> Shadow {
         let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
         let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
@@ -501,7 +536,6 @@ impl Shadow {
 }
 
 /// T makes no vector of length 1 longer than this: the greatest sum of a row's absolute values.
-#[inline(always)]
 fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
     let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f32::abs);
     (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)

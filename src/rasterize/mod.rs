@@ -309,7 +309,11 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     let topology = Arc::new(subset(topology, &own));
     let mut band = NarrowBand { topology, phi, half_width };
     let mut bounds = Bounds { lower, upper };
-    finish(&mut band, &mut bounds);
+    // What is not stored is at least the half width away, and a voxel beside it nearly so. Outer bounds that are
+    // farther than the band has room for must not let the surface out of it; those of balls that are alike never do. Inward it
+    // goes far only where it is sharply convex, as only small balls are, and their own S_min is near.
+    let held_beyond = if bins.shapes.are_balls() { f32::INFINITY } else { half_width - 2.0 };
+    finish(&mut band, &mut bounds, held_beyond);
     let contact = match scene.obstacles.is_empty() {
         true => ContactTally::default(),
         false => hold_contact(scene.obstacles, &scene.lattice, scene.void_threshold, &mut band, &mut bounds),
@@ -356,18 +360,22 @@ fn sweep_count(half_width: f32) -> u32 {
 }
 
 /// Holds all values within ± half width, makes `lower` ≤ `upper` at every voxel, which sweeping each by itself
-/// does not promise, and moves φ between them.
-fn finish(band: &mut NarrowBand, bounds: &mut Bounds) {
+/// does not promise, and moves φ between them. Where φ_0 is more than `held_beyond`, φ stays positive.
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds, held_beyond: f32) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
-        simd::dispatch(Finish { half_width, phi, lower, upper });
+        simd::dispatch(Finish { half_width, held_beyond, phi, lower, upper });
     });
 }
+
+/// The least that φ may be where it is to stay positive, in voxels.
+const HELD: f32 = 1.0;
 
 /// The values of one leaf.
 struct Finish<'a> {
     half_width: f32,
+    held_beyond: f32,
     phi: &'a mut Leaf,
     lower: &'a mut Leaf,
     upper: &'a mut Leaf,
@@ -379,12 +387,15 @@ impl Kernel for Finish<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
+        let (held, held_beyond) = (V::splat(HELD), V::splat(self.held_beyond));
         for row in 0..ROW_COUNT {
             let (phi, lower, upper) =
                 (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));
+            let start = V::load(phi).max(least).min(most);
+            let lowest = V::select(held_beyond.lt(start), held, least);
             let new_upper = V::load(upper).max(least).min(most);
-            let new_lower = V::load(lower).max(least).min(most).min(new_upper);
-            let new_phi = V::load(phi).max(least).min(most).max(new_lower).min(new_upper);
+            let new_lower = V::load(lower).max(lowest).min(most).min(new_upper);
+            let new_phi = start.max(new_lower).min(new_upper);
             new_upper.store(upper);
             new_lower.store(lower);
             new_phi.store(phi);

@@ -103,6 +103,33 @@ fn what_is_left_out_changes_no_bit() {
     }
 }
 
+/// A ball of 60 voxels has its bounds 15 voxels apart, and the band has no room for that: what floats between them must
+/// not be let out of the leaves that are stored.
+#[test]
+fn bounds_keep_the_surface_in_the_band() {
+    let positions = [[0.2, 0.1, 5.3], [27.4, 21.6, 53.5], [30.6, 22.3, 49.7]];
+    let radii = Radii::of_balls(1.75, 2.6, 3.5);
+    let source = cloud(&positions, Shapes::Scaled(vec![18.0, 1.0, 1.0]));
+    let Ok(Rasterized { band, bounds, .. }) = rasterize(&source, &Scene::open(LATTICE, radii));
+    let mut held_count = 0;
+    for (leaf, &origin) in band.topology.origins().iter().enumerate() {
+        for offset in 0..512 {
+            let voxel = origin + voxel_in_leaf(offset);
+            let steps = (0..27).map(|step| IVec3::new(step / 9, step / 3 % 3, step % 3) - 1);
+            if steps.into_iter().all(|step| band.topology.find_voxel(voxel + step).is_some()) {
+                continue;
+            }
+            let [lower, upper] =
+                [&bounds.lower, &bounds.upper].map(|bound| bound.leaves[leaf].values[offset]);
+            let phi = band.phi.leaves[leaf].values[offset];
+            assert!(phi.abs() > 4.0, "a voxel beside the end of the band is {phi} from the surface");
+            assert!(phi < 0.0 || lower >= 1.0, "{lower} to {upper} at {voxel}");
+            held_count += 1;
+        }
+    }
+    assert!(held_count > 1000, "{held_count}");
+}
+
 #[test]
 fn windows_are_parts_of_the_whole() {
     let bar = |place: Vec3| place.y.abs() < 5.0 && (place.z - 0.1 * place.x).abs() < 3.0;
@@ -210,13 +237,12 @@ fn value_of(shapes: &Shapes, particle: usize, apart: Vec3, radii: [f32; 3]) -> [
     match shapes {
         Shapes::Balls => unreachable!("these have tests of their own"),
         Shapes::Scaled(scales) => {
-            let (scale, reach) = (scales[particle], radii[0] * scales[particle] + 2.0);
             let squared = apart.x * apart.x + apart.y * apart.y + apart.z * apart.z;
-            radii.map(
-                |radius| {
-                    if squared <= reach * reach { squared.sqrt() - scale * radius } else { f32::INFINITY }
-                },
-            )
+            radii.map(|radius| {
+                let value = squared.sqrt() - scales[particle] * radius;
+                // Farther than any of the balls counts, which are no smaller than 1, distances are swept.
+                if value <= 2.0 + (radii[0] - radius) { value } else { f32::INFINITY }
+            })
         }
         Shapes::Ellipsoids(ellipsoids) => {
             let ellipsoid = ellipsoids[particle];

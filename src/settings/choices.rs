@@ -138,6 +138,12 @@ impl Choices {
         }
     }
 
+    /// These, and where one is not made that of the preset, if there is one.
+    pub fn with_preset(&self) -> Choices {
+        let below = self.preset.map(|preset| preset.choices(self.integrator.unwrap_or(Integrator::Fast)));
+        self.clone().over(below.unwrap_or_default())
+    }
+
     /// The choices that were made, by name.
     pub fn to_pairs(&self) -> Vec<(&'static str, String)> {
         let text = |number: &Option<f64>| number.map(|number| number.to_string());
@@ -285,6 +291,11 @@ impl FromStr for AttributeSelection {
         if names.iter().any(String::is_empty) {
             return Err(format!("`{text}` is no list of attributes, such as velocity,Cd; or all"));
         }
+        if names.len() > 1 && names.iter().any(|name| name == "all") {
+            return Err(format!(
+                "`{text}` names attributes beside all: write all, or only names, such as velocity,Cd"
+            ));
+        }
         Ok(if names == ["all"] { AttributeSelection::All } else { AttributeSelection::Named(names) })
     }
 }
@@ -381,5 +392,9 @@ mod tests {
         assert_eq!("all".parse(), Ok(AttributeSelection::All));
         assert_eq!("v, id".parse(), Ok(AttributeSelection::Named(vec!["v".into(), "id".into()])));
         assert!("v,,id".parse::<AttributeSelection>().is_err());
+        for text in ["all,age", "age, all", "all,all"] {
+            let why = text.parse::<AttributeSelection>().expect_err(text);
+            assert!(why.contains(text) && why.contains("beside all"), "{why}");
+        }
     }
 }

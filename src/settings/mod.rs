@@ -27,6 +27,8 @@ pub struct Settings {
     pub radius_init: f64,
     /// r_max, world units.
     pub radius_max: f64,
+    /// r_max / r_min as it was chosen: their quotient may be another number by a rounding.
+    pub radius_ratio: f64,
     /// Where particles have radii of their own: then the three above are those of a particle whose
     /// radius is `radius_min` / `scale`.
     pub own_radii: Option<OwnRadii>,
@@ -102,6 +104,9 @@ pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 /// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
+/// r_max / r_min, as the paper has it.
+const RADIUS_RATIO: f64 = 2.0;
+
 /// Narrower gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 1.0;
 
@@ -124,7 +129,7 @@ const VELOCITY_GAIN: f64 = 0.01;
 const NEIGHBOR_RADIUS_MAX_VOXELS: f64 = 200.0;
 
 /// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
-const ISLAND_MAX: f64 = 1000.0;
+pub const ISLAND_MAX: u32 = 1000;
 
 /// Cavities of this many voxels are rooms.
 const CAVITY_VOXELS_MAX: f64 = 1e6;
@@ -133,10 +138,13 @@ const CAVITY_VOXELS_MAX: f64 = 1e6;
 const DECIMATE_MAX: f64 = 1.0;
 
 /// Rounds after which normals tell nothing of the surface.
-const ROUNDS_MAX: f64 = 1000.0;
+pub const ROUNDS_MAX: u32 = 1000;
 
 /// Steps of either kind: a hundred times what the paper takes.
-const STEPS_MAX: f64 = 1e6;
+pub const STEPS_MAX: u32 = 1_000_000;
+
+/// More steps than this take so long that somebody should know before.
+const STEPS_TOLD: f64 = 2000.0;
 
 /// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
@@ -162,18 +170,19 @@ impl Settings {
     /// # Errors
     /// When a number is not finite or out of its range, or when the radii are out of order.
     pub fn resolve(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
-        let below = choices.preset.map_or_else(Choices::default, Preset::choices);
-        let choices = choices.clone().over(below);
+        let choices = choices.with_preset();
         let h = positive("voxel size", voxel_size)?;
-        let [radius_min, radius_init, radius_max] = radii(h, &choices)?;
+        let radius_ratio = choices.radius_ratio.unwrap_or(RADIUS_RATIO);
+        let [radius_min, radius_init, radius_max] = radii(h, radius_ratio, &choices)?;
         let integrator = choices.integrator.unwrap_or(Integrator::Fast);
-        let explicit = matches!(integrator, Integrator::Explicit | Integrator::Adaptive);
+        let explicit = is_explicit(integrator);
         let settings = Settings {
             voxel_size: h,
             radius_min,
             radius_init,
             radius_max,
-            own_radii: own_radii(&choices)?,
+            radius_ratio,
+            own_radii: choices.own_radii()?,
             anisotropy: anisotropy(&choices, radius_min, h)?,
             void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
             drop_islands: choices.drop_islands.unwrap_or(0),
@@ -185,7 +194,7 @@ impl Settings {
             attributes: choices.attributes,
             integrator,
             laplacian_steps: choices.laplacian_steps.unwrap_or(15),
-            steps: choices.steps.unwrap_or(if explicit { 500 } else { 5 }),
+            steps: choices.steps.unwrap_or_else(|| default_steps(integrator)),
             step_size: positive(
                 "step size",
                 choices.step_size.unwrap_or(if explicit { 0.01 } else { 20.0 }),
@@ -200,9 +209,11 @@ impl Settings {
     }
 
     fn check_solver(&self) -> Result<(), SettingsError> {
-        require(self.redistance_every > 0, || "redistance at least every so many steps: 1 or more".into())?;
-        within("number of steps", f64::from(self.steps), 0.0, STEPS_MAX)?;
-        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, STEPS_MAX)?;
+        let steps_max = f64::from(STEPS_MAX);
+        let every = f64::from(self.redistance_every);
+        within("number of steps after which distances are restored", every, 1.0, steps_max)?;
+        within("number of steps", f64::from(self.steps), 0.0, steps_max)?;
+        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, steps_max)?;
         within("step size in h⁴", self.step_size, 1e-6, 1e4)?;
         if self.integrator == Integrator::Adaptive {
             let time = f64::from(self.steps) * self.step_size;
@@ -214,10 +225,20 @@ impl Settings {
 
     fn check_edits(&self) -> Result<(), SettingsError> {
         within("void threshold in h", self.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
-        within("number of particles of pieces to drop", f64::from(self.drop_islands), 0.0, ISLAND_MAX)?;
+        within(
+            "number of particles of pieces to drop",
+            f64::from(self.drop_islands),
+            0.0,
+            f64::from(ISLAND_MAX),
+        )?;
         within("volume of cavities to fill in h³", self.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
         within("error of decimation in h", self.decimate, 0.0, DECIMATE_MAX)?;
-        within("number of rounds of --smooth-normals", f64::from(self.smooth_normals), 0.0, ROUNDS_MAX)?;
+        within(
+            "number of rounds of --smooth-normals",
+            f64::from(self.smooth_normals),
+            0.0,
+            f64::from(ROUNDS_MAX),
+        )?;
         self.check_quads()
     }
 
@@ -241,7 +262,7 @@ impl Settings {
         Choices {
             preset: None,
             radius_min: Some(self.radius_min),
-            radius_ratio: Some(self.radius_max / self.radius_min),
+            radius_ratio: Some(self.radius_ratio),
             radius_init: Some(self.radius_init),
             radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
             radius_scale: self.own_radii.as_ref().map(|own| own.scale),
@@ -285,7 +306,7 @@ impl Settings {
     /// When there is none.
     pub fn check(choices: &Choices) -> Result<(), SettingsError> {
         let sound = |radius: &f64| radius.is_finite() && *radius > 0.0;
-        let ratio = choices.radius_ratio.unwrap_or(2.0);
+        let ratio = choices.radius_ratio.unwrap_or(RADIUS_RATIO);
         // One that puts a radius that was given between the others. What is wrong with the ratio
         // is told by `resolve`.
         let voxel_size = match (choices.radius_min.filter(sound), choices.radius_init.filter(sound)) {
@@ -312,6 +333,14 @@ impl Settings {
                     .into(),
             );
         }
+        let (least, steps) = self.step_count();
+        if steps > STEPS_TOLD {
+            let at_least = if least { "at least " } else { "" };
+            warnings.push(format!(
+                "{at_least}{steps:.0} steps for each frame will take long; {} are the default",
+                default_steps(self.integrator)
+            ));
+        }
         if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(
                 "r_min is {:.3} voxels: below √3 a particle may fall between the voxels and be left outside",
@@ -322,10 +351,31 @@ impl Settings {
     }
 }
 
+impl Settings {
+    /// How many biharmonic steps there will be, and whether that is the least: adaptive ones are as large as is stable
+    /// at most.
+    fn step_count(&self) -> (bool, f64) {
+        let steps = f64::from(self.steps);
+        match self.integrator {
+            Integrator::Adaptive => (true, steps * (self.step_size / EXPLICIT_STEP_MAX)),
+            Integrator::Fast | Integrator::Implicit | Integrator::Explicit => (false, steps),
+        }
+    }
+}
+
+/// Whether an integrator takes many small steps, and not a few large ones.
+fn is_explicit(integrator: Integrator) -> bool {
+    matches!(integrator, Integrator::Explicit | Integrator::Adaptive)
+}
+
+/// The biharmonic steps of an integrator, unless others are asked for.
+fn default_steps(integrator: Integrator) -> u32 {
+    if is_explicit(integrator) { 500 } else { 5 }
+}
+
 /// r_min, r_init and r_max.
-fn radii(h: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
+fn radii(h: f64, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
     let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
-    let ratio = choices.radius_ratio.unwrap_or(2.0);
     require(ratio.is_finite() && ratio >= 1.0, || {
         format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
     })?;
@@ -346,10 +396,16 @@ fn radii(h: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
 }
 
-fn own_radii(choices: &Choices) -> Result<Option<OwnRadii>, SettingsError> {
-    let Some(attribute) = &choices.radius_attribute else { return Ok(None) };
-    let scale = positive("radius scale", choices.radius_scale.unwrap_or(1.0))?;
-    Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+impl Choices {
+    /// Where particles have radii of their own, if they have.
+    ///
+    /// # Errors
+    /// When their scale is no positive number.
+    pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
+        let Some(attribute) = &self.radius_attribute else { return Ok(None) };
+        let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
+        Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+    }
 }
 
 fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, SettingsError> {
@@ -361,9 +417,9 @@ fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, 
             let radius = choices.neighbor_radius.unwrap_or(NEIGHBOR_RADIUS * radius_min);
             let radius = positive("radius within which neighbours count", radius)?;
             require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
-                let voxels = radius / h;
                 format!(
-                    "neighbours count within {voxels} voxels; more than {NEIGHBOR_RADIUS_MAX_VOXELS} is not supported"
+                    "the radius within which neighbours count is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
+                    radius / h
                 )
             })?;
             let position_smoothing = choices.position_smoothing.unwrap_or(0.0);
@@ -378,20 +434,33 @@ fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, 
 }
 
 fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
-    let is_sound = |axis: usize| {
-        let (min, max) = (clip.min[axis], clip.max[axis]);
-        min.is_finite() && max.is_finite() && min < max
-    };
-    require((0..3).all(is_sound), || {
-        format!("the box {clip} is empty: each number of its first corner must be below that of the second")
+    require(clip.min.iter().chain(&clip.max).all(|number| number.is_finite()), || {
+        format!(
+            "the box {clip} has a number that is not finite: x0,y0,z0,x1,y1,z1 must be six finite numbers"
+        )
     })?;
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let (min, max) = (clip.min[axis], clip.max[axis]);
+        require(min < max, || {
+            format!(
+                "the box {clip} is empty: its {name}0 is {min} and must be below its {name}1, which is {max}: \
+                 x0,y0,z0 is the least corner, x1,y1,z1 the greatest"
+            )
+        })?;
+    }
     Ok(clip)
 }
 
 fn within(name: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
     require((least..=most).contains(&value), || {
+        let [least, most] = [least, most].map(in_short);
         format!("the {name} is {value}; it must be from {least} to {most}")
     })
+}
+
+/// A bound without a row of zeros.
+fn in_short(bound: f64) -> String {
+    if bound != 0.0 && bound < 1e-3 { format!("{bound:e}") } else { bound.to_string() }
 }
 
 fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
@@ -429,6 +498,54 @@ mod tests {
         for (index, settings) in all.iter().enumerate() {
             assert_eq!(Settings::resolve(0.5, &settings.to_choices()).as_ref(), Ok(settings));
             assert!(!all[..index].contains(settings), "{settings:?} twice");
+        }
+    }
+
+    #[test]
+    fn ratios_are_printed_as_they_were_chosen() {
+        // 3 r_min / r_min is not 3 for all of these.
+        for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
+            let choices = Choices { preset: Some(Preset::Smooth), ..Choices::default() };
+            let settings = Settings::resolve(voxel_size, &choices).expect("sound");
+            assert_eq!(settings.to_choices().radius_ratio, Some(3.0));
+            assert_eq!(Settings::resolve(voxel_size, &settings.to_choices()), Ok(settings));
+        }
+    }
+
+    #[test]
+    fn presets_take_as_much_more_or_less_with_any_integrator() {
+        for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive]
+        {
+            let resolved = |preset, steps| {
+                let choices = Choices { preset, steps, integrator: Some(integrator), ..Choices::default() };
+                Settings::resolve(1.0, &choices).expect("sound")
+            };
+            let own = resolved(None, None);
+            for (preset, fifths) in [(Preset::Smooth, 10), (Preset::Preview, 1), (Preset::Water, 5)] {
+                let settings = resolved(Some(preset), None);
+                assert_eq!((5 * settings.steps, settings.step_size), (fifths * own.steps, own.step_size));
+                assert_eq!(resolved(Some(preset), Some(7)).steps, 7);
+            }
+        }
+    }
+
+    #[test]
+    fn many_steps_are_told_before_they_are_taken() {
+        let told = |integrator, steps, step_size| {
+            let choices = Choices { integrator: Some(integrator), steps, step_size, ..Choices::default() };
+            Settings::resolve(1.0, &choices)
+                .expect("sound")
+                .warnings()
+                .into_iter()
+                .find(|warning| warning.contains(" steps for each"))
+        };
+        let adaptive = told(Integrator::Adaptive, None, Some(20.0)).expect("so many");
+        assert!(adaptive.starts_with("at least 720000 steps"), "{adaptive}");
+        let explicit = told(Integrator::Explicit, Some(5000), None).expect("so many");
+        assert!(explicit.starts_with("5000 steps") && explicit.contains("500 are the default"), "{explicit}");
+        for integrator in [Integrator::Fast, Integrator::Explicit, Integrator::Adaptive] {
+            assert_eq!(told(integrator, None, None), None);
+            assert_eq!(told(integrator, Some(2000), None), None);
         }
     }
 

@@ -1,6 +1,7 @@
 //! Bundles of choices, for what people do most.
 
 use super::choices::{AnisotropyKind, Choices};
+use super::{Integrator, default_steps};
 
 /// A bundle of choices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,6 +19,10 @@ pub enum Preset {
     /// As smooth as can be.
     Smooth,
 }
+
+/// How far particles of sheets are moved to the mean of their neighbours. On a crown of 28 554 particles, three voxels to
+/// the spacing, 0.4 leaves the sheet whole, 0.5 tears one hole into it and 0.6 to 0.9 two; bending energy falls by 5 % from there to 0.9.
+const SPLASH_SMOOTHING: f64 = 0.4;
 
 impl Preset {
     /// Every preset there is.
@@ -41,20 +46,27 @@ impl Preset {
         Preset::ALL.into_iter().find(|preset| preset.name() == name)
     }
 
-    /// What it stands for.
-    pub fn choices(self) -> Choices {
+    /// What it stands for with an integrator: of biharmonic steps, so much more or less than that one's own number.
+    pub fn choices(self, integrator: Integrator) -> Choices {
         let none = Choices::default();
+        let fifths_of_steps = |fifths: u32| Some(fifths * default_steps(integrator) / 5);
         match self {
             Preset::Water => Choices { fill_cavities: Some(200.0), ..none },
             Preset::Splash => {
                 let anisotropy = Some(AnisotropyKind::Neighbors);
-                Choices { anisotropy, position_smoothing: Some(0.9), fill_cavities: Some(200.0), ..none }
+                Choices {
+                    anisotropy,
+                    position_smoothing: Some(SPLASH_SMOOTHING),
+                    fill_cavities: Some(200.0),
+                    ..none
+                }
             }
-            Preset::Granular => Choices { radius_ratio: Some(1.25), steps: Some(1), ..none },
-            Preset::Preview => Choices { steps: Some(1), ..none },
+            Preset::Granular => Choices { radius_ratio: Some(1.25), steps: fifths_of_steps(1), ..none },
+            Preset::Preview => Choices { steps: fifths_of_steps(1), ..none },
             Preset::Faithful => Choices { radius_ratio: Some(1.25), ..none },
             Preset::Smooth => {
-                Choices { radius_ratio: Some(3.0), steps: Some(10), fill_cavities: Some(200.0), ..none }
+                let steps = fifths_of_steps(10);
+                Choices { radius_ratio: Some(3.0), steps, fill_cavities: Some(200.0), ..none }
             }
         }
     }

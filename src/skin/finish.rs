@@ -10,7 +10,7 @@
 use glam::{DVec3, IVec3, Vec3};
 
 use super::{Scene, lattice};
-use crate::certify::Exempt;
+use crate::certify::{self, Exempt, Part, ParticleChecks};
 use crate::contour;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
@@ -35,14 +35,15 @@ pub(super) fn has_edits(settings: &Settings) -> bool {
 /// Takes away what the settings ask for. `particles` are those of each leaf, in voxels relative to its origin.
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
-    bounds: &mut Bounds,
+    mut bounds: Option<&mut Bounds>,
     particles: impl IntoIterator<Item = (IVec3, P)>,
     (scene, settings): (&Scene, &Settings),
     report: &mut EditReport,
 ) -> Edits {
     let mut edits = Edits::default();
     if settings.drop_islands > 0 {
-        let dropped = trim::drop_islands(band, bounds, u64::from(settings.drop_islands), particles);
+        let dropped =
+            trim::drop_islands(band, bounds.as_deref_mut(), u64::from(settings.drop_islands), particles);
         report.island_count = dropped.piece_count;
         report.island_particle_count = dropped.particle_count;
         edits.islands = Some(dropped);
@@ -56,7 +57,7 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         };
         let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
             if scene.obstacles.is_empty() { None } else { Some(&kept) };
-        let filled = trim::fill_cavities(band, bounds, settings.fill_cavities, kept);
+        let filled = trim::fill_cavities(band, bounds.as_deref_mut(), settings.fill_cavities, kept);
         report.cavity_count = filled.cavity_count;
         report.cavity_voxel_count = filled.voxel_count;
     }
@@ -83,6 +84,38 @@ pub(super) fn mesh(
         clip.hold(&mut mesh);
     }
     mesh
+}
+
+/// Checks a mesh in parts. Vertices that are out of their bounds are moved back, and then all are checked again.
+///
+/// # Errors
+/// Those of the parts.
+pub(super) fn check<E>(
+    mesh: &mut Mesh,
+    report: &mut SkinReport,
+    mut each_part: impl FnMut(&Mesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
+) -> Result<ParticleChecks, E> {
+    let mut check_all = |mesh: &Mesh| {
+        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
+        each_part(mesh, &mut |part| {
+            let (of_part, found) = certify::check(part);
+            checks = checks.and(of_part);
+            strays.extend(found);
+        })?;
+        Ok((checks, strays))
+    };
+    let (checks, strays) = check_all(mesh)?;
+    if strays.is_empty() {
+        return Ok(checks);
+    }
+    for stray in &strays {
+        mesh.positions[stray.vertex] = stray.position;
+        mesh.normals[stray.vertex] = Vec3::ZERO;
+    }
+    contour::fill_zero_normals(mesh);
+    report.vertices_returned = strays.len();
+    report.mesh = mesh.measure();
+    Ok(check_all(mesh)?.0)
 }
 
 /// Makes the mesh what the settings ask for, and measures it again if that changed it.

@@ -13,6 +13,7 @@ mod shelves;
 pub mod tiled;
 mod tiles;
 
+use std::convert::Infallible;
 use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
@@ -20,7 +21,7 @@ pub use plan::{Plan, Surroundings, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
-use crate::certify::{Part, ParticleChecks, certificate};
+use crate::certify::{Part, certificate};
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
@@ -147,16 +148,20 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
     let scene = scene(settings, &obstacles);
     let Scene { lattice, radii, .. } = scene;
     let edits = match finish::has_edits(settings) {
-        true => finish::edit(&mut band, &mut bounds, bins.leaves(), (&scene, settings), &mut report.edits),
+        true => {
+            finish::edit(&mut band, Some(&mut bounds), bins.leaves(), (&scene, settings), &mut report.edits)
+        }
         false => Edits::default(),
     };
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.mesh = mesh.measure();
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
-    let whole = Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
+    let Ok(checks) = finish::check(&mut mesh, &mut report, |mesh, check| {
+        check(&Part { bins: &bins, radii, band: &band, mesh, lattice: &lattice, owned, exempt });
+        Ok::<(), Infallible>(())
+    });
     let violation_count = bounds.violation_count(&band.phi);
-    report.certificate =
-        certificate(ParticleChecks::of(&whole), violation_count, &mesh, &report.mesh, &lattice);
+    report.certificate = certificate(checks, violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     finish::simplify(&mut mesh, settings, &mut report);
     report.seconds.contour = started.elapsed().as_secs_f64();
@@ -225,7 +230,19 @@ fn smooth_config(settings: &Settings) -> smooth::Config {
         step_size: settings.step_size as f32,
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
+        keeps_spheres: can_spheres_shrink(settings),
     }
+}
+
+/// What implicit steps may take of a lone sphere's radius, in voxels.
+const SHRINKING_MAX: f64 = 0.15;
+
+/// Whether implicit steps could take more than that before a lone sphere is as small as its bound lets it be. Not so with the
+/// radii that follow from the voxel size, after 15 Laplacian steps; with radii of the particles' own, always.
+fn can_spheres_shrink(settings: &Settings) -> bool {
+    let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
+    let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
+    settings.own_radii.is_some() || left - least > SHRINKING_MAX
 }
 
 /// Memory that a topology takes for a leaf: its origin, its neighbours, and its place in the map.

@@ -152,11 +152,36 @@ fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f
     particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 
+/// Memory while islands, cavities and what is beyond a box are taken away, beside so many fields: the field that a box
+/// makes of another, pieces, and, of a frame in tiles, particles, of which islands are told by.
+fn edit_bytes(footprint: &Footprint, settings: &Settings, fields: f64) -> f64 {
+    let [surface, _, occupied, particles] = counts(footprint, settings);
+    let has_pieces = settings.drop_islands > 0 || settings.fill_cavities > 0.0;
+    if !has_pieces && settings.clip.is_none() {
+        return 0.0;
+    }
+    let fields = if settings.clip.is_some() { fields + 1.0 } else { fields };
+    let pieces = if has_pieces { PIECES_LEAF_BYTES * surface } else { 0.0 };
+    let particles = if settings.drop_islands > 0 {
+        KEPT_PARTICLE_BYTES * particles + LISTED_LEAF_BYTES * occupied
+    } else {
+        0.0
+    };
+    FIELD_BYTES * fields * surface + pieces + particles
+}
+
+/// Memory for the pieces in a leaf: masks of its voxels, once as they are found and once in a row, and what they touch.
+const PIECES_LEAF_BYTES: f64 = 500.0;
+
+/// Memory for a list of particles, beside these.
+const LISTED_LEAF_BYTES: f64 = 64.0;
+
 fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
+        edit_bytes(footprint, settings, 3.0),
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
         FIELD_BYTES * 2.0 * surface
             + mesh_bytes(settings) * area
@@ -179,6 +204,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,
         FIELD_BYTES * smoothing_fields(settings) * smoothed,
+        edit_bytes(footprint, settings, 1.0) + sorting,
         FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
         // Writing: φ, and φ as it is packed.
         FIELD_BYTES * 2.0 * surface

@@ -15,8 +15,9 @@ use super::band::Band;
 use super::heavy_ball::{Course, HeavyBall};
 use super::implicit::Convergence;
 use super::thickness::THICKNESS_REACH;
+use super::tips::{TIP_REACH, around_tips};
 use super::{Config, Integrator, SmoothReport, explicit, implicit, keep_off_zero, laplacian};
-use crate::grid::Field;
+use crate::grid::{Field, Topology};
 use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance_in};
 
 /// A part of the smoothing.
@@ -27,7 +28,7 @@ pub enum Act {
         /// How many.
         steps: u32,
     },
-    /// Distances and bounds restored, in place of Laplacian steps.
+    /// Distances and bounds restored, in place of Laplacian steps or after them.
     Restore,
     /// Some of the passes of a fast step.
     Passes {
@@ -37,6 +38,8 @@ pub enum Act {
         first: u32,
         /// How many.
         count: u32,
+        /// Whether the [tips](super::tips) of balls are held.
+        holds_tips: bool,
     },
     /// Explicit steps.
     Explicit {
@@ -66,6 +69,7 @@ const REDISTANCE_SWEEPS: u32 = 8;
 /// swept by first order, as the paper does. A few steps with exact ones thicken tubes and sheets
 /// (under this flow a cylinder of radius R grows by 1/R³) until they meet the bumps of their bound. Explicit
 /// steps are redistanced so often that errors of first order would add up. `redistance` has the figures.
+/// Where spheres are to be kept all distances are exact.
 const IMPLICIT_SECOND_ORDER_WITHIN: f32 = 1.2;
 
 /// Size of a Laplacian step, in units of h².
@@ -82,12 +86,19 @@ impl Act {
             Act::Laplacian { steps } => Some(steps),
             Act::Restore | Act::Redistance => Some(REDISTANCE_REACH),
             // What is thick is found again by every act of a step.
-            Act::Passes { count, .. } => Some(count.saturating_mul(2).saturating_add(THICKNESS_REACH)),
+            Act::Passes { count, holds_tips, .. } => {
+                Some(count.saturating_mul(2).saturating_add(region_reach(holds_tips)))
+            }
             Act::Explicit { count } => Some(count.saturating_mul(2)),
             Act::Implicit | Act::Adaptive { .. } => None,
             Act::Finish => Some(0),
         }
     }
+}
+
+/// How far the voxels are, at most, that decide whether and how a voxel is moved by a fast step.
+fn region_reach(holds_tips: bool) -> u32 {
+    THICKNESS_REACH + if holds_tips { TIP_REACH } else { 0 }
 }
 
 /// Which of the three fields that are passed from act to act: φ, and the first and second of [`Memory`].
@@ -124,13 +135,18 @@ pub fn acts(config: &Config, reach_max: u32) -> Vec<Act> {
         0 => acts.push(Act::Restore),
         steps => acts.extend(portions(steps, reach_max).map(|(_, steps)| Act::Laplacian { steps })),
     }
+    let holds_tips = config.keeps_spheres;
+    if holds_tips && config.integrator.is_implicit() && config.laplacian_steps > 0 && config.steps > 0 {
+        // They end at |φ| = 4 with a kink, which would pull on what is free.
+        acts.push(Act::Restore);
+    }
     let mut since_redistance = 0;
     for step in 0..config.steps {
         match config.integrator {
             Integrator::Fast => {
-                let most = reach_max.saturating_sub(THICKNESS_REACH) / 2;
+                let most = reach_max.saturating_sub(region_reach(holds_tips)) / 2;
                 let passes = course(config, step).passes_max();
-                let part = |(first, count)| Act::Passes { step, first, count };
+                let part = |(first, count)| Act::Passes { step, first, count, holds_tips };
                 acts.extend(portions(passes, most).map(part));
             }
             Integrator::Implicit => acts.push(Act::Implicit),
@@ -217,13 +233,13 @@ impl Work<'_> {
             }
             Act::Restore => self.redistance(Sweeps::accurate(REDISTANCE_SWEEPS)),
             Act::Redistance => {
-                let sweeps = sweeps_after(config.integrator);
+                let sweeps = sweeps_after(config);
                 self.redistance(sweeps)
             }
-            Act::Passes { step, first, count } => {
+            Act::Passes { step, first, count, holds_tips } => {
                 let is_start = first == 0;
                 let at_start = if is_start { &band.phi } else { &memory.first };
-                let region = Band::new(&band.topology, at_start, FREE_WIDTH);
+                let region = free_region(&band.topology, at_start, holds_tips);
                 let free_count = if is_start { region.free_count(*own) } else { 0 };
                 let Memory { first: start, second: previous } = &mut **memory;
                 let course = course(config, step);
@@ -234,7 +250,7 @@ impl Work<'_> {
             Act::Explicit { count } => self.explicit(count),
             Act::Adaptive { count } => self.adaptive(count),
             Act::Implicit => {
-                let region = Band::new(&band.topology, &band.phi, FREE_WIDTH);
+                let region = free_region(&band.topology, &band.phi, config.keeps_spheres);
                 let free_count = region.free_count(*own);
                 let (step_size, tolerance) = (config.step_size, config.cg_tolerance);
                 let solved = implicit::step(band, bounds, region, step_size, tolerance, &mut memory.first);
@@ -292,12 +308,18 @@ impl Work<'_> {
 /// So little of the time of steps may be left over, in units of h⁴.
 const TIME_TOLERANCE: f64 = 1e-6;
 
-fn sweeps_after(integrator: Integrator) -> Sweeps {
-    match integrator {
-        Integrator::Explicit | Integrator::Adaptive => Sweeps::accurate(REDISTANCE_SWEEPS),
-        Integrator::Fast | Integrator::Implicit => {
-            Sweeps { count: REDISTANCE_SWEEPS, second_order_within: IMPLICIT_SECOND_ORDER_WITHIN }
-        }
+/// The free voxels of an implicit step.
+fn free_region(topology: &Topology, phi: &Field, holds_tips: bool) -> Band {
+    match holds_tips {
+        true => Band::without(topology, phi, FREE_WIDTH, &around_tips(topology, phi)),
+        false => Band::new(topology, phi, FREE_WIDTH),
+    }
+}
+
+fn sweeps_after(config: &Config) -> Sweeps {
+    match config.integrator.is_implicit() && !config.keeps_spheres {
+        true => Sweeps { count: REDISTANCE_SWEEPS, second_order_within: IMPLICIT_SECOND_ORDER_WITHIN },
+        false => Sweeps::accurate(REDISTANCE_SWEEPS),
     }
 }
 
@@ -349,15 +371,25 @@ mod tests {
 
     fn config(integrator: Integrator, steps: u32, redistance_every: u32) -> Config {
         let step_size = if integrator == Integrator::Explicit { 0.01 } else { 20.0 };
-        Config { laplacian_steps: 15, integrator, steps, step_size, redistance_every, cg_tolerance: 1e-4 }
+        Config {
+            laplacian_steps: 15,
+            integrator,
+            steps,
+            step_size,
+            redistance_every,
+            cg_tolerance: 1e-4,
+            keeps_spheres: false,
+        }
     }
 
     #[test]
     fn parts_come_to_the_whole_and_keep_their_reach() {
-        for (integrator, steps, every) in
-            [(Integrator::Fast, 5, 1), (Integrator::Fast, 4, 3), (Integrator::Explicit, 120, 50)]
-        {
-            let config = config(integrator, steps, every);
+        for (integrator, steps, every, keeps_spheres) in [
+            (Integrator::Fast, 5, 1, false),
+            (Integrator::Fast, 4, 3, true),
+            (Integrator::Explicit, 120, 50, false),
+        ] {
+            let config = Config { keeps_spheres, ..config(integrator, steps, every) };
             let sum = |acts: &[Act]| -> (u32, u32, usize) {
                 let laplacian =
                     acts.iter().map(|act| if let Act::Laplacian { steps } = act { *steps } else { 0 });

@@ -26,8 +26,14 @@ pub(super) struct Band {
 impl Band {
     /// The band of the voxels with |φ| ≤ `width` voxels.
     pub(super) fn new(topology: &Topology, phi: &Field, width: f32) -> Band {
-        let near = phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width }));
-        Band::of(topology, near.collect())
+        Band::of(topology, near(phi, width))
+    }
+
+    /// The same without the voxels that are held.
+    pub(super) fn without(topology: &Topology, phi: &Field, width: f32, held: &[LeafMask]) -> Band {
+        let mut free = near(phi, width);
+        free.par_iter_mut().zip(held).for_each(|(free, held)| free.remove_all(held));
+        Band::of(topology, free)
     }
 
     /// The band of these voxels.
@@ -50,6 +56,11 @@ impl Band {
         let counted = self.free.par_iter().enumerate().filter(|(leaf, _)| own.is_none_or(|own| own[*leaf]));
         counted.map(|(_, mask)| u64::from(mask.count())).sum()
     }
+}
+
+/// The voxels with |φ| ≤ `width`.
+pub(super) fn near(phi: &Field, width: f32) -> Vec<LeafMask> {
+    phi.leaves.par_iter().map(|leaf| simd::dispatch(Near { leaf, width })).collect()
 }
 
 /// The voxels of a leaf with |φ| ≤ `width`.

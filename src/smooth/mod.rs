@@ -20,6 +20,7 @@ mod heavy_ball;
 mod implicit;
 mod laplacian;
 mod thickness;
+mod tips;
 
 pub use acts::{Act, FieldSet, Memory, Tally, Work, acts};
 pub use biharmonic::EIGENVALUE_MAX;
@@ -43,6 +44,13 @@ pub enum Integrator {
     Adaptive,
 }
 
+impl Integrator {
+    /// Whether its steps are so large that a system has to be solved for each.
+    pub fn is_implicit(self) -> bool {
+        matches!(self, Integrator::Fast | Integrator::Implicit)
+    }
+}
+
 /// What to do, in units of voxels and of the time h⁴.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
@@ -58,6 +66,9 @@ pub struct Config {
     pub redistance_every: u32,
     /// Relative tolerance of the conjugate gradients (`Implicit` only).
     pub cg_tolerance: f64,
+    /// Whether implicit steps, too, leave lone spheres of any radius what the Laplacian steps leave them. Explicit steps
+    /// always do. Threads of the least particles then end a little thicker and rougher.
+    pub keeps_spheres: bool,
 }
 
 /// What smoothing took.
@@ -107,6 +118,12 @@ fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     });
 }
 
+/// What Laplacian steps leave of the radius of a lone sphere, in voxels: dr/dt = −2/r.
+pub fn radius_after_laplacian(radius_voxels: f64, steps: u32) -> f64 {
+    let time = f64::from(acts::LAPLACIAN_STEP_SIZE) * f64::from(steps);
+    (radius_voxels * radius_voxels - 4.0 * time).max(0.0).sqrt()
+}
+
 /// The Laplacian flow alone, for comparison with the biharmonic one (paper, Fig. 5): `steps` steps
 /// of 0.1 h², redistanced and clamped every 50 and at the end.
 pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32) {
@@ -118,6 +135,7 @@ pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32)
         step_size: 0.0,
         redistance_every: 1,
         cg_tolerance: 0.0,
+        keeps_spheres: false,
     };
     let mut memory = Memory::new(band.topology.len());
     for act in acts(&config, REDISTANCE_EVERY) {

@@ -43,7 +43,7 @@ pub(super) fn thick(topology: &Topology, free: &[LeafMask]) -> Vec<LeafMask> {
 }
 
 /// Each mask joined with itself shifted along these axes, both ways and by up to so many steps.
-fn with_neighbors(
+pub(super) fn with_neighbors(
     topology: &Topology,
     masks: &[LeafMask],
     axes: &[usize],

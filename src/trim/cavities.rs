@@ -32,12 +32,12 @@ pub struct FilledCavities {
 }
 
 /// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside, and the lower
-/// bounds there are lowered to φ.
+/// bounds there, where they are wanted, are lowered to φ.
 ///
 /// What has a voxel that is `kept` is no cavity: that tells those of a leaf, by its origin, and is asked once of each.
 pub fn fill_cavities(
     band: &mut NarrowBand,
-    bounds: &mut Bounds,
+    bounds: Option<&mut Bounds>,
     volume_voxels: f64,
     kept: Option<&dyn Fn(IVec3) -> LeafMask>,
 ) -> FilledCavities {

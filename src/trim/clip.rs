@@ -74,8 +74,13 @@ pub struct Clipped {
     pub removed_leaf_count: usize,
 }
 
-/// Cuts off what is outside a box. What is left is closed, and the bounds are cut as φ is.
-pub fn clip(band: &mut NarrowBand, bounds: &mut Bounds, lattice: &Lattice, clip_box: &ClipBox) -> Clipped {
+/// Cuts off what is outside a box. What is left is closed, and the bounds, where they are wanted, are cut as φ is.
+pub fn clip(
+    band: &mut NarrowBand,
+    bounds: Option<&mut Bounds>,
+    lattice: &Lattice,
+    clip_box: &ClipBox,
+) -> Clipped {
     let cut = Cut {
         min: clip_box.min / lattice.voxel_size,
         max: clip_box.max / lattice.voxel_size,
@@ -96,7 +101,8 @@ pub fn clip(band: &mut NarrowBand, bounds: &mut Bounds, lattice: &Lattice, clip_
     band.topology = Arc::new(Topology::new(origins));
     let from: Vec<Option<usize>> = band.topology.origins().iter().map(|&origin| old.find(origin)).collect();
     clipped.added_leaf_count = from.iter().filter(|from| from.is_none()).count();
-    for field in [&mut band.phi, &mut bounds.lower, &mut bounds.upper] {
+    let bounds = bounds.into_iter().flat_map(|Bounds { lower, upper }| [lower, upper]);
+    for field in [&mut band.phi].into_iter().chain(bounds) {
         *field = cut.apply(field, &band.topology, &from, band.half_width);
     }
     clipped.voxel_count += stored_difference(&old, &inside, &band.topology, &negative_masks(&band.phi));

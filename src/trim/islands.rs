@@ -28,13 +28,13 @@ pub struct DroppedIslands {
 }
 
 /// Drops the pieces of the inside with fewer than `particle_count_least` particles: their voxels turn outside, and the
-/// upper bounds there are raised to φ.
+/// upper bounds there, where they are wanted, are raised to φ.
 ///
 /// Particles come leaf by leaf: a leaf's origin, and positions in voxels relative to it (0 to 8 on each axis).
 /// Particles that are not given are not counted.
 pub fn drop_islands<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
-    bounds: &mut Bounds,
+    bounds: Option<&mut Bounds>,
     particle_count_least: u64,
     particles: impl IntoIterator<Item = (IVec3, P)>,
 ) -> DroppedIslands {

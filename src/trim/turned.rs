@@ -29,7 +29,12 @@ pub(super) enum Side {
 
 /// Turns voxels, given leaf by leaf in order, to a side of the surface, and widens the bounds to hold what φ becomes.
 /// The voxels must be whole pieces of the other side.
-pub(super) fn turn(band: &mut NarrowBand, bounds: &mut Bounds, turned: &[(usize, LeafMask)], side: Side) {
+pub(super) fn turn(
+    band: &mut NarrowBand,
+    mut bounds: Option<&mut Bounds>,
+    turned: &[(usize, LeafMask)],
+    side: Side,
+) {
     if turned.is_empty() {
         return;
     }
@@ -37,17 +42,19 @@ pub(super) fn turn(band: &mut NarrowBand, bounds: &mut Bounds, turned: &[(usize,
     let swept = sweep(band, turned, &near, side);
     for ((leaf, free), swept) in swept {
         let phi = &mut band.phi.leaves[leaf];
-        let bound = match side {
+        let bound = bounds.as_deref_mut().map(|bounds| match side {
             Side::Inside => &mut bounds.lower.leaves[leaf],
             Side::Outside => &mut bounds.upper.leaves[leaf],
-        };
-        for offset in free.iter() {
-            let distance = swept.values[offset].abs().min(band.half_width);
-            let (old, bound) = (&mut phi.values[offset], &mut bound.values[offset]);
-            // A voxel that was on the other side is less than any distance.
-            match side {
-                Side::Inside => (*old, *bound) = (old.min(-distance), bound.min(-distance)),
-                Side::Outside => (*old, *bound) = (old.max(distance), bound.max(distance)),
+        });
+        for values in [Some(phi), bound].into_iter().flatten() {
+            for offset in free.iter() {
+                let distance = swept.values[offset].abs().min(band.half_width);
+                let old = &mut values.values[offset];
+                // A voxel that was on the other side is less than any distance.
+                *old = match side {
+                    Side::Inside => old.min(-distance),
+                    Side::Outside => old.max(distance),
+                }
             }
         }
     }

@@ -1,6 +1,6 @@
 //! Outputs that would meet other files: our own, the user's, another daemon's.
 
-use crate::scene::{NO_SCANS, Scene, csv, moving, names_in, ply};
+use crate::scene::{Line, NO_SCANS, Scene, csv, moving, names_in, ply, told as told_of};
 
 const QUICK: [&str; 4] = ["--settle", "20ms", "--unproven", "50ms"];
 
@@ -51,6 +51,31 @@ fn outputs_beside_the_frames_are_no_inputs() {
     daemon.assert_no_complaints();
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
     assert_eq!(names_in(&scene.path("in")).len(), 7);
+}
+
+/// Also where it is not there yet, or is another frame's.
+#[test]
+fn an_obstacle_is_never_replaced() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    scene.write("out/dam.1.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n");
+    let before = scene.bytes("out/dam.1.obj");
+    for (obstacle, refused) in
+        [("out/dam.1.obj", &["dam.1"][..]), ("elsewhere/../out/dam.#.obj", &["dam.1", "dam.2"])]
+    {
+        let with = ["--format", "obj", "--obstacle", obstacle, "--voxel-size", "0.06"];
+        let once = scene.once(&[&with[..], &QUICK].concat());
+        once.assert_status(if refused.len() == 2 { 2 } else { 1 });
+        for name in refused {
+            let is_told = |line: &&Line| line.message.contains("would replace the obstacle");
+            let told = once.log.iter().filter(is_told).filter(|line| line.is_about(&format!("{name}.ply")));
+            assert_eq!(told.count(), 1, "{obstacle} {name}: {}", told_of(&once.log));
+        }
+        assert!(scene.bytes("out/dam.1.obj") == before);
+        let ran = scene.run(&[&["convert", "in", "--out", "out"], &with[..]].concat());
+        assert_eq!(ran.status, Some(2), "{}", ran.err);
+        assert!(ran.err.contains("would replace the obstacle"), "{}", ran.err);
+    }
 }
 
 /// The output of a frame would be the frame itself.

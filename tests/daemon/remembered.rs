@@ -151,7 +151,7 @@ fn a_frame_that_was_too_large_is_tried_again_after_a_restart() {
     let scene = Scene::new();
     scene.put_moving([1]);
     let arguments = ["--settle", "10ms", "--format", "obj,vdb", "--voxel-size", "0.05"];
-    let small = [&arguments[..], &["--memory", "10KiB"]].concat();
+    let small = [&arguments[..], &["--memory", "1MiB"]].concat();
     for _ in 0..2 {
         let once = scene.once(&small);
         once.assert_status(2);

@@ -165,3 +165,66 @@ fn an_output_that_is_gone_is_made_again() {
     assert_eq!(again.converted(), ["dam.2.ply", "dam.3.ply"]);
     scene.assert_as_converted(&FORMATS);
 }
+
+/// A box with its top at this height, below the moving cubes or in them.
+fn floor(top: f32) -> String {
+    let corners = (0..8).map(|index| {
+        let at = |axis: usize, low: f32, high: f32| if index >> axis & 1 == 1 { high } else { low };
+        format!("v {} {} {}\n", at(0, -1.0, 2.0), at(1, -1.0, 2.0), at(2, -1.0, top))
+    });
+    let faces = "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
+    corners.collect::<String>() + faces
+}
+
+/// Of all frames, where it is in the way of all; of one, where it is a file of that one. One that is removed changes
+/// nothing, and one that is touched neither.
+#[test]
+fn frames_are_converted_again_when_their_obstacles_are_written_again() {
+    let around = ["--obstacle", "floor.obj", "--obstacle", "body.#.obj"];
+    let scene = Scene::new();
+    scene.put_moving(1..=3);
+    scene.write("floor.obj", floor(-0.1));
+    (1..=3).for_each(|number| scene.write(&format!("body.{number}.obj"), floor(-0.2)));
+    let arguments = [&FORMATS[..], &around].concat();
+    let daemon = scene.watch(&[&["--settle", "10ms", "--rescan", "50ms"], &arguments[..]].concat());
+    daemon.await_lines(3, "all are converted", Line::is_converted);
+    let before = scene.bytes("out/dam.2.vdb");
+    scene.put("body.2.obj", floor(0.15));
+    let is_second = |line: &Line| line.is_converted() && line.is_about("dam.2.ply");
+    daemon.await_lines(2, "the one is converted again", is_second);
+    assert!(scene.bytes("out/dam.2.vdb") != before);
+    assert_eq!(daemon.lines(Line::is_converted).len(), 4);
+    scene.put("floor.obj", floor(0.1));
+    daemon.await_lines(7, "all are converted again", Line::is_converted);
+    scene.assert_as_converted(&arguments);
+    scene.remove("body.3.obj");
+    touch(&scene, "floor.obj");
+    daemon.await_lines(2, "those with obstacles are found done", Line::is_found_done);
+    assert!(daemon.lines(|line| line.is_found_done() && line.is_about("dam.3.ply")).is_empty());
+    scene.put("body.3.obj", floor(-0.2));
+    daemon.await_lines(3, "and so is the third", Line::is_found_done);
+    daemon.assert_no_complaints();
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 7);
+    let once = scene.once(&[&["--settle", "10ms"], &arguments[..]].concat());
+    once.assert_status(0);
+    assert!(once.converted().is_empty() && once.found_done().is_empty());
+}
+
+/// One that is not there, and one that cannot be read.
+#[test]
+fn frames_whose_obstacle_was_wrong_are_converted_when_it_is_right() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    scene.write("body.1.obj", "v 1 2\n");
+    let arguments = ["--settle", "10ms", "--rescan", "50ms", "--obstacle", "body.#.obj"];
+    let daemon = scene.watch(&[&arguments[..], &FORMATS].concat());
+    let is_wrong = |name: &'static str, what: &'static str| {
+        move |line: &Line| line.is_about(name) && line.message.contains(what)
+    };
+    daemon.await_line("the broken one", is_wrong("dam.1.ply", "in/dam.1.ply: obstacle "));
+    daemon.await_line("the missing one", is_wrong("dam.2.ply", "body.2.obj: no such file"));
+    (1..=2).for_each(|number| scene.put(&format!("body.{number}.obj"), floor(-0.2)));
+    daemon.await_lines(2, "both are converted", Line::is_converted);
+    daemon.finish();
+    scene.assert_as_converted(&[&FORMATS[..], &["--obstacle", "body.#.obj"]].concat());
+}

@@ -206,6 +206,39 @@ fn in_tiles_they_are_the_same() {
     assert!(files(folder, "whole") == files(folder, "tiles"));
 }
 
+/// With half the spacing as it is all particles of that radius would be raised.
+#[test]
+fn voxels_are_small_enough_for_the_radii_that_are_told() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    let mut told = frame(6);
+    let radii = (0..216).map(|index| if index < 20 { 0.03 } else { 0.05 }).collect();
+    told.attributes = vec![attribute("pscale", 1, Values::F32(radii))];
+    let mut bytes = Vec::new();
+    bgeo::write(&told, &mut bytes).expect("written");
+    fs::write(folder.join("f.bgeo"), bytes).expect("written");
+    let typed = ["convert", "f.bgeo", "--out", "o", "--report", "r.json", "--radius-attribute", "pscale"];
+    let ran = meniscus(folder, &typed);
+    assert!(ran.status == 0 && ran.out.contains("1/√3 of the particles' median r_min 0.05,"), "{}", ran.out);
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
+    let settings = &report["settings"][0];
+    let voxel_size = settings["voxel_size"].as_f64().expect("a number");
+    assert!((voxel_size * 3f64.sqrt() - 0.05).abs() < 1e-7, "{voxel_size}");
+    assert_eq!(settings["radius_median"].as_f64(), Some(f64::from(0.05f32)));
+    assert_eq!(report["frames"][0]["shapes"]["small_radii"], 20);
+    assert!(ran.err.contains("20 particles too small for the grid"), "{}", ran.err);
+    assert!(ran.err.contains("--voxel-size 0.0173 would hold them all"), "{}", ran.err);
+    // The size that is named does; the daemon measures the same.
+    let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
+    assert_eq!((ran.status, &*ran.err), (0, ""));
+    fs::create_dir(folder.join("in")).expect("made");
+    fs::rename(folder.join("f.bgeo"), folder.join("in/f.bgeo")).expect("moved");
+    let watched = ["watch", "in", "--out", "w", "--once", "--radius-attribute", "pscale", "--log", "json"];
+    let ran = meniscus(folder, &watched);
+    assert!(ran.status == 0 && ran.err.contains("\"voxel_size\":0.0288675"), "{}", ran.err);
+}
+
 #[test]
 fn a_frame_without_attributes_says_so() {
     let folder = tempdir().expect("a folder");

@@ -51,6 +51,12 @@ fn what_makes_no_sense_is_refused() {
         (&["dam.1.ply", "--voxel-size", "nan"], &["voxel size"]),
         (&["dam.1.ply", "--radius-ratio", "0.5"], &["ratio", "at least 1"]),
         (&["dam.1.ply", "--report", "missing/report.json"], &["missing"]),
+        (&["dam.1.ply", "--clip", "nan,0,0,1,1,1"], &["the box NaN,0,0,1,1,1", "six finite numbers"]),
+        (&["dam.1.ply", "--clip", "0,0,0,1,inf,1"], &["not finite", "x0,y0,z0,x1,y1,z1"]),
+        (&["dam.1.ply", "--clip", "0,2,0,1,1,1"], &["its y0 is 2 and must be below its y1, which is 1"]),
+        (&["dam.1.ply", "--clip", "0,0,0,1,1"], &["0,0,0,1,1", "six numbers x0,y0,z0,x1,y1,z1"]),
+        (&["dam.1.ply", "--smooth-normals", "5"], &["5: no such file", "--smooth-normals=5"]),
+        (&["dam.1.ply", "--attributes", "all,age"], &["`all,age`", "all, or only names"]),
     ] {
         assert_refused(path, &[&["convert", "--out", "o/deep"], arguments].concat(), words);
         assert!(!path.join("o").exists(), "{arguments:?} left the folder that it made");
@@ -253,6 +259,53 @@ fn what_is_ignored_is_told() {
         let ran = meniscus(folder.path(), &[&arguments[..], &rest].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
         assert_eq!(ran.err.contains("--cg-tolerance is ignored"), integrator != "implicit", "{}", ran.err);
+    }
+}
+
+/// An option that is ignored and wrong is told as wrong, once.
+#[test]
+fn what_is_wrong_is_not_told_as_ignored_too() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--max-stretch", "9"]);
+    assert!(
+        ran.status == 2 && ran.err.contains("from 1 to 8") && !ran.err.contains("ignored"),
+        "{}",
+        ran.err
+    );
+    let ran = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--memory", "5"]);
+    assert!(ran.status == 2 && ran.err.contains("5 bytes of memory"), "{}", ran.err);
+}
+
+/// Options for files that are not written; and none is said of where they are.
+#[test]
+fn what_changes_no_file_is_told() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    let mesh = ["--contour", "--decimate", "--smooth-normals", "--quads", "--up"];
+    let vdb = ["--vdb-half", "--vdb-compression"];
+    for (format, told) in [
+        ("vdb", &mesh[..]),
+        ("obj", &["--up", "--vdb-half", "--vdb-compression"]),
+        ("obj,gltf", &vdb),
+        ("ply,vdb", &["--quads", "--up"]),
+        ("glb,vdb", &["--quads"]),
+    ] {
+        for option in mesh.iter().chain(&vdb) {
+            let value = match *option {
+                "--contour" => "=dual",
+                "--decimate" => "=0.1",
+                "--up" => "=z",
+                "--vdb-compression" => "=none",
+                _ => "",
+            };
+            let typed = format!("{option}{value}");
+            let arguments = ["convert", "dam.1.ply", "--print-settings", "--format", format, &typed];
+            let ran = meniscus(folder.path(), &arguments);
+            assert_eq!(ran.status, 0, "{}", ran.err);
+            let line = format!("warning: {option} changes no file: it is for ");
+            assert_eq!(ran.err.contains(&line), told.contains(option), "{format} {option}: {}", ran.err);
+        }
     }
 }
 

@@ -60,6 +60,40 @@ fn meshes_are_described() {
 }
 
 #[test]
+fn corners_that_are_nowhere_are_named() {
+    let folder = tempdir().expect("a folder");
+    let text = "v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 3 0 0\nf 1 2 3\nf 2 3 4\n";
+    fs::write(folder.path().join("t.obj"), text).expect("written");
+    let ran = meniscus(folder.path(), &["info", "t.obj"]);
+    assert!(ran.out.contains("vertices not finite  1, the first at (0, 0, NaN)"), "{}", ran.out);
+    let json: Value = serde_json::from_str(&meniscus(folder.path(), &["info", "--json", "t.obj"]).out)
+        .expect("the output is JSON");
+    assert_eq!(json[0]["mesh"]["not_finite"], 1);
+    let area = json[0]["mesh"]["area"].as_f64().expect("a number");
+    assert!((area - 0.75f64.sqrt()).abs() < 1e-12, "{area}");
+}
+
+#[test]
+fn attributes_of_gltf_are_described() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let (mut ply, particles) = (String::from("ply\nformat ascii 1.0\nelement vertex 64\n"), block(4, 0.0));
+    for name in ["x", "y", "z", "vx", "vy", "vz", "age"] {
+        ply += &format!("property float {name}\n");
+    }
+    ply += "end_header\n";
+    particles.iter().for_each(|[x, y, z]| ply += &format!("{x} {y} {z} 1 2 3 7\n"));
+    fs::write(path.join("a.ply"), ply).expect("written");
+    let arguments = ["convert", "a.ply", "--out", "o", "--format", "glb,gltf", "--attributes", "all"];
+    assert_eq!(meniscus(path, &arguments).status, 0);
+    for name in ["o/a.glb", "o/a.gltf"] {
+        let out = meniscus(path, &["info", name]).out;
+        assert!(out.contains("_VELOCITY: f32 × 3, velocity, 1 … 1; 2 … 2; 3 … 3"), "{out}");
+        assert!(out.contains("_AGE: f32 × 1, 7 … 7") && !out.contains("spacing"), "{out}");
+    }
+}
+
+#[test]
 fn a_mesh_in_a_ply_file_is_told_as_a_mesh() {
     let folder = tempdir().expect("a folder");
     let told = |vertices: &[&str], properties: &[&str], faces: &[&str]| {

@@ -297,6 +297,11 @@ fn the_command_goes_around_obstacles_and_says_so() {
     assert!(told["deepest_vertex_voxels"].as_f64().expect("a depth") < 0.25, "{told}");
     assert_eq!(told["open_edges"], 0);
     assert!(frame["certificate"]["holds"].as_bool().expect("a certificate"));
+    assert_eq!(run(&["--report", "r.json", "--up", "z", "--vdb-half"]).status, 0);
+    let more = &report(&path.join("r.json"))["settings"][0]["more"];
+    let expected = serde_json::json!({"void_threshold": "1", "up": "z", "vdb_half": "true"});
+    assert_eq!(*more, expected);
+    assert_eq!(run(&[]).status, 0);
 
     let glb = || fs::read(path.join("o/dam.1.glb")).expect("readable");
     let (before, again) = (glb(), run(&["--skip-done"]));
@@ -366,7 +371,11 @@ fn obstacles_that_move_have_a_file_of_each_frame() {
         ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--on-error", "continue"];
     let all = convert(path, &[&arguments[..], &["--obstacle", "body.####.obj"]].concat());
     assert_eq!(all.status, 1, "{}", all.err);
-    assert!(all.err.contains("obstacle body.####.obj: no file for frame 3"), "{}", all.err);
+    // Once, with the frame and the file that it was to have.
+    let missing: Vec<&str> = all.err.lines().filter(|line| line.contains("frame 3")).collect();
+    let expected =
+        "error: dam.3.ply: obstacle body.0003.obj: no such file, and frame 3 needs its own of body.####.obj";
+    assert_eq!(missing, [expected], "{}", all.err);
     let vdb = |number: u32| fs::read(path.join(format!("o/dam.{number}.vdb"))).expect("readable");
     assert!(vdb(1) != vdb(2) && !path.join("o/dam.3.vdb").exists());
     for (number, same) in [("1", true), ("2", false)] {
@@ -380,7 +389,8 @@ fn obstacles_that_move_have_a_file_of_each_frame() {
     }
     fs::write(path.join("body.0003.obj"), "v 1 2 3\nv 1 2\n").expect("written");
     let broken = convert(path, &[&arguments[..], &["--obstacle", "body.%04d.obj", "--skip-done"]].concat());
-    assert!(broken.err.contains("body.0003.obj: OBJ, at line 2: "), "{}", broken.err);
+    let told = "dam.3.ply: obstacle body.0003.obj: OBJ, at line 2: ";
+    assert_eq!(broken.err.matches(told).count(), 1, "{}", broken.err);
     assert_eq!(broken.out.matches("done already").count(), 2, "{}", broken.out);
 }
 
@@ -397,6 +407,11 @@ fn obstacles_that_are_none_are_told() {
         "{}",
         missing.err
     );
+    let in_folder = convert(path, &[&arguments[..], &["."]].concat());
+    assert!(in_folder.status == 2 && in_folder.err.contains("a folder is no obstacle"), "{}", in_folder.err);
+    fs::write(path.join("empty.obj"), "").expect("written");
+    let empty = convert(path, &[&arguments[..], &["empty.obj"]].concat());
+    assert!(empty.err.contains("obstacle empty.obj: the file is empty"), "{}", empty.err);
     let particles = convert(path, &[&arguments[..], &["dam.1.ply"]].concat());
     assert!(particles.err.contains("no triangle"), "{}", particles.err);
     let mut open = ball(DVec3::new(0.9, 0.35, 0.35), 0.3);
@@ -406,6 +421,74 @@ fn obstacles_that_are_none_are_told() {
     assert_eq!(open.status, 0, "{}", open.err);
     assert!(open.err.contains("obstacle open.obj: ") && open.err.contains("open edges"), "{}", open.err);
     assert!(report(&path.join("r.json"))["frames"][0]["obstacles"]["open_edges"].as_u64() > Some(0));
+}
+
+/// Other units or axes are no error, but nobody means them.
+#[test]
+fn obstacles_that_do_nothing_are_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for number in [1, 2] {
+        write_ply(&path.join(format!("dam.{number}.ply")), &block(4, 0.1));
+    }
+    let told = |name: &str, body: &Body| {
+        fs::write(path.join(name), body.obj()).expect("written");
+        let arguments =
+            ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--report", "r.json"];
+        let ran = convert(path, &[&arguments[..], &["--obstacle", name]].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let notes = |frame: usize| {
+            report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("touches nothing")
+        };
+        assert_eq!(notes(0), notes(1), "each frame has it in the report");
+        (ran.err.matches("touches nothing of the frame").count(), ran.err)
+    };
+    // Just in reach, and just beyond it: r_max is 2√3 voxels.
+    let at = |x: f64| cuboid(DVec3::new(x, -1.0, -1.0), DVec3::new(x + 1.0, 1.0, 1.0));
+    assert_eq!(told("near.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 3.9))).0, 0);
+    let (count, err) = told("far.obj", &at(0.4 + 0.05 * (12f64.sqrt() + 4.1)));
+    assert_eq!(count, 1, "once for a sequence: {err}");
+    assert!(
+        err.contains("dam.1.ply: obstacle far.obj: touches")
+            && err.contains("the particles (0.1, 0, 0) to (0.4,"),
+        "{err}"
+    );
+    let mut plane = at(0.3);
+    plane.triangles.truncate(2);
+    let (_, err) = told("plane.obj", &plane);
+    assert!(err.contains("encloses nothing"), "{err}");
+}
+
+/// Nothing is left of a surface that is in an obstacle, beyond a box, or all islands: that is told, and written.
+#[test]
+fn why_nothing_is_left_is_told() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.1.ply"), &block(4, 0.0));
+    fs::write(path.join("ball.obj"), ball(DVec3::splat(0.15), 3.0).obj()).expect("written");
+    let arguments =
+        ["dam.1.ply", "--voxel-size", "0.05", "--format", "obj", "--out", "o", "--report", "r.json"];
+    let box_beyond = ["--clip", "5,5,5,6,6,6"];
+    let ball = ["--obstacle", "ball.obj"];
+    for (more, word) in [
+        (&box_beyond[..], "the clip box holds nothing of the surface"),
+        (&["--drop-islands", "100"], "every piece of the surface was dropped"),
+        (&ball, "all of the surface is inside obstacles"),
+        (&[ball, box_beyond].concat(), "all of the surface is inside obstacles"),
+        (&["--memory", "2MiB", "--clip", "5,5,5,6,6,6"], "the clip box holds nothing"),
+    ] {
+        let ran = convert(path, &[&arguments, more].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.matches(word).count(), 1, "{more:?}: {}", ran.err);
+        let frame = &report(&path.join("r.json"))["frames"][0];
+        let notes: Vec<&str> =
+            frame["notes"].as_array().expect("notes").iter().filter_map(Value::as_str).collect();
+        assert!(notes.iter().any(|note| note.contains(word)), "{more:?}: {notes:?}");
+        assert_eq!((&frame["vertices"], &frame["status"]), (&0.into(), &"converted".into()), "{more:?}");
+        assert!(path.join("o/dam.1.obj").exists());
+    }
+    let all = convert(path, &[&arguments[..], &["--clip", "-5,-5,-5,0.1,5,5"]].concat());
+    assert!(!all.err.contains("nothing of the surface"), "{}", all.err);
 }
 
 /// A second run of the daemon's command does nothing, until the obstacle is another.

@@ -25,7 +25,15 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
         Integrator::Explicit | Integrator::Adaptive => (500, 0.01, 50),
         Integrator::Fast | Integrator::Implicit => (5, 20.0, 1),
     };
-    Config { laplacian_steps: 15, integrator, steps, step_size, redistance_every, cg_tolerance: 1e-4 }
+    Config {
+        laplacian_steps: 15,
+        integrator,
+        steps,
+        step_size,
+        redistance_every,
+        cg_tolerance: 1e-4,
+        keeps_spheres: false,
+    }
 }
 
 /// The three unions of spheres of particles given in voxels.

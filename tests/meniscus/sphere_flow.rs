@@ -66,8 +66,15 @@ fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
         (Integrator::Explicit, 10_000, 0.01, 50),
     ] {
         let (mut band, bounds) = noisy_sphere();
-        let config =
-            Config { laplacian_steps: 0, integrator, steps, step_size, redistance_every, cg_tolerance: 1e-4 };
+        let config = Config {
+            laplacian_steps: 0,
+            integrator,
+            steps,
+            step_size,
+            redistance_every,
+            cg_tolerance: 1e-4,
+            keeps_spheres: false,
+        };
         smooth(&mut band, &bounds, &config);
         let volume = volume(&band) / ball_volume(RADIUS);
         let energy = bending_energy(&band) / (4.0 * PI);

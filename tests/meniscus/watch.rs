@@ -38,6 +38,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
         (&["--memory", "lots"], &["--memory", "no size"]),
         (&["--order", "random"], &["--order", "natural, latest"]),
         (&["--pattern", "[", "--recursive"], &["no pattern"]),
+        (&["--smooth-normals", "5"], &["5: no such", "--smooth-normals=5"]),
     ] {
         assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
     }
@@ -85,6 +86,69 @@ fn the_docs_have_every_option() {
         rows.filter_map(|row| row.split('`').next()).map(|name| format!("--{name}")).collect();
     assert!(in_help.len() > 30, "{in_help:?}");
     assert_eq!(in_docs.iter().map(String::as_str).collect::<BTreeSet<_>>(), in_help);
+}
+
+/// The docs and the help say the same range for every number, and what is beyond it is refused with that.
+#[test]
+fn numbers_have_ranges_that_are_told_and_held() {
+    let folder = tempdir().expect("a folder");
+    let help = meniscus(folder.path(), &["convert", "--help"]).out;
+    let help = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    let of_option = |option: &str| {
+        let after = help.split_once(&format!(" {option} <")).or(help.split_once(&format!(" {option}[=<")));
+        let (_, after) = after.unwrap_or_else(|| panic!("{option} is not in the help"));
+        after.split(" --").next().unwrap_or_default().to_owned()
+    };
+    let try_out = |option: &str, value: &str| {
+        let typed = format!("{option}={value}");
+        let beside = match option {
+            "--voxel-size" => &[][..],
+            "--velocity-gain" => &["--voxel-size=1", "--anisotropy=velocity"],
+            "--radius-scale" => &["--voxel-size=1", "--radius-attribute=pscale"],
+            _ => &["--voxel-size=1", "--anisotropy=neighbors"],
+        };
+        meniscus(folder.path(), &[&["convert", "--print-settings", &typed], beside].concat())
+    };
+    let docs = include_str!("../../docs/options.md");
+    let mut range_count = 0;
+    for row in docs.lines().filter(|line| line.starts_with("| `--")) {
+        let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+        let [_, option, _, range, _, _, _] = cells[..] else { panic!("{row}") };
+        let option = option.trim_matches('`');
+        if range.is_empty() {
+            continue;
+        }
+        range_count += 1;
+        assert!(of_option(option).contains(range), "{option} {range}: {}", of_option(option));
+        let (bad, good): (Vec<String>, Vec<String>) = match range.split_once(" to ") {
+            Some(("r_min", _)) => (vec!["1.5".into(), "3.7".into()], vec!["1.8".into(), "3.4".into()]),
+            Some((least, most)) => {
+                let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(range));
+                let below = if low > 0.0 && low < 1.0 { 0.5 * low } else { low - 1.0 };
+                // Nobody needs so many threads here.
+                let good = if option == "--threads" { vec![least] } else { vec![least, most] };
+                let bad = vec![below.to_string(), (2.0 * high).to_string()];
+                (bad, good.into_iter().map(str::to_owned).collect())
+            }
+            None if range == "at least 1" => {
+                (vec!["0.99".into(), "nan".into()], vec!["1".into(), "30".into()])
+            }
+            None => (vec!["0".into(), "-1".into(), "inf".into()], vec!["2".into()]),
+        };
+        for value in &bad {
+            let ran = try_out(option, value);
+            assert_eq!(ran.status, 2, "{option} {value}: {}", ran.out);
+            let words = range.split(" to ").flat_map(|part| part.split(", ").take(1));
+            for word in words {
+                assert!(ran.err.contains(word), "{option} {value} does not say {word}: {}", ran.err);
+            }
+        }
+        for value in &good {
+            let ran = try_out(option, value);
+            assert_eq!(ran.status, 0, "{option} {value}: {}", ran.err);
+        }
+    }
+    assert!(range_count > 17, "{range_count}");
 }
 
 /// Writes to the journal in `out` that a frame is done, with `output`, or failed for a reason.
@@ -174,7 +238,11 @@ fn why_tells_everything_that_decides() {
     let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
     tells("in/dam.1.ply", &configured, &words);
     fs::write(path.join("meniscus.toml"), format!("{config}voxel_size = 0.05\n")).expect("written");
-    tells("in/dam.1.ply", &configured, &["settings  not as recorded", "because its settings are others"]);
+    tells(
+        "in/dam.1.ply",
+        &configured,
+        &["settings  not as recorded", "because its settings or obstacles are others"],
+    );
     fs::write(path.join("meniscus.toml"), format!("{config}pattern = \"spray*\"\n")).expect("written");
     tells("in/dam.1.ply", &configured, &["name      not one of a frame"]);
     for (frame, options, words) in [
@@ -228,7 +296,7 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
     tells("in/dam.1.ply", &["settings  not compared: that needs a voxel size that is known"]);
     ask(&|watch| watch.voxel_size = Some(0.05));
-    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings are others"]);
+    tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles are others"]);
     // The file wins.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
     let spray = meniscus(path, &["why", "in/spray.1.ply", "--config", "meniscus.toml"]);
@@ -257,30 +325,69 @@ fn each_journal_says_what_is_watched_for_its_own_outputs() {
     }
 }
 
-/// What --print-settings prints can be put into a file, and makes the same surface.
+/// What --print-settings prints can be put into a file, and makes the same files, whatever was asked for.
 #[test]
 fn printed_settings_are_keys_of_a_file() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
-    fs::create_dir(path.join("in")).expect("made");
+    fs::create_dir_all(path.join("in")).expect("made");
     write_ply(&path.join("in/dam.1.ply"), &block(5, 0.0));
-    let options =
-        ["--preset", "splash", "--voxel-size", "0.05", "--clip", "-1,-1,-1,0.31,2,2", "--max-stretch", "3"];
-    let printed = meniscus(path, &[&["convert", "--print-settings"], &options[..]].concat());
-    assert_eq!(printed.status, 0, "{}", printed.err);
-    assert!(
-        printed.out.contains("anisotropy = \"neighbors\"\n") && printed.out.contains("fill_cavities = 200\n")
-    );
-    let config =
-        format!("[[watch]]\ninput = \"in\"\noutput = \"watched\"\nformats = [\"glb\"]\n{}", printed.out);
-    fs::write(path.join("meniscus.toml"), config).expect("written");
-    let watched = meniscus(path, &["watch", "--config", "meniscus.toml", "--once"]);
-    assert_eq!(watched.status, 0, "{}", watched.err);
-    let converted = ["convert", "in", "--out", "converted", "--format", "glb"];
-    let converted = meniscus(path, &[&converted[..], &options[..]].concat());
-    assert_eq!(converted.status, 0, "{}", converted.err);
-    let bytes = |out: &str| fs::read(path.join(out).join("dam.1.glb")).expect("there");
-    assert!(bytes("watched") == bytes("converted"));
+    let corners = "v -1 -1 -1\nv 0.2 -1 -1\nv -1 0.2 -1\nv -1 -1 0.2\n";
+    let faces = "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    fs::write(path.join("a \"b\".obj"), format!("{corners}{faces}")).expect("written");
+    let obstacle = ["--obstacle", "a \"b\".obj", "--up", "z", "--vdb-half", "--vdb-compression", "none"];
+    for (index, (options, printed_keys)) in [
+        (
+            &[
+                "--preset",
+                "splash",
+                "--voxel-size",
+                "0.05",
+                "--clip",
+                "-1,-1,-1,0.31,2,2",
+                "--max-stretch",
+                "3",
+            ][..],
+            &["anisotropy = \"neighbors\"\n", "fill_cavities = 200\n", "formats = [\"glb\", \"vdb\"]\n"][..],
+        ),
+        (
+            &[&["--preset", "granular", "--voxel-size", ".03"][..], &obstacle].concat(),
+            &["up = \"z\"\n", "vdb_half = true\n", "vdb_compression = \"none\"\n", "void_threshold = 1\n"],
+        ),
+        (&["--preset", "smooth"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
+        (
+            &["--preset", "preview", "--integrator", "explicit", "--format", "obj,vdb", "--quads"],
+            &["steps = 100\n", "quads = true\n", "step_size = 0.01\n"],
+        ),
+        (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let printed = meniscus(path, &[&["convert", "in", "--print-settings"], options].concat());
+        assert_eq!((printed.status, &*printed.err), (0, ""), "{options:?}");
+        for key in printed_keys {
+            assert!(printed.out.contains(key), "{options:?}: no {key} in {}", printed.out);
+        }
+        let (watched, converted) = (format!("watched{index}"), format!("converted{index}"));
+        // Where the file lies does not matter.
+        let config = path.join(format!("etc{index}/meniscus.toml"));
+        fs::create_dir(config.parent().expect("a folder")).expect("made");
+        let blocks = format!("[[watch]]\ninput = \"../in\"\noutput = \"../{watched}\"\n{}", printed.out);
+        fs::write(&config, blocks).expect("written");
+        let ran = meniscus(path, &["watch", "--config", &config.to_string_lossy(), "--once"]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert!(!ran.err.contains("WARN"), "{}", ran.err);
+        let ran = meniscus(path, &[&["convert", "in", "--out", &converted], options].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let mut count = 0;
+        for extension in ["glb", "vdb", "obj"] {
+            let bytes = |out: &str| fs::read(path.join(out).join(format!("dam.1.{extension}"))).ok();
+            assert!(bytes(&watched) == bytes(&converted), "{options:?}: {extension}");
+            count += usize::from(bytes(&watched).is_some());
+        }
+        assert!(count > 0);
+    }
     // A length says nothing without a voxel.
     let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
     assert!(refused.status == 2 && refused.err.contains("--voxel-size"), "{}", refused.err);

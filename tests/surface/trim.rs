@@ -83,7 +83,7 @@ fn a_speck_goes_and_nothing_else_moves() {
         (u64::MAX, &[BALL], in_speck + in_drop),
     ] {
         let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let dropped = drop_islands(&mut band, &mut bounds, least, given());
+        let dropped = drop_islands(&mut band, Some(&mut bounds), least, given());
         assert_eq!((dropped.piece_count, dropped.particle_count), (3 - left.len(), gone));
         let volume: f64 =
             [DROP, SPECK][left.len() - 1..].iter().map(|(_, radius)| 4.0 / 3.0 * PI * radius.powi(3)).sum();
@@ -130,7 +130,7 @@ fn bubbles_up_to_a_volume_are_filled() {
     let volume = |(_, radius): ([f64; 3], f64)| 4.0 / 3.0 * PI * radius.powi(3);
     for (most, filled_count) in [(20.0, 0), (100.0, 1), (500.0, 2), (1e5, 3), (f64::INFINITY, 3)] {
         let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let filled = fill_cavities(&mut band, &mut bounds, most, None);
+        let filled = fill_cavities(&mut band, Some(&mut bounds), most, None);
         let expected: f64 = BUBBLES[..filled_count].iter().map(|&bubble| volume(bubble)).sum();
         assert_eq!(filled.cavity_count, filled_count);
         assert!((filled.voxel_count as f64 - expected).abs() <= 0.03 * expected, "{filled:?} {expected}");
@@ -161,8 +161,8 @@ fn what_is_within_what_is_judged_by_itself() {
     assert_eq!(components(&whole), 5);
     let trimmed = |least: u64, most: f64| {
         let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let dropped = drop_islands(&mut band, &mut bounds, least, given());
-        let filled = fill_cavities(&mut band, &mut bounds, most, None);
+        let dropped = drop_islands(&mut band, Some(&mut bounds), least, given());
+        let filled = fill_cavities(&mut band, Some(&mut bounds), most, None);
         assert_eq!(bounds.violation_count(&band.phi), 0);
         (dropped.piece_count, filled.cavity_count, components(&band))
     };
@@ -182,7 +182,7 @@ fn clipped_ball(h: f64, clip_box: ClipBox, contouring: Contouring) -> (f64, Clip
     let mut band = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let mut bounds = bounds_of(&band);
     let lattice = Lattice { voxel_size: h };
-    let clipped = clip(&mut band, &mut bounds, &lattice, &clip_box);
+    let clipped = clip(&mut band, Some(&mut bounds), &lattice, &clip_box);
     assert_eq!(bounds.violation_count(&band.phi), 0);
     let (mut mesh, _) = sound(&band, &lattice, contouring);
     let beyond = |p: &Vec3| clip_box.distance(mesh.origin + p.as_dvec3());
@@ -240,7 +240,7 @@ fn boxes_that_cut_all_or_nothing() {
     let everywhere = ClipBox { min: DVec3::splat(-1e300), max: DVec3::splat(f64::INFINITY) };
     let ball = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
     let (mut band, mut bounds) = (ball.clone(), bounds_of(&ball));
-    assert_eq!(clip(&mut band, &mut bounds, &UNIT, &everywhere), Clipped::default());
+    assert_eq!(clip(&mut band, Some(&mut bounds), &UNIT, &everywhere), Clipped::default());
     assert!(band.phi == ball.phi && band.topology.origins() == ball.topology.origins());
     for (min, max) in [
         (DVec3::splat(500.0), DVec3::splat(600.0)),
@@ -248,7 +248,7 @@ fn boxes_that_cut_all_or_nothing() {
         (DVec3::NAN, DVec3::splat(f64::NEG_INFINITY)),
     ] {
         let (mut band, mut bounds) = (ball.clone(), bounds_of(&ball));
-        let clipped = clip(&mut band, &mut bounds, &UNIT, &ClipBox { min, max });
+        let clipped = clip(&mut band, Some(&mut bounds), &UNIT, &ClipBox { min, max });
         assert!((clipped.voxel_count as f64 / (4.0 / 3.0 * PI * 27_000.0) - 1.0).abs() < 0.01, "{clipped:?}");
         assert_eq!(sound(&band, &UNIT, Contouring::Dual).1.triangle_count, 0);
     }
@@ -274,10 +274,10 @@ fn noise_is_trimmed_as_well() {
         pool.install(|| {
             let (mut band, mut bounds) = (noise.clone(), bounds_of(&noise));
             let given = given.iter().map(|(origin, locals)| (*origin, locals));
-            let dropped = drop_islands(&mut band, &mut bounds, 20, given);
-            let filled = fill_cavities(&mut band, &mut bounds, 50.0, None);
+            let dropped = drop_islands(&mut band, Some(&mut bounds), 20, given);
+            let filled = fill_cavities(&mut band, Some(&mut bounds), 50.0, None);
             let clip_box = ClipBox { min: DVec3::splat(-6.2), max: DVec3::splat(12.1) };
-            let clipped = clip(&mut band, &mut bounds, &UNIT, &clip_box);
+            let clipped = clip(&mut band, Some(&mut bounds), &UNIT, &clip_box);
             assert_eq!(bounds.violation_count(&band.phi), 0);
             sound(&band, &UNIT, Contouring::Tetrahedra);
             let (mesh, _) = sound(&band, &UNIT, Contouring::Dual);
@@ -299,10 +299,10 @@ fn far_changes_stay_far() {
         let mut band = band(min, max, balls(scene));
         let mut bounds = bounds_of(&band);
         let all = particles(min, max, balls(scene));
-        drop_islands(&mut band, &mut bounds, 40, all.iter().map(|(origin, locals)| (*origin, locals)));
-        fill_cavities(&mut band, &mut bounds, 100.0, None);
+        drop_islands(&mut band, Some(&mut bounds), 40, all.iter().map(|(origin, locals)| (*origin, locals)));
+        fill_cavities(&mut band, Some(&mut bounds), 100.0, None);
         let clip_box = ClipBox { min: DVec3::splat(-30.0), max: DVec3::new(130.0, 12.5, 30.0) };
-        clip(&mut band, &mut bounds, &UNIT, &clip_box);
+        clip(&mut band, Some(&mut bounds), &UNIT, &clip_box);
         band
     };
     let (with, without) = (made(&[BALL, DROP, SPECK, far]), made(&[BALL, DROP, SPECK]));

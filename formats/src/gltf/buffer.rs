@@ -57,6 +57,17 @@ impl Buffers {
         }
     }
 
+    /// The numbers of an accessor of anything but matrices, element by element, as they are stored.
+    pub(super) fn components<T: Item + Copy>(&self, accessor: &Accessor) -> Result<Vec<T>> {
+        Ok(match accessor.dimensions() {
+            Dimensions::Scalar => self.elements::<T>(accessor)?,
+            Dimensions::Vec2 => self.elements::<[T; 2]>(accessor)?.into_flattened(),
+            Dimensions::Vec3 => self.elements::<[T; 3]>(accessor)?.into_flattened(),
+            Dimensions::Vec4 => self.elements::<[T; 4]>(accessor)?.into_flattened(),
+            dimensions => return Err(invalid(format!("{dimensions:?} of a vertex"))),
+        })
+    }
+
     fn reals<T: Item + Copy + Into<f64>>(
         &self,
         accessor: &Accessor,

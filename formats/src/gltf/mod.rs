@@ -15,12 +15,14 @@
 mod beside;
 mod buffer;
 mod read;
+mod read_attributes;
 mod read_provenance;
 mod vertex_data;
 mod write;
 
 pub use beside::{Beside, FileBeside, files_beside};
 pub use read::{read_mesh, read_mesh_with};
+pub use read_attributes::read_attributes;
 pub use vertex_data::attribute_notes;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 

@@ -44,6 +44,26 @@ pub fn read_mesh_with(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<
 }
 
 fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshData> {
+    let Opened { document, places, buffers, budget } = open(bytes, limits, beside)?;
+    let mut collector = Collector { buffers, budget, mesh: MeshData::default(), has_normals: true };
+    for (mesh, placement) in placed_meshes(&document, &places)? {
+        for primitive in mesh.primitives() {
+            collector.add(&primitive, &placement)?;
+        }
+    }
+    Ok(collector.finish())
+}
+
+/// A document, and the bytes that it speaks of.
+pub(super) struct Opened {
+    pub(super) document: Document,
+    places: Places,
+    pub(super) buffers: Buffers,
+    /// Memory that may be taken for what is in it, in bytes.
+    pub(super) budget: u64,
+}
+
+pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<Opened> {
     let (json, bin) = chunks(bytes)?;
     let document = document(json)?;
     let places: Places = parse(json)?;
@@ -57,18 +77,8 @@ fn read(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Result<MeshDa
         Source::Uri(uri) => files.bytes(uri),
     });
     let buffers = Buffers { bytes: buffers.collect::<Result<_>>()? };
-    let mut collector = Collector {
-        buffers,
-        budget: limits.decompressed_bytes_of((bytes.len() as u64).saturating_add(files.size_bytes)),
-        mesh: MeshData::default(),
-        has_normals: true,
-    };
-    for (mesh, placement) in placed_meshes(&document, &places)? {
-        for primitive in mesh.primitives() {
-            collector.add(&primitive, &placement)?;
-        }
-    }
-    Ok(collector.finish())
+    let budget = limits.decompressed_bytes_of((bytes.len() as u64).saturating_add(files.size_bytes));
+    Ok(Opened { document, places, buffers, budget })
 }
 
 /// Parses the document and checks that whatever it refers to is there.

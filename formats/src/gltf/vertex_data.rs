@@ -37,7 +37,17 @@ pub(super) struct Placed<'a> {
 /// What becomes of vertex attributes that a glTF file does not hold as they are; nothing where all come through.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
     let mut notes = Vec::new();
-    place(attributes, &mut notes);
+    let placed = place(attributes, &mut notes);
+    let mut arities =
+        placed.iter().filter(|placed| placed.semantic.starts_with('_')).map(|placed| placed.arity);
+    let first = arities.next();
+    if arities.any(|arity| Some(arity) != first) {
+        notes.push(
+            "the glTF file has vectors beside single numbers, on which Blender's importer fails before 5.1: for that, name \
+             attributes of one kind, or take the .ply"
+                .into(),
+        );
+    }
     notes
 }
 

@@ -23,6 +23,10 @@ pub(super) struct Lines<'a> {
     line_number: u64,
     vertex_count: u64,
     normal_count: u64,
+    /// Corners whose vertex, or normal, has not come yet: of each kind the line and the number, wherever that is more
+    /// than before. So the first that is beyond all there are is among them.
+    awaited: [Vec<(u64, u64)>; 2],
+    is_at_end: bool,
     /// What is wrong with the line.
     error: Option<String>,
 }
@@ -36,22 +40,39 @@ impl<'a> Lines<'a> {
             line_number: 0,
             vertex_count: 0,
             normal_count: 0,
+            awaited: [Vec::new(), Vec::new()],
+            is_at_end: false,
             error: None,
         }
     }
 
-    /// The line that was read last, counted from 1, and what was found to be wrong with it.
+    /// The line that something is wrong with, counted from 1, and what, if that was found here: the line that was read
+    /// last, or, at the end, the first with a corner that never came.
     pub(super) fn place(&mut self) -> (u64, Option<String>) {
-        (self.line_number, self.error.take())
+        if !self.is_at_end {
+            return (self.line_number, self.error.take());
+        }
+        let [vertices, normals] = &self.awaited;
+        let first = |awaited: &[(u64, u64)], count: u64, kind: &'static str| {
+            let beyond = awaited.iter().find(|(_, number)| *number > count);
+            beyond
+                .map(|(line, number)| (*line, format!("a face with {kind} {number}, and there are {count}")))
+        };
+        let vertex = first(vertices, self.vertex_count, "vertex");
+        let normal = first(normals, self.normal_count, "normal");
+        let missing = vertex.into_iter().chain(normal).min_by_key(|(line, _)| *line);
+        missing.map_or((self.line_number, None), |(line, what)| (line, Some(what)))
     }
 
     /// Prepares the next line; false at the end.
     fn advance(&mut self) -> io::Result<bool> {
-        (self.read, self.line_number) = (0, self.line_number + 1);
+        self.read = 0;
         self.line.clear();
         if self.rest.is_empty() {
+            self.is_at_end = true;
             return Ok(false);
         }
+        self.line_number += 1;
         let text = self.take_line();
         if let Err(what) = self.prepare(&text) {
             self.error = Some(what);
@@ -120,14 +141,23 @@ impl<'a> Lines<'a> {
     fn corner(&mut self, corner: &[u8]) -> Result<(), String> {
         let mut parts = corner.split(|&byte| byte == b'/');
         let vertex = index(parts.next().unwrap_or_default(), self.vertex_count, corner)?;
+        await_element(&mut self.awaited[0], self.line_number, vertex, self.vertex_count);
         self.line.push(b' ');
         self.line.extend_from_slice(vertex.to_string().as_bytes());
         let normal = parts.nth(1).filter(|normal| !normal.is_empty());
         if let Some(normal) = normal {
             let normal = index(normal, self.normal_count, corner)?;
+            await_element(&mut self.awaited[1], self.line_number, normal, self.normal_count);
             self.line.extend_from_slice(format!("//{normal}").as_bytes());
         }
         Ok(())
+    }
+}
+
+/// Keeps in mind a number that is more than there are so far, and more than was awaited before.
+fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u64) {
+    if number > count && awaited.last().is_none_or(|(_, most)| number > *most) {
+        awaited.push((line, number));
     }
 }
 

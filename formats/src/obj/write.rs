@@ -23,7 +23,7 @@ use super::FORMAT;
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Place, Result};
 use crate::provenance::{GENERATOR, comments};
-use crate::vertex_attributes::{Purpose, VertexAttribute, purposes};
+use crate::vertex_attributes::{Purpose, VertexAttribute, cut_note, purposes};
 
 /// Elements that are formatted as one task, and tasks whose text is held at once.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
@@ -151,7 +151,7 @@ fn world(origin: [f64; 3], position: &[f32; 3]) -> [f64; 3] {
     std::array::from_fn(|axis| origin[axis] + f64::from(position[axis]))
 }
 
-/// Red, green and blue of a vertex, if the vertices have a colour.
+/// Red, green and blue of a vertex, from 0 to 1, if the vertices have a colour: readers take no others.
 fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a> {
     let found =
         purposes(mesh.attributes).into_iter().zip(mesh.attributes).find_map(|(purpose, attribute)| {
@@ -161,19 +161,28 @@ fn colors_of<'a>(mesh: &MeshView<'a>) -> Option<impl Fn(usize) -> [f32; 3] + 'a>
             }
         });
     let (values, arity) = found?;
-    Some(move |vertex| std::array::from_fn(|channel| values[vertex * arity + channel]))
+    let channel_of = move |vertex: usize, channel: usize| -> f32 { values[vertex * arity + channel] };
+    Some(move |vertex| std::array::from_fn(|channel| channel_of(vertex, channel).clamp(0.0, 1.0)))
 }
 
 /// What becomes of vertex attributes that an OBJ file does not hold; nothing where all come through.
 pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
-    let note = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
-        Purpose::Color(_) if attribute.arity == 3 => None,
-        Purpose::Color(_) => Some(format!("{} is without its alpha in the .obj", attribute.name)),
-        Purpose::Velocity | Purpose::Other => {
-            Some(format!("{} is not in the .obj, which has a place for colours only", attribute.name))
+    let mut notes = Vec::new();
+    for (VertexAttribute { name, arity, .. }, purpose) in attributes.iter().zip(purposes(attributes)) {
+        match purpose {
+            Purpose::Color(values) => {
+                if *arity == 4 {
+                    notes.push(format!("{name} is without its alpha in the .obj"));
+                }
+                let opaque = values.chunks_exact(*arity).flat_map(|color| &color[..3]);
+                notes.extend(cut_note(name, opaque, "the .obj"));
+            }
+            Purpose::Velocity | Purpose::Other => {
+                notes.push(format!("{name} is not in the .obj, which has a place for colours only"));
+            }
         }
-    };
-    attributes.iter().zip(purposes(attributes)).filter_map(note).collect()
+    }
+    notes
 }
 
 /// The elements of one task.

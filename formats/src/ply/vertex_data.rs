@@ -10,7 +10,7 @@
 
 use crate::provenance::escape;
 use crate::vertex_attributes::{
-    NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes, string_index,
+    NamesTaken, Purpose, VertexAttribute, VertexValues, cut_note, plain_name, purposes, string_index,
 };
 
 /// Integers of at most this size are exact as 64-bit reals.
@@ -96,10 +96,7 @@ fn values_of<'a>(
     let name = attribute.name;
     match (attribute.values, purpose) {
         (_, Purpose::Color(values)) => {
-            let cut = values.iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
-            if cut != 0 {
-                notes.push(format!("{cut} values of {name} are beyond 0 to 1, and cut to it in the .ply"));
-            }
+            notes.extend(cut_note(name, values, "the .ply"));
             Values::Bytes(values)
         }
         (VertexValues::Numbers(values), _) => Values::Floats(values),

@@ -5,9 +5,10 @@
 
 use std::path::PathBuf;
 
+use clap::builder::RangedI64ValueParser;
 use clap::{Args, ValueEnum};
 
-use crate::settings::{AttributeSelection, ClipBox};
+use crate::settings::{AttributeSelection, ClipBox, ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 /// All of them, by heading.
 #[derive(Clone, Debug, Default, PartialEq, Args)]
@@ -38,34 +39,37 @@ pub(in crate::cli) struct FirstArgs {
     #[arg(long, value_name = "NAME")]
     pub(in crate::cli) preset: Option<PresetChoice>,
 
-    /// Edge of a voxel h, in the particles' unit of length; half the particle spacing by default
+    /// Edge of a voxel h, in the particles' unit of length, positive; half the particle spacing by default
     #[arg(long, value_name = "H", allow_negative_numbers = true)]
     pub(in crate::cli) voxel_size: Option<f64>,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct SurfaceArgs {
-    /// Radius r_min around each particle that is always inside; √3·h by default
+    /// Radius r_min around each particle that is always inside, in the particles' unit of length, positive; √3·h by
+    /// default
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) radius_min: Option<f64>,
 
-    /// r_max / r_min: nothing farther than r_max from all particles is inside [default: 2]
+    /// r_max / r_min, at least 1: nothing farther than r_max, which is at most 64 h, from all particles is inside
+    /// [default: 2]
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     pub(in crate::cli) radius_ratio: Option<f64>,
 
-    /// Radius of the spheres that smoothing starts from; (r_min + r_max) / 2 by default
+    /// Radius of the spheres that smoothing starts from, in the particles' unit of length, r_min to r_max;
+    /// (r_min + r_max) / 2 by default
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) radius_init: Option<f64>,
 
-    /// Drop pieces of surface with fewer particles than this [default: 0]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(0, ISLAND_MAX))]
     pub(in crate::cli) drop_islands: Option<u32>,
 
-    /// Fill enclosed cavities of less volume than V·h³ [default: 0]
+    /// Fill enclosed cavities of less volume than this, in units of h³, 0 to 1000000 [default: 0]
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     pub(in crate::cli) fill_cavities: Option<f64>,
 
-    /// Cut off what is outside the box x0,y0,z0,x1,y1,z1, in the particles' unit of length
+    /// Cut off what is outside the box x0,y0,z0,x1,y1,z1, least corner first, in the particles' unit of length
     #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
     pub(in crate::cli) clip: Option<ClipBox>,
 }
@@ -77,7 +81,7 @@ pub(in crate::cli) struct ParticleArgs {
     #[arg(long, value_name = "NAME")]
     pub(in crate::cli) radius_attribute: Option<String>,
 
-    /// r_min of a particle in units of its own radius [default: 1]
+    /// r_min of a particle in units of its own radius, positive [default: 1]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(in crate::cli) radius_scale: Option<f64>,
 
@@ -85,11 +89,12 @@ pub(in crate::cli) struct ParticleArgs {
     #[arg(long, value_name = "BY")]
     pub(in crate::cli) anisotropy: Option<AnisotropyChoice>,
 
-    /// The longest half axis of a particle in units of its shortest, at most [default: 4]
+    /// The longest half axis of a particle in units of its shortest, at most, 1 to 8 [default: 4]
     #[arg(long, value_name = "K", allow_negative_numbers = true)]
     pub(in crate::cli) max_stretch: Option<f64>,
 
-    /// How far neighbours count, for --anisotropy neighbors, in the particles' unit of length; 3 r_min by default
+    /// How far neighbours count, in the particles' unit of length, positive and at most 200 h, for --anisotropy
+    /// neighbors; 3 r_min by default
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) neighbor_radius: Option<f64>,
 
@@ -97,11 +102,11 @@ pub(in crate::cli) struct ParticleArgs {
     #[arg(long, value_name = "L", allow_negative_numbers = true)]
     pub(in crate::cli) position_smoothing: Option<f64>,
 
-    /// Seconds of movement by which particles are stretched, for --anisotropy velocity [default: 0.01]
+    /// Seconds of movement by which particles are stretched, positive, for --anisotropy velocity [default: 0.01]
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub(in crate::cli) velocity_gain: Option<f64>,
 
-    /// Attributes that the surface gets: a list of names, such as velocity,Cd,id; or all
+    /// Attributes that the surface gets: a list of names, such as velocity,Cd,id; or all, by itself
     ///
     /// Numbers are averaged over the particles around, identities and words are those of the nearest. They are written
     /// as vertex attributes, and to .vdb as grids beside the level set.
@@ -118,7 +123,7 @@ pub(in crate::cli) struct ObstacleArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) obstacle: Vec<PathBuf>,
 
-    /// Fill gaps between the surface and obstacles that are narrower than this, in units of h [default: 1]
+    /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4 [default: 1]
     #[arg(long, value_name = "T", allow_negative_numbers = true)]
     pub(in crate::cli) void_threshold: Option<f64>,
 }
@@ -129,12 +134,19 @@ pub(in crate::cli) struct MeshArgs {
     #[arg(long, value_name = "HOW")]
     pub(in crate::cli) contour: Option<ContourChoice>,
 
-    /// Save triangles where the mesh moves by no more than this, in units of h [default: 0]
+    /// Save triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
     #[arg(long, value_name = "ERROR", allow_negative_numbers = true)]
     pub(in crate::cli) decimate: Option<f64>,
 
-    /// Average normals with their neighbours, in so many rounds; 10 without a number [default: 0]
-    #[arg(long, value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
+    /// Average normals with their neighbours, in so many rounds, 0 to 1000; 10 without =N [default: 0]
+    #[arg(
+        long,
+        value_name = "N",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = ROUNDS,
+        value_parser = count(0, ROUNDS_MAX)
+    )]
     pub(in crate::cli) smooth_normals: Option<u32>,
 
     /// Write quads to .obj, as dual contouring makes them
@@ -148,23 +160,23 @@ pub(in crate::cli) struct SolverArgs {
     #[arg(long, value_name = "WHICH")]
     pub(in crate::cli) integrator: Option<IntegratorChoice>,
 
-    /// Laplacian steps before the biharmonic ones; with 0 distances are restored instead [default: 15]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    /// Laplacian steps before the biharmonic ones, 0 to 1000000; with 0 distances are restored instead [default: 15]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(0, STEPS_MAX))]
     pub(in crate::cli) laplacian_steps: Option<u32>,
 
-    /// Biharmonic steps [default: 5; explicit, adaptive: 500]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    /// Biharmonic steps, 0 to 1000000 [default: 5; explicit, adaptive: 500]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(0, STEPS_MAX))]
     pub(in crate::cli) steps: Option<u32>,
 
-    /// Size of a biharmonic step, in units of h⁴ [default: 20; explicit, adaptive: 0.01]
+    /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000 [default: 20; explicit, adaptive: 0.01]
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(in crate::cli) step_size: Option<f64>,
 
-    /// Restore distances after so many biharmonic steps [default: 1; explicit, adaptive: 50]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    /// Restore distances after so many biharmonic steps, 1 to 1000000 [default: 1; explicit, adaptive: 50]
+    #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(1, STEPS_MAX))]
     pub(in crate::cli) redistance_every: Option<u32>,
 
-    /// Relative tolerance of the conjugate gradients, for implicit only [default: 0.0001]
+    /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for implicit only [default: 0.0001]
     #[arg(long, value_name = "E", allow_negative_numbers = true)]
     pub(in crate::cli) cg_tolerance: Option<f64>,
 }
@@ -213,6 +225,14 @@ pub(in crate::cli) enum ContourChoice {
     Dual,
     /// Marching tetrahedra: as the paper does
     Tetrahedra,
+}
+
+/// Rounds of --smooth-normals without a number.
+const ROUNDS: &str = "10";
+
+/// A count in a range.
+fn count(least: u32, most: u32) -> RangedI64ValueParser<u32> {
+    RangedI64ValueParser::new().range(i64::from(least)..=i64::from(most))
 }
 
 impl MethodArgs {

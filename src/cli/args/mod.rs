@@ -79,7 +79,7 @@ pub(super) struct ConvertArgs {
     #[arg(long)]
     pub(super) skip_done: bool,
 
-    /// Threads to compute on; all there are by default. The results do not depend on it
+    /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
     pub(super) threads: Option<u16>,
 

@@ -86,11 +86,11 @@ pub(in crate::cli) struct DaemonArgs {
     #[arg(long, value_name = "WHICH")]
     pub(in crate::cli) order: Option<OrderChoice>,
 
-    /// Threads to compute on; all there are by default. The results do not depend on it
+    /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(in crate::cli) threads: Option<u16>,
 
-    /// Frames under way at once, at most; by the number of threads by default
+    /// Frames under way at once, at most, 1 to 1024; by the number of threads by default
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub(in crate::cli) in_flight: Option<u16>,
 

@@ -23,6 +23,7 @@ use super::args::{
     SolverArgs, SurfaceArgs,
 };
 use super::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
+use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 use block::{Block, Source};
 
@@ -95,7 +96,7 @@ fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
             radius_min: block.number("radius_min")?,
             radius_ratio: block.number("radius_ratio")?,
             radius_init: block.number("radius_init")?,
-            drop_islands: block.count("drop_islands", 0..=u32::MAX)?,
+            drop_islands: block.count("drop_islands", 0..=ISLAND_MAX)?,
             fill_cavities: block.number("fill_cavities")?,
             clip: block.as_typed("clip")?,
         },
@@ -116,15 +117,15 @@ fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
         mesh: MeshArgs {
             contour: block.choice("contour")?,
             decimate: block.number("decimate")?,
-            smooth_normals: block.count("smooth_normals", 0..=u32::MAX)?,
+            smooth_normals: block.count("smooth_normals", 0..=ROUNDS_MAX)?,
             quads: block.switch("quads")?,
         },
         solver: SolverArgs {
             integrator: block.choice("integrator")?,
-            laplacian_steps: block.count("laplacian_steps", 0..=u32::MAX)?,
-            steps: block.count("steps", 0..=u32::MAX)?,
+            laplacian_steps: block.count("laplacian_steps", 0..=STEPS_MAX)?,
+            steps: block.count("steps", 0..=STEPS_MAX)?,
             step_size: block.number("step_size")?,
-            redistance_every: block.count("redistance_every", 0..=u32::MAX)?,
+            redistance_every: block.count("redistance_every", 1..=STEPS_MAX)?,
             cg_tolerance: block.number("cg_tolerance")?,
         },
     })

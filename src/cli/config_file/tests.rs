@@ -73,7 +73,7 @@ fn wrong_values_are_errors_with_their_line() {
     for (entry, words) in [
         ("voxel_size = \"1\"", &["`voxel_size` is text", "a number"][..]),
         ("voxel_size = true", &["is true"]),
-        ("steps = -1", &["`steps` is -1", "from 0 to 4294967295"]),
+        ("steps = -1", &["`steps` is -1", "from 0 to 1000000"]),
         ("steps = 1.5", &["`steps` is 1.5", "whole number"]),
         ("recursive = 1", &["true or false"]),
         ("recursive = \"yes\"", &["true or false"]),

@@ -15,6 +15,10 @@ pub(super) struct MeshInfo {
     vertices: usize,
     triangles: usize,
     has_normals: bool,
+    /// Vertices with a position that is not finite: triangles with one are not measured.
+    not_finite: usize,
+    #[serde(skip)]
+    first_not_finite: Option<[f64; 3]>,
     bounds: Option<Bounds>,
     area: f64,
     /// Signed: negative where triangles are clockwise seen from outside. Means nothing for a mesh
@@ -37,14 +41,21 @@ impl MeshInfo {
         let (mut area, mut volume) = (0.0, 0.0);
         for triangle in &mesh.triangles {
             let [a, b, c] = triangle.map(corner);
+            if !(a.is_finite() && b.is_finite() && c.is_finite()) {
+                continue;
+            }
             area += 0.5 * (b - a).cross(c - a).length();
             volume += a.dot(b.cross(c)) / 6.0;
         }
+        let mut not_finite = mesh.positions.iter().filter(|position| !position.iter().all(|x| x.is_finite()));
+        let (first_not_finite, others) = (not_finite.next().copied(), not_finite.count());
         let (boundary_edges, non_manifold_edges) = odd_edges(&welded(mesh));
         MeshInfo {
             vertices: mesh.positions.len(),
             triangles: mesh.triangles.len(),
             has_normals: !mesh.normals.is_empty(),
+            not_finite: usize::from(first_not_finite.is_some()) + others,
+            first_not_finite,
             bounds,
             area,
             volume,
@@ -83,6 +94,10 @@ impl fmt::Display for MeshInfo {
         let normals = if self.has_normals { ", with normals" } else { "" };
         row(f, "vertices", format_args!("{}{normals}", self.vertices))?;
         row(f, "triangles", self.triangles)?;
+        if let Some([x, y, z]) = self.first_not_finite {
+            let first = format_args!("{}, the first at ({x}, {y}, {z}): not measured", self.not_finite);
+            row(f, "vertices not finite", first)?;
+        }
         if let Some(bounds) = self.bounds {
             row(f, "bounds", bounds)?;
         }

@@ -13,7 +13,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use meniscus_formats::{
-    Kind, Limits, ParticleFrame, Probe, Role, gltf, obj, ply, probe, read_particles, vdb,
+    Kind, Limits, ParticleFrame, Positions, Probe, Role, gltf, obj, ply, probe, read_particles, vdb,
 };
 use serde::Serialize;
 
@@ -98,7 +98,15 @@ impl FileInfo {
                 self.grids = Some(vdb::grids(&bytes, &limits)?.into_iter().map(GridRecord::from).collect());
             }
             Kind::Glb | Kind::GltfJson if !gzipped => {
-                self.mesh = Some(MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?));
+                let mesh = gltf::read_mesh(&bytes, &limits)?;
+                self.mesh = Some(MeshInfo::of(&mesh));
+                let attributes = gltf::read_attributes(&bytes, &limits)?;
+                let vertices = ParticleFrame {
+                    positions: Positions::F64(mesh.positions),
+                    attributes,
+                    notes: Vec::new(),
+                };
+                self.particles = has_more_than_a_mesh(&vertices).then(|| ParticlesInfo::of(vertices));
             }
             Kind::Obj if !gzipped => self.mesh = Some(MeshInfo::of(&obj::read_mesh(&bytes)?)),
             Kind::Ply if !gzipped && holds_mesh(&bytes, &limits)? => {

@@ -22,12 +22,13 @@ use anyhow::{Result, bail};
 use crossbeam::channel::{Sender, bounded};
 use tracing::{error, info, warn};
 
-use crate::daemon::{self, Command, Ended, Notice, Summary};
+use crate::daemon::{self, Command, Ended, FailedFrame, Notice, Summary};
 use crate::pipeline::stop_writing;
 use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
+use super::wording::FRAMES_IN_VIEW;
 
 use plan::Plan;
 pub(super) use plan::make_plan;
@@ -92,8 +93,10 @@ fn give_up_what_is_under_way(once: bool) {
 /// Tells how it ended.
 fn conclude(once: bool, summary: &Summary) -> Verdict {
     let Summary { ended, done_count, failed, left_count } = summary;
-    for failure in failed {
-        error!("failed: {failure}");
+    if is_out_of_sight(failed) {
+        for failure in failed {
+            error!("failed: {}", failure.what);
+        }
     }
     if *ended == Ended::Drained && done_count + failed.len() + left_count == 0 {
         warn!("there are no frames to convert");
@@ -108,6 +111,11 @@ fn conclude(once: bool, summary: &Summary) -> Verdict {
         (_, 0) => Verdict::NothingDone,
         _ => Verdict::SomeFailed,
     }
+}
+
+/// Whether something of this was told long ago, or never. What was just told is not told again.
+fn is_out_of_sight(failed: &[FailedFrame]) -> bool {
+    failed.iter().any(|failure| failure.frames_since.is_none_or(|count| count > FRAMES_IN_VIEW))
 }
 
 /// What signals ask for, and the loop is told.

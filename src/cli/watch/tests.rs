@@ -2,7 +2,8 @@ use super::*;
 use std::fs;
 
 fn summary(ended: Ended, done_count: usize, failed_count: usize, left_count: usize) -> Summary {
-    Summary { ended, done_count, failed: vec!["f: why".to_owned(); failed_count], left_count }
+    let failed = FailedFrame { what: "f: why".to_owned(), frames_since: Some(0) };
+    Summary { ended, done_count, failed: vec![failed; failed_count], left_count }
 }
 
 #[test]
@@ -18,6 +19,22 @@ fn the_exit_status_is_that_of_convert_when_it_runs_once() {
     }
     // A daemon that was asked to end, and ended, did what it was asked.
     assert_eq!(conclude(false, &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
+}
+
+#[test]
+fn what_was_just_told_is_not_told_again() {
+    let failed = |frames_since: &[Option<usize>]| -> Vec<FailedFrame> {
+        let failed = |&frames_since: &Option<usize>| FailedFrame { what: "f: why".to_owned(), frames_since };
+        frames_since.iter().map(failed).collect()
+    };
+    for (frames_since, expected) in [
+        (&[][..], false),
+        (&[Some(0), Some(20)], false),
+        (&[Some(0), Some(21)], true),
+        (&[Some(0), None], true),
+    ] {
+        assert_eq!(is_out_of_sight(&failed(frames_since)), expected, "{frames_since:?}");
+    }
 }
 
 /// Signals to a daemon with this file, and the commands that come of them.

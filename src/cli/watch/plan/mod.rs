@@ -18,12 +18,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
-use crate::cli::choices::{choices, ignored, output_options};
+use crate::cli::choices::{choices, ignored, output_options, refuse_stray_rounds};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
 use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
-use crate::pipeline::{default_in_flight, default_memory_bytes};
+use crate::pipeline::default_in_flight;
 use crate::settings::Settings;
 
 /// What to do, and what to say of it before.
@@ -73,6 +74,7 @@ fn folders(args: &WatchArgs, file: Option<&ConfigFile>) -> Result<Vec<Folder>> {
 }
 
 fn typed_folders(args: &WatchArgs) -> Result<Vec<Folder>> {
+    refuse_stray_rounds(&args.frames.method, &args.inputs)?;
     let Some(output) = &args.out else {
         bail!("folders given here take the place of the [[watch]] blocks of the file: give --out as well");
     };
@@ -123,7 +125,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
         None => Settings::check(&choices)?,
     }
-    warnings.extend(ignored(&frames.method));
+    warnings.extend(ignored(&frames.method, frames.format.as_deref(), &frames.formats));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
@@ -211,7 +213,7 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<Config
         },
         threads,
         in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
-        memory_bytes: daemon.memory.unwrap_or_else(default_memory_bytes),
+        memory_bytes: memory_bytes(daemon.memory)?,
         disk_floor_bytes: daemon.disk_floor.unwrap_or(DISK_FLOOR_BYTES),
         patience: patience(once, daemon)?,
         poll: daemon.poll.unwrap_or(Poll::Auto),

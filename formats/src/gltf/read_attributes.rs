@@ -1,0 +1,73 @@
+//! What a glTF file says of its vertices beside where they are and which way they face.
+
+use ::gltf::Semantic;
+
+use super::buffer::Buffers;
+use super::read::{Opened, open};
+use crate::data::{Attribute, Role, Values};
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+
+use super::FORMAT;
+
+/// Reads the attributes of all meshes, under their names in the file, without positions and normals. Parts whose
+/// attributes have one name and type make one of them. Integers are as they are stored.
+///
+/// # Errors
+///
+/// As [`super::read_mesh`].
+pub fn read_attributes(bytes: &[u8], limits: &Limits) -> Result<Vec<Attribute>> {
+    let Opened { document, buffers, mut budget, .. } = open(bytes, limits, None)?;
+    let mut found: Vec<Attribute> = Vec::new();
+    for (semantic, accessor) in document.meshes().flat_map(|mesh| {
+        mesh.primitives().flat_map(|primitive| primitive.attributes().collect::<Vec<_>>()).collect::<Vec<_>>()
+    }) {
+        let arity = accessor.dimensions().multiplicity();
+        if matches!(semantic, Semantic::Positions | Semantic::Normals) || arity > ARITY_MAX {
+            continue;
+        }
+        let bytes = (accessor.count() as u64).checked_mul(VALUE_BYTES * arity as u64);
+        let left = bytes.and_then(|bytes| budget.checked_sub(bytes));
+        budget =
+            left.ok_or_else(|| Error::too_large(FORMAT, "attributes take more memory than the limit"))?;
+        let values = values_of(&buffers, &accessor)?;
+        let name = semantic.to_string();
+        let is_it = |other: &&mut Attribute| other.name == name && other.arity == arity;
+        match found.iter_mut().find(is_it).map(|other| (&mut other.values, &values)) {
+            Some((Values::F32(all), Values::F32(more))) => all.extend_from_slice(more),
+            Some((Values::I64(all), Values::I64(more))) => all.extend_from_slice(more),
+            _ => found.push(Attribute { role: role_of(&name, arity), name, arity, values }),
+        }
+    }
+    Ok(found)
+}
+
+/// Matrices are no attributes of vertices.
+const ARITY_MAX: usize = 4;
+
+/// Memory for a value, in bytes, at most.
+const VALUE_BYTES: u64 = 8;
+
+fn role_of(name: &str, arity: usize) -> Option<Role> {
+    match (name, arity) {
+        ("COLOR_0", 3 | 4) => Some(Role::Color),
+        ("_VELOCITY", 3) => Some(Role::Velocity),
+        _ => None,
+    }
+}
+
+fn values_of(buffers: &Buffers, accessor: &::gltf::Accessor) -> Result<Values> {
+    use ::gltf::accessor::DataType;
+    Ok(match accessor.data_type() {
+        DataType::F32 => Values::F32(buffers.components::<f32>(accessor)?),
+        DataType::I8 => whole(buffers.components::<i8>(accessor)?),
+        DataType::U8 => whole(buffers.components::<u8>(accessor)?),
+        DataType::I16 => whole(buffers.components::<i16>(accessor)?),
+        DataType::U16 => whole(buffers.components::<u16>(accessor)?),
+        DataType::U32 => whole(buffers.components::<u32>(accessor)?),
+    })
+}
+
+fn whole<T: Into<i64>>(components: Vec<T>) -> Values {
+    Values::I64(components.into_iter().map(Into::into).collect())
+}
