@@ -13,6 +13,7 @@
 
 mod camera;
 mod light;
+mod sheet;
 mod sky;
 mod splats;
 mod surface;
@@ -22,6 +23,7 @@ mod walk;
 use rayon::prelude::*;
 
 pub use camera::{Camera, Placement, Up};
+pub use sheet::{Cell, sheet, side_by_side};
 
 use crate::grid::Field;
 use crate::level_set::NarrowBand;

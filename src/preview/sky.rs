@@ -103,9 +103,8 @@ impl Level {
     /// Trilinear, in cells; nothing is inside beyond them.
     fn at(&self, place: Vec3) -> f32 {
         let place = place - 0.5;
-        let first = place.floor();
-        let part = place - first;
-        let first = first.as_ivec3();
+        let first = floor(place);
+        let part = place - first.as_vec3();
         let value = |x: i32, y: i32, z: i32| {
             let cell = first + IVec3::new(x, y, z);
             let is_in = cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.size).all();
@@ -141,6 +140,13 @@ impl Level {
         };
         Level { size, density: (0..count).into_par_iter().map(mean).collect() }
     }
+}
+
+/// The whole numbers not above these, without a call for each.
+fn floor(place: Vec3) -> IVec3 {
+    let toward_zero = place.as_ivec3();
+    let above = place.cmplt(toward_zero.as_vec3());
+    toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
 /// Tells each cell what part of it is inside.

@@ -36,6 +36,8 @@ struct Seen {
     what: What,
     /// In voxels from the eye.
     t: f64,
+    /// In voxels.
+    position: DVec3,
     normal: Vec3,
 }
 
@@ -73,12 +75,12 @@ impl<'a> Eyes<'a> {
             let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
             let (what, normal) =
                 if hit.is_front { (What::Outside, outward) } else { (What::Inside, -outward) };
-            return (Seen { what, t: hit.t, normal }, Some(around));
+            return (Seen { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
         }
         let up = self.view.up.direction().as_vec3();
         let seen = match ground {
-            Some(t) => Seen { what: What::Ground, t, normal: up },
-            None => Seen { what: What::Nothing, t: f64::INFINITY, normal: up },
+            Some(t) => Seen { what: What::Ground, t, position: ray.at(t), normal: up },
+            None => Seen { what: What::Nothing, t: f64::INFINITY, position: DVec3::INFINITY, normal: up },
         };
         (seen, None)
     }
@@ -139,13 +141,9 @@ impl<'a> Tile<'a> {
         DVec2::new((self.first[0] + x as isize) as f64, (self.first[1] + y as isize) as f64)
     }
 
-    fn position(&self, x: usize, y: usize) -> DVec3 {
-        self.eyes.ray(self.place(x, y) + 0.5).at(self.seen[y * SEEN_EDGE + x].t)
-    }
-
     fn follow(&self, x: usize, y: usize) -> Option<Light> {
         let seen = &self.seen[y * SEEN_EDGE + x];
-        (seen.what != What::Nothing).then(|| self.lighting.arriving(self.position(x, y), seen.normal))
+        (seen.what != What::Nothing).then(|| self.lighting.arriving(seen.position, seen.normal))
     }
 
     /// The colours of the tile's own pixels.
@@ -185,7 +183,7 @@ impl<'a> Tile<'a> {
             let along = (along as f32 - (LIGHT_STEP / 2) as f32) / LIGHT_STEP as f32;
             (along.floor() as usize, along.fract())
         });
-        let position = self.position(x, y);
+        let position = seen.position;
         let tolerance = (PLANE_TOLERANCE * LIGHT_STEP as f64 * self.eyes.pixel_edge(seen.t)) as f32;
         let (mut sum, mut weights) = (Light::NONE, 0.0);
         for corner in 0..4 {
@@ -197,7 +195,7 @@ impl<'a> Tile<'a> {
             let Some(light) = self.lights[y_light * LIGHT_EDGE + x_light] else { continue };
             let [x_seen, y_seen] = [x_light, y_light].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
             let other = self.seen[y_seen * SEEN_EDGE + x_seen];
-            let apart = (self.position(x_seen, y_seen) - position).as_vec3().dot(seen.normal).abs();
+            let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
             let alike = other.normal.dot(seen.normal).max(0.0).powi(8) * (1.0 - apart / tolerance).max(0.0);
             if other.what != seen.what || alike <= 0.0 {
                 continue;
@@ -217,7 +215,7 @@ impl<'a> Tile<'a> {
     /// Whether a pixel beside this one shows something else.
     fn is_edge(&self, x: usize, y: usize) -> bool {
         let seen = self.seen[y * SEEN_EDGE + x];
-        let position = self.position(x, y);
+        let position = seen.position;
         [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].into_iter().any(|(x, y)| {
             let other = self.seen[y * SEEN_EDGE + x];
             // Ground and background have one colour.
@@ -228,7 +226,7 @@ impl<'a> Tile<'a> {
             if !is_fluid(seen.what) {
                 return false;
             }
-            let apart = (self.position(x, y) - position).as_vec3().dot(seen.normal).abs();
+            let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
             let is_step = apart > (EDGE_STEP * self.eyes.pixel_edge(seen.t)) as f32;
             other.normal.dot(seen.normal) < EDGE_COSINE || is_step
         })
@@ -246,9 +244,9 @@ impl<'a> Tile<'a> {
         for offset in OFFSETS {
             let place = self.place(x, y) + offset;
             let (seen, _) = self.eyes.look(place);
-            let ray = self.eyes.ray(place);
-            let light = self.light_of(&seen, &ray, lit, x, y);
-            let (one, covers) = self.shade(&seen, light, -ray.direction.as_vec3());
+            let toward = -self.eyes.ray(place).direction.as_vec3();
+            let light = self.light_of(&seen, lit, x, y);
+            let (one, covers) = self.shade(&seen, light, toward);
             // What glints must not outshine the rest of the pixel.
             color += one.min(Vec3::splat(2.0)) / OFFSETS.len() as f32;
             coverage += covers / OFFSETS.len() as f32;
@@ -257,18 +255,18 @@ impl<'a> Tile<'a> {
     }
 
     /// The light on what a ray within a pixel shows: that of the pixel, or one beside it, that shows the same.
-    fn light_of(&self, seen: &Seen, ray: &Ray, lit: &[Light], x: usize, y: usize) -> Light {
+    fn light_of(&self, seen: &Seen, lit: &[Light], x: usize, y: usize) -> Light {
         if seen.what == What::Nothing {
             return Light::NONE;
         }
-        let position = ray.at(seen.t);
+        let position = seen.position;
         let within = (2.5 * self.eyes.pixel_edge(seen.t)).powi(2);
         let beside = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
         let alike = beside.into_iter().find(|&(x, y)| {
             let other = self.seen[y * SEEN_EDGE + x];
             other.what == seen.what
                 && other.normal.dot(seen.normal) > EDGE_COSINE
-                && (seen.what == What::Ground || self.position(x, y).distance_squared(position) < within)
+                && (seen.what == What::Ground || other.position.distance_squared(position) < within)
         });
         match alike {
             Some((x, y)) => lit[y * SEEN_EDGE + x],
@@ -299,7 +297,7 @@ impl<'a> Tile<'a> {
             }
             return;
         };
-        let position = self.position(x, y) * voxel_size;
+        let position = self.seen[index].position * voxel_size;
         data.depth.push((position - camera.eye).dot(camera.forward) as f32);
         data.normals.push(around.gradient().normalize_or_zero().to_array());
         data.positions.push(position.as_vec3().to_array());
@@ -315,7 +313,7 @@ impl<'a> Tile<'a> {
 const PLANE_TOLERANCE: f64 = 0.7;
 
 /// With less of them its light is followed by itself.
-const LEAST_WEIGHT: f32 = 0.05;
+const LEAST_WEIGHT: f32 = 0.3;
 
 /// Neighbours with a step of so many pixels between them are an edge, and those whose normals are farther apart.
 const EDGE_STEP: f64 = 1.5;
