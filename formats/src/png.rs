@@ -115,7 +115,7 @@ mod tests {
 
     #[test]
     fn colors_come_back_as_screens_show_them() {
-        let color = [[0.0, 1.0, 0.5], [7.0, -1.0, f32::NAN], [0.214_041, 0.002, 0.9]];
+        let color = [[0.0, 1.0, 0.5], [7.0, -1.0, f32::NAN], [0.2159, 0.002, 0.9]];
         let bytes = written([3, 1], &color, &[]);
         let mut reader = ::png::Decoder::new(io::Cursor::new(&bytes)).read_info().expect("a picture");
         let mut pixels = vec![0; 9];
