@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, Wanted,
+    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, PictureOptions, Wanted,
     default_in_flight, parse_particles, read_file, run, write_whole,
 };
 use meniscus::settings::{Choices, Settings};
@@ -71,6 +71,7 @@ fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<
         up: gltf::UpAxis::Y,
         vdb_half: false,
         vdb_compression: vdb::Compression::Blosc,
+        picture: PictureOptions::default(),
     });
     fs::create_dir(&outputs.folder)?;
     let mut frames = Vec::new();

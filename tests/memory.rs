@@ -10,7 +10,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, ObstacleFiles, OnError, Outcome, OutputFormat, OutputOptions, run,
+    Conduct, Frame, LevelSetSkinning, ObstacleFiles, OnError, Outcome, OutputFormat, OutputOptions,
+    PictureOptions, run,
 };
 use meniscus::settings::{Choices, ClipBox, Settings};
 use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
@@ -57,6 +58,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         up: gltf::UpAxis::Y,
         vdb_half: false,
         vdb_compression: vdb::Compression::Blosc,
+        picture: PictureOptions::default(),
     });
     let inputs = [("block.bgeo", block(63)), ("spray.bgeo", spray(20_000))];
     let inputs = inputs.map(|(name, positions)| {

@@ -25,7 +25,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel;
 use meniscus::daemon::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
-use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
+use meniscus::pipeline::{
+    OutputFormat, OutputOptions, PictureOptions, default_in_flight, default_memory_bytes,
+};
 use meniscus::settings::Choices;
 use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, gltf, vdb};
 
@@ -111,6 +113,7 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
             up: gltf::UpAxis::Y,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
+            picture: PictureOptions::default(),
         },
         voxel_size: None,
         choices: Choices::default(),

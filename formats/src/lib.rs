@@ -14,6 +14,7 @@ pub mod completeness;
 pub mod csv;
 pub mod data;
 pub mod error;
+pub mod exr;
 pub mod gltf;
 mod gzip;
 mod le_bytes;
@@ -21,7 +22,9 @@ pub mod limits;
 pub mod names;
 pub mod obj;
 pub mod obstacle;
+pub mod picture;
 pub mod ply;
+pub mod png;
 pub mod probe;
 pub mod provenance;
 pub mod scalar;
@@ -39,6 +42,7 @@ pub use data::{
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
 pub use obstacle::{ObstacleData, read_obstacle};
+pub use picture::{PictureCamera, PictureLayer, PictureView, Samples};
 pub use probe::{Kind, Probe, looks_like_particles, probe};
 pub use vertex_attributes::{VertexAttribute, VertexValues};
 

@@ -7,6 +7,8 @@
 //!   .glb .gltf    asset.extras             {"meniscus": {"radius": "0.025"}}
 //!   .obj          comment                  # meniscus_radius: 0.025
 //!   .ply          comment                  comment meniscus_radius: 0.025
+//!   .png          text                     meniscus_radius\0 0.025
+//!   .exr          attribute of the file    meniscus = "meniscus_radius: 0.025 …"
 //! ```
 //!
 //! Comments are one line of ASCII, for readers of these formats disagree about anything else; what
@@ -17,7 +19,7 @@ use std::io::Read;
 use crate::data::Provenance;
 use crate::error::Result;
 use crate::vdb::MetaValue;
-use crate::{gltf, vdb};
+use crate::{exr, gltf, png, vdb};
 
 /// The program and its version, for the place where formats name their maker.
 pub(crate) const GENERATOR: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
@@ -41,6 +43,10 @@ pub enum Kind {
     Ply,
     /// OpenVDB, `.vdb`.
     Vdb,
+    /// `.png`.
+    Png,
+    /// OpenEXR, `.exr`.
+    Exr,
 }
 
 /// Reads back the provenance that a writer of this crate put into a file, from its first mebibyte.
@@ -58,6 +64,8 @@ pub fn read_provenance(kind: Kind, file: impl Read) -> Result<Vec<(String, Strin
         Kind::Obj => Ok(from_comments(&head, "# ")),
         Kind::Ply => Ok(from_comments(&head, "comment ")),
         Kind::Vdb => Ok(from_metadata(vdb::first_grid_metadata(&head)?)),
+        Kind::Png => Ok(from_entries(png::texts(&head)?)),
+        Kind::Exr => Ok(from_comments(&exr::provenance_text(&head)?, "")),
     }
 }
 
@@ -87,6 +95,13 @@ fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
             Some((unescape(key)?, unescape(value)?))
         })
         .collect()
+}
+
+/// Those of our own among names and escaped values.
+fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
+    let ours =
+        |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), unescape(&value)?));
+    entries.into_iter().filter_map(ours).collect()
 }
 
 fn from_metadata(metadata: Vec<(String, MetaValue)>) -> Vec<(String, String)> {

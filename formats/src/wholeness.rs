@@ -9,6 +9,8 @@
 //!   .obj    the last line is the writer's own     # end: 642 vertices, 1280 triangles
 //!   .ply    the header says what follows; faces are triangles
 //!   .vdb    each grid's descriptor says where it ends, and where the next one is
+//!   .png    the last chunk says that it is the last
+//!   .exr    the last block says how long it is
 //! ```
 //!
 //! Bytes that were overwritten are not looked for: a file of the right length may still be damaged
@@ -21,7 +23,7 @@ use serde::de::IgnoredAny;
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::provenance::{HEAD_BYTES_MAX, Kind};
-use crate::{gltf, obj, ply, vdb};
+use crate::{exr, gltf, obj, ply, png, vdb};
 
 /// Whether a file that a writer of this crate made has neither lost its end nor grown. Other
 /// programs' files may well be whole and not be told so.
@@ -34,6 +36,8 @@ pub fn is_whole(kind: Kind, file: &mut (impl Read + Seek)) -> Result<bool> {
     let expected_bytes = match kind {
         Kind::Gltf => return is_whole_json(file),
         Kind::Obj => return Ok(obj::ends_as_written(&tail(file, file_bytes)?)),
+        Kind::Png => return Ok(png::ends_as_written(&tail(file, file_bytes)?)),
+        Kind::Exr => exr::bytes_claimed(&head(file)?, |start| piece(file, start, exr::BLOCK_HEAD_BYTES))?,
         Kind::Glb => gltf::glb_bytes_claimed(&head(file)?)?,
         Kind::Ply => ply::mesh_bytes_claimed(&head(file)?, &Limits::default())?,
         Kind::Vdb => vdb::last_grid_end(&head(file)?, |start| piece(file, start, DESCRIPTOR_BYTES_MAX))?,

@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use meniscus_formats::{gltf, vdb};
 
-use crate::pipeline::{OutputFormat, OutputOptions};
+use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
 use crate::settings::{AnisotropyKind, Choices, Contouring, Integrator, Preset};
 
 use super::args::{
     AnisotropyChoice, CompressionChoice, ContourChoice, FirstArgs, Format, FormatArgs, IntegratorChoice,
-    MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs, UpChoice,
+    MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, PreviewChoice, SolverArgs, SurfaceArgs,
+    UpChoice,
 };
 
 /// The choices of the method.
@@ -97,14 +98,10 @@ fn contouring_of(contour: ContourChoice) -> Contouring {
 }
 
 /// What was typed and changes nothing, a sentence each.
-pub(super) fn ignored(
-    args: &MethodArgs,
-    formats: Option<&[Format]>,
-    format_args: &FormatArgs,
-) -> Vec<String> {
+pub(super) fn ignored(args: &MethodArgs, written: &[OutputFormat], format_args: &FormatArgs) -> Vec<String> {
     let ignored = without_use(args).into_iter();
     let ignored = ignored.map(|(option, with)| format!("{option} is ignored: it is for {with} only"));
-    let idle = without_file(args, &distinct(formats), format_args).into_iter();
+    let idle = without_file(args, written, format_args).into_iter();
     let idle = idle.map(|(option, kind)| format!("{option} changes no file: it is for {kind} only"));
     ignored.chain(idle).collect()
 }
@@ -149,15 +146,18 @@ fn without_file(
 ) -> Vec<(&'static str, &'static str)> {
     let MeshArgs { contour, decimate, smooth_normals, quads } = &args.mesh;
     let has = |format| written.contains(&format);
-    let has_mesh = written.iter().any(|&format| format != OutputFormat::Vdb);
+    let has_mesh = written.iter().any(|format| format.is_mesh());
     let has_gltf = has(OutputFormat::Glb) || has(OutputFormat::Gltf);
     let (obj, vdb) = (has(OutputFormat::Obj), has(OutputFormat::Vdb));
+    let has_picture = written.iter().any(|format| format.picture().is_some());
     let cases = [
         ("--contour", contour.is_some(), has_mesh, "meshes"),
         ("--decimate", decimate.is_some(), has_mesh, "meshes"),
         ("--smooth-normals", smooth_normals.is_some(), has_mesh, "meshes"),
         ("--quads", *quads, obj, ".obj"),
-        ("--up", format_args.up.is_some(), has_gltf, ".glb and .gltf"),
+        ("--up", format_args.up.is_some(), has_gltf || has_picture, ".glb, .gltf and pictures"),
+        ("--preview-size", format_args.preview_size.is_some(), has_picture, "--preview"),
+        ("--camera", format_args.camera.is_some(), has_picture, "--preview"),
         ("--vdb-half", format_args.vdb_half, vdb, ".vdb"),
         ("--vdb-compression", format_args.vdb_compression.is_some(), vdb, ".vdb"),
     ];
@@ -191,7 +191,7 @@ pub(super) fn output_options(
 ) -> OutputOptions {
     OutputOptions {
         folder,
-        formats: distinct(formats),
+        formats: written_formats(formats, args),
         up: match args.up.unwrap_or(UpChoice::Y) {
             UpChoice::Y => gltf::UpAxis::Y,
             UpChoice::Z => gltf::UpAxis::Z,
@@ -202,7 +202,26 @@ pub(super) fn output_options(
             CompressionChoice::Active => vdb::Compression::ActiveMask,
             CompressionChoice::Blosc => vdb::Compression::Blosc,
         },
+        picture: picture_options(args),
     }
+}
+
+/// How pictures are taken.
+fn picture_options(args: &FormatArgs) -> PictureOptions {
+    let default = PictureOptions::default();
+    PictureOptions {
+        size: args.preview_size.map_or(default.size, |size| size.map(usize::from)),
+        camera: args.camera.unwrap_or(default.camera),
+    }
+}
+
+/// The formats to write, each once: .glb and .vdb by default; and a picture if that was asked for.
+pub(super) fn written_formats(formats: Option<&[Format]>, args: &FormatArgs) -> Vec<OutputFormat> {
+    let preview = args.preview.map(|preview| match preview {
+        PreviewChoice::Png => OutputFormat::Png,
+        PreviewChoice::Exr => OutputFormat::Exr,
+    });
+    distinct(formats).into_iter().chain(preview).collect()
 }
 
 /// The formats to write, each once: .glb and .vdb by default.

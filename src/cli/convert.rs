@@ -19,7 +19,7 @@ use crate::simd::level_warning;
 
 use super::Verdict;
 use super::args::{ConvertArgs, OnErrorChoice};
-use super::choices::{choices, ignored, output_options, refuse_stray_rounds};
+use super::choices::{choices, ignored, output_options, refuse_stray_rounds, written_formats};
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
@@ -42,7 +42,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let Selection { sequences, found } = select_frames(args, console)?;
     // An option may be wrong and without effect: that it is wrong is told, and later.
     if is_sound(args) {
-        for warning in ignored(&args.method, args.format.as_deref(), &args.formats) {
+        for warning in
+            ignored(&args.method, &written_formats(args.format.as_deref(), &args.formats), &args.formats)
+        {
             console.warn(format_args!("warning: {warning}"));
         }
     }

@@ -5,6 +5,7 @@
 
 mod allocator;
 mod args;
+mod camera_file;
 mod choices;
 mod clock;
 mod config_file;
@@ -17,6 +18,7 @@ mod interrupt;
 mod out_folder;
 mod print_settings;
 mod quantities;
+mod render;
 mod status;
 mod watch;
 mod why;
@@ -57,6 +59,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
     let mut console = Console::new();
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
+        Command::Render(args) => render::render(&args, &mut console),
         Command::Info(args) => info::info(&args, &mut console),
         Command::Watch(args) => watch::watch(&args),
         Command::Status(args) => status::status(&args, &mut console),

@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 use toml::Value;
 
 use crate::pipeline::{
-    OutputFormat, OutputOptions, Sequence, automatic_voxel_size, compression_name, up_name,
+    OutputFormat, OutputOptions, PictureOptions, Sequence, automatic_voxel_size, compression_name, up_name,
 };
 use crate::settings::Settings;
 
@@ -73,7 +73,8 @@ fn keys(settings: &Settings, args: &ConvertArgs, has_voxel_size: bool) -> Result
     let outputs = output_options(PathBuf::new(), args.format.as_deref(), &args.formats);
     let obstacles = obstacle_paths(&args.method)?;
     let key = |name: &str, value: String| (name.to_owned(), value);
-    let formats = outputs.formats.iter().map(|format| format.extension().to_owned());
+    let formats = outputs.formats.iter().filter(|format| format.picture().is_none());
+    let formats = formats.map(|format| format.extension().to_owned());
     let mut keys = vec![key("formats", list(formats.collect()))];
     if has_voxel_size {
         keys.push(key("voxel_size", settings.voxel_size.to_string()));
@@ -108,13 +109,20 @@ fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
 fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
     let mut keys = Vec::new();
     let is_gltf = |format: &OutputFormat| matches!(format, OutputFormat::Glb | OutputFormat::Gltf);
-    if outputs.formats.iter().any(is_gltf) {
+    let preview = outputs.formats.iter().find(|format| format.picture().is_some());
+    if outputs.formats.iter().any(is_gltf) || preview.is_some() {
         keys.push(("up".to_owned(), quoted(up_name(outputs.up).to_owned())));
     }
     if outputs.formats.contains(&OutputFormat::Vdb) {
         let compression = compression_name(outputs.vdb_compression).to_owned();
         keys.push(("vdb_half".to_owned(), outputs.vdb_half.to_string()));
         keys.push(("vdb_compression".to_owned(), quoted(compression)));
+    }
+    if let Some(format) = preview {
+        let PictureOptions { size: [width, height], camera } = outputs.picture;
+        keys.push(("preview".to_owned(), quoted(format.extension().to_owned())));
+        keys.push(("preview_size".to_owned(), quoted(format!("{width}x{height}"))));
+        keys.push(("camera".to_owned(), quoted(camera.to_string())));
     }
     keys
 }
@@ -123,9 +131,7 @@ fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
 fn is_of_use(name: &str, formats: &[OutputFormat], has_obstacles: bool) -> bool {
     match name {
         "void_threshold" => has_obstacles,
-        "contour" | "decimate" | "smooth_normals" => {
-            formats.iter().any(|&format| format != OutputFormat::Vdb)
-        }
+        "contour" | "decimate" | "smooth_normals" => formats.iter().any(|format| format.is_mesh()),
         "quads" => formats.contains(&OutputFormat::Obj),
         _ => true,
     }

@@ -17,6 +17,22 @@ const POLL_MIN: Duration = Duration::from_millis(50);
 /// No frame does with less memory, in bytes: whoever asks for that has left out the unit.
 const MEMORY_MIN_BYTES: u64 = 1 << 20;
 
+/// Width and height of a picture, pixels.
+pub(super) type PictureSize = [u16; 2];
+
+/// Width and height with an x between them.
+pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
+    let edge = |text: &str| text.trim().parse().ok().filter(|edge| PICTURE_EDGE.contains(edge));
+    let size = text.split_once('x').and_then(|(width, height)| Some([edge(width)?, edge(height)?]));
+    let [least, most] = [PICTURE_EDGE.start(), PICTURE_EDGE.end()];
+    size.ok_or_else(|| {
+        format!("`{text}` is no size: expected width and height in pixels, each {least} to {most}, such as 1280x720")
+    })
+}
+
+/// Pixels along the edge of a picture.
+const PICTURE_EDGE: std::ops::RangeInclusive<u16> = 16..=8192;
+
 /// A time from nothing to 30 days.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
     let duration = humantime::parse_duration(text.trim())
@@ -88,6 +104,14 @@ mod tests {
         }
         for text in ["", "5", "-1s", "2 parsecs", "31d", "99999999999999999999y", "1e3s"] {
             assert!(parse_duration(text).is_err_and(|why| why.contains(text)), "{text}");
+        }
+    }
+
+    #[test]
+    fn pictures_have_two_edges() {
+        assert_eq!(parse_picture_size("1280x720"), Ok([1280, 720]));
+        for text in ["", "1280", "15x720", "8193x16", "1280x720x3", "ax16"] {
+            assert!(parse_picture_size(text).is_err_and(|why| why.contains("1280x720")), "{text}");
         }
     }
 

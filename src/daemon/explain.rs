@@ -272,6 +272,7 @@ mod tests {
                     up: meniscus_formats::gltf::UpAxis::Y,
                     vdb_half: false,
                     vdb_compression: meniscus_formats::vdb::Compression::None,
+                    picture: crate::pipeline::PictureOptions::default(),
                 },
                 voxel_size: None,
                 choices: Choices::default(),

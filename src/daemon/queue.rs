@@ -145,6 +145,7 @@ mod tests {
             up: gltf::UpAxis::Y,
             vdb_half: false,
             vdb_compression: vdb::Compression::None,
+            picture: crate::pipeline::PictureOptions::default(),
         };
         Frame {
             input: name.into(),

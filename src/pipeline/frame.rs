@@ -257,6 +257,7 @@ mod tests {
             up: UpAxis::Y,
             vdb_half: false,
             vdb_compression: Compression::None,
+            picture: crate::pipeline::PictureOptions::default(),
         };
         let frame = Frame {
             input: "in/dam.1.ply".into(),

@@ -151,10 +151,10 @@ impl Method for LevelSetSkinning {
 
 /// Where the files that are to be written have places for attributes.
 fn targets(outputs: &OutputOptions) -> Targets {
-    let is_level_set = |format: &OutputFormat| *format == OutputFormat::Vdb;
+    let has_voxels = |format: &OutputFormat| matches!(format, OutputFormat::Vdb | OutputFormat::Exr);
     Targets {
-        vertices: !outputs.formats.iter().all(is_level_set),
-        band_half_width_voxels: outputs.formats.iter().any(is_level_set).then_some(VDB_HALF_WIDTH_VOXELS),
+        vertices: outputs.formats.iter().any(|format| format.is_mesh()),
+        band_half_width_voxels: outputs.formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS),
     }
 }
 

@@ -15,6 +15,8 @@
 //!   reading     bytes to particles, of a file that     stamp     what tells one that was written again
 //!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
 //!   writing     surfaces to bytes                      provenance  what made them
+//!   picture     surfaces to pictures                   viewpoint   where they are taken from
+//!   level_set_file  surfaces from .vdb                 still       a frame by itself, and no files
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   record      what was measured, as JSON
 //! ```
@@ -27,37 +29,52 @@ mod budget;
 mod crew;
 mod frame;
 mod frame_particles;
+mod level_set_file;
 mod memory;
 mod method;
 mod number_pattern;
 mod obstacle_notes;
 mod obstacles;
 mod outputs;
+mod picture;
 mod provenance;
 mod reading;
 mod record;
+mod sequence_bounds;
 mod sink;
 mod source;
 mod stages;
 mod stamp;
+mod still;
 mod temporary;
+mod viewpoint;
 mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
 pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist};
 pub use frame_particles::FrameParticles;
+pub use level_set_file::LevelSetFile;
 pub use memory::default_memory_bytes;
 pub use method::{LevelSetSkinning, Method};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
-pub use provenance::{compression_name, is_own_output, settings_fingerprint, up_name};
+pub use picture::{
+    NOTHING, PictureFormat, PictureOptions, Scene, bounds_of_particles, encode_picture, joined, side_by_side,
+    up_of, velocities,
+};
+pub use provenance::{
+    CAMERA, compression_name, is_own_output, picture_provenance, settings_fingerprint, up_name,
+};
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
+pub use sequence_bounds::{is_level_set, sequence_bounds};
 pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream};
 pub use stamp::FileStamp;
+pub use still::{Still, skin_file};
 pub use temporary::sweep_temporaries;
+pub use viewpoint::{CameraChoice, Viewpoint};
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};

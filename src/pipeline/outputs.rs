@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use meniscus_formats::{gltf, vdb};
 
 use super::obstacles::ObstacleFiles;
+use super::picture::{PictureFormat, PictureOptions};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,12 +27,23 @@ pub enum OutputFormat {
     Obj,
     /// Binary PLY.
     Ply,
+    /// A picture: colours.
+    Png,
+    /// A picture: all that is known of its pixels.
+    Exr,
 }
 
 impl OutputFormat {
     /// Every format there is.
-    pub const ALL: [OutputFormat; 5] =
-        [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply];
+    pub const ALL: [OutputFormat; 7] = [
+        OutputFormat::Glb,
+        OutputFormat::Gltf,
+        OutputFormat::Vdb,
+        OutputFormat::Obj,
+        OutputFormat::Ply,
+        OutputFormat::Png,
+        OutputFormat::Exr,
+    ];
 
     /// The extension of its files, without the dot.
     pub fn extension(self) -> &'static str {
@@ -41,12 +53,28 @@ impl OutputFormat {
             OutputFormat::Vdb => "vdb",
             OutputFormat::Obj => "obj",
             OutputFormat::Ply => "ply",
+            OutputFormat::Png => "png",
+            OutputFormat::Exr => "exr",
+        }
+    }
+
+    /// Whether its files hold the mesh.
+    pub fn is_mesh(self) -> bool {
+        self != OutputFormat::Vdb && self.picture().is_none()
+    }
+
+    /// As a format of pictures, if it is one.
+    pub fn picture(self) -> Option<PictureFormat> {
+        match self {
+            OutputFormat::Png => Some(PictureFormat::Png),
+            OutputFormat::Exr => Some(PictureFormat::Exr),
+            _ => None,
         }
     }
 }
 
 /// What is written of each frame, and where.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct OutputOptions {
     /// The folder of all outputs. It is made where it is missing.
     pub folder: PathBuf,
@@ -58,6 +86,8 @@ pub struct OutputOptions {
     pub vdb_half: bool,
     /// How values are packed in .vdb.
     pub vdb_compression: vdb::Compression,
+    /// How pictures are taken.
+    pub picture: PictureOptions,
 }
 
 /// Where the output in `format` of the frame called `stem` goes.

@@ -17,6 +17,7 @@ use crate::settings::{Pairs, Settings};
 
 use super::frame::Frame;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
+use super::picture::PictureOptions;
 
 /// What an output's generator begins with; the version follows.
 const GENERATOR: &str = "meniscus ";
@@ -30,17 +31,46 @@ pub(super) fn provenance(
     (hash, obstacles): (u128, &str),
     format: OutputFormat,
 ) -> Vec<(String, String)> {
-    let mut pairs = vec![
-        ("generator", format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))),
-        ("input", frame.input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
-        ("input_hash", format!("xxh3-128:{hash:032x}")),
-    ];
+    let mut pairs = made_from(&frame.input, hash);
     pairs.extend(settings_pairs(&frame.settings, format));
-    if !obstacles.is_empty() {
-        pairs.push(("void_threshold", frame.settings.void_threshold.to_string()));
-        pairs.push(("obstacles", obstacles.to_owned()));
-    }
+    pairs.extend(obstacle_pairs(&frame.settings, obstacles));
     pairs.extend(option_pairs(&frame.outputs, format));
+    owned(pairs)
+}
+
+/// Names and values for a picture of a file with this hash; with the settings by which it was skinned, among these
+/// obstacles, if it was.
+pub fn picture_provenance(
+    input: &Path,
+    hash: u128,
+    skinned: Option<(&Settings, &str)>,
+    options: &PictureOptions,
+) -> Vec<(String, String)> {
+    let mut pairs = made_from(input, hash);
+    if let Some((settings, obstacles)) = skinned {
+        pairs.extend(settings_pairs(settings, OutputFormat::Png));
+        pairs.extend(obstacle_pairs(settings, obstacles));
+    }
+    pairs.extend(picture_pairs(options));
+    owned(pairs)
+}
+
+fn made_from(input: &Path, hash: u128) -> Pairs {
+    vec![
+        ("generator", format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))),
+        ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
+        ("input_hash", format!("xxh3-128:{hash:032x}")),
+    ]
+}
+
+fn obstacle_pairs(settings: &Settings, obstacles: &str) -> Pairs {
+    if obstacles.is_empty() {
+        return Pairs::new();
+    }
+    vec![("void_threshold", settings.void_threshold.to_string()), ("obstacles", obstacles.to_owned())]
+}
+
+fn owned(pairs: Pairs) -> Vec<(String, String)> {
     pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
@@ -112,8 +142,21 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static 
         ],
         OutputFormat::Glb | OutputFormat::Gltf => vec![("up", up_name(options.up).to_owned())],
         OutputFormat::Obj | OutputFormat::Ply => Vec::new(),
+        OutputFormat::Png | OutputFormat::Exr => {
+            let up = ("up", up_name(options.up).to_owned());
+            [vec![up], picture_pairs(&options.picture)].concat()
+        }
     }
 }
+
+/// How a picture is taken.
+fn picture_pairs(options: &PictureOptions) -> Pairs {
+    let [width, height] = options.size;
+    vec![("size", format!("{width}x{height}")), (CAMERA, options.camera.to_string())]
+}
+
+/// The name of what says where a picture was taken from.
+pub const CAMERA: &str = "camera";
 
 /// Of how outputs are written, what is not as it is by itself.
 pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Vec<(&'static str, String)> {
@@ -131,12 +174,15 @@ pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Ve
     if has(&OutputFormat::Vdb) && options.vdb_compression != vdb::Compression::Blosc {
         chosen.push(("vdb_compression", compression_name(options.vdb_compression).to_owned()));
     }
+    if has(&OutputFormat::Png) || has(&OutputFormat::Exr) {
+        chosen.extend(picture_pairs(&options.picture));
+    }
     chosen
 }
 
 /// Every setting that matters to an output in `format`.
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
-    let mut pairs = settings.pairs(format != OutputFormat::Vdb);
+    let mut pairs = settings.pairs(format.is_mesh());
     if format == OutputFormat::Obj && settings.quads {
         pairs.push(("quads", true.to_string()));
     }
@@ -167,5 +213,7 @@ fn provenance_kind(format: OutputFormat) -> Kind {
         OutputFormat::Vdb => Kind::Vdb,
         OutputFormat::Obj => Kind::Obj,
         OutputFormat::Ply => Kind::Ply,
+        OutputFormat::Png => Kind::Png,
+        OutputFormat::Exr => Kind::Exr,
     }
 }

@@ -15,11 +15,13 @@ use crate::mesh::Mesh;
 use crate::particles::{Attribute, AttributeValues, Meaning};
 use crate::report::SkinReport;
 use crate::skin::Surface;
+use crate::space::Lattice;
 use crate::transfer::BandAttribute;
 
 use super::crew::Crew;
 use super::frame::{Frame, FrameError, Stage};
 use super::outputs::{OutputFormat, OutputOptions, output_path};
+use super::picture::{NOTHING, PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
 use super::sink::{Unseen, publish, write_unseen};
 
@@ -96,7 +98,36 @@ pub(super) fn write_surface<'env>(
         OutputFormat::Glb => gltf::write_glb(&mesh, &gltf_options(options), &provenance, out),
         OutputFormat::Gltf => gltf::write_gltf(&mesh, &gltf_options(options), &provenance, out),
         OutputFormat::Ply => ply::write::write_mesh(&mesh, &provenance, out),
+        OutputFormat::Png => {
+            write_picture(surface, (number, frame), PictureFormat::Png, provenance, crew, out)
+        }
+        OutputFormat::Exr => {
+            write_picture(surface, (number, frame), PictureFormat::Exr, provenance, crew, out)
+        }
     }
+}
+
+fn write_picture<'env>(
+    surface: &Arc<Surface>,
+    (number, frame): (usize, &Frame),
+    format: PictureFormat,
+    provenance: Vec<(String, String)>,
+    crew: &Crew<'_, '_, 'env>,
+    out: &mut impl Write,
+) -> meniscus_formats::Result<()> {
+    let (surface, outputs) = (Arc::clone(surface), Arc::clone(&frame.outputs));
+    let lattice = Lattice { voxel_size: frame.settings.voxel_size };
+    let encode = move || {
+        let velocity = if format == PictureFormat::Exr { velocities(&surface) } else { None };
+        let origin = glam::DVec3::ZERO;
+        let scene = Scene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
+        let PictureOptions { size, camera } = outputs.picture;
+        let bounds = scene.bounds().unwrap_or(NOTHING);
+        let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
+        let picture = scene.picture(&viewpoint, size, format == PictureFormat::Exr);
+        encode_picture(&picture, Some(&viewpoint), format, &provenance)
+    };
+    Ok(out.write_all(&crew.run(number, encode)?)?)
 }
 
 fn encode_levels(

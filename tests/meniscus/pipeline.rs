@@ -10,7 +10,7 @@ use meniscus::level_set::NarrowBand;
 use meniscus::mesh::Mesh;
 use meniscus::pipeline::{
     Cause, Conduct, FileStamp, Frame, FrameObstacles, FrameParticles, LevelSetSkinning, Method, OnError,
-    Outcome, OutputFormat, OutputOptions, Stage, run,
+    Outcome, OutputFormat, OutputOptions, PictureOptions, Stage, run,
 };
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
@@ -109,6 +109,7 @@ impl Bench {
             up: gltf::UpAxis::Y,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
+            picture: PictureOptions::default(),
         });
         fs::create_dir(&outputs.folder).expect("made");
         let mut frames = Vec::new();

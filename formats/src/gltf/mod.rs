@@ -16,6 +16,7 @@ mod beside;
 mod buffer;
 mod read;
 mod read_attributes;
+mod read_camera;
 mod read_provenance;
 mod vertex_data;
 mod write;
@@ -23,6 +24,7 @@ mod write;
 pub use beside::{Beside, FileBeside, files_beside};
 pub use read::{read_mesh, read_mesh_with};
 pub use read_attributes::read_attributes;
+pub use read_camera::{CameraData, read_camera};
 pub use vertex_data::attribute_notes;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 

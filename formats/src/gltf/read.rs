@@ -82,7 +82,7 @@ pub(super) fn open(bytes: &[u8], limits: &Limits, beside: Option<&Beside>) -> Re
 }
 
 /// Parses the document and checks that whatever it refers to is there.
-fn document(json: &[u8]) -> Result<Document> {
+pub(super) fn document(json: &[u8]) -> Result<Document> {
     let root: json::Root = parse(json).or_else(|error| with_nodes_in_scenes(json).ok_or(error))?;
     if let Some(extension) = root.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization") {
         return Err(Error::unsupported(FORMAT, format!("the extension {extension}; export without it")));
@@ -163,7 +163,7 @@ pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>)> {
 
 /// Where the nodes are.
 #[derive(Deserialize)]
-struct Places {
+pub(super) struct Places {
     #[serde(default)]
     nodes: Vec<Node>,
 }
@@ -181,9 +181,18 @@ fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::g
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
         return Ok(document.meshes().map(|mesh| (mesh, Placement::IDENTITY)).collect());
     };
+    placed(&scene, places, |node| node.mesh())
+}
+
+/// What `pick` finds at the nodes of a scene, with its place in the world.
+pub(super) fn placed<'a, T>(
+    scene: &::gltf::Scene<'a>,
+    places: &Places,
+    pick: impl Fn(&::gltf::Node<'a>) -> Option<T>,
+) -> Result<Vec<(T, Placement)>> {
     let mut placed = Vec::new();
     let mut visited = vec![false; places.nodes.len()];
-    let mut pending: Vec<(::gltf::Node, Placement)> =
+    let mut pending: Vec<(::gltf::Node<'a>, Placement)> =
         scene.nodes().map(|node| (node, Placement::IDENTITY)).collect();
     pending.reverse();
     while let Some((node, parent)) = pending.pop() {
@@ -195,7 +204,7 @@ fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::g
             return Err(invalid(format!("node {index} has two parents")));
         }
         let placement = parent.then_inner(&place.placement());
-        placed.extend(node.mesh().map(|mesh| (mesh, placement)));
+        placed.extend(pick(&node).map(|found| (found, placement)));
         let first = pending.len();
         pending.extend(node.children().map(|child| (child, placement)));
         pending[first..].reverse();
@@ -205,9 +214,9 @@ fn placed_meshes<'a>(document: &'a Document, places: &Places) -> Result<Vec<(::g
 
 /// An affine map: columns of the linear part, and the translation.
 #[derive(Clone, Copy)]
-struct Placement {
-    axes: [[f64; 3]; 3],
-    translation: [f64; 3],
+pub(super) struct Placement {
+    pub(super) axes: [[f64; 3]; 3],
+    pub(super) translation: [f64; 3],
 }
 
 impl Placement {

@@ -5,6 +5,9 @@
 
 use clap::{Args, ValueEnum};
 
+use crate::cli::quantities::{PictureSize, parse_picture_size};
+use crate::pipeline::CameraChoice;
+
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct FormatArgs {
     /// Which axis of the particles points up: in glTF it must be y, and z is turned there [default: y]
@@ -18,6 +21,27 @@ pub(in crate::cli) struct FormatArgs {
     /// How values are packed in .vdb [default: blosc]
     #[arg(long, value_name = "HOW")]
     pub(in crate::cli) vdb_compression: Option<CompressionChoice>,
+
+    /// Write a picture of each frame, too: one camera for the whole sequence [default: none]
+    #[arg(long, value_name = "FORMAT")]
+    pub(in crate::cli) preview: Option<PreviewChoice>,
+
+    /// Width and height of pictures, pixels, each 16 to 8192 [default: 1280x720]
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size)]
+    pub(in crate::cli) preview_size: Option<PictureSize>,
+
+    /// Where pictures are taken from: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z
+    /// or eye=1:2:3,target=0:0:0,view=40,up=y [default: auto]
+    #[arg(long, value_name = "SPEC")]
+    pub(in crate::cli) camera: Option<CameraChoice>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(in crate::cli) enum PreviewChoice {
+    /// Colours, for any viewer
+    Png,
+    /// OpenEXR: colours, depth, normals and more, a layer each
+    Exr,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -59,6 +83,9 @@ impl FormatArgs {
             up: self.up.or(below.up),
             vdb_half: self.vdb_half || below.vdb_half,
             vdb_compression: self.vdb_compression.or(below.vdb_compression),
+            preview: self.preview.or(below.preview),
+            preview_size: self.preview_size.or(below.preview_size),
+            camera: self.camera.or(below.camera),
         }
     }
 }

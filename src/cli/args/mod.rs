@@ -6,6 +6,7 @@
 mod ask;
 mod formats;
 mod method;
+mod render;
 mod watch;
 
 use std::path::PathBuf;
@@ -16,11 +17,12 @@ use super::frame_selection::FrameSelection;
 use super::quantities::parse_bytes;
 
 pub(super) use ask::{StatusArgs, WhyArgs};
-pub(super) use formats::{CompressionChoice, Format, FormatArgs, UpChoice};
+pub(super) use formats::{CompressionChoice, Format, FormatArgs, PreviewChoice, UpChoice};
 pub(super) use method::{
     AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,
     ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs,
 };
+pub(super) use render::RenderArgs;
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 
 /// Particles in, smooth meshes and level sets out.
@@ -35,6 +37,8 @@ pub(super) struct Typed {
 pub(super) enum Command {
     /// Turn frames of particles into meshes and level sets.
     Convert(Box<ConvertArgs>),
+    /// Take pictures of frames: of particles that are skinned for it, or of level sets.
+    Render(Box<RenderArgs>),
     /// Tell what files hold: particles, meshes, level sets.
     Info(InfoArgs),
     /// Watch folders, and convert every frame as it lands.

@@ -22,7 +22,7 @@ use super::args::{
     DaemonArgs, FirstArgs, FormatArgs, FrameArgs, MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs,
     SolverArgs, SurfaceArgs,
 };
-use super::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
+use super::quantities::{parse_bytes, parse_duration, parse_picture_size, parse_poll, parse_rescan};
 use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 use block::{Block, Source};
@@ -84,6 +84,9 @@ fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
                 up: block.choice("up")?,
                 vdb_half: block.switch("vdb_half")?,
                 vdb_compression: block.choice("vdb_compression")?,
+                preview: block.choice("preview")?,
+                preview_size: block.parsed("preview_size", parse_picture_size)?,
+                camera: block.as_typed("camera")?,
             },
         },
     })
@@ -160,7 +163,7 @@ fn keys_of(block: &str) -> &'static [&'static str] {
 
 const ROOT_KEYS: [&str; 2] = ["watch", "daemon"];
 
-const WATCH_KEYS: [&str; 37] = [
+const WATCH_KEYS: [&str; 40] = [
     "input",
     "output",
     "pattern",
@@ -198,6 +201,9 @@ const WATCH_KEYS: [&str; 37] = [
     "up",
     "vdb_half",
     "vdb_compression",
+    "preview",
+    "preview_size",
+    "camera",
 ];
 
 const DAEMON_KEYS: [&str; 13] = [

@@ -58,6 +58,7 @@ fn plan() -> PlanRecord {
             up: meniscus_formats::gltf::UpAxis::Y,
             vdb_half: false,
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,
+            picture: crate::pipeline::PictureOptions::default(),
         },
         voxel_size: None,
         choices: Choices::default(),

@@ -12,7 +12,7 @@ use meniscus_formats::gltf::UpAxis;
 use meniscus_formats::vdb::Compression;
 
 use crate::daemon::config::{Patience, Watch};
-use crate::pipeline::{OutputFormat, OutputOptions};
+use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
 use crate::settings::Choices;
 
 use super::line::WirePath;
@@ -50,6 +50,15 @@ struct WireOutputs {
     up: WireUp,
     vdb_half: bool,
     vdb_compression: WireCompression,
+    /// How pictures are taken, if any are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    picture: Option<WirePicture>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct WirePicture {
+    size: [usize; 2],
+    camera: String,
 }
 
 /// The lines' own form of an enum, and the ways there and back.
@@ -79,7 +88,7 @@ macro_rules! wire_enum {
     };
 }
 
-wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply);
+wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply, Png, Exr);
 wire_enum!(WireUp of UpAxis: Y, Z);
 wire_enum!(WireCompression of Compression: None, ActiveMask, Blosc);
 
@@ -129,13 +138,16 @@ impl WireWatch {
 
 impl WireOutputs {
     fn of(options: &OutputOptions) -> WireOutputs {
-        let OutputOptions { folder, formats, up, vdb_half, vdb_compression } = options;
+        let OutputOptions { folder, formats, up, vdb_half, vdb_compression, picture } = options;
+        let has_picture = formats.iter().any(|format| format.picture().is_some());
         WireOutputs {
             folder: WirePath::of(folder),
             formats: formats.iter().map(|&format| format.into()).collect(),
             up: (*up).into(),
             vdb_half: *vdb_half,
             vdb_compression: (*vdb_compression).into(),
+            picture: has_picture
+                .then(|| WirePicture { size: picture.size, camera: picture.camera.to_string() }),
         }
     }
 
@@ -146,6 +158,10 @@ impl WireOutputs {
             up: self.up.into(),
             vdb_half: self.vdb_half,
             vdb_compression: self.vdb_compression.into(),
+            picture: match self.picture {
+                Some(WirePicture { size, camera }) => PictureOptions { size, camera: camera.parse().ok()? },
+                None => PictureOptions::default(),
+            },
         })
     }
 }
@@ -191,6 +207,7 @@ mod tests {
                 up: UpAxis::Y,
                 vdb_half: false,
                 vdb_compression: Compression::None,
+                picture: PictureOptions::default(),
             },
             voxel_size: None,
             choices: Choices::default(),

@@ -18,7 +18,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
-use crate::cli::choices::{choices, ignored, output_options, refuse_stray_rounds};
+use crate::cli::choices::{choices, ignored, output_options, refuse_stray_rounds, written_formats};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
@@ -125,7 +125,8 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
         None => Settings::check(&choices)?,
     }
-    warnings.extend(ignored(&frames.method, frames.format.as_deref(), &frames.formats));
+    let written = written_formats(frames.format.as_deref(), &frames.formats);
+    warnings.extend(ignored(&frames.method, &written, &frames.formats));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;

@@ -1,0 +1,89 @@
+//! Reads the camera of a glTF file, as placed by its default scene.
+
+use ::gltf::camera::Projection;
+
+use super::FORMAT;
+use super::read::{chunks, document, parse, placed};
+use crate::error::{Error, Result};
+
+/// A camera with perspective. Directions are not of length 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraData {
+    /// Where it is, world units.
+    pub eye: [f64; 3],
+    /// Where it looks.
+    pub forward: [f64; 3],
+    /// What is up in its pictures.
+    pub up: [f64; 3],
+    /// The vertical angle of view, in radians.
+    pub view_radians: f64,
+}
+
+/// Reads the first camera of the default scene, or of the first.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] for a damaged file; [`Error::Unsupported`] if there is no camera, or one without perspective.
+pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
+    let (json, _) = chunks(bytes)?;
+    let document = document(json)?;
+    let places = parse(json)?;
+    let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
+        return Err(Error::unsupported(FORMAT, "there is no scene, and so no camera: export one with it"));
+    };
+    let cameras = placed(&scene, &places, |node| node.camera())?;
+    let Some((camera, placement)) = cameras.first() else {
+        return Err(Error::unsupported(FORMAT, "there is no camera: export it with the scene"));
+    };
+    let Projection::Perspective(perspective) = camera.projection() else {
+        return Err(Error::unsupported(
+            FORMAT,
+            "the camera is an orthographic one: take one with perspective",
+        ));
+    };
+    let [_, up, backward] = placement.axes;
+    Ok(CameraData {
+        eye: placement.translation,
+        forward: backward.map(|along| -along),
+        up,
+        view_radians: f64::from(perspective.yfov()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(camera: &str) -> String {
+        format!(
+            r#"{{"asset":{{"version":"2.0"}},"scene":0,"scenes":[{{"nodes":[0]}}],
+                "nodes":[{{"translation":[1,2,3],"children":[1]}},
+                         {{"rotation":[0,0.7071067811865476,0,0.7071067811865476],"camera":0}}],
+                "cameras":[{camera}]}}"#
+        )
+    }
+
+    #[test]
+    fn a_camera_is_where_its_nodes_put_it() {
+        let text = scene(r#"{"type":"perspective","perspective":{"yfov":0.5,"znear":0.1}}"#);
+        let camera = read_camera(text.as_bytes()).expect("a camera");
+        assert_eq!((camera.eye, camera.view_radians), ([1.0, 2.0, 3.0], 0.5));
+        let is_near = |a: [f64; 3], b: [f64; 3]| (0..3).all(|axis| (a[axis] - b[axis]).abs() < 1e-9);
+        // A quarter turn to the left: from −z to −x.
+        assert!(
+            is_near(camera.forward, [-1.0, 0.0, 0.0]) && is_near(camera.up, [0.0, 1.0, 0.0]),
+            "{camera:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_no_camera_is_told() {
+        let orthographic =
+            scene(r#"{"type":"orthographic","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#);
+        let none = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{}]}"#;
+        for (text, told) in [(&*orthographic, "orthographic"), (none, "no camera"), ("{}", "")] {
+            let error = read_camera(text.as_bytes()).expect_err(text).to_string();
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

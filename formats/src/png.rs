@@ -1,0 +1,150 @@
+//! Portable Network Graphics: the colours of a picture, 8 bits each, as screens show them.
+//!
+//! ```text
+//!   signature   IHDR   sRGB   tEXt meniscus_radius 0.025 …   IDAT …   IEND
+//! ```
+
+use std::io::Write;
+
+use ::png::{BitDepth, ColorType, Compression, Encoder, EncodingError, SrgbRenderingIntent};
+
+use crate::bytes::{Cursor, Endian};
+use crate::error::{Error, Place, Result};
+use crate::picture::PictureView;
+use crate::provenance::{GENERATOR, escape, prefixed};
+
+const FORMAT: &str = "PNG";
+
+/// Writes the colours of a picture.
+///
+/// # Errors
+///
+/// [`Error::Io`] if writing fails; [`Error::Invalid`] for a picture that is none.
+pub fn write(picture: &PictureView, out: &mut impl Write) -> Result<()> {
+    picture.check(FORMAT)?;
+    let edge = |pixels: usize| {
+        u32::try_from(pixels).map_err(|_| Error::invalid(FORMAT, Place::File, "a picture that is too large"))
+    };
+    let mut encoder = Encoder::new(out, edge(picture.size[0])?, edge(picture.size[1])?);
+    encoder.set_color(ColorType::Rgb);
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_compression(Compression::Balanced);
+    encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
+    encoder.add_text_chunk("Software".to_owned(), GENERATOR.to_owned()).map_err(failed)?;
+    for (name, value) in picture.provenance {
+        // Of other characters it is not known how readers take them.
+        encoder.add_text_chunk(prefixed(&escape(name)), escape(value)).map_err(failed)?;
+    }
+    let mut writer = encoder.write_header().map_err(failed)?;
+    writer.write_image_data(&encoded(picture.color)).map_err(failed)?;
+    writer.finish().map_err(failed)
+}
+
+fn failed(error: EncodingError) -> Error {
+    match error {
+        EncodingError::IoError(source) => Error::Io(source),
+        other => Error::invalid(FORMAT, Place::File, other.to_string()),
+    }
+}
+
+/// Linear colours as bytes of sRGB.
+fn encoded(color: &[[f32; 3]]) -> Vec<u8> {
+    let thresholds: Vec<f32> = (0..255u8).map(|byte| linear((f32::from(byte) + 0.5) / 255.0)).collect();
+    // There are 255 thresholds: no more than that many are passed. What is not a number passes none.
+    let byte = |value: &f32| {
+        u8::try_from(thresholds.partition_point(|threshold| threshold <= value)).unwrap_or(u8::MAX)
+    };
+    color.as_flattened().iter().map(byte).collect()
+}
+
+/// How bright a value of sRGB is.
+fn linear(value: f32) -> f32 {
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Names and values of the texts in the head of a file.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if it is no head of such a file.
+pub(crate) fn texts(head: &[u8]) -> Result<Vec<(String, String)>> {
+    let mut cursor = Cursor::new(FORMAT, Endian::Big, head, 0);
+    if cursor.take(SIGNATURE.len(), "the signature")? != SIGNATURE {
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "no PNG signature"));
+    }
+    let mut texts = Vec::new();
+    loop {
+        let length = u32::from_le_bytes(cursor.array("the length of a chunk")?) as usize;
+        let kind = cursor.take(4, "the kind of a chunk")?;
+        if kind == b"IDAT" || kind == b"IEND" {
+            return Ok(texts);
+        }
+        let data = cursor.take(length, "a chunk")?;
+        cursor.take(4, "the checksum of a chunk")?;
+        let mut parts = data.splitn(2, |&byte| byte == 0).map(std::str::from_utf8);
+        if kind == b"tEXt"
+            && let (Some(Ok(name)), Some(Ok(value))) = (parts.next(), parts.next())
+        {
+            texts.push((name.to_owned(), value.to_owned()));
+        }
+    }
+}
+
+/// Whether these are the last bytes of a whole file.
+pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
+    tail.ends_with(&LAST_CHUNK)
+}
+
+const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+
+const LAST_CHUNK: [u8; 12] = [0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xae, 0x42, 0x60, 0x82];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::provenance::{Kind, read_provenance};
+    use crate::wholeness::is_whole;
+    use std::io;
+
+    fn written(size: [usize; 2], color: &[[f32; 3]], provenance: &[(String, String)]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let picture = PictureView { size, color, layers: &[], camera: None, provenance };
+        write(&picture, &mut bytes).expect("written");
+        bytes
+    }
+
+    #[test]
+    fn colors_come_back_as_screens_show_them() {
+        let color = [[0.0, 1.0, 0.5], [7.0, -1.0, f32::NAN], [0.2159, 0.002, 0.9]];
+        let bytes = written([3, 1], &color, &[]);
+        let mut reader = ::png::Decoder::new(io::Cursor::new(&bytes)).read_info().expect("a picture");
+        let mut pixels = vec![0; 9];
+        reader.next_frame(&mut pixels).expect("pixels");
+        assert_eq!(pixels, [0, 255, 188, 255, 0, 0, 128, 7, 243]);
+        assert!(reader.info().srgb.is_some());
+    }
+
+    #[test]
+    fn what_made_it_comes_back_and_a_part_is_not_whole() {
+        let provenance = [("radius", "0.025"), ("input", "größe ∞.ply"), ("empty", "")]
+            .map(|(name, value)| (name.to_owned(), value.to_owned()));
+        let bytes = written([2, 2], &[[0.5; 3]; 4], &provenance);
+        assert_eq!(read_provenance(Kind::Png, &*bytes).expect("readable"), provenance);
+        assert!(is_whole(Kind::Png, &mut io::Cursor::new(&bytes)).expect("readable"));
+        for length in 0..bytes.len() {
+            let part = &bytes[..length];
+            assert!(!is_whole(Kind::Png, &mut io::Cursor::new(part)).unwrap_or(false), "{length}");
+            // It may be there, or be refused; it may not panic.
+            let _ = read_provenance(Kind::Png, part);
+        }
+    }
+
+    #[test]
+    fn what_is_no_picture_is_refused() {
+        for (size, count) in [([0, 1], 0), ([2, 2], 3), ([65_536, 1], 65_536)] {
+            let color = vec![[0.0; 3]; count];
+            let picture = PictureView { size, color: &color, layers: &[], camera: None, provenance: &[] };
+            assert!(write(&picture, &mut Vec::new()).is_err(), "{size:?}");
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The options of pictures.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::formats::{PreviewChoice, UpChoice};
+use super::method::MethodArgs;
+use crate::cli::frame_selection::FrameSelection;
+use crate::cli::quantities::{PictureSize, parse_bytes, parse_picture_size};
+use crate::pipeline::CameraChoice;
+
+#[derive(Debug, Args)]
+#[command(after_long_help = CAMERAS)]
+pub(in crate::cli) struct RenderArgs {
+    /// Level sets in .vdb, or anything that convert takes: files, folders, globs, numbered patterns
+    ///
+    /// Particles are skinned for the picture with the options below, as convert does it.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(in crate::cli) inputs: Vec<PathBuf>,
+
+    /// The picture of one frame: a name that ends with .png or .exr
+    #[arg(short, long, value_name = "FILE", conflicts_with_all = ["out", "format"], required_unless_present = "out")]
+    pub(in crate::cli) output: Option<PathBuf>,
+
+    /// Folder for the pictures of any number of frames; it is made if it is not there
+    ///
+    /// dam.0012.bgeo becomes DIR/dam.0012.png.
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) out: Option<PathBuf>,
+
+    /// The format of the pictures in --out [default: png]
+    #[arg(long, value_name = "FORMAT")]
+    pub(in crate::cli) format: Option<PreviewChoice>,
+
+    /// Only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    #[arg(long, value_name = "NUMBERS")]
+    pub(in crate::cli) frames: Option<FrameSelection>,
+
+    /// Width and height, pixels, each 16 to 8192
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "1280x720")]
+    pub(in crate::cli) size: PictureSize,
+
+    /// Where pictures are taken from: auto, or a list of key=value, explained below [default: auto]
+    #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
+    pub(in crate::cli) camera: Option<CameraChoice>,
+
+    /// Take the camera of this file: a .glb or .gltf with one, or a picture that was made by this program
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) camera_from: Option<PathBuf>,
+
+    /// As many pictures of each frame, 2 to 1000, once around it: frame.000.png and so on
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..=1000))]
+    pub(in crate::cli) turntable: Option<u16>,
+
+    /// The particles to the left, the surface to the right
+    #[arg(long)]
+    pub(in crate::cli) particles: bool,
+
+    /// Which axis points up, where --camera does not say it; a camera of a .glb or .gltf is turned to it [default: y]
+    #[arg(long, value_name = "AXIS")]
+    pub(in crate::cli) up: Option<UpChoice>,
+
+    /// Threads to compute on, 1 to 1024; all there are by default. The pictures do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
+    pub(in crate::cli) threads: Option<u16>,
+
+    /// Memory that skinning may take, such as 8GiB; half of what there is by default
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = "Run")]
+    pub(in crate::cli) memory: Option<u64>,
+
+    #[command(flatten)]
+    pub(in crate::cli) method: MethodArgs,
+}
+
+const CAMERAS: &str = "\
+Cameras:
+  By itself the camera has all of the sequence in view, by the bounds of its first, middle and last
+  frame, and stands still. Keys are separated by commas:
+    azimuth, elevation  degrees to the right around it, and above the horizon; 32 and 22
+    zoom                1 fits the bounds, 2 shows them twice as large
+    view                the vertical angle of view, in degrees; 30
+    up                  y or z
+    ground              the height of the ground, or none; the lowest of the bounds
+  or, instead of the first three:
+    eye, target         where it is and where it looks, such as 1:2:3
+    top                 what is up in the picture
+
+Layers of .exr, a part of the file each:
+  beauty     R G B A      linear, 16 bits; A is 1, for the ground is in the picture
+  coverage   Y            the part of the pixel that the surface covers, 16 bits
+  depth      Z            along the camera's axis, world units; 1e10 where there is no surface
+  normals    N.X N.Y N.Z  outward, in world space, 16 bits
+  position   P.X P.Y P.Z  world units
+  velocity   V.X V.Y V.Z  world units per second, where the particles have it
+  curvature  Y            mean curvature, per world unit; positive where the fluid bulges
+
+Exit status:
+  0    every picture is there
+  1    some frames failed; each is named, with why
+  2    the command cannot be carried out, or there is no picture";

@@ -1,0 +1,57 @@
+//! The camera in a file: of a scene, or of a picture that was made by this program.
+
+use std::fs::{self, File};
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use glam::DVec3;
+use meniscus_formats::gltf::{CameraData, read_camera};
+use meniscus_formats::provenance::{Kind, read_provenance};
+
+use crate::pipeline::{CAMERA, CameraChoice};
+
+use super::args::UpChoice;
+
+/// Reads it. What is y in a scene is the axis that points up.
+///
+/// # Errors
+/// When there is none.
+pub(super) fn camera_of_file(path: &Path, up: Option<UpChoice>) -> Result<CameraChoice> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let camera = match &*extension {
+        "glb" | "gltf" => camera_of_scene(path, up.unwrap_or(UpChoice::Y)),
+        "exr" => camera_of_picture(path, Kind::Exr),
+        "png" => camera_of_picture(path, Kind::Png),
+        _ => bail!(
+            "{}: expected a .glb or .gltf with a camera, or a .exr or .png of this program",
+            path.display()
+        ),
+    };
+    camera.with_context(|| path.display().to_string())
+}
+
+fn camera_of_picture(path: &Path, kind: Kind) -> Result<CameraChoice> {
+    let pairs = read_provenance(kind, File::open(path)?)?;
+    let Some((_, text)) = pairs.iter().find(|(name, _)| name == CAMERA) else {
+        bail!("this picture does not say where it was taken from: expected one of this program");
+    };
+    text.parse().map_err(anyhow::Error::msg)
+}
+
+fn camera_of_scene(path: &Path, up: UpChoice) -> Result<CameraChoice> {
+    let CameraData { eye, forward, up: top, view_radians } = read_camera(&fs::read(path)?)?;
+    let turned = |[x, y, z]: [f64; 3]| match up {
+        UpChoice::Y => DVec3::new(x, y, z),
+        UpChoice::Z => DVec3::new(x, -z, y),
+    };
+    let (eye, forward, top) = (turned(eye), turned(forward).normalize_or_zero(), turned(top));
+    let target = eye + forward;
+    let up = match up {
+        UpChoice::Y => "y",
+        UpChoice::Z => "z",
+    };
+    let text = |v: DVec3| format!("{}:{}:{}", v.x, v.y, v.z);
+    let degrees = view_radians.to_degrees();
+    let spec = format!("eye={},target={},top={},view={degrees},up={up}", text(eye), text(target), text(top));
+    spec.parse().map_err(anyhow::Error::msg)
+}

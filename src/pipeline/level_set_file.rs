@@ -1,0 +1,104 @@
+//! From a .vdb to a level set, as pictures need it.
+
+use std::path::Path;
+
+use glam::{DVec3, IVec3};
+use meniscus_formats::vdb::{self, LevelSetData, Transform};
+use meniscus_formats::{Error, Limits};
+
+use crate::grid::{Field, LEAF_EDGE, Leaf, Topology};
+use crate::level_set::NarrowBand;
+use crate::space::{INDEX_LIMIT, Lattice};
+
+use super::frame::{FrameError, Stage};
+use super::picture::Scene;
+use super::reading::read_file;
+
+/// A level set that was read from a file.
+#[derive(Clone, Debug)]
+pub struct LevelSetFile {
+    band: NarrowBand,
+    lattice: Lattice,
+    origin: DVec3,
+    /// What a user should know though the file was read.
+    pub notes: Vec<String>,
+}
+
+impl LevelSetFile {
+    /// Reads the level set of a .vdb.
+    ///
+    /// # Errors
+    /// When the system refuses, or there is no level set that is read.
+    pub fn read(path: &Path) -> Result<LevelSetFile, FrameError> {
+        let fail = |error| FrameError::file(path, Stage::Read, error);
+        let bytes = read_file(path)?;
+        let limits = Limits::default();
+        let data = vdb::read_level_set(&bytes, None, &limits).map_err(fail)?;
+        let grids = vdb::grids(&bytes, &limits).map_err(fail)?;
+        let has_velocity = grids.iter().any(|grid| VELOCITY_NAMES.contains(&&*grid.name));
+        let (band, lattice, origin) =
+            level_set(data).map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
+        let notes = has_velocity.then(|| {
+            "its velocities are not read, and the picture has none: only grids of single numbers are"
+                .to_owned()
+        });
+        Ok(LevelSetFile { band, lattice, origin, notes: notes.into_iter().collect() })
+    }
+
+    /// What there is to take pictures of.
+    pub fn scene(&self) -> Scene<'_> {
+        Scene { band: &self.band, lattice: self.lattice, origin: self.origin, velocity: None }
+    }
+}
+
+/// What grids of velocities are called.
+const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
+
+fn level_set(data: LevelSetData) -> Result<(NarrowBand, Lattice, DVec3), String> {
+    let LevelSetData { name, class, transform, background, origins, leaves, .. } = data;
+    if class == "fog volume" {
+        return Err(format!("the grid \"{name}\" is a fog volume: a picture needs a level set"));
+    }
+    let voxel_size = voxel_size(&transform)
+        .ok_or_else(|| format!("the grid \"{name}\" has voxels that are no cubes along the axes"))?;
+    let half_width = (f64::from(background) / voxel_size) as f32;
+    if !(half_width.is_finite() && half_width > 0.0) {
+        return Err(format!(
+            "the grid \"{name}\" has the background {background}; a level set has a positive one"
+        ));
+    }
+    let places: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
+    let is_place = |origin: &IVec3| {
+        let limit = IVec3::splat(INDEX_LIMIT);
+        origin.cmpge(-limit).all() && origin.cmplt(limit).all() && (*origin & (LEAF_EDGE - 1)) == IVec3::ZERO
+    };
+    if !places.iter().all(is_place) {
+        return Err(format!("the grid \"{name}\" has voxels farther away than there are indices"));
+    }
+    if !leaves.iter().flatten().all(|value| value.is_finite()) {
+        return Err(format!("the grid \"{name}\" has values that are no numbers"));
+    }
+    let topology = Topology::new(places.clone());
+    let mut phi = Field::splat(topology.len(), half_width);
+    let scale = (1.0 / voxel_size) as f32;
+    for (origin, values) in places.into_iter().zip(leaves) {
+        if let Some(index) = topology.find(origin) {
+            let values = values.map(|value| (value * scale).clamp(-half_width, half_width));
+            phi.leaves[index] = Leaf { values };
+        }
+    }
+    let band = NarrowBand { topology: topology.into(), phi, half_width };
+    Ok((band, Lattice { voxel_size }, DVec3::from(transform.translation)))
+}
+
+/// The edge of a voxel; `None` where they are no cubes along the axes.
+fn voxel_size(transform: &Transform) -> Option<f64> {
+    let [[x, a, b], [c, y, d], [e, f, z]] = transform.axes;
+    let is_straight = [a, b, c, d, e, f].iter().all(|across| across.abs() <= SKEW_MAX * x);
+    let is_even = (y - x).abs() <= SKEW_MAX * x && (z - x).abs() <= SKEW_MAX * x;
+    let is_placed = transform.translation.iter().all(|along| along.is_finite());
+    (x.is_finite() && x > 0.0 && is_straight && is_even && is_placed).then_some(x)
+}
+
+/// Steps that differ by more than this part are of different lengths, or not along the axes.
+const SKEW_MAX: f64 = 1e-4;

@@ -1,0 +1,192 @@
+//! Pictures of frames, and their files.
+//!
+//! ```text
+//!   level set ──▶ Picture ──▶ .png    colours
+//!                        └──▶ .exr    colours, coverage, depth, normals, position, velocity, curvature
+//! ```
+
+use glam::DVec3;
+use meniscus_formats::{PictureLayer, PictureView, Provenance, Samples, exr, png};
+
+use crate::grid::{Field, negative_masks};
+use crate::level_set::NarrowBand;
+use crate::particles::{Meaning, Particles};
+use crate::preview::{self, Layers, Picture, Up};
+use crate::skin::Surface;
+use crate::space::{CoordBox, Lattice};
+use crate::transfer::BandAttribute;
+
+use super::viewpoint::{CameraChoice, Viewpoint};
+
+/// How pictures are taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PictureOptions {
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Where from. One that is not fixed is placed by the bounds of each frame.
+    pub camera: CameraChoice,
+}
+
+impl Default for PictureOptions {
+    fn default() -> PictureOptions {
+        PictureOptions { size: [1280, 720], camera: CameraChoice::default() }
+    }
+}
+
+impl PictureOptions {
+    /// How many times as wide as high.
+    pub fn aspect(&self) -> f64 {
+        self.size[0] as f64 / self.size[1] as f64
+    }
+}
+
+/// A format of pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureFormat {
+    /// Colours.
+    Png,
+    /// All that is known of the pixels.
+    Exr,
+}
+
+/// A level set to take pictures of.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// The level set.
+    pub band: &'a NarrowBand,
+    /// Its voxels.
+    pub lattice: Lattice,
+    /// Where voxel (0, 0, 0) is, world units.
+    pub origin: DVec3,
+    /// Velocities at the voxels of the band, x, y and z, world units per second.
+    pub velocity: Option<&'a [Field; 3]>,
+}
+
+impl Scene<'_> {
+    /// A picture from here, with what is known of its pixels if that is wanted.
+    pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
+        let view = viewpoint.moved(-self.origin).view(size);
+        let mut picture =
+            preview::render(self.band, &self.lattice, &view, Layers { data, velocity: self.velocity });
+        if self.origin != DVec3::ZERO
+            && let Some(data) = &mut picture.data
+        {
+            let there =
+                data.positions.iter_mut().zip(&data.depth).filter(|(_, depth)| **depth < preview::FAR);
+            there.for_each(|(position, _)| {
+                *position = (DVec3::from(position.map(f64::from)) + self.origin).as_vec3().to_array();
+            });
+        }
+        picture
+    }
+
+    /// The box that holds what is inside, world units; `None` if nothing is.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        let mut bounds = CoordBox::EMPTY;
+        for (mask, &origin) in negative_masks(&self.band.phi).iter().zip(self.band.topology.origins()) {
+            if !mask.is_empty() {
+                let own = mask.bounding_box();
+                bounds.include(origin + own.min);
+                bounds.include(origin + own.max);
+            }
+        }
+        let world = |corner: glam::IVec3| corner.as_dvec3() * self.lattice.voxel_size + self.origin;
+        (!bounds.is_empty()).then(|| [world(bounds.min - 1), world(bounds.max + 1)])
+    }
+}
+
+/// The box that holds balls of this radius at all particles, world units; `None` if there is none.
+pub fn bounds_of_particles(particles: &Particles, radius: f64) -> Option<[DVec3; 2]> {
+    let positions = (0..particles.len()).map(|index| particles.position(index));
+    let finite = positions.filter(|position| position.is_finite());
+    let boxes = finite.map(|position| [position - radius, position + radius]);
+    boxes.reduce(joined)
+}
+
+/// The box that holds two boxes.
+pub fn joined(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
+    [one[0].min(other[0]), one[1].max(other[1])]
+}
+
+/// What is looked at where there is nothing to see.
+pub const NOTHING: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
+
+/// The velocities of a surface, if it has any, as pictures take them.
+pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {
+    let is_velocity =
+        |attribute: &&BandAttribute| attribute.meaning == Meaning::Velocity && attribute.arity == 3;
+    let attribute = surface.attributes.band.iter().find(is_velocity)?;
+    let mut fields: [Field; 3] = std::array::from_fn(|_| Field::splat(surface.band.topology.len(), 0.0));
+    let mut voxels = [0.0; 3 * crate::grid::LEAF_VOXELS];
+    for leaf in 0..surface.band.topology.len() {
+        attribute.fill(leaf, &mut voxels);
+        for (axis, field) in fields.iter_mut().enumerate() {
+            let along = voxels[axis..].iter().step_by(3);
+            field.leaves[leaf].values.iter_mut().zip(along).for_each(|(value, along)| *value = *along);
+        }
+    }
+    Some(fields)
+}
+
+/// A picture to the left of another of the same height. Only colours and coverage are kept.
+pub fn side_by_side(left: &Picture, right: &Picture) -> Picture {
+    let rows = |of: fn(&Picture) -> &[[f32; 3]]| -> Vec<[f32; 3]> {
+        let left = of(left).chunks_exact(left.size[0]);
+        left.zip(of(right).chunks_exact(right.size[0])).flat_map(|(l, r)| [l, r].concat()).collect()
+    };
+    let coverage = left.coverage.chunks_exact(left.size[0]).zip(right.coverage.chunks_exact(right.size[0]));
+    Picture {
+        size: [left.size[0] + right.size[0], left.size[1]],
+        color: rows(|picture| &picture.color),
+        coverage: coverage.flat_map(|(l, r)| [l, r].concat()).collect(),
+        data: None,
+    }
+}
+
+/// The bytes of a picture's file. `camera` is where it was taken from, if that is one place.
+///
+/// # Errors
+/// When the format has no place for it.
+pub fn encode_picture(
+    picture: &Picture,
+    camera: Option<&Viewpoint>,
+    format: PictureFormat,
+    provenance: &Provenance,
+) -> meniscus_formats::Result<Vec<u8>> {
+    let aspect = picture.size[0] as f64 / picture.size[1].max(1) as f64;
+    let layers = layers(picture);
+    let view = PictureView {
+        size: picture.size,
+        color: &picture.color,
+        layers: &layers,
+        camera: camera.map(|viewpoint| viewpoint.matrices(aspect)),
+        provenance,
+    };
+    let mut bytes = Vec::new();
+    match format {
+        PictureFormat::Png => png::write(&view, &mut bytes)?,
+        PictureFormat::Exr => exr::write(&view, &mut bytes)?,
+    }
+    Ok(bytes)
+}
+
+fn layers(picture: &Picture) -> Vec<PictureLayer<'_>> {
+    let layer = |name, channel, samples| PictureLayer { name, channel, samples };
+    let mut layers = vec![layer("coverage", "Y", Samples::HalfNumbers(&picture.coverage))];
+    if let Some(data) = &picture.data {
+        layers.push(layer("depth", "Z", Samples::Numbers(&data.depth)));
+        layers.push(layer("normals", "N", Samples::HalfVectors(&data.normals)));
+        layers.push(layer("position", "P", Samples::Vectors(&data.positions)));
+        layers.extend(data.velocities.iter().map(|v| layer("velocity", "V", Samples::Vectors(v))));
+        layers.push(layer("curvature", "Y", Samples::Numbers(&data.curvatures)));
+    }
+    layers
+}
+
+/// Which way is up for particles whose up is this axis.
+pub fn up_of(axis: meniscus_formats::gltf::UpAxis) -> Up {
+    match axis {
+        meniscus_formats::gltf::UpAxis::Y => Up::Y,
+        meniscus_formats::gltf::UpAxis::Z => Up::Z,
+    }
+}

@@ -1,0 +1,58 @@
+//! Where a sequence is: one camera for all its frames needs to know.
+//!
+//! The first, the middle and the last frame are looked at. A fluid seldom leaves their box, and a part of a sequence
+//! has the same camera as the whole.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use super::attributes::Wanted;
+use super::frame::{FrameError, Stage};
+use super::level_set_file::LevelSetFile;
+use super::picture::{bounds_of_particles, joined};
+use super::reading::{parse_particles, read_file};
+
+/// The box that holds the first, the middle and the last of these files, least and greatest corner in world units;
+/// `None` if there is nothing in them. Particles are balls of this radius. A file that cannot be read is passed over.
+///
+/// # Errors
+/// That of the first file, if none can be read.
+pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
+    let mut indices = vec![0, paths.len() / 2, paths.len().saturating_sub(1)];
+    indices.dedup();
+    let (mut bounds, mut is_read, mut failed) = (None, false, None);
+    for path in indices.into_iter().filter_map(|index| paths.get(index)) {
+        match FrameError::catch(path, Stage::Read, || file_bounds(path, radius)).flatten() {
+            Ok(found) => {
+                is_read = true;
+                bounds = match (bounds, found) {
+                    (Some(one), Some(other)) => Some(joined(one, other)),
+                    (one, other) => one.or(other),
+                };
+            }
+            Err(error) => {
+                failed.get_or_insert(error);
+            }
+        }
+    }
+    match failed {
+        Some(error) if !is_read => Err(error),
+        _ => Ok(bounds),
+    }
+}
+
+/// The box that holds what is in a file: a level set in a .vdb, or particles.
+fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
+    if is_level_set(path) {
+        return Ok(LevelSetFile::read(path)?.scene().bounds());
+    }
+    let bytes = read_file(path)?;
+    let read = parse_particles(path, &bytes, &Wanted::radii(None))?;
+    Ok(bounds_of_particles(&read.cloud.positions, radius))
+}
+
+/// Whether a file is a level set, by its name.
+pub fn is_level_set(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vdb"))
+}
