@@ -10,9 +10,9 @@ use anyhow::{Context, Result, bail};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::{
-    self, AutomaticVoxelSize, Conduct, Frame, FrameFile, LevelSetSkinning, ObstacleFiles, OnError, Outcome,
-    OutputOptions, RunRecord, Sequence, SequenceRecord, automatic_voxel_size, check_outputs,
-    default_in_flight, gist, is_own_output,
+    self, AutomaticVoxelSize, Conduct, Frame, FrameError, FrameFile, LevelSetSkinning, NOTHING,
+    ObstacleFiles, OnError, Outcome, OutputOptions, RunRecord, Sequence, SequenceRecord,
+    automatic_voxel_size, check_outputs, default_in_flight, gist, is_own_output, sequence_bounds,
 };
 use crate::settings::Settings;
 use crate::simd::level_warning;
@@ -80,7 +80,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let mut run = Run::new(pool.current_num_threads(), on_error);
     for sequence in &sequences {
         let settings = resolve_settings(sequence, args, (&outputs, &obstacles), &pool, console)?;
-        run.add(sequence, settings, &outputs, &obstacles);
+        run.add(sequence, settings, &obstacles);
     }
     out_folder.keep();
     run.convert(args.skip_done, memory_bytes, &pool, console);
@@ -193,7 +193,7 @@ fn resolve_settings(
     files: (&OutputOptions, &ObstacleFiles),
     pool: &ThreadPool,
     console: &mut Console,
-) -> Result<Result<(Settings, SequenceRecord), String>> {
+) -> Result<Result<Resolved, String>> {
     let choices = choices(&args.method);
     let automatic = match args.method.first.voxel_size {
         Some(_) => None,
@@ -217,8 +217,33 @@ fn resolve_settings(
     for warning in settings.warnings() {
         console.warn(format_args!("warning: {}: {warning}", sequence.name));
     }
-    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref(), files);
-    Ok(Ok((settings, record)))
+    let outputs = match pool.install(|| outputs_of(sequence, &settings, files.0)) {
+        Ok(outputs) => Arc::new(outputs),
+        Err(error) => return Ok(Err(error.to_string())),
+    };
+    let record = SequenceRecord::new(&sequence.name, &settings, automatic.as_ref(), (&outputs, files.1));
+    Ok(Ok(Resolved { settings: Arc::new(settings), outputs, record }))
+}
+
+/// What all frames of a sequence are converted with.
+struct Resolved {
+    settings: Arc<Settings>,
+    outputs: Arc<OutputOptions>,
+    record: SequenceRecord,
+}
+
+/// What is written of the frames of a sequence: all its pictures have the same camera, whichever are converted.
+fn outputs_of(
+    sequence: &Sequence,
+    settings: &Settings,
+    outputs: &OutputOptions,
+) -> Result<OutputOptions, FrameError> {
+    if !outputs.needs_camera() {
+        return Ok(outputs.clone());
+    }
+    let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
+    let bounds = sequence_bounds(&paths, settings.radius_init)?;
+    Ok(outputs.with_camera_around(bounds.unwrap_or(NOTHING)))
 }
 
 /// A frame converted without the rest of its sequence is measured by itself: other frames converted
@@ -320,23 +345,22 @@ impl Run {
     fn add(
         &mut self,
         sequence: &SelectedSequence,
-        settings: Result<(Settings, SequenceRecord), String>,
-        outputs: &Arc<OutputOptions>,
+        resolved: Result<Resolved, String>,
         obstacles: &Arc<ObstacleFiles>,
     ) {
         let name = &sequence.sequence.name;
-        let (settings, record) = match settings {
-            Ok((settings, record)) => (Ok(Arc::new(settings)), record),
+        let (settings, record) = match resolved {
+            Ok(Resolved { settings, outputs, record }) => (Ok((settings, outputs)), record),
             Err(why) => (Err(why.clone()), SequenceRecord::without_settings(name, &why)),
         };
         let sequence_index = self.record.add_sequence(record);
         self.sequence_names.push(name.clone());
         for file in &sequence.selected {
-            let frame = |settings| Frame {
+            let frame = |(settings, outputs)| Frame {
                 input: file.path.clone(),
                 stem: file.stem(),
                 settings,
-                outputs: Arc::clone(outputs),
+                outputs,
                 number: file.number(),
                 obstacles: Arc::clone(obstacles),
             };

@@ -213,7 +213,7 @@ impl<'a> Shots<'a> {
                     done_count += 1;
                     let seconds = start.elapsed().as_secs_f64();
                     let what = match &names[..] {
-                        [name] => name.display().to_string(),
+                        [name] => name.strip_prefix(".").unwrap_or(name).display().to_string(),
                         names => counted(names.len(), "picture"),
                     };
                     console.say(format_args!("{}: {what}, {seconds:.2} s", file.path.display()));
@@ -282,9 +282,7 @@ impl<'a> Shots<'a> {
             Subject::LevelSet(level_set, _) => &level_set.notes,
             Subject::Skinned(still, _) => &still.notes,
         };
-        for note in
-            notes.iter().filter(|note| self.format == PictureFormat::Exr || !note.contains(VELOCITIES))
-        {
+        for note in notes.iter().filter(|note| self.is_worth_telling(note)) {
             console.warn(format_args!("warning: {}: {note}", file.path.display()));
         }
         let mut written = Vec::new();
@@ -299,6 +297,13 @@ impl<'a> Shots<'a> {
             written.push(path);
         }
         Ok(written)
+    }
+
+    /// That there are no velocities is nothing to tell where nobody asked for them.
+    fn is_worth_telling(&self, note: &str) -> bool {
+        let is_asked = self.args.method.particles.attributes.is_some();
+        (self.format == PictureFormat::Exr || !note.contains(VELOCITIES))
+            && (is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
     }
 
     fn subject(&self, file: &FrameFile, settings: Option<&Settings>) -> Result<Subject> {

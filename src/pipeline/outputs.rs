@@ -9,10 +9,11 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use meniscus_formats::{gltf, vdb};
 
 use super::obstacles::ObstacleFiles;
-use super::picture::{PictureFormat, PictureOptions};
+use super::picture::{PictureFormat, PictureOptions, up_of};
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,6 +89,20 @@ pub struct OutputOptions {
     pub vdb_compression: vdb::Compression,
     /// How pictures are taken.
     pub picture: PictureOptions,
+}
+
+impl OutputOptions {
+    /// Whether pictures are written whose camera is not fixed yet.
+    pub fn needs_camera(&self) -> bool {
+        self.formats.iter().any(|format| format.picture().is_some()) && self.picture.camera.needs_bounds()
+    }
+
+    /// The same, with a camera that has what is within these bounds, least and greatest corner in world units.
+    pub fn with_camera_around(&self, bounds: [DVec3; 2]) -> OutputOptions {
+        let PictureOptions { size, camera } = self.picture;
+        let viewpoint = camera.viewpoint(bounds, self.picture.aspect(), up_of(self.up));
+        OutputOptions { picture: PictureOptions { size, camera: viewpoint.into() }, ..self.clone() }
+    }
 }
 
 /// Where the output in `format` of the frame called `stem` goes.

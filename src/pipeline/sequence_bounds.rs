@@ -17,13 +17,14 @@ use super::reading::{parse_particles, read_file};
 /// `None` if there is nothing in them. Particles are balls of this radius. A file that cannot be read is passed over.
 ///
 /// # Errors
-/// That of the first file, if none can be read.
+/// That of the first file, if none of all can be read.
 pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
     let mut indices = vec![0, paths.len() / 2, paths.len().saturating_sub(1)];
     indices.dedup();
+    let read = |path: &Path| FrameError::catch(path, Stage::Read, || file_bounds(path, radius)).flatten();
     let (mut bounds, mut is_read, mut failed) = (None, false, None);
-    for path in indices.into_iter().filter_map(|index| paths.get(index)) {
-        match FrameError::catch(path, Stage::Read, || file_bounds(path, radius)).flatten() {
+    for path in indices.iter().filter_map(|&index| paths.get(index)) {
+        match read(path) {
             Ok(found) => {
                 is_read = true;
                 bounds = match (bounds, found) {
@@ -37,7 +38,8 @@ pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]
         }
     }
     match failed {
-        Some(error) if !is_read => Err(error),
+        // Any frame is better than none.
+        Some(error) if !is_read => paths.iter().find_map(|path| read(path).ok()).ok_or(error),
         _ => Ok(bounds),
     }
 }
