@@ -22,7 +22,7 @@ use super::args::{
     DaemonArgs, FirstArgs, FormatArgs, FrameArgs, MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs,
     SolverArgs, SurfaceArgs,
 };
-use super::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
+use super::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll, parse_rescan};
 use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 use block::{Block, Source};
@@ -145,6 +145,9 @@ fn daemon_args(block: &Block<'_>) -> Result<DaemonArgs> {
         rescan: block.parsed("rescan", parse_rescan)?,
         journal: block.path("journal")?,
         log: block.choice("log")?,
+        listen: block.parsed("listen", parse_listen)?,
+        token: None,
+        token_file: block.path("token_file")?,
         stop_deadline: block.parsed("stop_deadline", parse_duration)?,
     })
 }
@@ -200,7 +203,7 @@ const WATCH_KEYS: [&str; 37] = [
     "vdb_compression",
 ];
 
-const DAEMON_KEYS: [&str; 13] = [
+const DAEMON_KEYS: [&str; 15] = [
     "order",
     "threads",
     "in_flight",
@@ -213,6 +216,8 @@ const DAEMON_KEYS: [&str; 13] = [
     "rescan",
     "journal",
     "log",
+    "listen",
+    "token_file",
     "stop_deadline",
 ];
 
