@@ -15,6 +15,7 @@ fn view(name: &str, state: FrameState) -> FrameView {
             since_ms: 0,
             particles: None,
             seconds: None,
+            surface: None,
             picture: None,
         },
         attempts: 0,

@@ -42,6 +42,8 @@ pub struct FrameSummary {
     pub particles: Option<usize>,
     /// How long it took in all, in seconds, where that is known.
     pub seconds: Option<f64>,
+    /// The name of the output that is its surface as .glb.
+    pub surface: Option<String>,
     /// The name of the output that is a picture of it.
     pub picture: Option<String>,
 }

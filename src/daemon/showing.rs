@@ -51,7 +51,9 @@ impl Daemon<'_> {
         };
         let failure = self.failed.get(id).map(|failure| failure.reason.clone());
         let reason = failure.or_else(|| record.and_then(|record| record.reason.clone()));
-        let picture = outputs.iter().find(|output| output.name.ends_with(".png"));
+        let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
+        let [surface, picture] =
+            [".glb", ".png"].map(|ending| named(ending).map(|output| output.name.clone()));
         board.show(FrameView {
             summary: FrameSummary {
                 name: self.shown_name(id, &self.roots[id.root].path, &id.path).into(),
@@ -61,7 +63,8 @@ impl Daemon<'_> {
                 since_ms: record.filter(|_| state == FrameState::Done).map_or_else(now_ms, |done| done.at_ms),
                 particles: record.and_then(|record| record.particle_count),
                 seconds: record.and_then(|record| record.seconds),
-                picture: picture.map(|picture| picture.name.clone()),
+                surface,
+                picture,
             },
             attempts: frame.attempt_count,
             input_bytes: frame.phase.stamp().size,

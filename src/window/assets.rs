@@ -9,13 +9,22 @@ use super::answer::{Answer, Content, answer, not_found};
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
+const TEXT: &str = "text/plain; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Where each is asked for, what it is, and what is in it.
-const ASSETS: [(&str, &str, &[u8]); 3] = [
+const ASSETS: [(&str, &str, &[u8]); 11] = [
     ("/", HTML, include_bytes!("page/index.html")),
     ("/page.css", CSS, include_bytes!("page/page.css")),
     ("/page.js", SCRIPT, include_bytes!("page/page.js")),
+    ("/scene.js", SCRIPT, include_bytes!("page/scene.js")),
+    ("/vendor/three.module.min.js", SCRIPT, include_bytes!("page/vendor/three.module.min.js")),
+    ("/vendor/three.core.min.js", SCRIPT, include_bytes!("page/vendor/three.core.min.js")),
+    ("/vendor/GLTFLoader.js", SCRIPT, include_bytes!("page/vendor/GLTFLoader.js")),
+    ("/vendor/OrbitControls.js", SCRIPT, include_bytes!("page/vendor/OrbitControls.js")),
+    ("/vendor/BufferGeometryUtils.js", SCRIPT, include_bytes!("page/vendor/BufferGeometryUtils.js")),
+    ("/vendor/SkeletonUtils.js", SCRIPT, include_bytes!("page/vendor/SkeletonUtils.js")),
+    ("/vendor/LICENSE", TEXT, include_bytes!("page/vendor/LICENSE")),
 ];
 
 /// The part of the page that is asked for.

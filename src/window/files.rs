@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::UNIX_EPOCH;
 
 use hyper::body::Bytes;
@@ -158,7 +158,7 @@ fn parse_range(text: &str, size_bytes: u64) -> Option<Range> {
     Some(if first < size_bytes { Range::Part { first, last } } else { Range::Beyond })
 }
 
-fn content_type(path: &PathBuf) -> &'static str {
+fn content_type(path: &Path) -> &'static str {
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("glb") => "model/gltf-binary",
         Some("gltf") => "model/gltf+json",
