@@ -17,6 +17,9 @@
 pub mod cli;
 
 pub mod daemon;
+pub mod window;
+
+pub mod board;
 
 pub mod pipeline;
 

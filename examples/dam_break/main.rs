@@ -53,7 +53,7 @@ fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Resul
     let config = config(&std::path::absolute(cache)?, &std::path::absolute(surfaces)?);
     let (commands, heard) = channel::unbounded();
     let (simulated, end, watched) = thread::scope(|scope| {
-        let watching = scope.spawn(|| daemon::run(&config, &heard, &mut |_| ()));
+        let watching = scope.spawn(|| daemon::run(&config, None, &heard, &mut |_| ()));
         let simulated = simulate(cache, frame_count);
         let end = Instant::now();
         // A daemon that has ended already hears nothing, and its thread tells why.
@@ -63,7 +63,7 @@ fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Resul
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
     // What had not begun by then: a daemon goes on where another has ended.
-    let summary = daemon::run(&Config { once: true, ..config }, &heard, &mut |_| ())?;
+    let summary = daemon::run(&Config { once: true, ..config }, None, &heard, &mut |_| ())?;
     tell(&summary, end.elapsed())
 }
 

@@ -1,5 +1,6 @@
 //! Times and sizes as they are typed, on the command line and in a file: `500ms`, `8GiB`.
 
+use std::net::SocketAddr;
 use std::time::Duration;
 
 use anyhow::bail;
@@ -62,6 +63,12 @@ fn at_least(text: &str, duration: Duration, least: Duration) -> Result<Duration,
         return Err(format!("`{text}` is too short: at least {}", humantime::format_duration(least)));
     }
     Ok(duration)
+}
+
+/// An address to listen at.
+pub(super) fn parse_listen(text: &str) -> Result<SocketAddr, String> {
+    text.parse()
+        .map_err(|_| format!("`{text}` is no address with a port, such as 127.0.0.1:7700 or [::1]:7700"))
 }
 
 /// A number of bytes.

@@ -13,6 +13,7 @@ use super::journal::Standing;
 use super::root::Root;
 use super::rounds::Daemon;
 use super::scan::Seen;
+use super::showing::count;
 use super::watcher::Hint;
 
 /// So many hints are taken in one turn: equal ones are looked at once.
@@ -99,6 +100,7 @@ impl Daemon<'_> {
     pub(super) fn scan_root(&mut self, index: usize) {
         let started = Instant::now();
         self.scan_count += 1;
+        count(self.board, |counters| counters.scans += 1);
         let found = match self.roots[index].scan(&mut self.watcher) {
             Ok(found) => found,
             Err(why) => return self.lose_root(index, why),

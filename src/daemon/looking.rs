@@ -34,6 +34,7 @@ impl Daemon<'_> {
         let Some(frame) = self.frames.get_mut(id) else {
             let sequence = self.sequence_of(id);
             self.frames.insert(id, sequence, candidate, scan_count);
+            self.show(id);
             return self.advance(id);
         };
         frame.scan_count = scan_count;
@@ -73,6 +74,7 @@ impl Daemon<'_> {
         self.frames.remove(id);
         self.failed.remove(id);
         self.refused.remove(id);
+        self.unshow(id);
         self.give_way(id);
     }
 
@@ -334,6 +336,7 @@ impl Daemon<'_> {
         if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
             self.dirty_sequences.insert(frame.sequence);
         }
+        self.show(id);
     }
 }
 

@@ -14,7 +14,12 @@ impl Daemon<'_> {
     pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
         let watch = &self.config.watches[id.root];
         let remembered = &self.stores.of_watch(id.root).journal.state().sequences;
-        self.sequences.index(id, watch, |key| SequenceSettings::new(watch, remembered.get(key)))
+        let known_count = self.sequences.len();
+        let index = self.sequences.index(id, watch, |key| SequenceSettings::new(watch, remembered.get(key)));
+        if index == known_count {
+            self.show_sequence(index);
+        }
+        index
     }
 
     /// Has the sequences measured that wait for it and can be.
@@ -77,6 +82,7 @@ impl Daemon<'_> {
             let key = self.sequences.get(index).key.clone();
             self.stores.of_watch_mut(root).write_down(|journal| journal.note_sequence(&key, record));
             self.tell_settings(index);
+            self.show_sequence(index);
             for id in self.held_frames(index) {
                 self.release(&id);
             }

@@ -13,6 +13,7 @@
 //!   outcomes   what became of it                  retry, room     what is tried again, and when
 //!   journal    what is known after a restart      decision        why a frame is, or is not, converted
 //!   lock       one daemon for one folder          explain         the same, for whoever asks
+//!   showing    what there is to see of all that
 //! ```
 //!
 //! One thread has all the state and works at its own pace. What comes from outside is a hint, and
@@ -45,6 +46,7 @@ mod rounds;
 pub mod scan;
 pub mod selection;
 mod sequences;
+mod showing;
 mod stores;
 pub mod watcher;
 
@@ -58,7 +60,8 @@ use rayon::ThreadPoolBuilder;
 
 pub use config::{Config, Order, Patience, Poll, Watch};
 
-use crate::pipeline::{Conduct, LevelSetSkinning, OnError, stream};
+use crate::board::Board;
+use crate::pipeline::{Conduct, Frame, LevelSetSkinning, OnError, Stage, stream_seen};
 
 use frames::FrameId;
 use lock::LockError;
@@ -164,13 +167,14 @@ impl fmt::Display for DaemonError {
 impl std::error::Error for DaemonError {}
 
 /// Watches and converts until a command ends it, or, where that is all that was asked for, until
-/// everything is converted.
+/// everything is converted. What there is to see of it is shown on the `board`, if there is one.
 ///
 /// # Errors
 /// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
 /// journal and counted.
 pub fn run(
     config: &Config,
+    board: Option<&Board>,
     commands: &Receiver<Command>,
     notices: &mut dyn FnMut(Notice),
 ) -> Result<Summary, DaemonError> {
@@ -183,7 +187,7 @@ pub fn run(
     let (to_loop, outcomes) = bounded(config.in_flight);
     let (to_measure, orders) = unbounded();
     let (to_loop_measured, measured) = unbounded();
-    let daemon = Daemon::open(config, &queue, to_measure, notices)?;
+    let daemon = Daemon::open(config, board, &queue, to_measure, notices)?;
     let conduct = Conduct {
         pool: &pool,
         on_error: OnError::Continue,
@@ -191,12 +195,18 @@ pub fn run(
         in_flight: config.in_flight,
         memory_bytes: config.memory_bytes,
     };
-    let (queue, pool) = (&queue, &pool);
+    let began = |frame: &Frame, stage: Stage| {
+        if let Some(board) = board {
+            board.began(&frame.outputs.folder.join(&frame.stem), stage);
+        }
+    };
+    let (queue, pool, began) = (&queue, &pool, &began);
     thread::scope(|scope| {
         scope.spawn(move || {
             // Nobody listens only when the loop is gone, and then nobody needs to know.
-            stream(
+            stream_seen(
                 &LevelSetSkinning,
+                began,
                 || queue.next(),
                 &conduct,
                 |root, frame, outcome| {

@@ -14,6 +14,7 @@ use super::readiness::Candidate;
 use super::retry::{Remedy, backoff, remedy};
 use super::rounds::{Daemon, Failure};
 use super::scan::look;
+use super::showing::count;
 
 impl Daemon<'_> {
     /// The pipeline is finished with a frame.
@@ -70,6 +71,7 @@ impl Daemon<'_> {
             ..self.record(id, Standing::Done, report.input.stamp)
         };
         self.note_done(id, FrameRecord { hash: Some(report.input.hash), ..record });
+        self.show_converted(id, report);
     }
 
     fn already_done(&mut self, id: &FrameId, frame: &Frame, input: &ReadInput) {
@@ -85,6 +87,8 @@ impl Daemon<'_> {
             ..self.record(id, Standing::Done, input.stamp)
         };
         self.note_done(id, record);
+        count(self.board, |counters| counters.found_done += 1);
+        self.show(id);
     }
 
     fn note_done(&mut self, id: &FrameId, record: FrameRecord) {
@@ -147,6 +151,7 @@ impl Daemon<'_> {
     }
 
     fn retry_at(&mut self, id: &FrameId, stamp: FileStamp, at: Instant, reason: &str) {
+        count(self.board, |counters| counters.retries += 1);
         self.set_phase(id, Phase::Retrying(stamp, at));
         self.note(id, Standing::Retrying, stamp, Some(reason.to_owned()));
         self.frames.set_alarm(id, at);
@@ -176,6 +181,8 @@ impl Daemon<'_> {
     fn note_failure(&mut self, id: &FrameId, reason: String) {
         let told_at = Some(self.finished_count);
         self.failed.insert(id.clone(), Failure { reason, told_at });
+        count(self.board, |counters| counters.failures += 1);
+        self.show(id);
     }
 
     /// It is time to try a frame again.
@@ -228,6 +235,7 @@ impl Daemon<'_> {
     ) {
         let record = FrameRecord { reason, ..self.record(id, standing, stamp) };
         self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
+        self.show(id);
     }
 
     /// The fingerprint of what a frame is converted with. Of one that was queued it is that of then: an obstacle that

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, never, select};
 
+use crate::board::Board;
 use crate::pipeline::{Frame, ObstacleFiles, Outcome, OutputOptions, natural_order};
 
 use super::config::{Config, Watch};
@@ -20,6 +21,7 @@ use super::room::Room;
 use super::root::Root;
 use super::scan::look;
 use super::sequences::{MeasureOrder, Measured, Sequences, obstacle_files};
+use super::showing::count;
 use super::stores::{Listings, Presence, Stores};
 use super::watcher::{Hint, Watcher};
 use super::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
@@ -27,6 +29,8 @@ use super::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
 /// Everything that the loop knows.
 pub(super) struct Daemon<'a> {
     pub(super) config: &'a Config,
+    /// Where it shows what there is to see.
+    pub(super) board: Option<&'a Board>,
     pub(super) queue: &'a Queue,
     pub(super) to_measure: Sender<MeasureOrder>,
     pub(super) roots: Vec<Root<'a>>,
@@ -84,6 +88,7 @@ const TURN_MAX: Duration = Duration::from_secs(1);
 impl<'a> Daemon<'a> {
     pub(super) fn open(
         config: &'a Config,
+        board: Option<&'a Board>,
         queue: &'a Queue,
         to_measure: Sender<MeasureOrder>,
         notices: &'a mut dyn FnMut(Notice),
@@ -96,6 +101,7 @@ impl<'a> Daemon<'a> {
         let (watcher, hints) = if config.once { (None, never()) } else { start_watcher(&mut roots) };
         Ok(Daemon {
             config,
+            board,
             queue,
             to_measure,
             roots,
@@ -131,6 +137,7 @@ impl<'a> Daemon<'a> {
         measured: &Receiver<Measured>,
     ) -> Result<Summary, DaemonError> {
         self.note_plan();
+        self.show_plan();
         self.note_daemon(&DaemonState::Running);
         self.tell_roots();
         for root in 0..self.roots.len() {
@@ -145,6 +152,9 @@ impl<'a> Daemon<'a> {
             return Err(DaemonError::Unavailable { folder, why });
         }
         (self.notices)(Notice::Ready);
+        if let Some(board) = self.board {
+            board.set_ready();
+        }
         let mut commands = commands.clone();
         loop {
             self.turn();
@@ -185,6 +195,7 @@ impl<'a> Daemon<'a> {
         }
         if self.rescans.is_due(now) {
             tracing::info!("events were lost: everything is looked at");
+            count(self.board, |counters| counters.rescans += 1);
             self.roots.iter_mut().for_each(Root::hear_again);
         }
         for root in 0..self.roots.len() {
@@ -266,6 +277,7 @@ impl<'a> Daemon<'a> {
         }
         self.told.at = Some(now);
         (self.notices)(Notice::Alive);
+        self.show_status(false);
         let status = self.status();
         if status != self.told.status {
             (self.notices)(Notice::Status(status.clone()));
@@ -371,6 +383,7 @@ impl<'a> Daemon<'a> {
                 default(until_overdue.map_or(TURN_MAX, |wait| wait.min(TURN_MAX))) => {}
             }
             (self.notices)(Notice::Alive);
+            self.show_status(true);
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
                 tracing::warn!("frames under way are not finished within {:?}", self.config.stop_deadline);
@@ -401,6 +414,9 @@ impl<'a> Daemon<'a> {
         if self.told.pulse_at.is_none_or(|at| at.elapsed() >= TURN_MAX) {
             self.told.pulse_at = Some(Instant::now());
             (self.notices)(Notice::Alive);
+            if let Some(board) = self.board {
+                board.pulse();
+            }
         }
     }
 

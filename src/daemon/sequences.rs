@@ -120,6 +120,11 @@ impl Sequences {
         &self.all[index]
     }
 
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.all.len()
+    }
+
     pub(super) fn get_mut(&mut self, index: usize) -> &mut Sequence {
         &mut self.all[index]
     }

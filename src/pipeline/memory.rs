@@ -9,6 +9,11 @@ pub(super) fn peak_memory_bytes() -> Option<u64> {
     parse_peak(&status)
 }
 
+/// What this process holds now; `None` where the system does not tell.
+pub fn resident_memory_bytes() -> Option<u64> {
+    parse_kibibytes(&std::fs::read_to_string("/proc/self/status").ok()?, "VmRSS:")
+}
+
 /// Half of the memory of this machine, or of what its control groups allow this process: what the frames
 /// under way take unless somebody says otherwise. Where the system tells neither, 4 GiB.
 pub fn default_memory_bytes() -> u64 {

@@ -122,13 +122,24 @@ pub fn stream<M: Method, K: Send>(
     conduct: &Conduct<'_>,
     finished: impl FnMut(K, Frame, Outcome),
 ) {
+    stream_seen(method, &|_, _| {}, next, conduct, finished);
+}
+
+/// The same; `began` hears of each stage that a frame begins, on the thread of the stage: it must be quick.
+pub fn stream_seen<M: Method, K: Send>(
+    method: &M,
+    began: &(dyn Fn(&Frame, Stage) + Sync),
+    next: impl FnMut() -> Option<(K, Frame)> + Send,
+    conduct: &Conduct<'_>,
+    finished: impl FnMut(K, Frame, Outcome),
+) {
     let lane_count = match conduct.on_error {
         OnError::Stop => 1,
         OnError::Continue => conduct.pool.current_num_threads().min(conduct.in_flight).max(1),
     };
     let tasks = Tasks::default();
     conduct.pool.in_place_scope(|scope| {
-        let line = Line::new(method, conduct, Crew::new(scope, &tasks), lane_count);
+        let line = Line::new(method, began, conduct, Crew::new(scope, &tasks), lane_count);
         drive(&line, lane_count, next, finished);
     });
 }
@@ -174,6 +185,8 @@ fn drive<M: Method, K: Send>(
 /// What all stages share.
 struct Line<'a, 'scope, 'env, M> {
     method: &'env M,
+    /// Hears of each stage that a frame begins.
+    began: &'env (dyn Fn(&Frame, Stage) + Sync + 'env),
     conduct: &'env Conduct<'env>,
     crew: Crew<'a, 'scope, 'env>,
     budget: Budget,
@@ -230,12 +243,14 @@ struct Ended<K> {
 impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     fn new(
         method: &'env M,
+        began: &'env (dyn Fn(&Frame, Stage) + Sync + 'env),
         conduct: &'env Conduct<'env>,
         crew: Crew<'a, 'scope, 'env>,
         lane_count: usize,
     ) -> Line<'a, 'scope, 'env, M> {
         Line {
             method,
+            began,
             conduct,
             crew,
             budget: Budget::new(conduct.memory_bytes),
@@ -278,6 +293,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(READING_MEMORY).saturating_add(obstacle_bytes);
         let mut memory = self.budget.hold(bytes);
+        (self.began)(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
@@ -443,6 +459,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         work: impl FnOnce(A, &Settings) -> Result<B, Cause> + Send + 'env,
     ) -> Result<B, FrameError> {
         let settings = Arc::clone(&label.frame.settings);
+        (self.began)(&label.frame, stage);
         let computed = FrameError::catch(&label.frame.input, stage, || {
             self.crew.run(label.number, move || work(content, &settings))
         });
@@ -482,6 +499,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
     fn write_one<K>(&self, label: &Label<K>, known: Known<'_>, surface: Surface) -> Outcome {
         let start = Instant::now();
         let frame = &label.frame;
+        (self.began)(frame, Stage::Write);
         let made_from = (known.input.hash, known.obstacles.0.as_str());
         let surface = Arc::new(surface);
         let write = |format, out: &mut BufWriter<&File>| {

@@ -3,6 +3,7 @@
 //! All but the folders themselves are keys of `meniscus.toml`, too, under the same names with
 //! underscores; so none has a default here, and what is given overrides the file.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -10,7 +11,7 @@ use clap::{Args, ValueEnum};
 
 use super::formats::{Format, FormatArgs};
 use super::method::MethodArgs;
-use crate::cli::quantities::{parse_bytes, parse_duration, parse_poll, parse_rescan};
+use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll, parse_rescan};
 use crate::daemon::Poll;
 
 #[derive(Clone, Debug, Default, Args)]
@@ -137,6 +138,22 @@ pub(in crate::cli) struct DaemonArgs {
     #[arg(long, value_name = "HOW")]
     pub(in crate::cli) log: Option<LogChoice>,
 
+    /// Show what is going on at this address, such as 127.0.0.1:7700: a page, and an interface for programs
+    ///
+    /// Nothing is shown by default. It only shows, and changes nothing. Another address than one of this machine
+    /// alone demands a token. Port 0 takes one that is free, and the log says which.
+    #[arg(long, value_name = "ADDRESS", value_parser = parse_listen)]
+    pub(in crate::cli) listen: Option<SocketAddr>,
+
+    /// Show it only to those who know this: 16 letters or digits or more. Others on this machine may see what is
+    /// typed here
+    #[arg(long, value_name = "TOKEN", conflicts_with = "token_file")]
+    pub(in crate::cli) token: Option<String>,
+
+    /// The same, from the first line of a file
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) token_file: Option<PathBuf>,
+
     /// How long frames under way may take to finish when the daemon is asked to end [default: 30s]
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub(in crate::cli) stop_deadline: Option<Duration>,
@@ -188,6 +205,12 @@ impl DaemonArgs {
             rescan: self.rescan.or(below.rescan),
             journal: self.journal.clone().or_else(|| below.journal.clone()),
             log: self.log.or(below.log),
+            listen: self.listen.or(below.listen),
+            token: self.token.clone().or_else(|| below.token.clone().filter(|_| self.token_file.is_none())),
+            token_file: self
+                .token_file
+                .clone()
+                .or_else(|| below.token_file.clone().filter(|_| self.token.is_none())),
             stop_deadline: self.stop_deadline.or(below.stop_deadline),
         }
     }

@@ -22,7 +22,9 @@ use super::args::{
     DaemonArgs, FirstArgs, FormatArgs, FrameArgs, MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs,
     SolverArgs, SurfaceArgs,
 };
-use super::quantities::{parse_bytes, parse_duration, parse_picture_size, parse_poll, parse_rescan};
+use super::quantities::{
+    parse_bytes, parse_duration, parse_listen, parse_picture_size, parse_poll, parse_rescan,
+};
 use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 use block::{Block, Source};
@@ -148,6 +150,9 @@ fn daemon_args(block: &Block<'_>) -> Result<DaemonArgs> {
         rescan: block.parsed("rescan", parse_rescan)?,
         journal: block.path("journal")?,
         log: block.choice("log")?,
+        listen: block.parsed("listen", parse_listen)?,
+        token: None,
+        token_file: block.path("token_file")?,
         stop_deadline: block.parsed("stop_deadline", parse_duration)?,
     })
 }
@@ -206,7 +211,7 @@ const WATCH_KEYS: [&str; 40] = [
     "camera",
 ];
 
-const DAEMON_KEYS: [&str; 13] = [
+const DAEMON_KEYS: [&str; 15] = [
     "order",
     "threads",
     "in_flight",
@@ -219,6 +224,8 @@ const DAEMON_KEYS: [&str; 13] = [
     "rescan",
     "journal",
     "log",
+    "listen",
+    "token_file",
     "stop_deadline",
 ];
 

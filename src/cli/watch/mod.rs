@@ -18,13 +18,15 @@ use std::mem::replace;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use crossbeam::channel::{Sender, bounded};
 use tracing::{error, info, warn};
 
+use crate::board::Board;
 use crate::daemon::{self, Command, Ended, FailedFrame, Notice, Summary};
 use crate::pipeline::stop_writing;
 use crate::simd::level_warning;
+use crate::window::{Listen, Window};
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
@@ -46,9 +48,11 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
     }
     // One of each at most is ever waiting: whoever sends never blocks.
     let (sender, commands) = bounded(2);
-    let control = Arc::new(Control::new(args.clone(), plan.log, sender));
+    let control = Arc::new(Control::new(args.clone(), (plan.log, plan.listen.clone()), sender));
     signals::listen(Arc::clone(&control))?;
     let mut service = Service::new();
+    let board = plan.listen.as_ref().map(|_| Arc::new(Board::new()));
+    let _window = open_window(plan.listen.as_ref(), board.as_ref())?;
     let mut previous = None;
     loop {
         for warning in &plan.warnings {
@@ -60,7 +64,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
             Notice::Overdue => give_up_what_is_under_way(args.once),
             notice => service.tell(&notice),
         };
-        let summary = match daemon::run(&plan.config, &commands, &mut notices) {
+        let summary = match daemon::run(&plan.config, board.as_deref(), &commands, &mut notices) {
             Ok(summary) => summary,
             // What could be read again may still be impossible: somebody else has the new output.
             Err(error) => match previous.take() {
@@ -81,6 +85,15 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
             _ => return Ok(conclude(args.once, &summary)),
         }
     }
+}
+
+/// Shows the board to whoever may look.
+fn open_window(listen: Option<&Listen>, board: Option<&Arc<Board>>) -> Result<Option<Window>> {
+    let (Some(listen), Some(board)) = (listen, board) else { return Ok(None) };
+    let window = Window::open(listen, Arc::clone(board));
+    let window = window.with_context(|| format!("cannot listen on {}", listen.address))?;
+    info!(address = %format_args!("http://{}/", window.address()), "the window is open");
+    Ok(Some(window))
 }
 
 /// Ends at once: what is not whole yet is left for the next time.
@@ -123,6 +136,8 @@ struct Control {
     args: WatchArgs,
     /// A log is begun once.
     log: LogChoice,
+    /// A window is opened once.
+    listen: Option<Listen>,
     commands: Sender<Command>,
     finishing: AtomicBool,
     /// The plan of a reload that is under way.
@@ -130,8 +145,12 @@ struct Control {
 }
 
 impl Control {
-    fn new(args: WatchArgs, log: LogChoice, commands: Sender<Command>) -> Control {
-        Control { args, log, commands, finishing: AtomicBool::new(false), next: Mutex::new(None) }
+    fn new(
+        args: WatchArgs,
+        (log, listen): (LogChoice, Option<Listen>),
+        commands: Sender<Command>,
+    ) -> Control {
+        Control { args, log, listen, commands, finishing: AtomicBool::new(false), next: Mutex::new(None) }
     }
 
     /// Asks the loop to finish. Whether it was asked before.
@@ -173,6 +192,9 @@ impl Control {
         let plan = make_plan(&self.args)?;
         if plan.log != self.log {
             warn!("`log` changes when the daemon is started again");
+        }
+        if plan.listen != self.listen {
+            warn!("`listen` and the token change when the daemon is started again");
         }
         Ok(plan)
     }

@@ -41,7 +41,7 @@ fn what_was_just_told_is_not_told_again() {
 fn control(config: Option<&std::path::Path>) -> (Control, crossbeam::channel::Receiver<Command>) {
     let (sender, commands) = bounded(2);
     let args = WatchArgs { config: config.map(Into::into), ..WatchArgs::default() };
-    (Control::new(args, LogChoice::Text, sender), commands)
+    (Control::new(args, (LogChoice::Text, None), sender), commands)
 }
 
 #[test]

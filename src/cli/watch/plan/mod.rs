@@ -11,6 +11,7 @@
 //! A reload makes a plan from the same options and the file as it is by then.
 
 use std::collections::HashSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Duration;
@@ -26,12 +27,15 @@ use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
 use crate::pipeline::default_in_flight;
 use crate::settings::Settings;
+use crate::window::{Listen, Token};
 
 /// What to do, and what to say of it before.
 #[derive(Clone, Debug)]
 pub(in crate::cli) struct Plan {
     pub(in crate::cli) config: Config,
     pub(in crate::cli) log: LogChoice,
+    /// Where it is shown what is going on.
+    pub(in crate::cli) listen: Option<Listen>,
     /// A sentence each.
     pub(in crate::cli) warnings: Vec<String>,
 }
@@ -54,7 +58,8 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<Plan> {
     let daemon = args.daemon.over(&file.map(|file| file.daemon).unwrap_or_default());
     refuse_shared_journal(&watches, daemon.journal.as_deref())?;
     let config = config(watches, args.once, &daemon)?;
-    Ok(Plan { config, log: daemon.log.unwrap_or(LogChoice::Text), warnings })
+    let listen = listen(&daemon)?;
+    Ok(Plan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings })
 }
 
 /// A folder to watch, as it was asked for.
@@ -240,6 +245,34 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
         }
     }
     Ok(Patience { settle, unproven, stalled })
+}
+
+/// Where to show what is going on, and to whom.
+fn listen(daemon: &DaemonArgs) -> Result<Option<Listen>> {
+    let token = match (&daemon.token, &daemon.token_file) {
+        (Some(token), _) => Some(Token::new(token).context("--token")?),
+        (None, Some(path)) => Some(token_in(path)?),
+        (None, None) => None,
+    };
+    let Some(address) = daemon.listen else {
+        if token.is_some() {
+            bail!("a token is for those who look: give --listen as well");
+        }
+        return Ok(None);
+    };
+    if token.is_none() && !address.ip().to_canonical().is_loopback() {
+        bail!(
+            "{address} can be reached from other machines: give --token-file or --token, so that not everybody \
+             sees what is there, or listen on 127.0.0.1"
+        );
+    }
+    Ok(Some(Listen { address, token }))
+}
+
+fn token_in(path: &Path) -> Result<Token> {
+    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let line = text.lines().next().unwrap_or_default();
+    Token::new(line.trim()).with_context(|| format!("the first line of {}", path.display()))
 }
 
 /// The same from wherever the daemon is started: its journal must know the frames.

@@ -47,8 +47,8 @@ fn assert_refused(plan: Result<Plan>, words: &[&str]) {
 
 #[test]
 fn defaults_are_filled_in() {
-    let Plan { config, log, warnings } = plan(&["in", "--out", "out"]).expect("a plan");
-    assert_eq!((log, warnings.len(), config.once), (LogChoice::Text, 0, false));
+    let Plan { config, log, listen, warnings } = plan(&["in", "--out", "out"]).expect("a plan");
+    assert_eq!((log, listen, warnings.len(), config.once), (LogChoice::Text, None, 0, false));
     assert_eq!((config.order, config.poll), (Order::Natural, Poll::Auto));
     assert_eq!(config.disk_floor_bytes, 1 << 30);
     assert_eq!((config.rescan_every.as_secs(), config.stop_deadline.as_secs()), (60, 30));
@@ -60,6 +60,24 @@ fn defaults_are_filled_in() {
     assert_eq!(watch.outputs.formats, [OutputFormat::Glb, OutputFormat::Vdb]);
     assert_eq!((watch.voxel_size, &watch.choices), (None, &Default::default()));
     assert!(!watch.recursive && watch.pattern.is_none() && watch.sentinel.is_none());
+}
+
+#[test]
+fn others_than_this_machine_need_a_token() {
+    let bench =
+        Bench::new("[daemon]\nlisten = \"127.0.0.1:7700\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\n");
+    let listen = bench.plan(&[]).expect("a plan").listen.expect("an address");
+    assert_eq!((listen.address.port(), listen.token), (7700, None));
+    for address in ["[::1]:0", "127.8.9.1:80", "[::ffff:127.0.0.1]:80"] {
+        assert!(bench.plan(&["--listen", address]).is_ok(), "{address}");
+    }
+    for address in ["0.0.0.0:80", "[::]:80", "192.168.1.7:80"] {
+        bench.refused(&["--listen", address], &[address, "--token-file"]);
+        assert!(bench.plan(&["--listen", address, "--token", "0123456789abcdef"]).is_ok(), "{address}");
+    }
+    bench.refused(&["--token-file", "none-there"], &["cannot read none-there"]);
+    let bench = Bench::new("[daemon]\nlisten = \"7700\"\n");
+    bench.refused(&[], &["meniscus.toml:2", "`listen`", "no address with a port"]);
 }
 
 #[test]

@@ -1,0 +1,407 @@
+//! What there is to see of a running daemon: plain data that the daemon puts here, and whoever wants to
+//! look takes from here.
+//!
+//! ```text
+//!   the daemon's loop ──show──▶ ┌─────────────────────────────┐ ──page, frame, file──▶ whoever looks
+//!   the pipeline ──────began──▶ │ frames in natural order     │
+//!                               │ the last changes, by number │ ──changes_since──────▶ whoever follows
+//!                               └─────────────────────────────┘
+//! ```
+//!
+//! Two things must not happen: that somebody who looks slows down a frame, and that somebody who is slow
+//! costs memory. So what is shown of a frame is replaced, never built anew for all; the lock is held for
+//! the copy of some pointers; and the log of changes has an end. It holds *names* and not states: who
+//! comes late is told of a frame once, as it is by then. Who comes too late is told so, and looks at
+//! everything again.
+//!
+//! The types here are those of the interface in `docs/window.md`: what they serialize to is promised there.
+
+mod figures;
+mod metrics;
+mod view;
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use serde_json::Value;
+
+use crate::pipeline::{SequenceRecord, Stage, natural_order};
+
+pub use figures::Figures;
+pub use metrics::{BUCKETS_S, Counters, Histogram, STAGES};
+pub use view::{Counts, FrameState, FrameSummary, FrameView, OutputView, Sample, Status};
+
+/// What there is to see of one daemon.
+#[derive(Debug)]
+pub struct Board {
+    /// Tells this daemon from the one before: numbers of changes begin anew with each.
+    run: u64,
+    version: AtomicU64,
+    /// When the daemon last said that it is not stuck, in milliseconds since 1970.
+    alive_ms: AtomicU64,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    frames: BTreeMap<Rank, Arc<FrameView>>,
+    /// The name of the frame whose outputs are called so.
+    by_stem: HashMap<PathBuf, Rank>,
+    /// Which frame an output is of, by the name of the output.
+    by_output: HashMap<String, Rank>,
+    counts: Counts,
+    changes: VecDeque<Change>,
+    version: u64,
+    status: Arc<Status>,
+    is_ready: bool,
+    plan: Arc<Value>,
+    sequences: BTreeMap<String, Arc<SequenceRecord>>,
+    samples: VecDeque<Sample>,
+    counters: Counters,
+}
+
+/// A frame's name, in natural order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Rank(Arc<str>);
+
+impl Ord for Rank {
+    fn cmp(&self, other: &Rank) -> std::cmp::Ordering {
+        natural_order(&self.0, &other.0).then_with(|| self.0.cmp(&other.0))
+    }
+}
+
+impl PartialOrd for Rank {
+    fn partial_cmp(&self, other: &Rank) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Change {
+    /// Of a frame, or that it is gone.
+    Frame(Rank),
+    Status,
+    Settings,
+    /// Everything.
+    All,
+}
+
+/// Some frames, in natural order.
+#[derive(Clone, Debug)]
+pub struct Page {
+    /// Changes up to this one are in it.
+    pub version: u64,
+    /// How many frames there are in all.
+    pub total: usize,
+    /// As many as were asked for, or as there are.
+    pub frames: Vec<Arc<FrameView>>,
+    /// Whether there are more after these.
+    pub has_more: bool,
+}
+
+/// What has changed since somebody looked.
+#[derive(Clone, Debug)]
+pub enum Changes {
+    /// So much that it is not known any more: look at everything again, and go on from this version.
+    Lost(u64),
+    /// This.
+    Known {
+        /// Go on from here.
+        version: u64,
+        /// Frames, as they are now.
+        frames: Vec<Arc<FrameView>>,
+        /// Names of frames that are gone.
+        removed: Vec<Arc<str>>,
+        /// How the daemon is, if that has changed.
+        status: Option<Arc<Status>>,
+        /// Whether settings have changed.
+        settings: bool,
+    },
+}
+
+/// The log of changes ends here.
+const CHANGES_MAX: usize = 4096;
+
+/// As many samples are kept: with one each second, a quarter of an hour.
+const SAMPLES_MAX: usize = 900;
+
+impl Default for Board {
+    fn default() -> Board {
+        Board::new()
+    }
+}
+
+impl Board {
+    /// A board with nothing on it.
+    pub fn new() -> Board {
+        Board {
+            run: now_ms(),
+            version: AtomicU64::new(0),
+            alive_ms: AtomicU64::new(now_ms()),
+            state: Mutex::default(),
+        }
+    }
+
+    /// Tells this daemon from the one before.
+    pub fn run(&self) -> u64 {
+        self.run
+    }
+
+    /// The number of the last change.
+    pub fn version(&self) -> u64 {
+        self.version.load(Ordering::Acquire)
+    }
+
+    /// The daemon begins, with this plan: what was shown before is of another one.
+    pub fn begin(&self, plan: Value) {
+        let counters = std::mem::take(&mut self.lock().counters);
+        let mut state = self.lock();
+        *state = State {
+            version: state.version,
+            plan: Arc::new(plan),
+            counters,
+            samples: std::mem::take(&mut state.samples),
+            ..State::default()
+        };
+        self.note(&mut state, Change::All);
+    }
+
+    /// Everything was looked at once.
+    pub fn set_ready(&self) {
+        self.lock().is_ready = true;
+    }
+
+    /// The daemon is not stuck.
+    pub fn pulse(&self) {
+        self.alive_ms.store(now_ms(), Ordering::Relaxed);
+    }
+
+    /// Shows a frame, in place of what was shown of it. Figures of one that is still done stay.
+    pub fn show(&self, mut view: FrameView) {
+        let mut state = self.lock();
+        let rank = Rank(view.summary.name.clone());
+        let old = state.frames.remove(&rank);
+        if let Some(old) = &old {
+            state.unlink(old);
+            let is_same = old.summary.state == view.summary.state && old.outputs == view.outputs;
+            if is_same && old.summary.reason == view.summary.reason {
+                view.summary.since_ms = old.summary.since_ms;
+            }
+            if view.figures.is_none() && is_same {
+                view.figures.clone_from(&old.figures);
+            }
+        }
+        let is_news = old.is_none_or(|old| *old != view);
+        state.link(&rank, &view);
+        state.frames.insert(rank.clone(), Arc::new(view));
+        if is_news {
+            self.note(&mut state, Change::Frame(rank));
+        }
+    }
+
+    /// A frame is gone, or is none.
+    pub fn remove(&self, name: &str) {
+        let mut state = self.lock();
+        let rank = Rank(name.into());
+        if let Some(old) = state.frames.remove(&rank) {
+            state.unlink(&old);
+            self.note(&mut state, Change::Frame(rank));
+        }
+    }
+
+    /// A stage has begun of the frame whose outputs are called so.
+    pub fn began(&self, stem: &Path, stage: Stage) {
+        let mut state = self.lock();
+        let Some(rank) = state.by_stem.get(stem).cloned() else { return };
+        let Some(mut frame) = state.frames.remove(&rank) else { return };
+        state.unlink(&frame);
+        let view = Arc::make_mut(&mut frame);
+        view.summary.state = FrameState::Working;
+        view.summary.stage = Some(STAGES[stage as usize]);
+        view.summary.since_ms = now_ms();
+        state.link(&rank, &frame);
+        state.frames.insert(rank.clone(), frame);
+        self.note(&mut state, Change::Frame(rank));
+    }
+
+    /// Shows the settings of a sequence.
+    pub fn show_sequence(&self, name: String, record: SequenceRecord) {
+        let mut state = self.lock();
+        state.sequences.insert(name, Arc::new(record));
+        self.note(&mut state, Change::Settings);
+    }
+
+    /// How the daemon is. Comes about once a second, and makes a sample for the chart.
+    pub fn tell(&self, status: Status) {
+        self.pulse();
+        let mut state = self.lock();
+        let Counts { waiting, queued, working, failed, .. } = state.counts;
+        let sample = Sample {
+            at_ms: now_ms(),
+            waiting,
+            queued,
+            working,
+            failed,
+            converted: state.counters.converted,
+            memory_bytes: status.memory_bytes,
+        };
+        if state.samples.len() == SAMPLES_MAX {
+            state.samples.pop_front();
+        }
+        state.samples.push_back(sample);
+        if *state.status != status {
+            state.status = Arc::new(status);
+            self.note(&mut state, Change::Status);
+        }
+    }
+
+    /// Counts something.
+    pub fn count(&self, count: impl FnOnce(&mut Counters)) {
+        count(&mut self.lock().counters);
+    }
+
+    /// Up to `limit` frames after that of this name; from the first one on without it.
+    pub fn page(&self, after: Option<&str>, limit: usize) -> Page {
+        let state = self.lock();
+        let frames = match after {
+            None => state.frames.range::<Rank, _>(..),
+            Some(name) => {
+                let after = std::ops::Bound::Excluded(Rank(name.into()));
+                state.frames.range((after, std::ops::Bound::Unbounded))
+            }
+        };
+        let mut frames = frames.map(|(_, frame)| Arc::clone(frame));
+        let page = frames.by_ref().take(limit).collect();
+        Page {
+            version: state.version,
+            total: state.frames.len(),
+            frames: page,
+            has_more: frames.next().is_some(),
+        }
+    }
+
+    /// The frame of this name.
+    pub fn frame(&self, name: &str) -> Option<Arc<FrameView>> {
+        self.lock().frames.get(&Rank(name.into())).map(Arc::clone)
+    }
+
+    /// Where the output of this name is.
+    pub fn file(&self, name: &str) -> Option<PathBuf> {
+        let state = self.lock();
+        let frame = state.frames.get(state.by_output.get(name)?)?;
+        frame.outputs.iter().find(|output| output.name == name).map(|output| output.path.clone())
+    }
+
+    /// What the daemon was asked for, and the settings of each sequence.
+    pub fn settings(&self) -> (Arc<Value>, Vec<Arc<SequenceRecord>>) {
+        let state = self.lock();
+        (Arc::clone(&state.plan), state.sequences.values().map(Arc::clone).collect())
+    }
+
+    /// How the daemon is.
+    pub fn status(&self) -> (Arc<Status>, Counts) {
+        let state = self.lock();
+        (Arc::clone(&state.status), state.counts)
+    }
+
+    /// How it was in the last quarter of an hour.
+    pub fn samples(&self) -> Vec<Sample> {
+        self.lock().samples.iter().copied().collect()
+    }
+
+    /// What was counted since the daemon began.
+    pub fn counters(&self) -> Counters {
+        self.lock().counters.clone()
+    }
+
+    /// Whether everything was looked at once.
+    pub fn is_ready(&self) -> bool {
+        self.lock().is_ready
+    }
+
+    /// Whether the daemon has given a sign of life of late.
+    pub fn is_alive(&self) -> bool {
+        now_ms().saturating_sub(self.alive_ms.load(Ordering::Relaxed)) < STUCK_AFTER_MS
+    }
+
+    /// What has changed after `version`, or the first part of it: no more than `limit` changes are looked at.
+    pub fn changes_since(&self, version: u64, limit: usize) -> Changes {
+        let state = self.lock();
+        let first = state.version - state.changes.len() as u64;
+        if version < first || state.version < version {
+            return Changes::Lost(state.version);
+        }
+        let news = state.changes.iter().skip((version - first) as usize).take(limit);
+        let version = state.version.min(version + limit as u64);
+        let (mut ranks, mut is_status, mut settings) = (BTreeSet::new(), false, false);
+        for change in news {
+            match change {
+                Change::All => return Changes::Lost(state.version),
+                Change::Frame(rank) => drop(ranks.insert(rank)),
+                Change::Status => is_status = true,
+                Change::Settings => settings = true,
+            }
+        }
+        let (mut frames, mut removed) = (Vec::new(), Vec::new());
+        for rank in ranks {
+            match state.frames.get(rank) {
+                Some(frame) => frames.push(Arc::clone(frame)),
+                None => removed.push(Arc::clone(&rank.0)),
+            }
+        }
+        let status = is_status.then(|| Arc::clone(&state.status));
+        Changes::Known { version, frames, removed, status, settings }
+    }
+
+    fn note(&self, state: &mut State, change: Change) {
+        if state.changes.len() == CHANGES_MAX {
+            state.changes.pop_front();
+        }
+        state.changes.push_back(change);
+        state.version += 1;
+        self.version.store(state.version, Ordering::Release);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // What a panic left half done is replaced with the next change of the frame.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    fn link(&mut self, rank: &Rank, view: &FrameView) {
+        *self.counts.of(view.summary.state) += 1;
+        self.by_stem.insert(view.stem.clone(), rank.clone());
+        for output in &view.outputs {
+            self.by_output.insert(output.name.clone(), rank.clone());
+        }
+    }
+
+    fn unlink(&mut self, view: &FrameView) {
+        *self.counts.of(view.summary.state) -= 1;
+        let is_own = |owner: &Rank| owner.0 == view.summary.name;
+        if self.by_stem.get(&view.stem).is_some_and(is_own) {
+            self.by_stem.remove(&view.stem);
+        }
+        for output in &view.outputs {
+            if self.by_output.get(&output.name).is_some_and(is_own) {
+                self.by_output.remove(&output.name);
+            }
+        }
+    }
+}
+
+/// A daemon that has said nothing for so long is stuck.
+const STUCK_AFTER_MS: u64 = 30_000;
+
+/// Milliseconds since 1970.
+pub fn now_ms() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_millis()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,120 @@
+use super::*;
+
+fn view(name: &str, state: FrameState) -> FrameView {
+    let output = |extension: &str| OutputView {
+        name: format!("{name}.{extension}"),
+        size_bytes: 1,
+        path: format!("/out/{name}.{extension}").into(),
+    };
+    FrameView {
+        summary: FrameSummary {
+            name: name.into(),
+            state,
+            stage: None,
+            reason: None,
+            since_ms: 0,
+            particles: None,
+            seconds: None,
+            surface: None,
+            picture: None,
+        },
+        attempts: 0,
+        input_bytes: 0,
+        outputs: if state == FrameState::Done { vec![output("glb"), output("vdb")] } else { Vec::new() },
+        figures: None,
+        stem: format!("/out/{name}").into(),
+    }
+}
+
+fn names(frames: &[Arc<FrameView>]) -> Vec<&str> {
+    frames.iter().map(|frame| &*frame.summary.name).collect()
+}
+
+/// The names of frames that changed, and of those that are gone.
+fn news(board: &Board, version: u64) -> Option<(u64, Vec<String>, Vec<String>)> {
+    match board.changes_since(version, 100) {
+        Changes::Lost(_) => None,
+        Changes::Known { version, frames, removed, .. } => {
+            let frames = names(&frames).into_iter().map(str::to_owned).collect();
+            Some((version, frames, removed.iter().map(|name| (**name).to_owned()).collect()))
+        }
+    }
+}
+
+#[test]
+fn pages_are_in_natural_order() {
+    let board = Board::new();
+    for number in [10, 9, 1, 100, 2] {
+        board.show(view(&format!("a.{number}"), FrameState::Queued));
+    }
+    let page = board.page(None, 3);
+    assert_eq!((names(&page.frames), page.total, page.has_more), (vec!["a.1", "a.2", "a.9"], 5, true));
+    let page = board.page(Some("a.9"), 3);
+    assert_eq!((names(&page.frames), page.has_more), (vec!["a.10", "a.100"], false));
+    assert_eq!(names(&board.page(Some("a.5"), 1).frames), ["a.9"]);
+    assert!(board.page(Some("b"), 3).frames.is_empty());
+}
+
+#[test]
+fn a_frame_is_told_once_as_it_is_now() {
+    let board = Board::new();
+    board.show(view("a", FrameState::Waiting));
+    board.show(view("b", FrameState::Waiting));
+    board.show(view("a", FrameState::Queued));
+    board.began(Path::new("/out/a"), Stage::Smooth);
+    board.remove("b");
+    let (version, frames, removed) = news(&board, 0).expect("known");
+    assert_eq!((version, frames, removed), (board.version(), vec!["a".to_owned()], vec!["b".to_owned()]));
+    let frame = board.frame("a").expect("shown");
+    assert_eq!((frame.summary.state, frame.summary.stage), (FrameState::Working, Some("smooth")));
+    assert_eq!(board.status().1, Counts { working: 1, ..Counts::default() });
+    assert_eq!(news(&board, version).expect("known").1, [""; 0]);
+}
+
+#[test]
+fn what_does_not_change_is_no_news() {
+    let board = Board::new();
+    board.show(FrameView { figures: Some(Arc::default()), ..view("a", FrameState::Done) });
+    let version = board.version();
+    board.show(view("a", FrameState::Done));
+    assert_eq!(board.version(), version);
+    assert!(board.frame("a").expect("shown").figures.is_some());
+    board.show(view("a", FrameState::Queued));
+    assert!(board.frame("a").expect("shown").figures.is_none());
+}
+
+#[test]
+fn who_comes_too_late_is_told_so() {
+    let board = Board::new();
+    for number in 0..=CHANGES_MAX {
+        board.show(view(&number.to_string(), FrameState::Queued));
+    }
+    assert!(news(&board, 0).is_none());
+    assert_eq!(news(&board, 1).expect("known").0, 101);
+    assert!(news(&board, board.version() + 1).is_none(), "of another run");
+    let version = board.version();
+    board.begin(Value::Null);
+    assert!(news(&board, version).is_none());
+    assert_eq!(board.page(None, 1).total, 0);
+}
+
+#[test]
+fn only_outputs_of_frames_are_found_by_name() {
+    let board = Board::new();
+    board.show(view("a", FrameState::Done));
+    assert_eq!(board.file("a.glb"), Some("/out/a.glb".into()));
+    for name in ["/out/a.glb", "a", "../a.glb", "a.glb/", ""] {
+        assert_eq!(board.file(name), None, "{name}");
+    }
+    board.show(view("a", FrameState::Queued));
+    assert_eq!(board.file("a.glb"), None);
+}
+
+#[test]
+fn a_value_is_in_the_first_bucket_that_holds_it() {
+    let mut histogram = Histogram::default();
+    for value in [0.0, 0.003, 0.004, 1e9] {
+        histogram.add(value);
+    }
+    assert_eq!((histogram.counts[0], histogram.counts[1], histogram.counts[11]), (2, 1, 1));
+}

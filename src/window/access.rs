@@ -1,0 +1,157 @@
+//! Who may look.
+//!
+//! A page anywhere can make a browser send requests to this machine, and can even have its own name stand
+//! for this address; but it cannot make the browser say another name of the host than its own. So that
+//! name must be one of this machine's. And whoever listens to more than this machine wants a token.
+
+use std::fmt;
+use std::hint::black_box;
+use std::net::IpAddr;
+
+use hyper::header::{AUTHORIZATION, COOKIE, HOST};
+use hyper::{Request, Uri};
+
+/// What whoever looks must know. It is not shown where it might be written down.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Token(String);
+
+/// Why something is no token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TokenError;
+
+impl Token {
+    /// A token: 16 to 256 letters of ASCII, digits, and `-`, `_`, `.`, `~`.
+    ///
+    /// # Errors
+    /// When it is something else.
+    pub fn new(text: &str) -> Result<Token, TokenError> {
+        let is_right = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.~".contains(&byte);
+        match (16..=256).contains(&text.len()) && text.bytes().all(is_right) {
+            true => Ok(Token(text.to_owned())),
+            false => Err(TokenError),
+        }
+    }
+
+    /// Whether this is it. How long that takes does not tell how much of it is right.
+    pub(super) fn is(&self, given: &str) -> bool {
+        let (wanted, given) = (self.0.as_bytes(), given.as_bytes());
+        let mut difference = u8::from(wanted.len() != given.len());
+        for (index, byte) in wanted.iter().enumerate() {
+            difference |= byte ^ given.get(index).copied().unwrap_or(0);
+        }
+        black_box(difference) == 0
+    }
+
+    /// Whether a request brings it: as `Authorization: Bearer`, or in the cookie of the page.
+    pub(super) fn is_in<B>(&self, request: &Request<B>) -> bool {
+        let headers = request.headers();
+        let bearer =
+            headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+        let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+        let mut given = cookies
+            .flat_map(|cookies| cookies.split(';'))
+            .filter_map(|cookie| cookie.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
+        bearer.is_some_and(|bearer| self.is(bearer)) || given.any(|given| self.is(given))
+    }
+
+    /// What has a browser bring it from now on.
+    pub(super) fn cookie(&self) -> String {
+        format!("{COOKIE_NAME}={}; Path=/; HttpOnly; SameSite=Strict", self.0)
+    }
+}
+
+const COOKIE_NAME: &str = "meniscus_token";
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token")
+    }
+}
+
+impl fmt::Display for TokenError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a token is 16 to 256 letters of ASCII, digits, and - _ . ~")
+    }
+}
+
+impl std::error::Error for TokenError {}
+
+/// Whether a request that came in at the address `local` says that it was meant for it.
+pub(super) fn is_for_this_host<B>(request: &Request<B>, local: IpAddr) -> bool {
+    let mut hosts = request.headers().get_all(HOST).iter();
+    let (Some(host), None) = (hosts.next(), hosts.next()) else { return false };
+    let is_ours = |authority: &str| is_name_of(authority, local);
+    let in_uri = request.uri().authority().is_none_or(|authority| is_ours(authority.as_str()));
+    in_uri && host.to_str().is_ok_and(is_ours)
+}
+
+/// Whether this is a name of this machine, of the loopback or of the address; with a port or without. A tunnel has
+/// another port than this, and no harm comes from it.
+fn is_name_of(authority: &str, local: IpAddr) -> bool {
+    let Ok(uri) = authority.parse::<Uri>() else { return false };
+    let (Some(host), Some(parsed)) = (uri.host(), uri.authority()) else { return false };
+    if parsed.as_str().contains('@') {
+        return false;
+    }
+    if host.eq_ignore_ascii_case("localhost") {
+        return true;
+    }
+    let bare = host.trim_start_matches('[').trim_end_matches(']');
+    let Ok(address) = bare.parse::<IpAddr>() else { return false };
+    address.is_loopback() || address.to_canonical() == local.to_canonical()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn asked(host: &str) -> Request<()> {
+        Request::get("/").header(HOST, host).body(()).expect("a request")
+    }
+
+    #[test]
+    fn names_of_this_machine_are_known() {
+        let local: IpAddr = "192.168.1.7".parse().expect("an address");
+        for host in ["localhost", "LOCALHOST:7700", "127.0.0.1:1", "[::1]:7700", "192.168.1.7:7700"] {
+            assert!(is_for_this_host(&asked(host), local), "{host}");
+        }
+        for host in
+            ["evil.example", "localhost.evil.example", "192.168.1.8", "a@localhost", "", "127.0.0.1.nip.io"]
+        {
+            assert!(!is_for_this_host(&asked(host), local), "{host}");
+        }
+        let none = Request::get("/").body(()).expect("a request");
+        let two =
+            Request::get("/").header(HOST, "localhost").header(HOST, "localhost").body(()).expect("one");
+        let other =
+            Request::get("http://evil.example/").header(HOST, "localhost").body(()).expect("a request");
+        for request in [none, two, other] {
+            assert!(!is_for_this_host(&request, local), "{request:?}");
+        }
+    }
+
+    #[test]
+    fn a_token_is_known_by_all_of_it() {
+        let token = Token::new("0123456789abcdef").expect("a token");
+        assert!(token.is("0123456789abcdef"));
+        for wrong in ["", "0123456789abcde", "0123456789abcdeg", "0123456789abcdef0"] {
+            assert!(!token.is(wrong), "{wrong}");
+        }
+        for text in ["short", "0123456789abcde;", "0123456789abcde f", &"x".repeat(257)] {
+            assert_eq!(Token::new(text), Err(TokenError), "{text}");
+        }
+        assert_eq!(format!("{token:?}"), "Token");
+    }
+
+    #[test]
+    fn a_token_comes_in_a_header() {
+        let token = Token::new("0123456789abcdef").expect("a token");
+        let with =
+            |name: &str, value: &str| Request::get("/").header(name, value).body(()).expect("a request");
+        assert!(token.is_in(&with("authorization", "Bearer 0123456789abcdef")));
+        assert!(token.is_in(&with("cookie", "a=b; meniscus_token=0123456789abcdef")));
+        assert!(!token.is_in(&with("authorization", "0123456789abcdef")));
+        assert!(!token.is_in(&with("cookie", "xmeniscus_token=0123456789abcdef")));
+        assert!(!token.is_in(&asked("localhost")));
+    }
+}

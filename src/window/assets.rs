@@ -1,0 +1,47 @@
+//! The page: files that are part of the program.
+
+use hyper::body::Bytes;
+use hyper::header::{CACHE_CONTROL, ETAG, HeaderValue, IF_NONE_MATCH};
+use hyper::{Request, StatusCode};
+use twox_hash::XxHash3_64;
+
+use super::answer::{Answer, Content, answer, not_found};
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const TEXT: &str = "text/plain; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+/// Where each is asked for, what it is, and what is in it.
+const ASSETS: [(&str, &str, &[u8]); 11] = [
+    ("/", HTML, include_bytes!("page/index.html")),
+    ("/page.css", CSS, include_bytes!("page/page.css")),
+    ("/page.js", SCRIPT, include_bytes!("page/page.js")),
+    ("/scene.js", SCRIPT, include_bytes!("page/scene.js")),
+    ("/vendor/three.module.min.js", SCRIPT, include_bytes!("page/vendor/three.module.min.js")),
+    ("/vendor/three.core.min.js", SCRIPT, include_bytes!("page/vendor/three.core.min.js")),
+    ("/vendor/GLTFLoader.js", SCRIPT, include_bytes!("page/vendor/GLTFLoader.js")),
+    ("/vendor/OrbitControls.js", SCRIPT, include_bytes!("page/vendor/OrbitControls.js")),
+    ("/vendor/BufferGeometryUtils.js", SCRIPT, include_bytes!("page/vendor/BufferGeometryUtils.js")),
+    ("/vendor/SkeletonUtils.js", SCRIPT, include_bytes!("page/vendor/SkeletonUtils.js")),
+    ("/vendor/LICENSE", TEXT, include_bytes!("page/vendor/LICENSE")),
+];
+
+/// The part of the page that is asked for.
+pub(super) fn asset<B>(request: &Request<B>) -> Answer {
+    let found = ASSETS.iter().find(|(path, ..)| *path == request.uri().path());
+    let Some(&(_, content_type, bytes)) = found else { return not_found() };
+    let tag = format!("\"{:016x}\"", XxHash3_64::oneshot(bytes));
+    let is_known =
+        request.headers().get(IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes());
+    let mut asset = match is_known {
+        true => answer(StatusCode::NOT_MODIFIED, content_type, Content::Whole(None)),
+        false => answer(StatusCode::OK, content_type, Content::Whole(Some(Bytes::from_static(bytes)))),
+    };
+    let headers = asset.headers_mut();
+    headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+    if let Ok(tag) = HeaderValue::from_str(&tag) {
+        headers.insert(ETAG, tag);
+    }
+    asset
+}

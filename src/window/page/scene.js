@@ -1,0 +1,106 @@
+// The chosen frame in space: its .glb, drawn by three.js.
+//
+// Surfaces are kept by their address, a few of them; those that come next are fetched before they are asked for. The
+// camera looks at the first surface as a whole, and from then on is where the user put it.
+
+import {
+  Box3, Color, DirectionalLight, HemisphereLight, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, Vector3, WebGLRenderer,
+} from './vendor/three.module.min.js';
+import { GLTFLoader } from './vendor/GLTFLoader.js';
+import { OrbitControls } from './vendor/OrbitControls.js';
+
+const KEPT = 12;
+
+export function makeScene(canvas) {
+  const renderer = new WebGLRenderer({ canvas, antialias: true });
+  const camera = new PerspectiveCamera(40, 1, 0.01, 1000);
+  const controls = new OrbitControls(camera, canvas);
+  const scene = new Scene();
+  const sun = new DirectionalLight(0xffffff, 2.2);
+  const material = new MeshStandardMaterial({ color: 0x4f9fdc, roughness: 0.35, metalness: 0 });
+  const dark = matchMedia('(prefers-color-scheme: dark)');
+  const kept = new Map(); // promises of surfaces, by address; the one that was used last is the last
+  let current = null;
+  let wanted = null;
+  let isPlaced = false;
+  let isAsked = false;
+  sun.position.set(1, 2, 1.5);
+  scene.add(new HemisphereLight(0xffffff, 0x556066, 1.6), sun);
+
+  function paint() {
+    if (isAsked) return;
+    isAsked = true;
+    requestAnimationFrame(() => {
+      isAsked = false;
+      const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+      if (!width || !height) return;
+      renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      renderer.setSize(width, height, false);
+      camera.aspect = width / height;
+      camera.updateProjectionMatrix();
+      scene.background = new Color(dark.matches ? 0x1a2127 : 0xffffff);
+      renderer.render(scene, camera);
+    });
+  }
+
+  async function load(path) {
+    const answer = await fetch(path);
+    if (!answer.ok) throw new Error(`the surface cannot be read (${answer.status})`);
+    const { scene: surface } = await new GLTFLoader().parseAsync(await answer.arrayBuffer(), '');
+    surface.traverse(part => {
+      if (part.isMesh) part.material = material;
+    });
+    return surface;
+  }
+
+  function take(path) {
+    const surface = kept.get(path) ?? load(path);
+    kept.delete(path);
+    kept.set(path, surface);
+    // What failed is tried again when it is asked for again.
+    surface.catch(() => kept.delete(path));
+    for (const [other, old] of kept) {
+      if (kept.size <= KEPT) break;
+      if (other === wanted) continue;
+      kept.delete(other);
+      old.then(free, () => {});
+    }
+    return surface;
+  }
+
+  function free(surface) {
+    if (surface === current) return;
+    surface.traverse(part => part.geometry?.dispose());
+  }
+
+  function place(surface) {
+    const sphere = new Box3().setFromObject(surface).getBoundingSphere(new Sphere());
+    if (sphere.isEmpty()) return;
+    const distance = sphere.radius / Math.sin(camera.fov * Math.PI / 360) * 1.15;
+    camera.near = distance / 1000;
+    camera.far = distance * 20;
+    camera.position.copy(sphere.center).addScaledVector(new Vector3(0.6, 0.45, 1).normalize(), distance);
+    controls.target.copy(sphere.center);
+    controls.update();
+    isPlaced = true;
+  }
+
+  /** Shows the surface at `path`, and fetches those at `next`. */
+  async function show(path, next) {
+    wanted = path;
+    const surface = await take(path);
+    next.forEach(take);
+    if (wanted !== path) return;
+    if (current) scene.remove(current);
+    current = surface;
+    scene.add(surface);
+    if (!isPlaced) place(surface);
+    paint();
+  }
+
+  controls.addEventListener('change', paint);
+  dark.addEventListener('change', paint);
+  new ResizeObserver(paint).observe(canvas);
+  paint();
+  return { show };
+}

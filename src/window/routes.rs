@@ -1,0 +1,92 @@
+//! From a request to its answer: whether it may be asked, and what it asks for.
+
+use std::net::IpAddr;
+use std::sync::Arc;
+
+use hyper::body::Body;
+use hyper::header::{CONNECTION, HeaderValue, LOCATION, SET_COOKIE, WWW_AUTHENTICATE};
+use hyper::{Method, Request, StatusCode};
+
+use super::Shared;
+use super::access::is_for_this_host;
+use super::answer::{Answer, not_found, only_to_look_at, text};
+use super::query::{decoded, value_of};
+use super::{api, assets, events, files, metrics};
+
+/// Answers a request that came in at the address `local`.
+pub(super) async fn answer_to<B: Body>(shared: &Arc<Shared>, request: &Request<B>, local: IpAddr) -> Answer {
+    match refusal(shared, request, local) {
+        Some(refusal) => refusal,
+        None => route(shared, request).await,
+    }
+}
+
+/// The answer to a request that may not be asked.
+fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: IpAddr) -> Option<Answer> {
+    if !is_for_this_host(request, local) {
+        return Some(closing(text(StatusCode::MISDIRECTED_REQUEST, "this is not that host")));
+    }
+    if !matches!(*request.method(), Method::GET | Method::HEAD) {
+        return Some(closing(only_to_look_at()));
+    }
+    if !request.body().is_end_stream() {
+        return Some(closing(text(StatusCode::PAYLOAD_TOO_LARGE, "a request has no body here")));
+    }
+    let token = shared.token.as_ref()?;
+    // Whoever asks whether it runs learns nothing else.
+    if matches!(request.uri().path(), "/healthz" | "/readyz") || token.is_in(request) {
+        return None;
+    }
+    let typed = value_of(request.uri().query(), "token").filter(|_| request.uri().path() == "/");
+    match typed {
+        Some(typed) if token.is(&typed) => Some(with_cookie(&token.cookie())),
+        _ => Some(unauthorized()),
+    }
+}
+
+/// What is asked for.
+async fn route<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
+    let (path, query) = (request.uri().path(), request.uri().query());
+    let board = &shared.board;
+    match path {
+        "/api/frames" => api::frames(board, query),
+        "/api/settings" => api::settings(board),
+        "/api/status" => api::status(board),
+        "/events" => events::follow(shared, request),
+        "/metrics" => metrics::metrics(board),
+        "/healthz" => api::health(board),
+        "/readyz" => api::readiness(board),
+        _ => {
+            let name_after = |prefix| path.strip_prefix(prefix).map(decoded);
+            match (name_after("/api/frames/"), name_after("/files/")) {
+                (Some(name), _) => name.map_or_else(not_found, |name| api::frame(board, &name)),
+                (_, Some(Some(name))) => files::file(board, request, &name).await,
+                (_, Some(None)) => not_found(),
+                (None, None) => assets::asset(request),
+            }
+        }
+    }
+}
+
+/// The connection ends with this answer: what else would come is not worth reading.
+fn closing(mut answer: Answer) -> Answer {
+    answer.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+    answer
+}
+
+fn unauthorized() -> Answer {
+    let mut answer =
+        text(StatusCode::UNAUTHORIZED, "a token is needed: open /?token=TOKEN, or send it as a bearer");
+    answer.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    answer
+}
+
+/// The token is kept by the browser, and taken from the address.
+fn with_cookie(cookie: &str) -> Answer {
+    let mut answer = text(StatusCode::SEE_OTHER, "");
+    answer.headers_mut().insert(LOCATION, HeaderValue::from_static("/"));
+    if let Ok(cookie) = HeaderValue::from_str(cookie) {
+        answer.headers_mut().insert(SET_COOKIE, cookie);
+    }
+    answer
+}

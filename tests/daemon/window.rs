@@ -1,0 +1,424 @@
+//! The window, by plain sockets: what is shown, to whom, and that nobody who looks does any harm.
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::thread;
+use std::time::Duration;
+
+use rustix::process::Signal;
+use serde_json::Value;
+
+use super::scene::{Scene, Watching, await_that, by_length, moving, ply};
+
+/// An answer: its status, its headers in small letters, and its content.
+struct Answer {
+    status: u16,
+    headers: String,
+    content: Vec<u8>,
+}
+
+impl Answer {
+    fn text(&self) -> String {
+        String::from_utf8_lossy(&self.content).into_owned()
+    }
+
+    #[track_caller]
+    fn json(&self) -> Value {
+        serde_json::from_slice(&self.content).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
+    }
+}
+
+/// Starts the daemon with a window at a port that is free; where that is.
+fn watch(scene: &Scene, arguments: &[&str]) -> (Watching, String) {
+    let watching = scene.watch(&[&["--listen", "127.0.0.1:0"], arguments].concat());
+    let line = watching.await_line("the window is open", |line| line.message == "the window is open");
+    let address = line.fields["address"].as_str().expect("an address");
+    (watching, address.trim_start_matches("http://").trim_end_matches('/').to_owned())
+}
+
+fn connect(address: &str) -> TcpStream {
+    let stream = TcpStream::connect(address).expect("a connection");
+    stream.set_read_timeout(Some(Duration::from_secs(by_length(120, 1800)))).expect("a timeout");
+    stream
+}
+
+/// Sends these bytes; what comes until the other side ends it.
+fn exchange(address: &str, bytes: &[u8]) -> Answer {
+    let mut stream = connect(address);
+    // A side that has refused already does not listen to the rest.
+    let _ = stream.write_all(bytes);
+    let mut all = Vec::new();
+    // It may end it by a reset where it was sent more than it read.
+    let _ = stream.read_to_end(&mut all);
+    let end = all.windows(4).position(|four| four == b"\r\n\r\n").unwrap_or(all.len());
+    let headers = String::from_utf8_lossy(&all[..end]).to_lowercase();
+    let status = headers.split(' ').nth(1).and_then(|status| status.parse().ok()).unwrap_or(0);
+    Answer { status, headers, content: all.get(end + 4..).unwrap_or_default().to_vec() }
+}
+
+/// Asks for a path, with these lines beside those that must be.
+fn ask(address: &str, path: &str, lines: &str) -> Answer {
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n{lines}\r\n");
+    exchange(address, request.as_bytes())
+}
+
+fn get(address: &str, path: &str) -> Answer {
+    ask(address, path, "")
+}
+
+/// Follows the changes.
+struct Following(BufReader<TcpStream>);
+
+impl Following {
+    fn new(address: &str, query: &str) -> Following {
+        let mut stream = connect(address);
+        write!(stream, "GET /events{query} HTTP/1.1\r\nHost: {address}\r\n\r\n").expect("sent");
+        Following(BufReader::new(stream))
+    }
+
+    /// The next event: its id, kind and data.
+    fn next(&mut self) -> (String, String, Value) {
+        let (mut id, mut kind) = (String::new(), String::new());
+        loop {
+            let mut line = String::new();
+            assert!(self.0.read_line(&mut line).expect("a line") > 0, "the events have ended");
+            let field = |name: &str| line.strip_prefix(name).map(|value| value.trim().to_owned());
+            id = field("id: ").unwrap_or(id);
+            kind = field("event: ").unwrap_or(kind);
+            if let Some(data) = field("data: ") {
+                return (id, kind, serde_json::from_str(&data).expect("JSON"));
+            }
+        }
+    }
+
+    /// Reads until so many frames were told to be in this state; the id of the last event.
+    fn await_state(&mut self, state: &str, count: usize) -> String {
+        let mut names = std::collections::BTreeSet::new();
+        loop {
+            let (id, _, data) = self.next();
+            for frame in data["frames"].as_array().into_iter().flatten() {
+                if frame["state"] == state {
+                    names.insert(frame["name"].to_string());
+                }
+            }
+            if count <= names.len() {
+                return id;
+            }
+        }
+    }
+}
+
+#[test]
+fn frames_appear_while_a_producer_writes() {
+    let scene = Scene::new();
+    let (watching, address) = watch(&scene, &[]);
+    let mut following = Following::new(&address, "");
+    assert_eq!(following.next().1, "hello");
+    scene.put_moving(1..=4);
+    following.await_state("done", 4);
+    let page = get(&address, "/api/frames?limit=3").json();
+    let names = |page: &Value| {
+        let frames = page["frames"].as_array().expect("frames").iter();
+        frames.map(|frame| frame["name"].as_str().expect("a name").to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(names(&page), ["dam.1.ply", "dam.2.ply", "dam.3.ply"]);
+    assert_eq!((&page["total"], &page["next"]), (&4.into(), &"dam.3.ply".into()));
+    let rest = get(&address, "/api/frames?after=dam.3.ply").json();
+    assert_eq!((names(&rest), &rest["next"]), (vec!["dam.4.ply".to_owned()], &Value::Null));
+    let frame = get(&address, "/api/frames/dam.2.ply").json();
+    assert_eq!((&frame["state"], &frame["particles"]), (&"done".into(), &216.into()));
+    assert_eq!(frame["figures"]["certificate"]["holds"], true);
+    assert!(frame["figures"]["seconds"]["smooth"].as_f64().is_some_and(|seconds| seconds > 0.0));
+    assert_eq!(frame["outputs"][0]["name"], "dam.2.glb");
+    assert_eq!(get(&address, "/files/dam.2.glb").content, scene.bytes("out/dam.2.glb"));
+    let settings = get(&address, "/api/settings").json();
+    assert_eq!(settings["sequences"][0]["sequence"], "dam.{}.ply");
+    assert!(get(&address, "/metrics").text().contains("\nmeniscus_frames_converted_total 4\n"));
+    assert_eq!(get(&address, "/api/status").json()["frames"]["done"], 4);
+    assert_eq!([get(&address, "/healthz").status, get(&address, "/readyz").status], [200, 200]);
+    watching.assert_no_complaints();
+}
+
+#[test]
+fn a_frame_that_failed_says_why() {
+    let scene = Scene::new();
+    let (_watching, address) = watch(&scene, &[]);
+    let mut following = Following::new(&address, "");
+    scene.put("in/bad.1.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n");
+    following.await_state("failed", 1);
+    await_that("the reason is shown", || {
+        let frame = get(&address, "/api/frames/bad.1.ply").json();
+        frame["reason"].as_str().is_some_and(|reason| reason.contains("no properties x, y and z"))
+    });
+}
+
+#[test]
+fn what_was_done_before_is_shown_and_what_is_gone_is_not() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    scene.once(&[]).assert_status(0);
+    let (_watching, address) = watch(&scene, &[]);
+    let frame = get(&address, "/api/frames/dam.1.ply").json();
+    assert_eq!((&frame["state"], &frame["particles"]), (&"done".into(), &216.into()));
+    assert_eq!(get(&address, "/files/dam.1.glb").content, scene.bytes("out/dam.1.glb"));
+    scene.remove("in/dam.1.ply");
+    await_that("the frame is gone", || get(&address, "/api/frames/dam.1.ply").status == 404);
+    assert_eq!(get(&address, "/files/dam.1.glb").status, 404);
+}
+
+#[test]
+fn who_lost_the_connection_goes_on_from_there() {
+    let scene = Scene::new();
+    let (_watching, address) = watch(&scene, &[]);
+    scene.put_moving([1]);
+    let id = Following::new(&address, "?after=0-0").next();
+    assert_eq!(id.1, "resync", "an id of another run");
+    await_that("the frame is done", || get(&address, "/api/status").json()["frames"]["done"] == 1);
+    let at = get(&address, "/api/frames").json()["at"].as_str().expect("a place").to_owned();
+    scene.put_moving([2]);
+    await_that("the frame is done", || get(&address, "/api/status").json()["frames"]["done"] == 2);
+    let mut following = Following::new(&address, &format!("?after={at}"));
+    assert_eq!(following.next().1, "hello");
+    following.await_state("done", 1);
+}
+
+#[test]
+fn only_outputs_are_served_and_by_their_names() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    scene.write("secret", "the secret");
+    scene.write("out/beside.glb", "the secret");
+    let (watching, address) = watch(&scene, &[]);
+    watching.await_converted("dam.1.ply");
+    await_that("it is served", || get(&address, "/files/dam.1.glb").status == 200);
+    let absolute = scene.path("secret").display().to_string();
+    let encoded = absolute.replace('/', "%2f");
+    for name in [
+        "../secret",
+        "..%2fsecret",
+        "..%2Fsecret",
+        "%2e%2e%2fsecret",
+        "%2e%2e/secret",
+        "..%252fsecret",
+        "..%5csecret",
+        "./dam.1.glb",
+        "dam.1.glb/../../secret",
+        "dam.1.glb%00.png",
+        "%00",
+        "dam.1.glb/",
+        "beside.glb",
+        ".meniscus/journal",
+        "dam.1.ply",
+        "%c0%ae%c0%ae/secret",
+        "%",
+        "",
+        &absolute,
+        &encoded,
+    ] {
+        let answer = get(&address, &format!("/files/{name}"));
+        assert!(matches!(answer.status, 400 | 404), "{name}: {}", answer.status);
+        assert!(!answer.text().contains("the secret"), "{name}");
+        assert!(matches!(get(&address, &format!("/api/frames/{name}x")).status, 400 | 404), "{name}");
+    }
+    assert_eq!(get(&address, "/../secret").status, 404);
+    // A link in the place of an output leads to what is not ours to show.
+    scene.remove("out/dam.1.glb");
+    std::os::unix::fs::symlink(scene.path("secret"), scene.path("out/dam.1.glb")).expect("a link");
+    assert_eq!(get(&address, "/files/dam.1.glb").status, 404);
+}
+
+#[test]
+fn parts_of_files_and_files_that_are_known() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let (watching, address) = watch(&scene, &[]);
+    watching.await_converted("dam.1.ply");
+    await_that("it is served", || get(&address, "/files/dam.1.glb").status == 200);
+    let whole = scene.bytes("out/dam.1.glb");
+    let part = ask(&address, "/files/dam.1.glb", "Range: bytes=4-11\r\n");
+    assert_eq!((part.status, &part.content[..]), (206, &whole[4..12]));
+    assert!(part.headers.contains(&format!("content-range: bytes 4-11/{}", whole.len())), "{}", part.headers);
+    let beyond = ask(&address, "/files/dam.1.glb", "Range: bytes=999999999-\r\n");
+    assert_eq!(beyond.status, 416);
+    let tag = part.headers.lines().find_map(|line| line.strip_prefix("etag: ")).expect("a tag").to_owned();
+    let known = ask(&address, "/files/dam.1.glb", &format!("If-None-Match: {tag}\r\n"));
+    assert_eq!((known.status, known.content.len()), (304, 0));
+    let head = format!("HEAD /files/dam.1.glb HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    let head = exchange(&address, head.as_bytes());
+    assert_eq!((head.status, head.content.len()), (200, 0));
+    assert!(head.headers.contains(&format!("content-length: {}", whole.len())), "{}", head.headers);
+}
+
+#[test]
+fn every_answer_forbids_what_it_should() {
+    let scene = Scene::new();
+    let (_watching, address) = watch(&scene, &[]);
+    for path in ["/", "/page.js", "/api/frames", "/metrics", "/files/none", "/none"] {
+        let headers = get(&address, path).headers;
+        for header in [
+            "x-frame-options: deny",
+            "x-content-type-options: nosniff",
+            "referrer-policy: no-referrer",
+            "content-security-policy: default-src 'self'",
+            "cache-control: ",
+        ] {
+            assert!(headers.contains(header), "{path} has no {header}:\n{headers}");
+        }
+    }
+}
+
+#[test]
+fn other_hosts_and_other_methods_are_refused() {
+    let scene = Scene::new();
+    let (_watching, address) = watch(&scene, &[]);
+    for (host, status) in
+        [("localhost", 200), ("[::1]:1", 200), ("evil.example", 421), ("localhost.evil.example:80", 421)]
+    {
+        let request = format!("GET /api/frames HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+        assert_eq!(exchange(&address, request.as_bytes()).status, status, "{host}");
+    }
+    assert_eq!(exchange(&address, b"GET /api/frames HTTP/1.0\r\n\r\n").status, 421);
+    for method in ["POST", "PUT", "DELETE", "OPTIONS", "TRACE", "PATCH"] {
+        let request =
+            format!("{method} /api/frames HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        assert_eq!(exchange(&address, request.as_bytes()).status, 405, "{method}");
+    }
+}
+
+#[test]
+fn what_is_too_large_or_no_request_is_refused() {
+    let scene = Scene::new();
+    let (_watching, address) = watch(&scene, &[]);
+    let long = "x".repeat(40 << 10);
+    assert_eq!(ask(&address, "/", &format!("X: {long}\r\n")).status, 431);
+    assert_eq!(ask(&address, "/", &"X: y\r\n".repeat(200)).status, 431);
+    assert!(matches!(get(&address, &format!("/{long}")).status, 414 | 431));
+    assert_eq!(ask(&address, "/", "Content-Length: 5\r\n").status, 413);
+    assert_eq!(ask(&address, "/", "Transfer-Encoding: chunked\r\n").status, 413);
+    for garbage in
+        [&b"\0\x01\x02\r\n\r\n"[..], b"GET\r\n\r\n", b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03"]
+    {
+        let mut stream = connect(&address);
+        stream.write_all(garbage).expect("sent");
+        stream.shutdown(std::net::Shutdown::Write).expect("ended");
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        assert!(!answer.starts_with(b"HTTP/1.1 2"), "{garbage:?}");
+    }
+    assert_eq!(get(&address, "/healthz").status, 200);
+}
+
+#[test]
+fn requests_that_never_end_hold_up_nobody_and_are_ended() {
+    let scene = Scene::new();
+    let (watching, address) = watch(&scene, &[]);
+    let slow: Vec<TcpStream> = (0..50)
+        .map(|_| {
+            let mut stream = connect(&address);
+            write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\nX: ").expect("sent");
+            stream
+        })
+        .collect();
+    scene.put_moving([1]);
+    watching.await_converted("dam.1.ply");
+    assert_eq!(get(&address, "/api/frames").status, 200);
+    for mut stream in slow {
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        assert!(!answer.starts_with(b"HTTP/1.1 2"));
+    }
+}
+
+#[test]
+fn fifty_follow_and_some_of_them_never_listen() {
+    let scene = Scene::new();
+    let (watching, address) = watch(&scene, &[]);
+    let deaf: Vec<Following> = (0..20).map(|_| Following::new(&address, "")).collect();
+    let following: Vec<_> = (0..50)
+        .map(|_| {
+            let mut following = Following::new(&address, "");
+            assert_eq!(following.next().1, "hello");
+            thread::spawn(move || following.await_state("done", 6))
+        })
+        .collect();
+    scene.put_moving(1..=6);
+    for thread in following {
+        thread.join().expect("no panic");
+    }
+    drop(deaf);
+    watching.assert_no_complaints();
+    scene.assert_as_converted(&[]);
+}
+
+#[test]
+fn a_token_is_demanded_where_there_is_one() {
+    let scene = Scene::new();
+    scene.write("token", "0123456789abcdef\n");
+    let (_watching, address) = watch(&scene, &["--token-file", "token"]);
+    for path in ["/", "/api/frames", "/events", "/metrics", "/files/x", "/?token=0123456789abcdee"] {
+        assert_eq!(get(&address, path).status, 401, "{path}");
+    }
+    assert_eq!(get(&address, "/healthz").status, 200);
+    let bearer = "Authorization: Bearer 0123456789abcdef\r\n";
+    assert_eq!(ask(&address, "/api/frames", bearer).status, 200);
+    let opened = get(&address, "/?token=0123456789abcdef");
+    assert_eq!(opened.status, 303);
+    let cookie = opened.headers.lines().find_map(|line| line.strip_prefix("set-cookie: ")).expect("a cookie");
+    assert!(cookie.contains("httponly") && cookie.contains("samesite=strict"), "{cookie}");
+    let (cookie, _) = cookie.split_once(';').expect("what follows");
+    assert_eq!(ask(&address, "/api/frames", &format!("Cookie: {cookie}\r\n")).status, 200);
+}
+
+#[test]
+fn where_it_cannot_listen_it_says_so() {
+    let scene = Scene::new();
+    let (_watching, address) = watch(&scene, &[]);
+    let refused = |arguments: &[&str], words: &str| {
+        let ran = scene.run(&[&["watch", "elsewhere", "--out", "other"], arguments].concat());
+        assert_eq!(ran.status, Some(2), "{}", ran.err);
+        assert!(ran.err.contains(words), "{}", ran.err);
+    };
+    refused(&["--listen", &address], &format!("cannot listen on {address}"));
+    refused(&["--listen", "0.0.0.0:0"], "--token");
+    refused(&["--listen", "[::]:0"], "--token");
+    refused(&["--listen", "7700"], "no address with a port");
+    refused(&["--listen", "127.0.0.1:0", "--token", "short"], "16 to 256");
+    refused(&["--token", "0123456789abcdef"], "--listen");
+}
+
+#[test]
+fn it_closes_with_the_daemon() {
+    let scene = Scene::new();
+    let (mut watching, address) = watch(&scene, &[]);
+    let mut following = Following::new(&address, "");
+    assert_eq!(following.next().1, "hello");
+    watching.signal(Signal::TERM);
+    let mut rest = Vec::new();
+    let _ = following.0.read_to_end(&mut rest);
+    await_that("the daemon ends", || !watching.is_alive());
+    assert!(TcpStream::connect(&address).is_err());
+    assert!(fs::metadata(scene.path("out")).is_ok_and(|out| out.is_dir()));
+}
+
+#[test]
+fn several_folders_have_their_numbers() {
+    let scene = Scene::new();
+    for folder in ["a", "b"] {
+        scene.write(&format!("{folder}/dam.1.ply"), ply(&moving(1)));
+    }
+    scene.write(
+        "two.toml",
+        "[daemon]\nlisten = \"127.0.0.1:0\"\n[[watch]]\ninput = \"a\"\noutput = \"x\"\n[[watch]]\ninput = \"b\"\noutput = \"y\"\n",
+    );
+    let watching = scene.start_as(&["watch", "--config", "two.toml", "--log", "json"]);
+    let line = watching.await_line("the window is open", |line| line.message == "the window is open");
+    let address = line.fields["address"].as_str().expect("an address").to_owned();
+    let address = address.trim_start_matches("http://").trim_end_matches('/');
+    await_that("both are done", || get(address, "/api/status").json()["frames"]["done"] == 2);
+    for (number, folder) in [(1, "x"), (2, "y")] {
+        assert_eq!(get(address, &format!("/api/frames/{number}/dam.1.ply")).status, 200);
+        let served = get(address, &format!("/files/{number}/dam.1.glb")).content;
+        assert_eq!(served, scene.bytes(&format!("{folder}/dam.1.glb")));
+    }
+}
