@@ -347,7 +347,7 @@ function bytes(value) {
 
 async function showSettings() {
   const { daemon, sequences } = await json('api/settings');
-  const shownAs = value => value !== null && typeof value === 'object' ? Object.entries(value).map(([k, v]) => `${k} ${v}`).join(', ') : value;
+  const shownAs = value => value !== null && typeof value === 'object' ? Object.entries(value).map(([k, v]) => `${k} ${v}`).join(', ') : typeof value === 'number' ? Number(value.toPrecision(6)) : value;
   const block = (title, values) => [
     make('h3', '', title),
     pairs(Object.entries(values).map(([name, value]) => [name.replaceAll('_', ' '), Array.isArray(value) ? value.join(', ') : shownAs(value)])),
@@ -366,7 +366,9 @@ async function showSettings() {
 async function showFlow() {
   if (!document.hidden) {
     try {
-      drawFlow((await json('api/status')).samples);
+      const told = await json('api/status');
+      status = told.status;
+      drawFlow(told.samples);
     } catch {
       // The link says so.
     }
