@@ -157,13 +157,14 @@ impl Board {
 
     /// The daemon begins, with this plan: what was shown before is of another one.
     pub fn begin(&self, plan: Value) {
-        let counters = std::mem::take(&mut self.lock().counters);
         let mut state = self.lock();
+        // What was counted goes on: it is of the process.
+        let old = std::mem::take(&mut *state);
         *state = State {
-            version: state.version,
+            version: old.version,
             plan: Arc::new(plan),
-            counters,
-            samples: std::mem::take(&mut state.samples),
+            counters: old.counters,
+            samples: old.samples,
             ..State::default()
         };
         self.note(&mut state, Change::All);

@@ -347,10 +347,11 @@ function bytes(value) {
 
 async function showSettings() {
   const { daemon, sequences } = await json('api/settings');
-  const shownAs = value => value !== null && typeof value === 'object' ? Object.entries(value).map(([k, v]) => `${k} ${v}`).join(', ') : value;
+  const shownAs = value => value !== null && typeof value === 'object' ? Object.entries(value).map(([k, v]) => `${k} ${v}`).join(', ') : typeof value === 'number' && !Number.isInteger(value) ? Number(value.toPrecision(6)) : value;
+  const told = (name, value) => name.endsWith('_bytes') ? bytes(value) : Array.isArray(value) ? value.join(', ') : shownAs(value);
   const block = (title, values) => [
     make('h3', '', title),
-    pairs(Object.entries(values).map(([name, value]) => [name.replaceAll('_', ' '), Array.isArray(value) ? value.join(', ') : shownAs(value)])),
+    pairs(Object.entries(values).map(([name, value]) => [name.replaceAll('_', ' '), told(name, value)])),
   ];
   const { watches, ...rest } = daemon;
   const parts = [
@@ -366,7 +367,9 @@ async function showSettings() {
 async function showFlow() {
   if (!document.hidden) {
     try {
-      drawFlow((await json('api/status')).samples);
+      const told = await json('api/status');
+      status = told.status;
+      drawFlow(told.samples);
     } catch {
       // The link says so.
     }
