@@ -58,7 +58,7 @@ impl Daemon<'_> {
             camera: None,
         });
         let (own_radii, known) = (own_radii.clone(), given.or(remembered));
-        (!files.is_empty()).then(|| MeasureOrder { sequence: index, files, own_radii, known, watch })
+        (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
 
     /// A sequence was measured, or could not be.
