@@ -24,7 +24,7 @@ use super::readiness::{Candidate, Readiness};
 use super::rounds::{Daemon, Failure};
 use super::scan::Seen;
 use super::selection::{Content, content};
-use super::sequences::SequenceSettings;
+use super::sequences::{SequenceSettings, outputs_with};
 
 impl Daemon<'_> {
     /// A file of a root was seen.
@@ -243,11 +243,14 @@ impl Daemon<'_> {
         if let Some(frame) = self.frames.get_mut(id) {
             frame.made_with = self.sequences.get(frame.sequence).fingerprint(&obstacles, &id.path);
         }
+        let outputs = self.outputs(id);
+        let camera = self.frames.get(id).and_then(|frame| self.sequences.get(frame.sequence).camera);
+        let outputs = if camera.is_some() { Arc::new(outputs_with(&outputs, camera)) } else { outputs };
         let frame = Frame {
             input: id.path.to_path_buf(),
             stem: stem(&id.path),
             settings,
-            outputs: self.outputs(id),
+            outputs,
             number: FrameFile::new(id.path.to_path_buf()).number(),
             obstacles,
         };

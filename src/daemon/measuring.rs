@@ -4,10 +4,11 @@ use std::path::PathBuf;
 
 use crate::pipeline::{FileStamp, natural_order};
 
+use super::config::Watch;
 use super::frames::{FrameId, FrameState, Phase};
-use super::journal::Standing;
+use super::journal::{SequenceRecord, Standing};
 use super::rounds::Daemon;
-use super::sequences::{MeasureOrder, Measured, SequenceSettings};
+use super::sequences::{MeasureOrder, Measured, SequenceSettings, fixed_camera};
 
 impl Daemon<'_> {
     /// The index of the sequence that a file belongs to.
@@ -15,7 +16,7 @@ impl Daemon<'_> {
         let watch = &self.config.watches[id.root];
         let remembered = &self.stores.of_watch(id.root).journal.state().sequences;
         let known_count = self.sequences.len();
-        let index = self.sequences.index(id, watch, |key| SequenceSettings::new(watch, remembered.get(key)));
+        let index = self.sequences.index(id, watch, |key| remembered.get(key).cloned());
         if index == known_count {
             self.show_sequence(index);
         }
@@ -52,7 +53,17 @@ impl Daemon<'_> {
         members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
         let files: Vec<(PathBuf, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.path.to_path_buf(), stamp?))).collect();
-        (!files.is_empty()).then(|| MeasureOrder { sequence: index, files, own_radii: own_radii.clone() })
+        let watch = self.config.watches[sequence.root].clone();
+        let remembered =
+            self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key).cloned();
+        let given = watch.voxel_size.map(|voxel_size| SequenceRecord {
+            voxel_size,
+            spacing: None,
+            measured_on: None,
+            camera: None,
+        });
+        let (own_radii, known) = (own_radii.clone(), given.or(remembered));
+        (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
 
     /// A sequence was measured, or could not be.
@@ -65,7 +76,9 @@ impl Daemon<'_> {
         let sparse: Vec<FrameId> = sparse.map(|(path, _)| FrameId::new(root, path)).collect();
         let sequence = self.sequences.get_mut(index);
         sequence.sparse.extend(sparse.iter().cloned());
-        sequence.settings = SequenceSettings::new(&self.config.watches[root], record.as_ref());
+        let watch = &self.config.watches[root];
+        sequence.settings = SequenceSettings::new(watch, record.as_ref());
+        sequence.camera = fixed_camera(watch, record.as_ref());
         if record.is_none() {
             self.tell_of_sparse(index, &sparse);
         }
@@ -93,16 +106,18 @@ impl Daemon<'_> {
 
     /// Frames wait for another one, which whoever waits for them should know.
     fn tell_of_sparse(&mut self, index: usize, sparse: &[FrameId]) {
+        let root = self.sequences.get(index).root;
+        let why = why_held(&self.config.watches[root]);
         let sequence = self.sequences.get_mut(index);
         if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_told, true) {
             tracing::warn!(
                 sequence = %sequence.key.folder.join(&sequence.key.name).display(),
-                "{TOO_SPARSE_YET}"
+                "{why}"
             );
         }
         for id in sparse {
             if let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) {
-                self.note(id, Standing::Queued, stamp, Some(TOO_SPARSE_YET.to_owned()));
+                self.note(id, Standing::Queued, stamp, Some(why.to_owned()));
             }
         }
     }
@@ -135,6 +150,15 @@ impl Daemon<'_> {
         self.frames.iter().filter(|(_, frame)| is_held(frame)).map(|(id, _)| id.clone()).collect()
     }
 }
+
+/// Why frames wait that are too sparse.
+fn why_held(watch: &Watch) -> &'static str {
+    if watch.voxel_size.is_some() { EMPTY_YET } else { TOO_SPARSE_YET }
+}
+
+/// Why frames wait whose voxel size is known.
+const EMPTY_YET: &str = "no frame of its sequence has had a particle yet by which the camera of its pictures could be \
+                         placed: waiting for one; --camera with eye, target and ground would do instead";
 
 /// Why frames wait.
 const TOO_SPARSE_YET: &str = "no frame of its sequence has had the 33 distinct particles yet that it takes to \

@@ -15,17 +15,18 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use glam::DVec3;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, FrameFile, ObstacleFiles, ObstacleStamps, automatic_voxel_size,
-    settings_fingerprint,
+    CameraChoice, FileStamp, FrameError, FrameFile, ObstacleFiles, ObstacleStamps, OutputOptions,
+    PictureOptions, automatic_voxel_size, sequence_bounds, settings_fingerprint,
 };
 use crate::settings::{OwnRadii, Settings};
 
 use super::config::Watch;
 use super::frames::FrameId;
-use super::journal::{SequenceKey, SequenceRecord, State};
+use super::journal::{SequenceCamera, SequenceKey, SequenceRecord, State};
 
 /// All sequences that were met.
 #[derive(Debug, Default)]
@@ -43,6 +44,8 @@ pub(super) struct Sequence {
     pub(super) root: usize,
     /// Its settings, or what is missing.
     pub(super) settings: SequenceSettings,
+    /// The camera that was placed for its pictures, if one had to be.
+    pub(super) camera: Option<CameraChoice>,
     /// Frames that were looked at and have too few particles to measure the spacing.
     pub(super) sparse: HashSet<FrameId>,
     /// That its frames wait for one with more particles was told.
@@ -88,13 +91,13 @@ pub(super) enum SequenceSettings {
 }
 
 impl Sequences {
-    /// The index of the sequence that a frame belongs to; `new` is asked for the settings of one that is
+    /// The index of the sequence that a frame belongs to; `remembered` is asked for what is known of one that is
     /// met for the first time.
     pub(super) fn index(
         &mut self,
         id: &FrameId,
         watch: &Watch,
-        new: impl FnOnce(&SequenceKey) -> SequenceSettings,
+        remembered: impl FnOnce(&SequenceKey) -> Option<SequenceRecord>,
     ) -> usize {
         let (folder, name) = FrameFile::new(id.path.to_path_buf()).sequence();
         let place = (id.root, folder, name);
@@ -103,11 +106,14 @@ impl Sequences {
         }
         let (_, folder, name) = place.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
-        let settings = new(&key);
+        let remembered = remembered(&key);
+        let settings = SequenceSettings::new(watch, remembered.as_ref());
+        let camera = fixed_camera(watch, remembered.as_ref());
         self.all.push(Sequence {
             key,
             root: id.root,
             settings,
+            camera,
             sparse: HashSet::new(),
             is_told: false,
             told: HashSet::new(),
@@ -131,18 +137,44 @@ impl Sequences {
 }
 
 impl SequenceSettings {
-    /// The settings, where they need no measuring: the voxel size was given, or is remembered.
+    /// The settings, where they need no measuring: the voxel size was given, or is remembered, and so is the camera if
+    /// there are to be pictures.
     pub(super) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
         let voxel_size = watch.voxel_size.or(remembered.map(|record| record.voxel_size));
+        let camera = fixed_camera(watch, remembered);
+        let lacks_camera = watch.outputs.needs_camera() && camera.is_none();
+        let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
         let settings = match voxel_size {
-            None => watch.choices.own_radii().map(SequenceSettings::Unknown),
-            Some(voxel_size) => Settings::resolve(voxel_size, &watch.choices).map(|settings| {
-                let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
-                SequenceSettings::Fixed(Arc::new(settings), fingerprint)
+            None => unknown(),
+            Some(voxel_size) => Settings::resolve(voxel_size, &watch.choices).and_then(|settings| {
+                if lacks_camera {
+                    return unknown();
+                }
+                let outputs = outputs_with(&watch.outputs, camera);
+                let fingerprint = settings_fingerprint(&settings, &outputs).into();
+                Ok(SequenceSettings::Fixed(Arc::new(settings), fingerprint))
             }),
         };
         settings.unwrap_or_else(|error| SequenceSettings::Impossible(error.to_string()))
     }
+}
+
+/// The camera that is remembered for the pictures of a sequence, if one was placed for what is asked for now.
+pub(super) fn fixed_camera(watch: &Watch, remembered: Option<&SequenceRecord>) -> Option<CameraChoice> {
+    let SequenceCamera { asked, fixed } = remembered?.camera.as_ref()?;
+    (watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs)).then_some(*fixed)
+}
+
+/// What is written with the camera of a sequence, if one was placed.
+pub(super) fn outputs_with(outputs: &OutputOptions, camera: Option<CameraChoice>) -> OutputOptions {
+    let picture = PictureOptions { camera: camera.unwrap_or(outputs.picture.camera), ..outputs.picture };
+    OutputOptions { picture, ..outputs.clone() }
+}
+
+/// All that a camera depends on beside the frame.
+fn asked_camera(outputs: &OutputOptions) -> String {
+    let PictureOptions { size: [width, height], camera } = outputs.picture;
+    format!("{width}x{height} {camera} {:?}", outputs.up())
 }
 
 /// What the journal knows the settings by that a frame would be converted with now; `None` where the
@@ -192,6 +224,10 @@ pub(super) struct MeasureOrder {
     pub(super) files: Vec<(PathBuf, FileStamp)>,
     /// Where its particles have radii of their own.
     pub(super) own_radii: Option<OwnRadii>,
+    /// What is known already: the voxel size, where only the camera is not.
+    pub(super) known: Option<SequenceRecord>,
+    /// What was asked for.
+    pub(super) watch: Watch,
 }
 
 /// What came of it.
@@ -210,7 +246,7 @@ pub(super) struct Measured {
 }
 
 /// Looks at the files one by one until the spacing is known.
-pub(super) fn measure(order: MeasureOrder) -> Measured {
+pub(super) fn measure(mut order: MeasureOrder) -> Measured {
     let mut measured = Measured {
         sequence: order.sequence,
         record: None,
@@ -218,28 +254,54 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
         unreadable: Vec::new(),
         changed: None,
     };
-    for (path, stamp) in order.files {
-        let found = automatic_voxel_size([&*path], order.own_radii.as_ref());
+    for (path, stamp) in std::mem::take(&mut order.files) {
+        let found = measured_on(&path, &order);
         if FileStamp::of_path(&path).ok() != Some(stamp) {
             measured.changed = Some(path);
             break;
         }
         match found {
-            Ok(automatic) => {
-                measured.record = Some(SequenceRecord {
-                    voxel_size: automatic.voxel_size,
-                    spacing: Some(automatic.spacing),
-                    measured_on: Some(automatic.measured_on),
-                });
+            Ok(Some(record)) => {
+                measured.record = Some(record);
                 break;
             }
-            Err(none) => match none.unreadable {
-                Some(error) => measured.unreadable.push((path, stamp, error)),
-                None => measured.sparse.push((path, stamp)),
-            },
+            Ok(None) => measured.sparse.push((path, stamp)),
+            Err(error) => measured.unreadable.push((path, stamp, error)),
         }
     }
     measured
+}
+
+/// What a frame says of its sequence; `None` if it has too few particles.
+fn measured_on(path: &Path, order: &MeasureOrder) -> Result<Option<SequenceRecord>, FrameError> {
+    let record = match &order.known {
+        Some(record) => record.clone(),
+        None => match automatic_voxel_size([path], order.own_radii.as_ref()) {
+            Ok(automatic) => SequenceRecord {
+                voxel_size: automatic.voxel_size,
+                spacing: Some(automatic.spacing),
+                measured_on: Some(automatic.measured_on),
+                camera: None,
+            },
+            Err(none) => return none.unreadable.map_or(Ok(None), Err),
+        },
+    };
+    let outputs = &order.watch.outputs;
+    if !outputs.needs_camera() {
+        return Ok(Some(record));
+    }
+    let settings = Settings::resolve(record.voxel_size, &order.watch.choices);
+    let radius = settings.map_or(record.voxel_size, |settings| settings.radius_init);
+    let Some(bounds) = sequence_bounds(&[path], radius)? else { return Ok(None) };
+    let fixed = outputs.with_camera_around(widened(bounds, outputs.up().direction())).picture.camera;
+    let camera = Some(SequenceCamera { asked: asked_camera(outputs), fixed });
+    Ok(Some(SequenceRecord { camera, ..record }))
+}
+
+/// A box that holds what a fluid in this one may come to: it is wider by half its height on each side.
+fn widened([least, greatest]: [DVec3; 2], up: DVec3) -> [DVec3; 2] {
+    let aside = (DVec3::ONE - up) * (0.5 * (greatest - least).dot(up));
+    [least - aside, greatest + aside]
 }
 
 /// What the user chose, in short: with other choices, a sequence is another.

@@ -12,6 +12,8 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use meniscus_formats::{gltf, vdb};
 
+use crate::preview::Up;
+
 use super::obstacles::ObstacleFiles;
 use super::picture::{PictureFormat, PictureOptions, up_of};
 
@@ -95,6 +97,11 @@ impl OutputOptions {
     /// Whether pictures are written whose camera is not fixed yet.
     pub fn needs_camera(&self) -> bool {
         self.formats.iter().any(|format| format.picture().is_some()) && self.picture.camera.needs_bounds()
+    }
+
+    /// Which way is up.
+    pub fn up(&self) -> Up {
+        self.picture.camera.up_or(up_of(self.up))
     }
 
     /// The same, with a camera that has what is within these bounds, least and greatest corner in world units.

@@ -95,6 +95,11 @@ impl CameraChoice {
         Viewpoint { eye, target, top, view_degrees, up, ground }
     }
 
+    /// Which way is up, where it was said; else this.
+    pub fn up_or(&self, up: Up) -> Up {
+        self.up.unwrap_or(up)
+    }
+
     /// Whether the bounds of what is seen matter.
     pub fn needs_bounds(&self) -> bool {
         matches!(self.place, Place::Around { .. }) || self.ground.is_none()

@@ -10,6 +10,7 @@ mod layers; // the house: no module imports its own row or a higher one
 mod obstacles; // what stands in the way: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
 mod own_shapes; // particles of their own sizes and shapes (paper, Fig. 11 and 13)
+mod pictures; // of balls, of which all is known; their files, and the command that makes them
 mod pipeline; // frames through the stages, with a quick method in place of the real one
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
 mod scene; // small frames of particles, and a way to run the command

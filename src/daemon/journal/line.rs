@@ -29,8 +29,8 @@ use crate::pipeline::FileStamp;
 
 use super::plan::WirePlan;
 use super::state::{
-    DaemonRecord, DaemonState, Entry, EntryRef, FrameRecord, OutputRecord, SequenceKey, SequenceRecord,
-    Standing,
+    DaemonRecord, DaemonState, Entry, EntryRef, FrameRecord, OutputRecord, SequenceCamera, SequenceKey,
+    SequenceRecord, Standing,
 };
 
 /// Digits of a checksum.
@@ -117,6 +117,9 @@ struct WireSequence {
     spacing: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     measured_on: Option<WirePath>,
+    /// The camera that was asked for, and where it is.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    camera: Option<[String; 2]>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -243,6 +246,7 @@ impl WireSequence {
             voxel_size: record.voxel_size.to_string(),
             spacing: record.spacing.map(|spacing| spacing.to_string()),
             measured_on: record.measured_on.as_deref().map(WirePath::of),
+            camera: record.camera.as_ref().map(|camera| [camera.asked.clone(), camera.fixed.to_string()]),
         }
     }
 
@@ -256,6 +260,10 @@ impl WireSequence {
             },
             measured_on: match self.measured_on {
                 Some(path) => Some(path.into_path()?),
+                None => None,
+            },
+            camera: match self.camera {
+                Some([asked, fixed]) => Some(SequenceCamera { asked, fixed: fixed.parse().ok()? }),
                 None => None,
             },
         };
@@ -402,11 +410,15 @@ mod tests {
                 voxel_size,
                 spacing: Some(voxel_size.next_down()),
                 measured_on: Some("/sim/dam.0001.bgeo".into()),
+                camera: Some(SequenceCamera {
+                    asked: "1280x720 auto".to_owned(),
+                    fixed: "eye=0.1:2:3,target=0:0:0,view=30,up=y,ground=none".parse().expect("a camera"),
+                }),
             };
             comes_back(&Entry::Sequence(key.clone(), record));
             comes_back(&Entry::Sequence(
                 key,
-                SequenceRecord { voxel_size, spacing: None, measured_on: None },
+                SequenceRecord { voxel_size, spacing: None, measured_on: None, camera: None },
             ));
         }
     }

@@ -6,7 +6,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::daemon::config::{Patience, Watch};
-use crate::pipeline::FileStamp;
+use crate::pipeline::{CameraChoice, FileStamp};
 
 /// All that is remembered.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -100,6 +100,17 @@ pub struct SequenceRecord {
     pub spacing: Option<f64>,
     /// The frame it was measured on.
     pub measured_on: Option<PathBuf>,
+    /// Where its pictures are taken from, if any are.
+    pub camera: Option<SequenceCamera>,
+}
+
+/// A camera that was placed by a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SequenceCamera {
+    /// What was asked for; with something else, another is placed.
+    pub asked: String,
+    /// What came of it.
+    pub fixed: CameraChoice,
 }
 
 /// The daemon that writes the journal.

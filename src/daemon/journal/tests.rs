@@ -41,6 +41,7 @@ fn sequence() -> (SequenceKey, SequenceRecord) {
         voxel_size: 0.1,
         spacing: Some(0.2),
         measured_on: Some("/sim/dam.0001.bgeo".into()),
+        camera: None,
     };
     (key, record)
 }

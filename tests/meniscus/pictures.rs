@@ -1,0 +1,273 @@
+//! Pictures: of balls, of which all is known; their files, and the command that makes them.
+
+use std::fmt::Write;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::Path;
+
+use exr::prelude::{ReadChannels, ReadLayers, read};
+use glam::{DVec3, IVec3};
+use meniscus::grid::{Field, Topology, voxel_in_leaf};
+use meniscus::level_set::NarrowBand;
+use meniscus::pipeline::{CameraChoice, PictureFormat, Scene, Viewpoint, encode_picture};
+use meniscus::preview::{FAR, Picture, Up};
+use meniscus::space::Lattice;
+use meniscus_formats::provenance::{Kind, read_provenance};
+use rayon::ThreadPoolBuilder;
+use tempfile::tempdir;
+
+use crate::scene::{meniscus, names_in, write_sequence};
+
+/// World units.
+const VOXEL_SIZE: f64 = 0.05;
+
+const RADIUS: f64 = 1.0;
+
+const SIZE: [usize; 2] = [240, 160];
+
+/// A ball around the origin; `side` −1 turns it inside out.
+fn ball(side: f32) -> NarrowBand {
+    let leaves =
+        (-4..4).flat_map(|x| (-4..4).flat_map(move |y| (-4..4).map(move |z| IVec3::new(x, y, z) * 8)));
+    let topology = Topology::new(leaves.collect());
+    let half_width = 6.0;
+    let mut phi = Field::splat(topology.len(), half_width);
+    for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            let place = (*origin + voxel_in_leaf(offset)).as_dvec3();
+            *value = side * ((place.length() - RADIUS / VOXEL_SIZE) as f32).clamp(-half_width, half_width);
+        }
+    }
+    NarrowBand { topology: topology.into(), phi, half_width }
+}
+
+fn viewpoint(spec: &str) -> Viewpoint {
+    let camera: CameraChoice = spec.parse().expect("a camera");
+    camera.viewpoint([DVec3::NEG_ONE, DVec3::ONE], SIZE[0] as f64 / SIZE[1] as f64, Up::Y)
+}
+
+const AWAY: &str = "eye=0:3:4,target=0:0:0,view=40";
+
+fn picture_of(band: &NarrowBand, origin: DVec3, viewpoint: &Viewpoint) -> Picture {
+    let lattice = Lattice { voxel_size: VOXEL_SIZE };
+    Scene { band, lattice, origin, velocity: None }.picture(viewpoint, SIZE, true)
+}
+
+#[test]
+fn a_ball_is_where_and_what_it_is() {
+    let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint(AWAY));
+    // Seen from 5 its edge is at the angle whose sine is 1/5.
+    let edge = (RADIUS / 5.0).asin().tan() / 20f64.to_radians().tan() * SIZE[1] as f64 / 2.0;
+    let area = std::f64::consts::PI * edge * edge;
+    let covered: f64 = picture.coverage.iter().map(|&part| f64::from(part)).sum();
+    assert!((covered / area - 1.0).abs() < 0.01, "{covered} pixels of {area}");
+    let data = picture.data.expect("data");
+    let middle = SIZE[1] / 2 * SIZE[0] + SIZE[0] / 2;
+    assert!((f64::from(data.depth[middle]) - 4.0).abs() < 0.005, "{}", data.depth[middle]);
+    assert_eq!(data.depth[0], FAR);
+    let mut count = 0;
+    for pixel in (0..picture.coverage.len()).filter(|&pixel| data.depth[pixel] < FAR) {
+        let place = DVec3::from(data.positions[pixel].map(f64::from));
+        let normal = DVec3::from(data.normals[pixel].map(f64::from));
+        assert!((place.length() - RADIUS).abs() < 0.01, "{place}");
+        assert!(normal.dot(place.normalize()) > 0.995, "{normal} at {place}");
+        assert!((f64::from(data.curvatures[pixel]) * RADIUS - 1.0).abs() < 0.1, "{}", data.curvatures[pixel]);
+        count += 1;
+    }
+    assert!((f64::from(count) / area - 1.0).abs() < 0.05, "{count} of {area}");
+}
+
+/// A picture is the same wherever the voxels of its level set begin.
+#[test]
+fn a_level_set_may_be_moved() {
+    let origin = DVec3::new(10.0, -3.0, 0.5);
+    let here = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint(AWAY));
+    let there = picture_of(&ball(1.0), origin, &viewpoint(AWAY).moved(origin));
+    assert_eq!(here.size, there.size);
+    let off = here.color.as_flattened().iter().zip(there.color.as_flattened()).map(|(a, b)| (a - b).abs());
+    assert!(off.fold(0.0, f32::max) < 0.02);
+    let middle = SIZE[1] / 2 * SIZE[0] + SIZE[0] / 2;
+    let position = |picture: &Picture| {
+        DVec3::from(picture.data.as_ref().expect("data").positions[middle].map(f64::from))
+    };
+    assert!((position(&there) - position(&here)).distance(origin) < 1e-4);
+}
+
+#[test]
+fn what_is_inside_out_is_orange() {
+    let middle = SIZE[1] / 2 * SIZE[0] + SIZE[0] / 2;
+    let [right, wrong] =
+        [1.0, -1.0].map(|side| picture_of(&ball(side), DVec3::ZERO, &viewpoint(AWAY)).color[middle]);
+    assert!(right[2] > right[0], "{right:?} is not blue");
+    assert!(wrong[0] > 1.5 * wrong[2], "{wrong:?} is not orange");
+}
+
+#[test]
+fn files_do_not_depend_on_threads() {
+    let of_threads = |count: usize| {
+        let pool = ThreadPoolBuilder::new().num_threads(count).build().expect("threads");
+        pool.install(|| {
+            let viewpoint = viewpoint("azimuth=10");
+            let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint);
+            [PictureFormat::Png, PictureFormat::Exr]
+                .map(|format| encode_picture(&picture, Some(&viewpoint), format, &[]).expect("encoded"))
+        })
+    };
+    assert!(of_threads(1) == of_threads(2));
+}
+
+/// Names of layers and of their channels.
+fn layers_of(path: &Path) -> Vec<(String, Vec<String>)> {
+    let file = BufReader::new(File::open(path).expect("there"));
+    let image = read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
+    let image = image.from_buffered(file).expect("an image");
+    let layers = image.layer_data.iter().map(|layer| {
+        assert_eq!((layer.size.0, layer.size.1), (64, 48));
+        assert!(
+            layer.attributes.world_to_camera.is_some()
+                && layer.attributes.world_to_normalized_device.is_some()
+        );
+        let name = layer.attributes.layer_name.as_ref().expect("a name").to_string();
+        (name, layer.channel_data.list.iter().map(|channel| channel.name.to_string()).collect())
+    });
+    layers.collect()
+}
+
+fn camera_in(path: &Path) -> String {
+    let kind =
+        if path.extension().is_some_and(|extension| extension == "png") { Kind::Png } else { Kind::Exr };
+    let pairs = read_provenance(kind, File::open(path).expect("there")).expect("readable");
+    pairs.into_iter().find(|(name, _)| name == "camera").expect("a camera").1
+}
+
+#[test]
+fn particles_and_level_sets_become_pictures() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let mut text = String::from("x,y,z,vx,vy,vz\n");
+    for i in 0..512 {
+        let [x, y, z] = [i % 8, i / 8 % 8, i / 64].map(|along| f64::from(along) * 0.1);
+        writeln!(text, "{x},{y},{z},1,2,3").expect("strings take everything");
+    }
+    fs::write(path.join("drop.csv"), text).expect("written");
+    let ran = meniscus(path, &["render", "drop.csv", "-o", "drop.exr", "--size", "64x48"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let of_vector = |name: &str| ["X", "Y", "Z"].map(|axis| format!("{name}.{axis}")).to_vec();
+    let expected = [
+        ("beauty", vec!["A".to_owned(), "B".into(), "G".into(), "R".into()]),
+        ("coverage", vec!["Y".into()]),
+        ("depth", vec!["Z".into()]),
+        ("normals", of_vector("N")),
+        ("position", of_vector("P")),
+        ("velocity", of_vector("V")),
+        ("curvature", vec!["Y".into()]),
+    ];
+    assert_eq!(
+        layers_of(&path.join("drop.exr")),
+        expected.map(|(name, channels)| (name.to_owned(), channels))
+    );
+
+    // The camera of a picture takes it again.
+    let first = fs::read(path.join("drop.exr")).expect("there");
+    let again = ["render", "drop.csv", "-o", "again.exr", "--size", "64x48", "--camera-from", "drop.exr"];
+    assert_eq!(meniscus(path, &again).status, 0);
+    assert!(fs::read(path.join("again.exr")).expect("there") == first);
+
+    let ran = meniscus(path, &["convert", "drop.csv", "--out", "o", "--format", "vdb"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let turn = ["render", "o", "--out", "turn", "--format", "exr", "--size", "64x48", "--turntable", "3"];
+    let ran = meniscus(path, &turn);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert_eq!(names_in(&path.join("turn")), ["drop.000.exr", "drop.001.exr", "drop.002.exr"]);
+    assert_ne!(camera_in(&path.join("turn/drop.000.exr")), camera_in(&path.join("turn/drop.001.exr")));
+    assert_eq!(layers_of(&path.join("turn/drop.001.exr")).len(), 6);
+
+    let ran = meniscus(path, &["render", "drop.csv", "-o", "two.png", "--size", "120x40", "--particles"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let decoder = png::Decoder::new(BufReader::new(File::open(path.join("two.png")).expect("there")));
+    let reader = decoder.read_info().expect("a picture");
+    assert_eq!((reader.info().width, reader.info().height), (120, 40));
+}
+
+#[test]
+fn pictures_that_cannot_be_are_refused() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    fs::write(path.join("broken.vdb"), "no grid").expect("written");
+    fs::write(path.join("scene.gltf"), r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[]}]}"#)
+        .expect("written");
+    for (arguments, words) in [
+        (&["dam.1.ply"][..], &["--output", "--out"][..]),
+        (&["missing.ply", "-o", "a.png"], &["missing.ply", "no such file"]),
+        (&["dam.1.ply", "-o", "a.jpg"], &["a.jpg", ".png or .exr"]),
+        (&["dam.1.ply", "dam.2.ply", "-o", "a.png"], &["2 frames", "--out"]),
+        (&["dam.1.ply", "-o", "a.png", "--size", "1280"], &["--size", "1280x720"]),
+        (&["dam.1.ply", "-o", "a.png", "--camera", "zoom=far"], &["zoom=`far`", "expected a number"]),
+        (
+            &["dam.1.ply", "-o", "a.png", "--camera", "azimut=3"],
+            &["no key `azimut`", "expected one of azimuth"],
+        ),
+        (&["dam.1.ply", "-o", "a.png", "--camera-from", "scene.gltf"], &["scene.gltf", "no camera"]),
+        (&["dam.1.ply", "-o", "a.png", "--camera-from", "dam.2.ply"], &["dam.2.ply", "expected a .glb"]),
+        (&["dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
+        (&["broken.vdb", "-o", "a.png"], &["broken.vdb", "OpenVDB"]),
+        (&["broken.vdb", "-o", "a.png", "--particles"], &["--particles"]),
+    ] {
+        let ran = meniscus(path, &[&["render"], arguments].concat());
+        assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+        for word in words {
+            assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+        }
+    }
+    assert!(names_in(path).iter().all(|name| !name.ends_with(".png")));
+}
+
+#[test]
+fn previews_of_a_sequence_have_one_camera() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 3);
+    let convert =
+        ["convert", "dam.#.ply", "--out", "o", "--format", "vdb", "--preview", "png", "--preview-size"];
+    let convert = [&convert[..], &["64x48", "--skip-done"]].concat();
+    let ran = meniscus(path, &convert);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let picture = |name: &str| path.join("o").join(name);
+    let camera = camera_in(&picture("dam.1.png"));
+    assert!(camera.starts_with("eye=") && camera == camera_in(&picture("dam.3.png")), "{camera}");
+    let first = fs::read(picture("dam.2.png")).expect("there");
+    // A part of the sequence has the camera of the whole.
+    fs::remove_file(picture("dam.2.png")).expect("removed");
+    let ran = meniscus(path, &[&convert[..], &["--frames", "2"]].concat());
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(fs::read(picture("dam.2.png")).expect("there") == first);
+    assert_eq!(meniscus(path, &convert).out.matches("done already").count(), 3);
+    let other = [&convert[..], &["--camera", "azimuth=90"]].concat();
+    assert_eq!(meniscus(path, &other).out.matches("done already").count(), 0);
+}
+
+#[test]
+fn a_daemon_keeps_its_camera() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 2);
+    let watch =
+        ["watch", "in", "--out", "o", "--once", "--settle", "0", "--unproven", "0", "--format", "vdb"];
+    let watch =
+        [&watch[..], &["--preview", "exr", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
+    let ran = meniscus(path, &watch);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let picture = |name: &str| path.join("o").join(name);
+    let camera = camera_in(&picture("dam.1.exr"));
+    assert!(camera.starts_with("eye=") && camera == camera_in(&picture("dam.2.exr")), "{camera}");
+    // After a restart it is not placed again, though another frame comes first by now.
+    write_sequence(&path.join("in"), 0, 0);
+    write_sequence(&path.join("in"), 3, 3);
+    let ran = meniscus(path, &watch);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    for name in ["dam.0.exr", "dam.3.exr"] {
+        assert_eq!(camera_in(&picture(name)), camera, "{name}");
+    }
+}
