@@ -177,7 +177,8 @@ fn refuse_conflicts(
     Ok(check_outputs(&planned, found, obstacles, outputs, report)?)
 }
 
-fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
+/// The threads that compute: so many, or one for each core.
+pub(super) fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
     let count = match threads {
         Some(count) => usize::from(count),
         None => available_parallelism().map_or(1, usize::from),

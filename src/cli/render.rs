@@ -6,19 +6,17 @@
 //! ```
 
 use std::path::{Path, PathBuf};
-use std::thread::available_parallelism;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::pipeline::{
     self, CameraChoice, FrameFile, LevelSetFile, NOTHING, ObstacleFiles, OutputFormat, OutputOptions,
     PictureFormat, PictureOptions, Scene, Sequence, Still, Viewpoint, automatic_voxel_size, check_outputs,
     encode_picture, files_in, is_level_set, output_path, picture_provenance, read_file, sequence_bounds,
-    side_by_side, skin_file, up_of, velocities, write_whole,
+    skin_file, up_of, velocities, write_whole,
 };
-use crate::preview::{Picture, render_particles};
+use crate::preview::{Picture, render_particles, side_by_side};
 use crate::settings::{AttributeSelection, Settings};
 use crate::space::Lattice;
 
@@ -27,6 +25,7 @@ use super::args::{FormatArgs, PreviewChoice, RenderArgs};
 use super::camera_file::camera_of_file;
 use super::choices::{choices, ignored, output_options, refuse_stray_rounds};
 use super::console::Console;
+use super::convert::thread_pool;
 use super::inputs::{Found, find_inputs};
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
@@ -91,12 +90,6 @@ fn find(inputs: &[PathBuf]) -> Result<Found> {
         all.warnings.extend(found.warnings);
     }
     Ok(all)
-}
-
-fn thread_pool(threads: Option<u16>) -> Result<ThreadPool> {
-    let count = threads.map_or_else(|| available_parallelism().map_or(1, usize::from), usize::from);
-    let pool = ThreadPoolBuilder::new().num_threads(count).thread_name(|index| format!("compute {index}"));
-    pool.build().context("cannot start the threads")
 }
 
 /// The pictures that were asked for.
@@ -352,7 +345,7 @@ impl<'a> Shots<'a> {
         let [width, height] = self.outputs.picture.size;
         let view = viewpoint.view([width / 2, height]);
         let left = render_particles(&still.particles, BALL_RADIUS * settings.radius_min, &view);
-        side_by_side(&left, &right)
+        side_by_side(&[left, right])
     }
 }
 

@@ -61,8 +61,8 @@ pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
 pub use picture::{
-    NOTHING, PictureFormat, PictureOptions, Scene, bounds_of_particles, encode_picture, joined, side_by_side,
-    up_of, velocities,
+    NOTHING, PictureFormat, PictureOptions, Scene, bounds_of_particles, encode_picture, joined, up_of,
+    velocities,
 };
 pub use provenance::{
     CAMERA, compression_name, is_own_output, picture_provenance, settings_fingerprint, up_name,

@@ -128,21 +128,6 @@ pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {
     Some(fields)
 }
 
-/// A picture to the left of another of the same height. Only colours and coverage are kept.
-pub fn side_by_side(left: &Picture, right: &Picture) -> Picture {
-    let rows = |of: fn(&Picture) -> &[[f32; 3]]| -> Vec<[f32; 3]> {
-        let left = of(left).chunks_exact(left.size[0]);
-        left.zip(of(right).chunks_exact(right.size[0])).flat_map(|(l, r)| [l, r].concat()).collect()
-    };
-    let coverage = left.coverage.chunks_exact(left.size[0]).zip(right.coverage.chunks_exact(right.size[0]));
-    Picture {
-        size: [left.size[0] + right.size[0], left.size[1]],
-        color: rows(|picture| &picture.color),
-        coverage: coverage.flat_map(|(l, r)| [l, r].concat()).collect(),
-        data: None,
-    }
-}
-
 /// The bytes of a picture's file. `camera` is where it was taken from, if that is one place.
 ///
 /// # Errors
