@@ -57,6 +57,14 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
 }
 
 impl Found {
+    /// Takes in what was found elsewhere, each file once.
+    pub(super) fn add(&mut self, found: Found) {
+        let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| entry(&file.path)).collect();
+        self.files.extend(found.files.into_iter().filter(|file| seen.insert(entry(&file.path))));
+        self.passed_over_count += found.passed_over_count;
+        self.warnings.extend(found.warnings);
+    }
+
     fn add_folder(&mut self, folder: &Path) -> Result<()> {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
         let count_before = self.files.len();

@@ -19,7 +19,9 @@ mod out_folder;
 mod print_settings;
 mod quantities;
 mod render;
+mod sheets;
 mod status;
+mod studio;
 mod watch;
 mod why;
 mod wording;
@@ -60,6 +62,8 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
         Command::Render(args) => render::render(&args, &mut console),
+        Command::ContactSheet(args) => sheets::contact_sheet(&args, &mut console),
+        Command::Tune(args) => sheets::tune(&args, &mut console),
         Command::Info(args) => info::info(&args, &mut console),
         Command::Watch(args) => watch::watch(&args),
         Command::Status(args) => status::status(&args, &mut console),

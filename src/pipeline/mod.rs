@@ -16,7 +16,8 @@
 //!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
 //!   writing     surfaces to bytes                      provenance  what made them
 //!   picture     surfaces to pictures                   viewpoint   where they are taken from
-//!   level_set_file  surfaces from .vdb                 still       a frame by itself, and no files
+//!   level_set_file  surfaces from .vdb                 picture_file  pictures from .png
+//!   still       a frame by itself, and no files
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   record      what was measured, as JSON
 //! ```
@@ -37,6 +38,7 @@ mod obstacle_notes;
 mod obstacles;
 mod outputs;
 mod picture;
+mod picture_file;
 mod provenance;
 mod reading;
 mod record;
@@ -64,8 +66,10 @@ pub use picture::{
     NOTHING, PictureFormat, PictureOptions, Scene, bounds_of_particles, encode_picture, joined, up_of,
     velocities,
 };
+pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{
-    CAMERA, compression_name, is_own_output, picture_provenance, settings_fingerprint, up_name,
+    CAMERA, SheetPart, compression_name, is_own_output, picture_provenance, settings_fingerprint,
+    sheet_provenance, up_name,
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
@@ -74,7 +78,7 @@ pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
 pub use stamp::FileStamp;
-pub use still::{Still, skin_file};
+pub use still::{Still, StillFrame};
 pub use temporary::sweep_temporaries;
 pub use viewpoint::{CameraChoice, Viewpoint};
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};

@@ -55,9 +55,38 @@ pub fn picture_provenance(
     owned(pairs)
 }
 
+/// A part of a sheet, and what it was made from.
+#[derive(Clone, Debug)]
+pub struct SheetPart {
+    /// The name of the sequence or the file.
+    pub name: String,
+    /// What of it is shown, such as `60 of 240 frames, from pictures`.
+    pub what: String,
+    /// The settings by which it was skinned, if it was by one.
+    pub settings: Option<Settings>,
+    /// How its pictures were taken, if that was for the sheet.
+    pub options: Option<PictureOptions>,
+}
+
+/// Names and values for a sheet of this kind, part by part.
+pub fn sheet_provenance(kind: &str, parts: &[SheetPart]) -> Vec<(String, String)> {
+    let mut pairs = vec![("generator", generator()), (SHEET, kind.to_owned())];
+    for part in parts {
+        pairs.push(("input", part.name.clone()));
+        pairs.push(("shown", part.what.clone()));
+        pairs.extend(part.settings.iter().flat_map(|settings| settings_pairs(settings, OutputFormat::Png)));
+        pairs.extend(part.options.iter().flat_map(picture_pairs));
+    }
+    owned(pairs)
+}
+
+fn generator() -> String {
+    format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))
+}
+
 fn made_from(input: &Path, hash: u128) -> Pairs {
     vec![
-        ("generator", format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))),
+        ("generator", generator()),
         ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
         ("input_hash", format!("xxh3-128:{hash:032x}")),
     ]
@@ -154,6 +183,9 @@ fn picture_pairs(options: &PictureOptions) -> Pairs {
     let [width, height] = options.size;
     vec![("size", format!("{width}x{height}")), (CAMERA, options.camera.to_string())]
 }
+
+/// The name of what says that a picture is a sheet of others, and of which kind.
+pub(super) const SHEET: &str = "sheet";
 
 /// The name of what says where a picture was taken from.
 pub const CAMERA: &str = "camera";

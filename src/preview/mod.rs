@@ -14,6 +14,7 @@
 mod camera;
 mod light;
 mod sheet;
+mod shrink;
 mod sky;
 mod splats;
 mod surface;
@@ -23,7 +24,7 @@ mod walk;
 use rayon::prelude::*;
 
 pub use camera::{Camera, Placement, Up};
-pub use sheet::{Cell, sheet, side_by_side};
+pub use sheet::{Block, Cell, Sheet, Shown, side_by_side};
 
 use crate::grid::Field;
 use crate::level_set::NarrowBand;

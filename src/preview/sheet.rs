@@ -1,53 +1,146 @@
-//! Many pictures on one sheet, each with a few lines under it.
+//! Many pictures on one sheet, with words about them.
 //!
 //! ```text
+//!   dam: 60 of 240 frames
 //!   ┌──────┐ ┌──────┐ ┌──────┐
-//!   │      │ │      │ │      │
-//!   └──────┘ └──────┘ └──────┘
-//!   dam.0001 dam.0002 dam.0003
-//!   1.2 s    1.3 s    failed
+//!   │      │ │      │ │ why  │      a block: cells in rows; where there is no picture
+//!   └──────┘ └──────┘ │ not  │      there are words
+//!   dam.0001 dam.0002 └──────┘
+//!   1.2 s    1.3 s    dam.0003
+//!
+//!   1  meniscus convert …           the foot, in lines as long as the sheet is wide
 //! ```
+//!
+//! No line is cut: what is too long goes on below.
 
 use std::convert::Infallible;
 
-use embedded_graphics::mono_font::{MonoTextStyle, iso_8859_1::FONT_6X10};
+use embedded_graphics::mono_font::iso_8859_1::{FONT_7X13, FONT_9X18_BOLD};
+use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
 use embedded_graphics::pixelcolor::BinaryColor;
 use embedded_graphics::prelude::{DrawTarget, Drawable, OriginDimensions, Pixel, Point, Size};
 use embedded_graphics::text::{Baseline, Text};
 
 use super::Picture;
 
-/// A picture on a sheet, and what is written under it.
+/// A sheet, before it is drawn.
+#[derive(Clone, Debug)]
+pub struct Sheet {
+    /// What is written above all; may be empty.
+    pub title: String,
+    /// Width and height of a place, pixels. No picture is larger.
+    pub place: [usize; 2],
+    /// One below the other.
+    pub blocks: Vec<Block>,
+    /// What is written below all, a paragraph each.
+    pub foot: Vec<String>,
+}
+
+/// Cells that belong together.
+#[derive(Clone, Debug)]
+pub struct Block {
+    /// What is written above them; may be empty.
+    pub title: String,
+    /// Row by row.
+    pub cells: Vec<Cell>,
+    /// So many in a row.
+    pub columns: usize,
+}
+
+/// A place on a sheet, and what is written under it.
 #[derive(Clone, Debug)]
 pub struct Cell {
-    /// `None` leaves the place empty: there is no picture.
-    pub picture: Option<Picture>,
-    /// From the top; what is too long for the cell is cut.
+    /// What is in the place.
+    pub shown: Shown,
+    /// From the top.
     pub lines: Vec<String>,
 }
 
-/// Cells in rows of so many, with a line above all of them, on light grey. Cells are as large as the largest picture.
-pub fn sheet(title: &str, cells: &[Cell], columns: usize) -> Picture {
-    let columns = columns.clamp(1, cells.len().max(1));
-    let pictures = || cells.iter().filter_map(|cell| cell.picture.as_ref());
-    let largest = |axis: usize| pictures().map(|picture| picture.size[axis]).max().unwrap_or(LEAST_EDGE);
-    let (width, height) = (largest(0), largest(1));
-    let line_count = cells.iter().map(|cell| cell.lines.len()).max().unwrap_or(0);
-    let (step_x, step_y) = (width + GAP, height + line_count * LINE_HEIGHT + GAP);
-    let rows = cells.len().div_ceil(columns);
-    let head = if title.is_empty() { GAP } else { 2 * GAP + LINE_HEIGHT };
-    let mut canvas = Canvas::new([GAP + columns * step_x, head + rows * step_y]);
-    canvas.write(title, [GAP, GAP], columns * step_x - GAP);
-    for (index, cell) in cells.iter().enumerate() {
-        let (left, top) = (GAP + index % columns * step_x, head + index / columns * step_y);
-        if let Some(picture) = &cell.picture {
-            canvas.paste(picture, [left, top]);
+/// What is in a place of a sheet.
+#[derive(Clone, Debug)]
+pub enum Shown {
+    /// A picture.
+    Picture(Picture),
+    /// Why there is none.
+    Words(String),
+}
+
+impl Sheet {
+    /// The sheet as a picture.
+    pub fn picture(&self) -> Picture {
+        let width = self.width();
+        let title = Words::new(&self.title, &HEADING, width);
+        let foot: Vec<Words> = self.foot.iter().map(|text| Words::new(text, &TEXT, width)).collect();
+        let heights = self.blocks.iter().map(|block| self.block_height(block, width)).sum::<usize>();
+        let foot_height: usize = foot.iter().map(Words::height).sum();
+        let height = GAP + title.height_with_gap() + heights + foot_height;
+        let foot_gap = if foot.is_empty() { 0 } else { GAP };
+        let mut canvas = Canvas::new([width + 2 * GAP, height + foot_gap]);
+        let mut top = GAP;
+        canvas.write(&title, [GAP, top]);
+        top += title.height_with_gap();
+        for block in &self.blocks {
+            self.draw(block, width, &mut canvas, top);
+            top += self.block_height(block, width);
         }
-        for (line, text) in cell.lines.iter().enumerate() {
-            canvas.write(text, [left, top + height + 2 + line * LINE_HEIGHT], width);
+        for words in &foot {
+            canvas.write(words, [GAP, top]);
+            top += words.height();
+        }
+        canvas.picture
+    }
+
+    /// Between the margins, pixels.
+    fn width(&self) -> usize {
+        let columns = self.blocks.iter().map(|block| block.columns.min(block.cells.len())).max();
+        let of_cells = columns.unwrap_or(0) * (self.place[0] + GAP);
+        let least = if self.foot.is_empty() { LEAST_WIDTH } else { LEAST_WIDTH_OF_FOOT };
+        of_cells.saturating_sub(GAP).max(least)
+    }
+
+    fn block_height(&self, block: &Block, width: usize) -> usize {
+        let title = Words::new(&block.title, &TEXT, width);
+        let rows = block.cells.len().div_ceil(block.columns.max(1));
+        title.height_with_gap() + rows * self.row_height(block)
+    }
+
+    fn row_height(&self, block: &Block) -> usize {
+        let of_lines = |cell: &Cell| cell.lines.iter().map(|line| self.label(line).height()).sum::<usize>();
+        self.place[1] + LABEL_GAP + block.cells.iter().map(of_lines).max().unwrap_or(0) + GAP
+    }
+
+    fn label(&self, line: &str) -> Words<'_> {
+        Words::new(line, &TEXT, self.place[0])
+    }
+
+    fn draw(&self, block: &Block, width: usize, canvas: &mut Canvas, mut top: usize) {
+        let title = Words::new(&block.title, &TEXT, width);
+        canvas.write(&title, [GAP, top]);
+        top += title.height_with_gap();
+        let [place_width, place_height] = self.place;
+        for (index, cell) in block.cells.iter().enumerate() {
+            let (row, column) = (index / block.columns.max(1), index % block.columns.max(1));
+            let left = GAP + column * (place_width + GAP);
+            let cell_top = top + row * self.row_height(block);
+            match &cell.shown {
+                Shown::Picture(picture) => {
+                    let [x, y] = [0, 1].map(|axis| self.place[axis].saturating_sub(picture.size[axis]) / 2);
+                    canvas.paste(picture, [left + x, cell_top + y]);
+                }
+                Shown::Words(words) => {
+                    canvas.fill(EMPTY, [left, cell_top], self.place);
+                    let room = self.place.map(|edge| edge.saturating_sub(2 * GAP));
+                    let words = Words::new(words, &TEXT, room[0]).within(room[1]);
+                    canvas.write(&words, [left + GAP, cell_top + GAP]);
+                }
+            }
+            let mut line_top = cell_top + place_height + LABEL_GAP;
+            for words in cell.lines.iter().map(|line| self.label(line)) {
+                canvas.write(&words, [left, line_top]);
+                line_top += words.height();
+            }
         }
     }
-    canvas.picture
 }
 
 /// Pictures side by side, from the left, all of one height.
@@ -63,15 +156,89 @@ pub fn side_by_side(pictures: &[Picture]) -> Picture {
     canvas.picture
 }
 
+/// Letters of one size.
+struct Hand {
+    font: MonoFont<'static>,
+    /// From a line to the next, pixels.
+    line_height: usize,
+}
+
+const TEXT: Hand = Hand { font: FONT_7X13, line_height: 15 };
+const HEADING: Hand = Hand { font: FONT_9X18_BOLD, line_height: 22 };
+
+/// Text in lines.
+struct Words<'h> {
+    hand: &'h Hand,
+    lines: Vec<String>,
+}
+
+impl<'h> Words<'h> {
+    /// Text in lines no wider than so many pixels.
+    fn new(text: &str, hand: &'h Hand, width: usize) -> Words<'h> {
+        let letters = width / hand.font.character_size.width as usize;
+        Words { hand, lines: wrapped(text, letters.max(1)) }
+    }
+
+    fn height(&self) -> usize {
+        self.lines.len() * self.hand.line_height
+    }
+
+    /// With what is left free below; nothing if there is no text.
+    fn height_with_gap(&self) -> usize {
+        if self.lines.is_empty() { 0 } else { self.height() + GAP }
+    }
+
+    /// As much of them as is no higher than so many pixels; dots tell that there was more.
+    fn within(mut self, height: usize) -> Words<'h> {
+        let line_count = height / self.hand.line_height;
+        if self.lines.len() > line_count {
+            self.lines.truncate(line_count);
+            if let Some(last) = self.lines.last_mut() {
+                let kept = last.chars().count().saturating_sub(DOTS.len());
+                *last = last.chars().take(kept).chain(DOTS.chars()).collect();
+            }
+        }
+        self
+    }
+}
+
+const DOTS: &str = "...";
+
+/// Lines of at most so many letters, broken between words where that can be.
+fn wrapped(text: &str, letters: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    let mut line_letters = 0;
+    for word in text.split_whitespace() {
+        let word: Vec<char> = word.chars().collect();
+        match lines.last_mut() {
+            Some(line) if line_letters + 1 + word.len() <= letters => {
+                line.push(' ');
+                line.extend(&word);
+                line_letters += 1 + word.len();
+            }
+            _ => {
+                for piece in word.chunks(letters) {
+                    lines.push(piece.iter().collect());
+                    line_letters = piece.len();
+                }
+            }
+        }
+    }
+    lines
+}
+
 /// Between cells, and around them, in pixels.
-const GAP: usize = 8;
-const LINE_HEIGHT: usize = 12;
-const LETTER_WIDTH: usize = 6;
-/// Of cells without any picture.
-const LEAST_EDGE: usize = 64;
+const GAP: usize = 10;
+/// Between a picture and what is written under it.
+const LABEL_GAP: usize = 3;
+/// Titles need some room, however few cells there are.
+const LEAST_WIDTH: usize = 240;
+/// So do commands.
+const LEAST_WIDTH_OF_FOOT: usize = 720;
 
 /// Linear colours.
 const PAPER: [f32; 3] = [0.87, 0.88, 0.9];
+const EMPTY: [f32; 3] = [0.68, 0.69, 0.71];
 const INK: [f32; 3] = [0.03, 0.04, 0.05];
 
 /// A picture that is being put together.
@@ -95,16 +262,20 @@ impl Canvas {
         }
     }
 
-    /// Writes a line whose upper left corner is at a place, no wider than `width`.
-    fn write(&mut self, text: &str, [left, top]: [usize; 2], width: usize) {
-        let fitting = width / LETTER_WIDTH;
-        let text: String = match text.chars().count() > fitting {
-            true => text.chars().take(fitting.saturating_sub(3)).chain("...".chars()).collect(),
-            false => text.to_owned(),
-        };
-        let style = MonoTextStyle::new(&FONT_6X10, BinaryColor::On);
-        let place = Point::new(left as i32, top as i32);
-        let Ok(_) = Text::with_baseline(&text, place, style, Baseline::Top).draw(self);
+    fn fill(&mut self, color: [f32; 3], [left, top]: [usize; 2], [width, height]: [usize; 2]) {
+        for row in top..top + height {
+            let first = row * self.picture.size[0] + left;
+            self.picture.color[first..first + width].fill(color);
+        }
+    }
+
+    /// Writes lines whose upper left corner is at a place.
+    fn write(&mut self, words: &Words, [left, top]: [usize; 2]) {
+        let style = MonoTextStyle::new(&words.hand.font, BinaryColor::On);
+        for (index, line) in words.lines.iter().enumerate() {
+            let place = Point::new(left as i32, (top + index * words.hand.line_height) as i32);
+            let Ok(_) = Text::with_baseline(line, place, style, Baseline::Top).draw(self);
+        }
     }
 }
 
@@ -139,31 +310,59 @@ mod tests {
         Picture { size, color: vec![[value; 3]; count], coverage: vec![1.0; count], data: None }
     }
 
-    #[test]
-    fn cells_lie_in_rows_with_their_lines_below() {
-        let cell = |value: f32| Cell { picture: Some(plain([40, 20], value)), lines: vec!["a line".into()] };
-        let cells = [cell(0.1), cell(0.2), Cell { picture: None, lines: vec!["failed".into()] }];
-        let sheet = sheet("three", &cells, 2);
-        let [width, height] = sheet.size;
-        assert_eq!([width, height], [8 + 2 * 48, 28 + 2 * (20 + 12 + 8)]);
-        let at = |x: usize, y: usize| sheet.color[y * width + x];
-        assert_eq!((at(8, 28), at(56, 28), at(8 + 47, 28)), ([0.1; 3], [0.2; 3], PAPER));
-        let inked = |rows: std::ops::Range<usize>| {
-            rows.flat_map(|y| (0..width).map(move |x| (x, y))).filter(|&(x, y)| at(x, y) == INK).count()
-        };
-        assert!(
-            inked(8..20) > 20 && inked(50..62) > 40 && inked(90..102) > 20,
-            "titles and lines are written"
-        );
-        assert_eq!(inked(28..48) + inked(68..88), 0);
+    fn cell(value: f32, line: &str) -> Cell {
+        Cell { shown: Shown::Picture(plain([140, 20], value)), lines: vec![line.into()] }
+    }
+
+    /// The number of pixels with ink in these rows, from a column on.
+    fn inked(sheet: &Picture, rows: std::ops::Range<usize>, left: usize) -> usize {
+        let width = sheet.size[0];
+        let row = |y: usize| &sheet.color[y * width + left..(y + 1) * width];
+        rows.flat_map(row).filter(|&&color| color == INK).count()
     }
 
     #[test]
-    fn what_is_too_long_is_cut() {
-        let cells = [Cell { picture: Some(plain([30, 10], 0.5)), lines: vec!["a very long line".into()] }];
-        let sheet = sheet("", &cells, 3);
-        assert_eq!(sheet.size, [8 + 38, 8 + 10 + 12 + 8]);
-        assert!((0..sheet.size[1]).all(|y| sheet.color[y * 46 + 40] == PAPER), "nothing is beyond the cell");
+    fn cells_lie_in_rows_with_their_lines_below() {
+        let words = Cell { shown: Shown::Words("why not".into()), lines: vec!["third".into()] };
+        let block =
+            Block { title: String::new(), cells: vec![cell(0.1, "a"), cell(0.2, "b"), words], columns: 2 };
+        let sheet = Sheet { title: "three".into(), place: [140, 40], blocks: vec![block], foot: Vec::new() };
+        let drawn = sheet.picture();
+        let (head, row) = (10 + 22 + 10, 40 + 3 + 15 + 10);
+        assert_eq!(drawn.size, [10 + 2 * 150, head + 2 * row]);
+        let at = |x: usize, y: usize| drawn.color[y * drawn.size[0] + x];
+        // A picture that is smaller than its place is in the middle of it.
+        assert_eq!((at(10, head + 9), at(10, head + 10), at(160, head + 10)), (PAPER, [0.1; 3], [0.2; 3]));
+        assert_eq!((at(155, head + 10), at(10, head + row)), (PAPER, EMPTY));
+        assert!(inked(&drawn, 10..32, 0) > 40, "the title is written");
+        assert!(inked(&drawn, head + 43..head + 58, 0) > 20, "lines are written");
+        assert!(inked(&drawn, head + row..head + row + 40, 0) > 40, "words are written");
+        assert_eq!(inked(&drawn, head..head + 40, 0), 0);
+    }
+
+    #[test]
+    fn what_is_too_long_goes_on_below() {
+        let sheet = |line: &str, foot: &[&str]| Sheet {
+            title: String::new(),
+            place: [140, 20],
+            blocks: vec![Block { title: String::new(), cells: vec![cell(0.5, line)], columns: 3 }],
+            foot: foot.iter().map(|&text| text.to_owned()).collect(),
+        };
+        let [short, long] = ["short", "three words and a few more"].map(|line| sheet(line, &[]).picture());
+        assert_eq!(long.size[1], short.size[1] + 15);
+        assert_eq!(inked(&long, 0..long.size[1], 150), 0, "nothing is beyond the cell");
+        let footed = sheet("short", &["word ".repeat(60).as_str(), "one"]).picture();
+        // 300 letters in lines of 102, and one line more.
+        assert_eq!(footed.size, [740, short.size[1] + 4 * 15 + 10]);
+    }
+
+    #[test]
+    fn words_are_kept_whole_where_they_can_be() {
+        assert_eq!(wrapped("a bc  def", 4), ["a bc", "def"]);
+        assert_eq!(wrapped("abcdefghij k", 4), ["abcd", "efgh", "ij k"]);
+        assert_eq!(wrapped(" ", 4), [""; 0]);
+        let cut = Words::new("one two three four", &TEXT, 7 * 5).within(2 * 15);
+        assert_eq!(cut.lines, ["one", "..."]);
     }
 
     #[test]

@@ -7,6 +7,7 @@ mod ask;
 mod formats;
 mod method;
 mod render;
+mod sheets;
 mod watch;
 
 use std::path::PathBuf;
@@ -22,7 +23,8 @@ pub(super) use method::{
     AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,
     ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs,
 };
-pub(super) use render::RenderArgs;
+pub(super) use render::{RenderArgs, RunArgs, ViewArgs};
+pub(super) use sheets::{ContactSheetArgs, TuneArgs};
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 
 /// Particles in, smooth meshes and level sets out.
@@ -39,6 +41,10 @@ pub(super) enum Command {
     Convert(Box<ConvertArgs>),
     /// Take pictures of frames: of particles that are skinned for it, or of level sets.
     Render(Box<RenderArgs>),
+    /// Show a sequence at a glance: its frames on one sheet.
+    ContactSheet(Box<ContactSheetArgs>),
+    /// Show one frame under a grid of settings, and the command for each: to choose by eye.
+    Tune(Box<TuneArgs>),
     /// Tell what files hold: particles, meshes, level sets.
     Info(InfoArgs),
     /// Watch folders, and convert every frame as it lands.

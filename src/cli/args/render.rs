@@ -41,13 +41,8 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "1280x720")]
     pub(in crate::cli) size: PictureSize,
 
-    /// Where pictures are taken from: auto, or a list of key=value, explained below [default: auto]
-    #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
-    pub(in crate::cli) camera: Option<CameraChoice>,
-
-    /// Take the camera of this file: a .glb or .gltf with one, or a picture that was made by this program
-    #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) camera_from: Option<PathBuf>,
+    #[command(flatten)]
+    pub(in crate::cli) view: ViewArgs,
 
     /// As many pictures of each frame, 2 to 1000, once around it: frame.000.png and so on
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..=1000))]
@@ -57,20 +52,40 @@ pub(in crate::cli) struct RenderArgs {
     #[arg(long)]
     pub(in crate::cli) particles: bool,
 
-    /// Which axis points up, where --camera does not say it; a camera of a .glb or .gltf is turned to it [default: y]
-    #[arg(long, value_name = "AXIS")]
-    pub(in crate::cli) up: Option<UpChoice>,
-
-    /// Threads to compute on, 1 to 1024; all there are by default. The pictures do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
-    pub(in crate::cli) threads: Option<u16>,
-
-    /// Memory that skinning may take, such as 8GiB; half of what there is by default
-    #[arg(long, value_name = "SIZE", value_parser = parse_bytes, help_heading = "Run")]
-    pub(in crate::cli) memory: Option<u64>,
+    #[command(flatten, next_help_heading = "Run")]
+    pub(in crate::cli) run: RunArgs,
 
     #[command(flatten)]
     pub(in crate::cli) method: MethodArgs,
+}
+
+/// Where pictures are taken from: the same for every command that takes some.
+#[derive(Clone, Debug, Args)]
+pub(in crate::cli) struct ViewArgs {
+    /// Where pictures are taken from: auto, or a list of key=value, such as azimuth=32,zoom=2, which
+    /// `meniscus render --help` explains [default: auto]
+    #[arg(long, value_name = "SPEC", conflicts_with = "camera_from")]
+    pub(in crate::cli) camera: Option<CameraChoice>,
+
+    /// Take the camera of this file: a .glb or .gltf with one, or a picture that was made by this program
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) camera_from: Option<PathBuf>,
+
+    /// Which axis points up, where --camera does not say it; a camera of a .glb or .gltf is turned to it [default: y]
+    #[arg(long, value_name = "AXIS")]
+    pub(in crate::cli) up: Option<UpChoice>,
+}
+
+/// What commands that skin for pictures may take of the machine.
+#[derive(Clone, Debug, Args)]
+pub(in crate::cli) struct RunArgs {
+    /// Threads to compute on, 1 to 1024; all there are by default. The pictures do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(in crate::cli) threads: Option<u16>,
+
+    /// Memory that skinning may take, such as 8GiB; half of what there is by default
+    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+    pub(in crate::cli) memory: Option<u64>,
 }
 
 const CAMERAS: &str = "\

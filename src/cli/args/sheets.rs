@@ -1,0 +1,126 @@
+//! The options of sheets of pictures.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::method::MethodArgs;
+use super::render::{RunArgs, ViewArgs};
+use crate::cli::frame_selection::FrameSelection;
+use crate::cli::quantities::{PictureSize, parse_picture_size};
+use crate::cli::sheets::Vary;
+
+#[derive(Debug, Args)]
+#[command(after_long_help = CONTACT_SHEETS)]
+pub(in crate::cli) struct ContactSheetArgs {
+    /// A folder of pictures, level sets in .vdb or particles; or files, globs, numbered patterns of them
+    ///
+    /// Of a frame that is there in several forms, the one that costs least is taken. Particles are skinned for the
+    /// sheet with the options below, as convert does it; where one of these is given, nothing else is taken.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(in crate::cli) inputs: Vec<PathBuf>,
+
+    /// The sheet: a name that ends with .png
+    #[arg(short, long, value_name = "FILE")]
+    pub(in crate::cli) output: PathBuf,
+
+    /// Only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    #[arg(long, value_name = "NUMBERS")]
+    pub(in crate::cli) frames: Option<FrameSelection>,
+
+    /// Cells for each sequence, at most, 2 to 1000: of more frames so many are shown, evenly spaced, with the first
+    /// and the last
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(2..=1000), default_value_t = 60)]
+    pub(in crate::cli) count: u16,
+
+    /// Cells in a row, 1 to 1000; about as many as there are rows by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    pub(in crate::cli) columns: Option<u16>,
+
+    /// Width and height of a cell, pixels, each 16 to 8192
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "320x180")]
+    pub(in crate::cli) size: PictureSize,
+
+    /// Leave out how long frames took: then the same input gives the same bytes
+    #[arg(long)]
+    pub(in crate::cli) no_seconds: bool,
+
+    #[command(flatten)]
+    pub(in crate::cli) view: ViewArgs,
+
+    #[command(flatten, next_help_heading = "Run")]
+    pub(in crate::cli) run: RunArgs,
+
+    #[command(flatten)]
+    pub(in crate::cli) method: MethodArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_long_help = TUNING)]
+pub(in crate::cli) struct TuneArgs {
+    /// Particles, as convert takes them: a file, or a folder, glob or numbered pattern with one sequence
+    ///
+    /// Of a sequence the frame in the middle is taken; --frames tells another.
+    #[arg(required = true, value_name = "INPUT")]
+    pub(in crate::cli) inputs: Vec<PathBuf>,
+
+    /// The sheet: a name that ends with .png
+    #[arg(short, long, value_name = "FILE")]
+    pub(in crate::cli) output: PathBuf,
+
+    /// What differs from cell to cell: one, two or all of ratio, time, h, with values or without, explained below
+    #[arg(long, value_name = "LIST", default_value = "ratio,time")]
+    pub(in crate::cli) vary: Vary,
+
+    /// The frame with this number; of several, such as 100-200, the one in the middle
+    #[arg(long, value_name = "NUMBERS")]
+    pub(in crate::cli) frames: Option<FrameSelection>,
+
+    /// Width and height of a cell, pixels, each 16 to 8192
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "480x360")]
+    pub(in crate::cli) size: PictureSize,
+
+    /// Leave out how long cells took: then the same input gives the same bytes
+    #[arg(long)]
+    pub(in crate::cli) no_seconds: bool,
+
+    #[command(flatten)]
+    pub(in crate::cli) view: ViewArgs,
+
+    #[command(flatten, next_help_heading = "Run")]
+    pub(in crate::cli) run: RunArgs,
+
+    #[command(flatten)]
+    pub(in crate::cli) method: MethodArgs,
+}
+
+const CONTACT_SHEETS: &str = "\
+What is shown:
+  Each sequence has its own part of the sheet and one camera; files that belong to none share one.
+  Pictures of this program cost least, then level sets, then particles. Pictures are taken only where
+  they show all the frames that are there, from one camera, and neither --camera nor --camera-from is
+  given. The title says what was taken.
+
+Exit status:
+  0    every frame is on the sheet
+  1    some frames failed: their cells say why, and the others are there
+  2    the command cannot be carried out, or no frame could be shown: there is no sheet";
+
+const TUNING: &str = "\
+What to vary:
+  ratio   --radius-ratio, r_max / r_min: how much room there is for smoothing
+  time    --steps: how long it is smoothed
+  h       --voxel-size: how fine it is
+  Values follow a = and are separated by commas: numbers as the option takes them, or, with an x
+  behind them, multiples of what it is without: --vary ratio=1.5,2,3,h=0.5x,1x. Without values,
+  ratio is 1.25,2,3,4, time 0x,0.5x,1x,2x, and h 1.5x,1x,0.75x,0.5x; and what it is without is there.
+  The first differs from row to row, the second from column to column, the third from block to block.
+  For an h smaller than without, r_min is held at what it is without, or spheres would come apart.
+
+  All other options hold for every cell. The command of each cell is printed, and on the sheet: it
+  converts INPUT as the cell shows it.
+
+Exit status:
+  0    every cell has its picture
+  1    some settings were refused or failed: their cells say why, and the others are there
+  2    the command cannot be carried out, or no cell has a picture: there is no sheet";

@@ -1,0 +1,133 @@
+//! A command as it is typed: what a cell of `meniscus tune` shows, for all frames of INPUT.
+
+use std::path::{Path, PathBuf};
+
+use crate::cli::args::{MethodArgs, UpChoice};
+use crate::cli::choices::choices;
+
+/// The words of a command, each as a shell takes it.
+pub(super) struct CommandLine {
+    words: Vec<String>,
+    /// The same with no long paths.
+    short_words: Vec<String>,
+}
+
+impl CommandLine {
+    /// The command that converts these inputs with these options.
+    pub(super) fn convert(inputs: &[PathBuf], method: &MethodArgs, up: Option<UpChoice>) -> CommandLine {
+        let mut line = CommandLine { words: Vec::new(), short_words: Vec::new() };
+        line.add("meniscus");
+        line.add("convert");
+        inputs.iter().for_each(|input| line.add_path(input));
+        line.add("--out");
+        line.add(OUT);
+        if let Some(voxel_size) = method.first.voxel_size {
+            line.add_option("voxel_size", &voxel_size.to_string());
+        }
+        for (name, value) in choices(method).to_pairs() {
+            match name {
+                "quads" => line.add("--quads"),
+                // Its value is optional, and must be behind a =.
+                "smooth_normals" => line.add(&format!("--smooth-normals={value}")),
+                _ => line.add_option(name, &value),
+            }
+        }
+        for obstacle in &method.obstacles.obstacle {
+            line.add("--obstacle");
+            line.add_path(obstacle);
+        }
+        if up == Some(UpChoice::Z) {
+            line.add_option("up", "z");
+        }
+        line
+    }
+
+    /// All of it.
+    pub(super) fn text(&self) -> String {
+        self.words.join(" ")
+    }
+
+    /// With paths no longer than can be read at a glance.
+    pub(super) fn short_text(&self) -> String {
+        self.short_words.join(" ")
+    }
+
+    fn add(&mut self, word: &str) {
+        self.words.push(quoted(word));
+        self.short_words.push(quoted(word));
+    }
+
+    fn add_option(&mut self, name: &str, value: &str) {
+        let option = format!("--{}", name.replace('_', "-"));
+        // What begins like an option is a value only behind a =.
+        if value.starts_with('-') {
+            return self.add(&format!("{option}={value}"));
+        }
+        self.add(&option);
+        self.add(value);
+    }
+
+    fn add_path(&mut self, path: &Path) {
+        let text = path.to_string_lossy();
+        // A name that begins like an option is a path behind a dot.
+        let text = if text.starts_with('-') { format!("./{text}") } else { text.into_owned() };
+        self.words.push(quoted(&text));
+        self.short_words.push(quoted(&abbreviated(&text, path)));
+    }
+}
+
+/// The folder for the results: everybody has another.
+const OUT: &str = "surfaces";
+
+/// A path that is long by its last name only.
+fn abbreviated(text: &str, path: &Path) -> String {
+    match path.file_name() {
+        Some(name) if text.chars().count() > PATH_LETTERS => format!(".../{}", name.to_string_lossy()),
+        _ => text.to_owned(),
+    }
+}
+
+/// Longer paths are abbreviated on sheets.
+const PATH_LETTERS: usize = 40;
+
+/// A word as a shell takes it.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "-_./,:=+%@".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        return word.to_owned();
+    }
+    format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_those_that_a_shell_takes() {
+        for (word, expected) in [
+            ("dam.0012.bgeo", "dam.0012.bgeo"),
+            ("dam.####.bgeo", "'dam.####.bgeo'"),
+            ("a b", "'a b'"),
+            ("it's", r"'it'\''s'"),
+            ("", "''"),
+            ("größe.ply", "größe.ply"),
+        ] {
+            assert_eq!(quoted(word), expected);
+        }
+    }
+
+    #[test]
+    fn long_paths_are_short_on_sheets_and_whole_elsewhere() {
+        let long = "a/long/way/to/somewhere/that/nobody/knows/dam.####.bgeo";
+        let mut method = MethodArgs::default();
+        method.surface.radius_ratio = Some(1.5);
+        method.mesh.smooth_normals = Some(3);
+        method.surface.clip = "-1,0,0,1,1,1".parse().ok();
+        let line = CommandLine::convert(&[long.into(), "-x.ply".into()], &method, Some(UpChoice::Z));
+        let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals=3 --up z";
+        assert_eq!(line.text(), format!("meniscus convert '{long}' ./-x.ply --out surfaces {options}"));
+        let short = format!("meniscus convert '.../dam.####.bgeo' ./-x.ply --out surfaces {options}");
+        assert_eq!(line.short_text(), short);
+    }
+}

@@ -1,0 +1,284 @@
+//! `meniscus contact-sheet`: a sequence at a glance.
+
+use std::time::Instant;
+
+use anyhow::{Result, bail};
+
+use crate::cli::Verdict;
+use crate::cli::args::{ContactSheetArgs, MethodArgs};
+use crate::cli::choices::refuse_stray_rounds;
+use crate::cli::console::Console;
+use crate::cli::convert::thread_pool;
+use crate::cli::interrupt::clean_up_when_interrupted;
+use crate::cli::studio::{Studio, Subject};
+use crate::cli::wording::{counted, significant};
+use crate::pipeline::{FrameFile, OutputFormat, PictureOptions, SheetPart, Viewpoint, read_picture};
+use crate::preview::{Block, Cell, Picture, Sheet, Shown};
+use crate::settings::Settings;
+
+use super::sources::{Kind, Sources, Strip, find_sources, without_extension};
+use super::{SheetFile, Tally, even_columns, fixed, reason, refuse_large};
+
+/// Puts the frames that the arguments ask for on a sheet.
+///
+/// # Errors
+/// When nothing can be done at all. A frame that fails is told, and counted.
+pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Console) -> Result<Verdict> {
+    clean_up_when_interrupted();
+    refuse_stray_rounds(&args.method, &args.inputs)?;
+    let Sources { strips, files, warnings } = find_sources(&args.inputs, kinds(args))?;
+    for warning in &warnings {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    let shown = shown(strips, args)?;
+    let cell_count = shown.iter().map(|shown| shown.frames.len()).sum();
+    refuse_large(cell_count, args.size)?;
+    let file = SheetFile::new(&args.output)?;
+    let place = (file.folder.clone(), OutputFormat::Png, args.size);
+    let studio = Studio::new(&args.method, (&args.view, &args.run), place, console)?;
+    file.prepare(&studio, &files)?;
+    let contact = Contact { args, studio };
+    console.show_bar(cell_count);
+    let pool = thread_pool(args.run.threads)?;
+    let mut tally = Tally::default();
+    let parts: Vec<Part> =
+        shown.into_iter().map(|shown| pool.install(|| contact.part(shown, &mut tally, console))).collect();
+    console.hide_bar();
+    if tally.done_count > 0 {
+        for part in &parts {
+            console.say(part.title());
+        }
+        let made_from: Vec<SheetPart> = parts.iter().map(Part::made_from).collect();
+        console.say(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
+    }
+    Ok(tally.verdict())
+}
+
+/// What the sheet may be made from: with options for the surface, only what is yet to be skinned; with a camera, no
+/// pictures that have been taken.
+fn kinds(args: &ContactSheetArgs) -> &'static [Kind] {
+    if args.method != MethodArgs::default() {
+        &[Kind::Particles]
+    } else if args.view.camera.is_some() || args.view.camera_from.is_some() || args.view.up.is_some() {
+        &[Kind::LevelSets, Kind::Particles]
+    } else {
+        &[Kind::Pictures, Kind::LevelSets, Kind::Particles]
+    }
+}
+
+/// A sequence, and which of its frames are on the sheet.
+struct ShownStrip {
+    strip: Strip,
+    /// How many were asked for.
+    selected_count: usize,
+    frames: Vec<FrameFile>,
+}
+
+fn shown(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<ShownStrip>> {
+    let is_selected = |file: &&FrameFile| match &args.frames {
+        None => true,
+        Some(frames) => file.number().is_some_and(|number| frames.contains(number)),
+    };
+    let shown = strips.into_iter().map(|strip| {
+        let selected: Vec<FrameFile> = strip.sequence.frames.iter().filter(is_selected).cloned().collect();
+        let indices = evenly(selected.len(), usize::from(args.count));
+        let frames = indices.into_iter().map(|index| selected[index].clone()).collect();
+        ShownStrip { strip, selected_count: selected.len(), frames }
+    });
+    let shown: Vec<ShownStrip> = shown.filter(|shown| !shown.frames.is_empty()).collect();
+    if shown.is_empty() {
+        bail!("--frames selects none of the frames");
+    }
+    Ok(shown)
+}
+
+/// At most so many of `count` indices, evenly spaced, with the first and the last.
+fn evenly(count: usize, most: usize) -> Vec<usize> {
+    if count <= most {
+        return (0..count).collect();
+    }
+    let last = most.saturating_sub(1).max(1);
+    (0..most).map(|place| (place * (count - 1) + last / 2) / last).collect()
+}
+
+/// What is on the sheet of a sequence.
+struct Part {
+    shown: ShownStrip,
+    cells: Vec<Cell>,
+    settings: Option<Settings>,
+    options: Option<PictureOptions>,
+}
+
+impl Part {
+    /// A file by itself, and no sequence.
+    fn is_single(&self) -> bool {
+        self.shown.strip.sequence.frames.len() == 1
+    }
+
+    fn title(&self) -> String {
+        format!("{}: {}", self.shown.strip.name, self.what())
+    }
+
+    /// How many frames, and what they were made from.
+    fn what(&self) -> String {
+        let ShownStrip { strip, selected_count, frames } = &self.shown;
+        let frames = match frames.len() == *selected_count {
+            true => counted(frames.len(), "frame"),
+            false => format!("{} of {}", frames.len(), counted(*selected_count, "frame")),
+        };
+        let kind = strip.kind.name();
+        let voxels = self.settings.as_ref().map(|settings| significant(settings.voxel_size));
+        let voxels = voxels.map_or(String::new(), |voxel_size| format!(", voxel size {voxel_size}"));
+        format!("{frames}, from {kind}{voxels}")
+    }
+
+    fn made_from(&self) -> SheetPart {
+        let name = self.shown.strip.name.clone();
+        SheetPart { name, what: self.what(), settings: self.settings.clone(), options: self.options }
+    }
+}
+
+/// What sheets are made with.
+struct Contact<'a> {
+    args: &'a ContactSheetArgs,
+    studio: Studio<'a>,
+}
+
+impl Contact<'_> {
+    /// The cells of a sequence. Where it has no settings or no camera, none has a picture.
+    fn part(&self, shown: ShownStrip, tally: &mut Tally, console: &mut Console) -> Part {
+        let prepared = self.prepared(&shown.strip, console);
+        if let Err(error) = &prepared {
+            console.warn(format_args!("error: {error:#}"));
+        }
+        let cells = shown.frames.iter().map(|file| {
+            let start = Instant::now();
+            let taken = match &prepared {
+                Ok(prepared) => self.picture(file, shown.strip.kind, prepared, console),
+                Err(error) => Err(anyhow::anyhow!("{error:#}")),
+            };
+            console.advance_bar();
+            match &taken {
+                Ok(_) => tally.done_count += 1,
+                Err(error) => {
+                    tally.failed_count += 1;
+                    if prepared.is_ok() {
+                        console.warn(format_args!("error: {error:#}"));
+                    }
+                }
+            }
+            let seconds = start.elapsed().as_secs_f64();
+            self.cell(file, shown.strip.kind, taken, seconds)
+        });
+        let cells = cells.collect();
+        let (settings, viewpoint) = prepared.unwrap_or_default();
+        let options = viewpoint.map(|viewpoint| fixed(&self.studio, viewpoint));
+        Part { shown, cells, settings, options }
+    }
+
+    /// What all pictures of a sequence have in common, where they are yet to be taken.
+    fn prepared(&self, strip: &Strip, console: &Console) -> Result<(Option<Settings>, Option<Viewpoint>)> {
+        if strip.kind == Kind::Pictures {
+            return Ok((None, None));
+        }
+        let settings = self.studio.settings(&strip.sequence, console)?;
+        let size = self.studio.outputs.picture.size;
+        let viewpoint = self.studio.viewpoint(&strip.sequence, settings.as_ref(), size)?;
+        Ok((settings, Some(viewpoint)))
+    }
+
+    /// The picture of a frame, and how many particles it has, if that is known.
+    fn picture(
+        &self,
+        file: &FrameFile,
+        kind: Kind,
+        (settings, viewpoint): &(Option<Settings>, Option<Viewpoint>),
+        console: &Console,
+    ) -> Result<(Picture, Option<usize>)> {
+        let size = self.studio.outputs.picture.size;
+        let Some(viewpoint) = viewpoint.as_ref().filter(|_| kind != Kind::Pictures) else {
+            return Ok((read_picture(&file.path)?.shrunk(size), None));
+        };
+        let subject = self.studio.subject(file, settings.as_ref())?;
+        for note in self.studio.notes_of(&subject) {
+            console.warn(format_args!("warning: {}: {note}", file.path.display()));
+        }
+        let particle_count = match &subject {
+            Subject::LevelSet(..) => None,
+            Subject::Skinned(skinned) => Some(skinned.frame.particles().len()),
+        };
+        Ok((subject.picture(viewpoint, size, false), particle_count))
+    }
+
+    fn cell(
+        &self,
+        file: &FrameFile,
+        kind: Kind,
+        taken: Result<(Picture, Option<usize>)>,
+        seconds: f64,
+    ) -> Cell {
+        let mut lines = vec![without_extension(&file.name(), kind)];
+        let shown = match taken {
+            Ok((picture, particle_count)) => {
+                let particles = particle_count.map(|count| counted(count, "particle"));
+                let has_seconds = !self.args.no_seconds && kind != Kind::Pictures;
+                let seconds = has_seconds.then(|| format!("{seconds:.2} s"));
+                let figures: Vec<String> = particles.into_iter().chain(seconds).collect();
+                if !figures.is_empty() {
+                    lines.push(figures.join(", "));
+                }
+                Shown::Picture(picture)
+            }
+            Err(error) => Shown::Words(reason(&error, &file.path)),
+        };
+        Cell { shown, lines }
+    }
+
+    /// Sequences one after another, and files that belong to none side by side.
+    fn sheet(&self, parts: Vec<Part>) -> Sheet {
+        let block = |title: String, cells: Vec<Cell>| {
+            let columns = self.args.columns.map_or(even_columns(cells.len()), usize::from);
+            Block { title, cells, columns }
+        };
+        let (singles, sequences): (Vec<Part>, Vec<Part>) = parts.into_iter().partition(Part::is_single);
+        let counts = [(sequences.len(), "sequence"), (singles.len(), "file")];
+        let counts = counts.into_iter().filter(|(count, _)| *count > 0);
+        let counts: Vec<String> = counts.map(|(count, noun)| counted(count, noun)).collect();
+        let mut blocks: Vec<Block> =
+            sequences.into_iter().map(|part| block(part.title(), part.cells)).collect();
+        let of_singles = match &singles[..] {
+            [part] => part.title(),
+            parts => format!("{}, each by itself", counted(parts.len(), "file")),
+        };
+        let cells: Vec<Cell> = singles.into_iter().flat_map(|part| part.cells).collect();
+        if !cells.is_empty() {
+            blocks.push(block(of_singles, cells));
+        }
+        // One title is that of the sheet.
+        let title = match &mut blocks[..] {
+            [block] => std::mem::take(&mut block.title),
+            _ => counts.join(" and "),
+        };
+        Sheet { title, place: self.args.size.map(usize::from), blocks, foot: Vec::new() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_and_the_last_frame_are_there() {
+        assert_eq!(evenly(5, 60), [0, 1, 2, 3, 4]);
+        assert_eq!(evenly(0, 60), [0; 0]);
+        assert_eq!(evenly(240, 2), [0, 239]);
+        assert_eq!(evenly(9, 5), [0, 2, 4, 6, 8]);
+        for (count, most) in [(61, 60), (240, 60), (10_000, 7), (1001, 1000)] {
+            let indices = evenly(count, most);
+            assert_eq!((indices.len(), indices[0], indices[most - 1]), (most, 0, count - 1));
+            let steps: Vec<usize> = indices.windows(2).map(|pair| pair[1] - pair[0]).collect();
+            let (least, greatest) = (steps.iter().min(), steps.iter().max());
+            assert!(greatest.zip(least).is_some_and(|(g, l)| *l > 0 && g - l <= 1), "{count} {most}");
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! `meniscus contact-sheet` and `meniscus tune`: many pictures on one sheet.
+//!
+//! ```text
+//!   contact   a sequence at a glance           sources  which file stands for a frame
+//!   tune      a frame under many settings      vary     which settings
+//!                                              command  what to type for each
+//! ```
+
+mod command;
+mod contact;
+mod sources;
+mod tune;
+mod vary;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::pipeline::{
+    CameraChoice, FrameError, OutputFormat, PictureFormat, PictureOptions, SheetPart, Viewpoint,
+    check_outputs, encode_picture, output_path, sheet_provenance, write_whole,
+};
+use crate::preview::Sheet;
+
+use super::Verdict;
+use super::out_folder::OutFolder;
+use super::quantities::PictureSize;
+use super::studio::{Studio, named_picture};
+
+pub(super) use contact::contact_sheet;
+pub(super) use tune::tune;
+pub(super) use vary::Vary;
+
+/// Where a sheet goes.
+struct SheetFile {
+    folder: PathBuf,
+    stem: String,
+}
+
+impl SheetFile {
+    fn new(output: &Path) -> Result<SheetFile> {
+        let (folder, stem, _) = named_picture(output, &["png"])?;
+        Ok(SheetFile { folder, stem })
+    }
+
+    /// Makes the folder, and sure that nothing is lost which these files are.
+    fn prepare(&self, studio: &Studio, inputs: &[PathBuf]) -> Result<()> {
+        let folder = OutFolder::make(&self.folder)
+            .with_context(|| format!("cannot make the folder {}", self.folder.display()))?;
+        let planned = [(inputs.first().cloned().unwrap_or_default(), self.stem.clone())];
+        check_outputs(&planned, inputs, &studio.obstacles, &studio.outputs, None)?;
+        folder.keep();
+        Ok(())
+    }
+
+    /// Draws a sheet of this kind, and writes it.
+    fn write(&self, sheet: &Sheet, kind: &str, parts: &[SheetPart]) -> Result<String> {
+        let picture = sheet.picture();
+        let bytes = encode_picture(&picture, None, PictureFormat::Png, &sheet_provenance(kind, parts))?;
+        let path = output_path(&self.folder, &self.stem, OutputFormat::Png);
+        write_whole(&path, |out| Ok(out.write_all(&bytes)?))
+            .with_context(|| format!("{}: cannot write", path.display()))?;
+        let name = path.strip_prefix(".").unwrap_or(&path).display().to_string();
+        let [width, height] = picture.size;
+        Ok(format!("{name}: {width}x{height} pixels"))
+    }
+}
+
+/// How many cells have a picture, and how many have none.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    done_count: usize,
+    failed_count: usize,
+}
+
+impl Tally {
+    fn verdict(self) -> Verdict {
+        match (self.failed_count, self.done_count) {
+            (0, _) => Verdict::Done,
+            (_, 0) => Verdict::NothingDone,
+            _ => Verdict::SomeFailed,
+        }
+    }
+}
+
+/// Refuses what nobody could look at, before there is any work in it.
+fn refuse_large(cell_count: usize, [width, height]: PictureSize) -> Result<()> {
+    let pixel_count = cell_count * usize::from(width) * usize::from(height);
+    if pixel_count > PIXELS_MAX {
+        bail!(
+            "{cell_count} cells of {width}x{height} pixels are {} million pixels, and a sheet has {} million at most: \
+             choose fewer cells or a smaller --size",
+            pixel_count / 1_000_000,
+            PIXELS_MAX / 1_000_000
+        );
+    }
+    Ok(())
+}
+
+/// A sheet of this many takes a gigabyte while it is put together, and another for its cells.
+const PIXELS_MAX: usize = 64_000_000;
+
+/// So many columns that there are about as many rows, and few places stay empty.
+fn even_columns(cell_count: usize) -> usize {
+    let least = (cell_count as f64).sqrt().ceil() as usize;
+    let empty = |columns: &usize| columns * cell_count.div_ceil(*columns) - cell_count;
+    (least.max(1)..=least + EXTRA_COLUMNS).min_by_key(empty).unwrap_or(1)
+}
+
+/// A sheet is rather wide than high: by up to so many columns.
+const EXTRA_COLUMNS: usize = 2;
+
+/// Why a frame has no picture, without the name of its file: that is written beside it.
+fn reason(error: &anyhow::Error, path: &Path) -> String {
+    let told = format!("{error:#}");
+    let is_of_frame = error.downcast_ref::<FrameError>().is_some_and(|error| error.path == path);
+    let bare = told.strip_prefix(&format!("{}: ", path.display())).filter(|_| is_of_frame);
+    format!("failed: {}", bare.unwrap_or(&told))
+}
+
+/// The camera of pictures that were taken from one place.
+fn fixed(studio: &Studio, viewpoint: Viewpoint) -> PictureOptions {
+    PictureOptions { camera: CameraChoice::from(viewpoint), ..studio.outputs.picture }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sheets_are_about_square_and_nearly_full() {
+        for (cell_count, columns) in
+            [(1, 1), (2, 2), (3, 2), (4, 2), (5, 5), (7, 4), (8, 4), (12, 4), (60, 10)]
+        {
+            assert_eq!(even_columns(cell_count), columns, "{cell_count}");
+        }
+        for cell_count in 1..200 {
+            let columns = even_columns(cell_count);
+            assert!(columns >= cell_count.div_ceil(columns), "{cell_count}: higher than wide");
+        }
+    }
+
+    #[test]
+    fn nobody_looks_at_a_wall_of_pixels() {
+        assert!(refuse_large(60, [1024, 1024]).is_ok());
+        let why = refuse_large(1000, [640, 360]).expect_err("too many").to_string();
+        assert!(why.contains("230 million") && why.contains("64 million"), "{why}");
+    }
+}

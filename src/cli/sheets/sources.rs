@@ -1,0 +1,192 @@
+//! Which file stands for a frame on a contact sheet.
+//!
+//! ```text
+//!   dam.0001.png   dam.0001.vdb   dam.0001.bgeo      the same frame: a picture costs least, then a level set,
+//!   dam.0002.png   dam.0002.vdb   dam.0002.bgeo      then particles, which are skinned
+//!                  dam.0003.vdb   dam.0003.bgeo
+//!                       ▲
+//!                       the whole sequence is of one kind: the cheapest that has the most of it
+//! ```
+//!
+//! All cells of a sequence have one camera. Pictures that were taken from several places are for want of anything
+//! else only.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+
+use crate::cli::inputs::{Found, find_inputs};
+use crate::cli::studio::level_sets_in;
+use crate::pipeline::{
+    FrameFile, Sequence, camera_of_picture, files_in, is_level_set, natural_order, sequences,
+};
+
+/// What a frame is there as, the cheapest first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Kind {
+    Pictures,
+    LevelSets,
+    Particles,
+}
+
+impl Kind {
+    fn of(path: &Path) -> Kind {
+        if is_level_set(path) {
+            Kind::LevelSets
+        } else if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+            Kind::Pictures
+        } else {
+            Kind::Particles
+        }
+    }
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Kind::Pictures => "pictures",
+            Kind::LevelSets => "level sets",
+            Kind::Particles => "particles",
+        }
+    }
+}
+
+/// A sequence, and what its frames are there as.
+#[derive(Clone, Debug)]
+pub(super) struct Strip {
+    /// What the frames have in common, such as `dam`.
+    pub(super) name: String,
+    pub(super) kind: Kind,
+    pub(super) sequence: Sequence,
+}
+
+/// What was found.
+#[derive(Debug, Default)]
+pub(super) struct Sources {
+    /// In natural order.
+    pub(super) strips: Vec<Strip>,
+    /// Every file that was looked at, whether it is used or not.
+    pub(super) files: Vec<PathBuf>,
+    /// What could not be looked at, a sentence each.
+    pub(super) warnings: Vec<String>,
+}
+
+/// Finds the frames that the inputs stand for, of these kinds.
+///
+/// # Errors
+/// When an input stands for none.
+pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources> {
+    let mut found = Found::default();
+    for input in inputs {
+        found.add(find(input)?);
+    }
+    let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
+    let mut strips_of: HashMap<(PathBuf, String), Vec<Strip>> = HashMap::new();
+    for kind in kinds {
+        let of_kind = found.files.iter().filter(|file| Kind::of(&file.path) == *kind);
+        for sequence in sequences(of_kind.cloned().collect()) {
+            let (folder, name) = sequence.frames[0].sequence();
+            let (base, name) = (without_extension(&name, *kind), &*sequence.name);
+            let name = if sequence.frames.len() > 1 { common_name(&base) } else { name.to_owned() };
+            let strip = Strip { name, kind: *kind, sequence };
+            strips_of.entry((folder, base)).or_default().push(strip);
+        }
+    }
+    let mut strips: Vec<Strip> = strips_of.into_values().filter_map(cheapest).collect();
+    let first = |strip: &Strip| strip.sequence.frames[0].path.to_string_lossy().into_owned();
+    strips.sort_by(|a, b| natural_order(&first(a), &first(b)));
+    if strips.is_empty() {
+        let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
+        bail!("there are no {} among the {} frames that were found", names.join(" or "), files.len());
+    }
+    Ok(Sources { strips, files, warnings: found.warnings })
+}
+
+/// Frames of all kinds in a folder; else what the input stands for.
+fn find(input: &Path) -> Result<Found> {
+    let particles = find_inputs(&[input.to_owned()]);
+    if !input.is_dir() {
+        return particles;
+    }
+    let mut others = level_sets_in(input);
+    let is_picture = |path: &PathBuf| camera_of_picture(path).is_some();
+    others.extend(files_in(input)?.into_iter().filter(is_picture).map(FrameFile::new));
+    let others = Found { files: others, ..Found::default() };
+    match particles {
+        Ok(mut found) => {
+            found.add(others);
+            Ok(found)
+        }
+        Err(_) if !others.files.is_empty() => Ok(others),
+        Err(error) => Err(error),
+    }
+}
+
+/// The sequence that has the most frames, and costs least of those that have.
+fn cheapest(strips: Vec<Strip>) -> Option<Strip> {
+    let is_only_one = strips.len() == 1;
+    let of_use = strips.into_iter().filter(|strip| is_only_one || has_one_camera(strip));
+    of_use.min_by_key(|strip| (usize::MAX - strip.sequence.frames.len(), strip.kind))
+}
+
+/// Whether pictures were taken from one place; what is no picture yet will be.
+fn has_one_camera(strip: &Strip) -> bool {
+    if strip.kind != Kind::Pictures {
+        return true;
+    }
+    let mut cameras = strip.sequence.frames.iter().map(|file| camera_of_picture(&file.path));
+    let first = cameras.next().flatten();
+    first.is_some() && cameras.all(|camera| camera == first)
+}
+
+/// The name of a file, without what says of which kind it is.
+pub(super) fn without_extension(name: &str, kind: Kind) -> String {
+    match kind {
+        Kind::Particles => FrameFile::new(name.into()).stem(),
+        Kind::LevelSets | Kind::Pictures => name.rsplit_once('.').map_or(name, |(stem, _)| stem).to_owned(),
+    }
+}
+
+/// `dam` of `dam.{}`.
+fn common_name(base: &str) -> String {
+    let name = base.replace("{}", "");
+    let name = name.trim_matches(['.', '_', '-']);
+    if name.is_empty() { base.to_owned() } else { name.to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lose_what_tells_the_kind() {
+        for (name, kind, expected) in [
+            ("dam.0001.png", Kind::Pictures, "dam.0001"),
+            ("dam.0001.vdb", Kind::LevelSets, "dam.0001"),
+            ("dam.0001.bgeo.gz", Kind::Particles, "dam.0001"),
+            ("dam.{}.ply", Kind::Particles, "dam.{}"),
+        ] {
+            assert_eq!(without_extension(name, kind), expected);
+        }
+        for (base, expected) in [("dam.{}", "dam"), ("{}", "{}"), ("shot_{}_fluid", "shot__fluid")] {
+            assert_eq!(common_name(base), expected);
+        }
+    }
+
+    #[test]
+    fn what_has_the_most_frames_is_taken_and_of_those_the_cheapest() {
+        let strip = |kind, count: usize| {
+            let frames = (0..count).map(|n| FrameFile::new(format!("there/dam.{n}.vdb").into())).collect();
+            Strip { name: "dam".into(), kind, sequence: Sequence { name: "dam.{}".into(), frames } }
+        };
+        let taken = |strips: &[(Kind, usize)]| {
+            let strips = strips.iter().map(|&(kind, count)| strip(kind, count)).collect();
+            cheapest(strips).map(|strip| strip.kind)
+        };
+        assert_eq!(taken(&[(Kind::LevelSets, 3), (Kind::Particles, 3)]), Some(Kind::LevelSets));
+        assert_eq!(taken(&[(Kind::LevelSets, 2), (Kind::Particles, 3)]), Some(Kind::Particles));
+        // These pictures do not say where they were taken from.
+        assert_eq!(taken(&[(Kind::Pictures, 3), (Kind::Particles, 3)]), Some(Kind::Particles));
+        assert_eq!(taken(&[(Kind::Pictures, 3)]), Some(Kind::Pictures));
+        assert_eq!(taken(&[]), None);
+    }
+}

@@ -1,0 +1,285 @@
+//! `meniscus tune`: one frame under a grid of settings, to choose by eye.
+//!
+//! ```text
+//!   INPUT ──▶ a frame, read once ──▶ settings without ──▶ a camera for all
+//!                                          │ --vary
+//!                                          ▼
+//!                         cells: settings ──▶ surface ──▶ picture, label, command
+//! ```
+//!
+//! A cell is the options of a command, with some of them replaced: its settings and the command line that is printed
+//! come from the same options, and cannot differ.
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+
+use crate::cli::Verdict;
+use crate::cli::args::{MethodArgs, TuneArgs};
+use crate::cli::choices::{choices, refuse_stray_rounds};
+use crate::cli::console::Console;
+use crate::cli::convert::thread_pool;
+use crate::cli::frame_selection::FrameSelection;
+use crate::cli::inputs::find_inputs;
+use crate::cli::interrupt::clean_up_when_interrupted;
+use crate::cli::studio::{Studio, picture_of_still};
+use crate::cli::wording::counted;
+use crate::pipeline::{
+    self, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
+    bounds_of_particles, gist, is_level_set, up_of,
+};
+use crate::preview::{Block, Cell, Sheet, Shown};
+use crate::settings::Settings;
+
+use super::command::CommandLine;
+use super::vary::{Axis, Value};
+use super::{SheetFile, Tally, even_columns, fixed, reason, refuse_large};
+
+/// Shows one frame under the settings that the arguments ask for.
+///
+/// # Errors
+/// When nothing can be done at all. A cell that fails is told, and counted.
+pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Verdict> {
+    clean_up_when_interrupted();
+    refuse_stray_rounds(&args.method, &args.inputs)?;
+    let found = find_inputs(&args.inputs)?;
+    for warning in &found.warnings {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
+    let sequence = only_sequence(pipeline::sequences(found.files))?;
+    let frame = chosen(&sequence, args.frames.as_ref())?;
+    let file = SheetFile::new(&args.output)?;
+    let place = (file.folder.clone(), OutputFormat::Png, args.size);
+    let studio = Studio::new(&args.method, (&args.view, &args.run), place, console)?;
+    file.prepare(&studio, &paths)?;
+    let pool = thread_pool(args.run.threads)?;
+    let tuning = pool.install(|| Tuning::new(args, studio, &sequence, frame))?;
+    let grid = Grid::new(args, &tuning.without)?;
+    if sequence.frames.len() > 1 {
+        let frame_count = counted(sequence.frames.len(), "frame");
+        console.say(format_args!("{}: of {frame_count} of {}", frame.name(), sequence.name));
+    }
+    console.show_bar(grid.settings.len());
+    let (cells, tally) = pool.install(|| tuning.cells(&grid, console));
+    console.hide_bar();
+    if tally.done_count > 0 {
+        let part = tuning.made_from(&grid);
+        console.say(file.write(&tuning.sheet(&grid, cells), "tune", &[part])?);
+    }
+    Ok(tally.verdict())
+}
+
+fn only_sequence(sequences: Vec<Sequence>) -> Result<Sequence> {
+    let names: Vec<&str> = sequences.iter().take(NAMED_MAX).map(|sequence| &*sequence.name).collect();
+    let and_more = if sequences.len() > NAMED_MAX { ", ..." } else { "" };
+    let names = format!("{}{and_more}", names.join(", "));
+    match <[Sequence; 1]>::try_from(sequences) {
+        Ok([sequence]) => match sequence.frames.iter().find(|file| is_level_set(&file.path)) {
+            Some(file) => bail!("{}: a level set is skinned already: give particles", file.path.display()),
+            None => Ok(sequence),
+        },
+        Err(sequences) => {
+            bail!("a sheet has one frame, and there are {} sequences: {names}: name one", sequences.len())
+        }
+    }
+}
+
+/// So many sequences are named.
+const NAMED_MAX: usize = 5;
+
+/// The frame in the middle, of those that were asked for.
+fn chosen<'s>(sequence: &'s Sequence, frames: Option<&FrameSelection>) -> Result<&'s FrameFile> {
+    let is_selected = |file: &&FrameFile| {
+        frames.is_none_or(|frames| file.number().is_some_and(|number| frames.contains(number)))
+    };
+    let selected: Vec<&FrameFile> = sequence.frames.iter().filter(is_selected).collect();
+    selected.get(selected.len() / 2).copied().context("--frames selects none of the frames")
+}
+
+/// The settings of the cells, row by row and block by block.
+struct Grid {
+    /// Of each cell, what it has of each axis.
+    settings: Vec<Vec<Value>>,
+    axes: Vec<Axis>,
+    columns: usize,
+    /// What blocks have in common, where there are several.
+    blocks: Vec<Option<Value>>,
+}
+
+impl Grid {
+    fn new(args: &TuneArgs, without: &Settings) -> Result<Grid> {
+        let varied = args.vary.values(without);
+        let axes = varied.iter().map(|(axis, _)| *axis).collect();
+        let mut values = varied.into_iter().map(|(_, values)| values);
+        let (rows, columns, blocks) = (values.next().unwrap_or_default(), values.next(), values.next());
+        let cell_count = [Some(&rows), columns.as_ref(), blocks.as_ref()]
+            .into_iter()
+            .flatten()
+            .fold(1usize, |count, values| count.saturating_mul(values.len()));
+        if cell_count > CELLS_MAX {
+            bail!("--vary makes {cell_count} cells; at most {CELLS_MAX} are shown: give fewer values");
+        }
+        refuse_large(cell_count, args.size)?;
+        let mut settings = Vec::new();
+        let blocks: Vec<Option<Value>> =
+            blocks.map_or(vec![None], |values| values.into_iter().map(Some).collect());
+        for block in &blocks {
+            for row in &rows {
+                match &columns {
+                    None => settings.push(vec![*row]),
+                    Some(columns) => settings.extend(
+                        columns
+                            .iter()
+                            .map(|column| [*row, *column].into_iter().chain(*block).collect::<Vec<_>>()),
+                    ),
+                }
+            }
+        }
+        let alone = if rows.len() <= ROW_MAX { rows.len() } else { even_columns(rows.len()) };
+        let columns = columns.map_or(alone, |columns| columns.len());
+        Ok(Grid { settings, axes, columns, blocks })
+    }
+
+    /// What rows, columns and blocks are.
+    fn meaning(&self) -> String {
+        match &self.axes[..] {
+            [axis] => format!("by {}", axis.meaning()),
+            [rows, columns, ..] => format!("rows: {}, columns: {}", rows.meaning(), columns.meaning()),
+            [] => String::new(),
+        }
+    }
+}
+
+/// More cells are more than anybody compares.
+const CELLS_MAX: usize = 100;
+
+/// One axis by itself is a row of so many.
+const ROW_MAX: usize = 6;
+
+/// A frame, and what all cells have in common.
+struct Tuning<'a> {
+    args: &'a TuneArgs,
+    studio: Studio<'a>,
+    frame: StillFrame,
+    /// The settings without --vary.
+    without: Settings,
+    viewpoint: Viewpoint,
+}
+
+impl<'a> Tuning<'a> {
+    fn new(
+        args: &'a TuneArgs,
+        studio: Studio<'a>,
+        sequence: &Sequence,
+        file: &FrameFile,
+    ) -> Result<Tuning<'a>> {
+        let choices = choices(&args.method);
+        let voxel_size = studio.voxel_size(sequence, &choices)?;
+        let without = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
+        let frame = StillFrame::read((&file.path, file.number()), &without)?;
+        let picture = studio.outputs.picture;
+        let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(NOTHING);
+        let viewpoint = picture.camera.viewpoint(bounds, picture.aspect(), up_of(studio.outputs.up));
+        Ok(Tuning { args, studio, frame, without, viewpoint })
+    }
+
+    /// All cells, and the command of each that has a picture.
+    fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, Tally) {
+        let (mut tally, mut told) = (Tally::default(), HashSet::new());
+        let mut cells = Vec::new();
+        for (index, values) in grid.settings.iter().enumerate() {
+            let (number, method) = (index + 1, self.method(values));
+            let label = self.label(number, values);
+            let mut lines = vec![label.clone()];
+            let (shown, command) = match self.skinned(&method) {
+                Ok((still, settings)) => {
+                    tally.done_count += 1;
+                    for note in settings.warnings().iter().chain(&still.notes) {
+                        if told.insert(gist(note)) {
+                            console.warn(format_args!("warning: cell {number}: {note}"));
+                        }
+                    }
+                    let figures = self.figures(&still);
+                    let command = CommandLine::convert(&self.args.inputs, &method, self.args.view.up);
+                    console.say(format_args!("{label}: {figures}\n{}", command.text()));
+                    lines.push(figures);
+                    let seen = (&self.viewpoint, self.studio.outputs.picture.size);
+                    (Shown::Picture(picture_of_still(&still, &settings, seen, false)), Some(command))
+                }
+                Err(error) => {
+                    tally.failed_count += 1;
+                    console.warn(format_args!("error: cell {label}: {error:#}"));
+                    (Shown::Words(reason(&error, self.frame.path())), None)
+                }
+            };
+            console.advance_bar();
+            cells.push((Cell { shown, lines }, command));
+        }
+        (cells, tally)
+    }
+
+    /// The options of a cell: those that were typed, but for what is varied.
+    fn method(&self, values: &[Value]) -> MethodArgs {
+        let mut method = self.args.method.clone();
+        values.iter().for_each(|value| value.put(&mut method, &self.without));
+        method
+    }
+
+    fn skinned(&self, method: &MethodArgs) -> Result<(Still, Settings)> {
+        let voxel_size = method.first.voxel_size.unwrap_or(self.without.voxel_size);
+        let settings = Settings::resolve(voxel_size, &choices(method))?;
+        Ok((self.studio.skin(&self.frame, &settings)?, settings))
+    }
+
+    fn label(&self, number: usize, values: &[Value]) -> String {
+        let labels: Vec<String> = values.iter().map(|value| value.label(&self.without)).collect();
+        let is_without = values.iter().all(|value| value.is_without(&self.without));
+        let without = match (is_without, self.args.method == MethodArgs::default()) {
+            (false, _) => "",
+            (true, true) => " (the defaults)",
+            (true, false) => " (as typed)",
+        };
+        format!("{number}: {}{without}", labels.join(", "))
+    }
+
+    /// What a user compares beside the picture.
+    fn figures(&self, still: &Still) -> String {
+        let report = &still.surface.report;
+        let triangles = counted(report.mesh.triangle_count, "triangle");
+        let seconds = report.seconds.rasterize + report.seconds.smooth + report.seconds.contour;
+        if self.args.no_seconds { triangles } else { format!("{seconds:.2} s, {triangles}") }
+    }
+
+    fn sheet(&self, grid: &Grid, cells: Vec<(Cell, Option<CommandLine>)>) -> Sheet {
+        let particles = counted(self.frame.particles().len(), "particle");
+        let title = format!("{}: {particles}; {}", self.name(), grid.meaning());
+        let commands = cells.iter().enumerate().filter_map(|(index, (_, command))| {
+            Some(format!("{}: {}", index + 1, command.as_ref()?.short_text()))
+        });
+        let foot = commands.collect();
+        let mut cells: Vec<Cell> = cells.into_iter().map(|(cell, _)| cell).collect();
+        let of_block = cells.len() / grid.blocks.len().max(1);
+        let blocks = grid.blocks.iter().map(|value| {
+            let rest = cells.split_off(of_block.min(cells.len()));
+            let title = value.map_or(String::new(), |value| value.label(&self.without));
+            Block { title, cells: std::mem::replace(&mut cells, rest), columns: grid.columns }
+        });
+        Sheet { title, place: self.args.size.map(usize::from), blocks: blocks.collect(), foot }
+    }
+
+    fn made_from(&self, grid: &Grid) -> SheetPart {
+        let axes: Vec<String> = grid.axes.iter().map(Axis::to_string).collect();
+        SheetPart {
+            name: self.name(),
+            what: format!("{} by {}", counted(grid.settings.len(), "cell"), axes.join(", ")),
+            settings: Some(self.without.clone()),
+            options: Some(fixed(&self.studio, self.viewpoint)),
+        }
+    }
+
+    fn name(&self) -> String {
+        self.frame.path().file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+}

@@ -1,0 +1,264 @@
+//! Where pictures are taken: what is the same for all pictures of a command.
+//!
+//! ```text
+//!   sequence ──▶ settings, viewpoint
+//!   frame ─┬─ .vdb: read ──────┬─▶ subject ──▶ pictures
+//!          └─ particles: skin ─┘
+//! ```
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::pipeline::{
+    FrameError, FrameFile, LevelSetFile, NOTHING, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions,
+    Scene, Sequence, Still, StillFrame, Viewpoint, automatic_voxel_size, files_in, is_level_set,
+    picture_provenance, read_file, sequence_bounds, up_of, velocities,
+};
+use crate::preview::{Picture, render_particles, side_by_side};
+use crate::settings::{AttributeSelection, Choices, Settings};
+use crate::space::Lattice;
+
+use super::args::{FormatArgs, MethodArgs, RunArgs, ViewArgs};
+use super::camera_file::camera_of_file;
+use super::choices::{choices, ignored, output_options};
+use super::console::Console;
+use super::inputs::{Found, find_inputs};
+use super::quantities::{PictureSize, memory_bytes};
+
+/// What is the same for all pictures of a command.
+pub(super) struct Studio<'a> {
+    pub(super) method: &'a MethodArgs,
+    /// One format, that of the pictures.
+    pub(super) outputs: OutputOptions,
+    pub(super) obstacles: ObstacleFiles,
+    pub(super) memory_bytes: u64,
+}
+
+/// What there is to take pictures of.
+pub(super) enum Subject {
+    /// A level set, and a hash of its file.
+    LevelSet(Box<LevelSetFile>, u128),
+    /// Particles and their surface.
+    Skinned(Box<Skinned>),
+}
+
+/// A frame that was skinned for its pictures.
+pub(super) struct Skinned {
+    pub(super) frame: StillFrame,
+    pub(super) still: Still,
+    pub(super) settings: Settings,
+}
+
+impl<'a> Studio<'a> {
+    /// For pictures of this format and size that go into this folder. Options that change nothing are told.
+    ///
+    /// # Errors
+    /// When an option is wrong.
+    pub(super) fn new(
+        method: &'a MethodArgs,
+        (view, run): (&ViewArgs, &RunArgs),
+        (folder, format, size): (PathBuf, OutputFormat, PictureSize),
+        console: &Console,
+    ) -> Result<Studio<'a>> {
+        let camera = match (&view.camera_from, view.camera) {
+            (Some(file), _) => camera_of_file(file, view.up)?,
+            (None, camera) => camera.unwrap_or_default(),
+        };
+        let typed = FormatArgs { up: view.up, preview_size: Some(size), ..FormatArgs::default() };
+        let mut outputs = output_options(folder, None, &typed);
+        outputs.picture.camera = camera;
+        outputs.formats = vec![format];
+        for warning in ignored(method, &outputs.formats, &FormatArgs::default()) {
+            console.warn(format_args!("warning: {warning}"));
+        }
+        let obstacles = ObstacleFiles::new(method.obstacles.obstacle.clone());
+        if let Some(missing) = obstacles.missing() {
+            bail!("{}: there is no such obstacle", missing.display());
+        }
+        Ok(Studio { method, outputs, obstacles, memory_bytes: memory_bytes(run.memory)? })
+    }
+
+    /// The settings that the particles of a sequence are skinned with; none for level sets.
+    ///
+    /// # Errors
+    /// When options make no sense, or there is no voxel size.
+    pub(super) fn settings(&self, sequence: &Sequence, console: &Console) -> Result<Option<Settings>> {
+        if sequence.frames.iter().all(|file| is_level_set(&file.path)) {
+            return Ok(None);
+        }
+        let mut choices = choices(self.method);
+        if self.outputs.formats == [OutputFormat::Exr] && choices.attributes.is_none() {
+            choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
+        }
+        let voxel_size = self.voxel_size(sequence, &choices)?;
+        let settings = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
+        for warning in settings.warnings() {
+            console.warn(format_args!("warning: {}: {warning}", sequence.name));
+        }
+        Ok(Some(settings))
+    }
+
+    /// That which was asked for, or the one that fits the sequence.
+    pub(super) fn voxel_size(&self, sequence: &Sequence, choices: &Choices) -> Result<f64> {
+        match self.method.first.voxel_size {
+            Some(voxel_size) => Ok(voxel_size),
+            None => {
+                let paths = sequence.frames.iter().map(|file| &*file.path);
+                Ok(automatic_voxel_size(paths, choices.own_radii()?.as_ref())?.voxel_size)
+            }
+        }
+    }
+
+    /// Where all pictures of a sequence are taken from.
+    ///
+    /// # Errors
+    /// When none of its frames can be read.
+    pub(super) fn viewpoint(
+        &self,
+        sequence: &Sequence,
+        settings: Option<&Settings>,
+        size: [usize; 2],
+    ) -> Result<Viewpoint> {
+        let PictureOptions { camera, .. } = self.outputs.picture;
+        let bounds = match camera.needs_bounds() {
+            true => {
+                let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
+                sequence_bounds(&paths, settings.map_or(0.0, |settings| settings.radius_init))?
+            }
+            false => None,
+        };
+        let aspect = size[0] as f64 / size[1] as f64;
+        Ok(camera.viewpoint(bounds.unwrap_or(NOTHING), aspect, up_of(self.outputs.up)))
+    }
+
+    /// Reads a level set, or skins particles.
+    ///
+    /// # Errors
+    /// Those of every stage.
+    pub(super) fn subject(&self, file: &FrameFile, settings: Option<&Settings>) -> Result<Subject> {
+        if is_level_set(&file.path) {
+            let hash = twox_hash::XxHash3_128::oneshot(&read_file(&file.path)?);
+            return Ok(Subject::LevelSet(Box::new(LevelSetFile::read(&file.path)?), hash));
+        }
+        let settings = settings.context("there are no settings for particles among level sets")?;
+        let frame = StillFrame::read((&file.path, file.number()), settings)?;
+        let still = self.skin(&frame, settings)?;
+        Ok(Subject::Skinned(Box::new(Skinned { frame, still, settings: settings.clone() })))
+    }
+
+    /// Skins particles.
+    ///
+    /// # Errors
+    /// Those of every stage.
+    pub(super) fn skin(&self, frame: &StillFrame, settings: &Settings) -> Result<Still, FrameError> {
+        frame.skin(settings, &self.obstacles, &self.outputs, self.memory_bytes)
+    }
+
+    /// What a user should know of a frame. That there are no velocities is nothing to tell where nobody asked for them.
+    pub(super) fn notes_of<'n>(&self, subject: &'n Subject) -> impl Iterator<Item = &'n String> {
+        let notes = match subject {
+            Subject::LevelSet(level_set, _) => &level_set.notes,
+            Subject::Skinned(skinned) => &skinned.still.notes,
+        };
+        let is_exr = self.outputs.formats == [OutputFormat::Exr];
+        let is_asked = self.method.particles.attributes.is_some();
+        notes.iter().filter(move |note| {
+            (is_exr || !note.contains(VELOCITIES))
+                && (is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
+        })
+    }
+}
+
+impl Subject {
+    /// A picture of the surface, with what is known of its pixels if that is wanted.
+    pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
+        match self {
+            Subject::LevelSet(level_set, _) => level_set.scene().picture(viewpoint, size, has_data),
+            Subject::Skinned(skinned) => {
+                picture_of_still(&skinned.still, &skinned.settings, (viewpoint, size), has_data)
+            }
+        }
+    }
+
+    /// The particles to the left, the surface to the right. A level set has no particles, and is alone.
+    pub(super) fn picture_beside_particles(&self, viewpoint: &Viewpoint, size: [usize; 2]) -> Picture {
+        let [width, height] = size;
+        let Subject::Skinned(skinned) = self else { return self.picture(viewpoint, size, false) };
+        let right = self.picture(viewpoint, [width - width / 2, height], false);
+        let view = viewpoint.view([width / 2, height]);
+        let radius = BALL_RADIUS * skinned.settings.radius_min;
+        side_by_side(&[render_particles(skinned.frame.particles(), radius, &view), right])
+    }
+
+    /// What made a picture of it.
+    pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
+        match self {
+            Subject::LevelSet(_, hash) => picture_provenance(input, *hash, None, options),
+            Subject::Skinned(skinned) => {
+                let Skinned { frame, still, settings } = &**skinned;
+                picture_provenance(input, frame.hash(), Some((settings, &still.obstacles)), options)
+            }
+        }
+    }
+}
+
+/// A picture of a surface, with what is known of its pixels if that is wanted.
+pub(super) fn picture_of_still(
+    still: &Still,
+    settings: &Settings,
+    (viewpoint, size): (&Viewpoint, [usize; 2]),
+    has_data: bool,
+) -> Picture {
+    let velocity = if has_data { velocities(&still.surface) } else { None };
+    let lattice = Lattice { voxel_size: settings.voxel_size };
+    let (band, origin) = (&still.surface.band, glam::DVec3::ZERO);
+    Scene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
+}
+
+/// The files that were meant; of a folder without particles, its level sets.
+///
+/// # Errors
+/// When an input stands for no file at all.
+pub(super) fn find_subjects(inputs: &[PathBuf]) -> Result<Found> {
+    let mut all = Found::default();
+    for input in inputs {
+        let found = find_inputs(std::slice::from_ref(input)).or_else(|error| {
+            let files = level_sets_in(input);
+            if files.is_empty() { Err(error) } else { Ok(Found { files, ..Found::default() }) }
+        })?;
+        all.add(found);
+    }
+    Ok(all)
+}
+
+/// The level sets in a folder; none in what is no folder.
+pub(super) fn level_sets_in(folder: &Path) -> Vec<FrameFile> {
+    let files = if folder.is_dir() { files_in(folder).unwrap_or_default() } else { Vec::new() };
+    files.into_iter().filter(|path| is_level_set(path)).map(FrameFile::new).collect()
+}
+
+/// The folder, the stem and the extension, in small letters, of a picture's file.
+///
+/// # Errors
+/// When its name is not UTF-8, or has another extension than these.
+pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(PathBuf, String, &'e str)> {
+    let extension = file.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let Some(extension) = extensions.iter().find(|known| **known == extension) else {
+        bail!("{}: expected a name that ends with .{}", file.display(), extensions.join(" or ."));
+    };
+    let Some(stem) = file.file_stem().and_then(|stem| stem.to_str()) else {
+        bail!("{}: expected a name in UTF-8", file.display());
+    };
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    Ok((folder.to_owned(), stem.to_owned(), extension))
+}
+
+/// The attribute that .exr has a layer for.
+const VELOCITY: &str = "velocity";
+
+/// What notes on velocities have in them: of no interest where no picture has any.
+const VELOCITIES: &str = "velocities";
+
+/// The radius of the balls that particles are shown as, in units of r_min: by default they nearly touch.
+const BALL_RADIUS: f64 = 0.5;

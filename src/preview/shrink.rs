@@ -1,0 +1,84 @@
+//! A picture in less room.
+//!
+//! Each pixel is the mean of what it covers, and what it covers in part counts in part: nothing is left out, so
+//! threads and drops stay visible.
+
+use super::Picture;
+
+impl Picture {
+    /// The same in no more than this room, with the same ratio of its edges. One that is smaller is left as it is.
+    pub fn shrunk(&self, room: [usize; 2]) -> Picture {
+        let scale = [0, 1].map(|axis| room[axis] as f64 / self.size[axis].max(1) as f64);
+        let scale = scale[0].min(scale[1]);
+        if scale >= 1.0 {
+            return Picture { data: None, ..self.clone() };
+        }
+        let size: [usize; 2] = [0, 1]
+            .map(|axis| ((self.size[axis] as f64 * scale).round() as usize).clamp(1, room[axis].max(1)));
+        let [across, down] = [0, 1].map(|axis| shares(self.size[axis], size[axis]));
+        let mut shrunk = Picture { size, color: Vec::new(), coverage: Vec::new(), data: None };
+        for rows in &down {
+            for columns in &across {
+                let (color, coverage) = self.mean(columns, rows);
+                shrunk.color.push(color);
+                shrunk.coverage.push(coverage);
+            }
+        }
+        shrunk
+    }
+
+    fn mean(&self, columns: &[(usize, f32)], rows: &[(usize, f32)]) -> ([f32; 3], f32) {
+        let (mut color, mut coverage, mut whole) = ([0.0; 3], 0.0, 0.0);
+        for &(y, of_row) in rows {
+            for &(x, of_column) in columns {
+                let (pixel, share) = (y * self.size[0] + x, of_row * of_column);
+                (0..3).for_each(|channel| color[channel] += share * self.color[pixel][channel]);
+                coverage += share * self.coverage[pixel];
+                whole += share;
+            }
+        }
+        (color.map(|sum| sum / whole), coverage / whole)
+    }
+}
+
+/// Which of `from` pixels in a row each of `to` pixels covers, and how much of them.
+fn shares(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+    let step = from as f64 / to as f64;
+    let of_pixel = |index: usize| {
+        let (start, end) = (index as f64 * step, (index + 1) as f64 * step);
+        let last = (end.ceil() as usize).min(from);
+        let share = |pixel: usize| (end.min((pixel + 1) as f64) - start.max(pixel as f64)) as f32;
+        let shares = (start as usize..last).map(|pixel| (pixel, share(pixel)));
+        shares.filter(|(_, share)| *share > 0.0).collect()
+    };
+    (0..to).map(of_pixel).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(size: [usize; 2], value: impl Fn(usize, usize) -> f32) -> Picture {
+        let color = (0..size[0] * size[1]).map(|pixel| [value(pixel % size[0], pixel / size[0]); 3]);
+        let color: Vec<[f32; 3]> = color.collect();
+        Picture { size, coverage: vec![0.5; color.len()], color, data: None }
+    }
+
+    #[test]
+    fn means_are_kept() {
+        let wide = picture([30, 20], |x, y| (x * y) as f32);
+        let mean = |picture: &Picture| {
+            picture.color.iter().map(|color| f64::from(color[0])).sum::<f64>() / picture.color.len() as f64
+        };
+        for (room, size) in [([15, 100], [15, 10]), ([7, 7], [7, 5]), ([100, 6], [9, 6]), ([1, 1], [1, 1])] {
+            let shrunk = wide.shrunk(room);
+            assert_eq!((shrunk.size, shrunk.color.len()), (size, size[0] * size[1]));
+            assert!((mean(&shrunk) / mean(&wide) - 1.0).abs() < 1e-4, "{room:?}");
+            assert!(shrunk.coverage.iter().all(|part| (part - 0.5).abs() < 1e-5));
+        }
+        assert_eq!(wide.shrunk([30, 20]), wide);
+        assert_eq!(wide.shrunk([300, 200]), wide);
+        let halves = picture([4, 2], |x, _| if x < 2 { 1.0 } else { 3.0 });
+        assert_eq!(halves.shrunk([2, 2]).color, [[1.0; 3], [3.0; 3]]);
+    }
+}
