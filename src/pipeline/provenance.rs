@@ -60,6 +60,8 @@ pub fn picture_provenance(
 pub struct SheetPart {
     /// The name of the sequence or the file.
     pub name: String,
+    /// A hash of the file, if it is one.
+    pub hash: Option<u128>,
     /// What of it is shown, such as `60 of 240 frames, from pictures`.
     pub what: String,
     /// The settings by which it was skinned, if it was by one.
@@ -73,6 +75,7 @@ pub fn sheet_provenance(kind: &str, parts: &[SheetPart]) -> Vec<(String, String)
     let mut pairs = vec![("generator", generator()), (SHEET, kind.to_owned())];
     for part in parts {
         pairs.push(("input", part.name.clone()));
+        pairs.extend(part.hash.map(|hash| ("input_hash", hash_text(hash))));
         pairs.push(("shown", part.what.clone()));
         pairs.extend(part.settings.iter().flat_map(|settings| settings_pairs(settings, OutputFormat::Png)));
         pairs.extend(part.options.iter().flat_map(picture_pairs));
@@ -88,8 +91,12 @@ fn made_from(input: &Path, hash: u128) -> Pairs {
     vec![
         ("generator", generator()),
         ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
-        ("input_hash", format!("xxh3-128:{hash:032x}")),
+        ("input_hash", hash_text(hash)),
     ]
+}
+
+fn hash_text(hash: u128) -> String {
+    format!("xxh3-128:{hash:032x}")
 }
 
 fn obstacle_pairs(settings: &Settings, obstacles: &str) -> Pairs {

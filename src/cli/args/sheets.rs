@@ -38,7 +38,7 @@ pub(in crate::cli) struct ContactSheetArgs {
     pub(in crate::cli) columns: Option<u16>,
 
     /// Width and height of a cell, pixels, each 16 to 8192
-    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "320x180")]
+    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "240x180")]
     pub(in crate::cli) size: PictureSize,
 
     /// Leave out how long frames took: then the same input gives the same bytes

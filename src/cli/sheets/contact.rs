@@ -134,7 +134,13 @@ impl Part {
 
     fn made_from(&self) -> SheetPart {
         let name = self.shown.strip.name.clone();
-        SheetPart { name, what: self.what(), settings: self.settings.clone(), options: self.options }
+        SheetPart {
+            name,
+            hash: None,
+            what: self.what(),
+            settings: self.settings.clone(),
+            options: self.options,
+        }
     }
 }
 

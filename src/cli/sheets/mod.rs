@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
-    CameraChoice, FrameError, OutputFormat, PictureFormat, PictureOptions, SheetPart, Viewpoint,
-    check_outputs, encode_picture, output_path, sheet_provenance, write_whole,
+    CameraChoice, OutputFormat, PictureFormat, PictureOptions, SheetPart, Viewpoint, check_outputs,
+    encode_picture, output_path, sheet_provenance, write_whole,
 };
 use crate::preview::Sheet;
 
@@ -114,8 +114,7 @@ const EXTRA_COLUMNS: usize = 2;
 /// Why a frame has no picture, without the name of its file: that is written beside it.
 fn reason(error: &anyhow::Error, path: &Path) -> String {
     let told = format!("{error:#}");
-    let is_of_frame = error.downcast_ref::<FrameError>().is_some_and(|error| error.path == path);
-    let bare = told.strip_prefix(&format!("{}: ", path.display())).filter(|_| is_of_frame);
+    let bare = told.strip_prefix(&format!("{}: ", path.display()));
     format!("failed: {}", bare.unwrap_or(&told))
 }
 

@@ -273,6 +273,7 @@ impl<'a> Tuning<'a> {
         let axes: Vec<String> = grid.axes.iter().map(Axis::to_string).collect();
         SheetPart {
             name: self.name(),
+            hash: Some(self.frame.hash()),
             what: format!("{} by {}", counted(grid.settings.len(), "cell"), axes.join(", ")),
             settings: Some(self.without.clone()),
             options: Some(fixed(&self.studio, self.viewpoint)),

@@ -1,0 +1,309 @@
+//! Sheets of pictures: what is on them, what they are made from, and that commands do what cells show.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io::BufReader;
+use std::path::Path;
+
+use meniscus_formats::provenance::{Kind, read_provenance};
+use tempfile::tempdir;
+
+use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
+
+/// Pixels of the cells that tests ask for.
+const CELL: [usize; 2] = [96, 72];
+
+const SIZE: &str = "96x72";
+
+/// Between cells and around them, pixels.
+const GAP: usize = 10;
+
+/// Where cells begin: below one line of title.
+const HEAD: usize = GAP + 22 + GAP;
+
+/// A sheet as it is seen.
+struct Seen {
+    width: usize,
+    pixels: Vec<[u8; 3]>,
+}
+
+impl Seen {
+    fn read(path: &Path) -> Seen {
+        let file = BufReader::new(File::open(path).expect("a file"));
+        let mut reader = png::Decoder::new(file).read_info().expect("a picture");
+        let mut bytes = vec![0; reader.output_buffer_size().expect("small")];
+        reader.next_frame(&mut bytes).expect("whole");
+        let pixels = bytes.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect();
+        Seen { width: reader.info().width as usize, pixels }
+    }
+
+    fn part(&self, [left, top]: [usize; 2], [width, height]: [usize; 2]) -> Vec<[u8; 3]> {
+        let row = |y: usize| &self.pixels[y * self.width + left..y * self.width + left + width];
+        (top..top + height).flat_map(|y| row(y).iter().copied()).collect()
+    }
+
+    /// The picture in a cell, where each has so many lines below it.
+    fn cell(&self, column: usize, row: usize, line_count: usize) -> Vec<[u8; 3]> {
+        self.part(place(column, row, line_count), CELL)
+    }
+
+    /// How many pixels of what is below a cell are written on.
+    fn ink(&self, column: usize, row: usize, line_count: usize) -> usize {
+        let [left, top] = place(column, row, line_count);
+        let below = self.part([left, top + CELL[1]], [CELL[0], 3 + 15 * line_count]);
+        below.iter().filter(|pixel| pixel.iter().all(|&value| value < 100)).count()
+    }
+}
+
+fn place(column: usize, row: usize, line_count: usize) -> [usize; 2] {
+    [GAP + column * (CELL[0] + GAP), HEAD + row * (CELL[1] + 3 + 15 * line_count + GAP)]
+}
+
+/// Whether fluid is in a picture: blue, unlike paper, ground and shadow.
+fn has_fluid(pixels: &[[u8; 3]]) -> bool {
+    pixels.iter().filter(|[red, _, blue]| u32::from(*blue) > u32::from(*red) + 60).count() > 50
+}
+
+fn is_plain(pixels: &[[u8; 3]]) -> bool {
+    pixels[..CELL[0]].iter().all(|pixel| *pixel == pixels[0])
+}
+
+fn sheet_of(folder: &Path, arguments: &[&str]) -> Ran {
+    meniscus(folder, &[&["contact-sheet", "-o", "sheet.png", "--size", SIZE], arguments].concat())
+}
+
+#[test]
+fn a_sequence_is_seen_at_a_glance() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 6);
+    let ran = sheet_of(path, &[".", "--columns", "4", "--no-seconds"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    assert!(ran.out.contains("dam: 6 frames, from particles, voxel size "), "{}", ran.out);
+    let seen = Seen::read(&path.join("sheet.png"));
+    assert_eq!(seen.width, GAP + 4 * (CELL[0] + GAP));
+    // Two lines: the name, and the number of particles, which has to go on below.
+    let line_count = 2;
+    for index in 0..6 {
+        let (column, row) = (index % 4, index / 4);
+        assert!(has_fluid(&seen.cell(column, row, line_count)), "cell {index}");
+        assert!(seen.ink(column, row, line_count) > 60, "cell {index} has no label");
+    }
+    assert!(!has_fluid(&seen.cell(2, 1, line_count)) && seen.ink(2, 1, line_count) == 0);
+    let first = fs::read(path.join("sheet.png")).expect("there");
+    let ran = sheet_of(path, &[".", "--columns", "4", "--no-seconds", "--threads", "1"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(fs::read(path.join("sheet.png")).expect("there") == first, "threads change the bytes");
+
+    let ran = sheet_of(path, &["dam.#.ply", "--count", "3"]);
+    assert!(ran.status == 0 && ran.out.contains("dam: 3 of 6 frames, from particles"), "{}", ran.out);
+    let ran = sheet_of(path, &["dam.#.ply", "--frames", "2-3", "--radius-ratio", "3"]);
+    assert!(ran.status == 0 && ran.out.contains("dam: 2 frames, from particles"), "{}", ran.out);
+    // Frames are what they were: a sheet among them is none.
+    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "vdb"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(names_in(&path.join("o")).iter().all(|name| name.ends_with(".vdb")));
+}
+
+#[test]
+fn what_costs_least_is_taken() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 3);
+    let convert = ["convert", "in", "--out", "o", "--format", "vdb", "--preview", "png", "--preview-size"];
+    let ran = meniscus(path, &[&convert[..], &["192x144"]].concat());
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let from = |arguments: &[&str], kind: &str| {
+        let ran = sheet_of(path, arguments);
+        assert_eq!((ran.status, &*ran.err), (0, ""), "{arguments:?} {}", ran.out);
+        assert!(ran.out.starts_with(&format!("dam: 3 frames, from {kind}")), "{arguments:?}: {}", ran.out);
+    };
+    from(&["o"], "pictures");
+    let seen = Seen::read(&path.join("sheet.png"));
+    assert!((0..3).all(|index| has_fluid(&seen.cell(index % 2, index / 2, 1))), "pictures are shrunk");
+    from(&["o", "--camera", "azimuth=90"], "level sets");
+    from(&["in"], "particles");
+    // A picture too few; and a sheet, which is no frame.
+    fs::rename(path.join("sheet.png"), path.join("o/dam.2.png")).expect("moved");
+    from(&["o"], "level sets");
+    // A picture from elsewhere.
+    let ran = meniscus(path, &["render", "o/dam.2.vdb", "-o", "o/dam.2.png", "--camera", "azimuth=90"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    from(&["o"], "level sets");
+    from(&["o/dam.#.png"], "pictures");
+}
+
+#[test]
+fn a_frame_that_fails_leaves_the_others() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 4);
+    fs::write(path.join("dam.3.ply"), "ply\nformat ascii 1.0\nelement vertex 9\n").expect("written");
+    let ran = sheet_of(path, &["dam.#.ply", "--columns", "4", "--no-seconds"]);
+    assert_eq!(ran.status, 1, "{} {}", ran.out, ran.err);
+    assert!(ran.err.contains("dam.3.ply") && ran.err.matches("error").count() == 1, "{}", ran.err);
+    let seen = Seen::read(&path.join("sheet.png"));
+    let fluid: Vec<bool> = (0..4).map(|column| has_fluid(&seen.cell(column, 0, 2))).collect();
+    assert_eq!(fluid, [true, true, false, true]);
+    assert!(is_plain(&seen.cell(2, 0, 2)) && seen.ink(2, 0, 2) > 20, "it is empty, and has its name");
+    fs::remove_file(path.join("sheet.png")).expect("removed");
+    let ran = sheet_of(path, &["dam.3.ply"]);
+    assert!(ran.status == 2 && !path.join("sheet.png").exists(), "{}", ran.out);
+}
+
+#[test]
+fn sequences_are_one_after_another() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    write_ply(&path.join("other.1.ply"), &block(5, 0.0));
+    write_ply(&path.join("other.2.ply"), &block(7, 0.0));
+    write_ply(&path.join("alone.ply"), &block(6, 0.0));
+    let ran = sheet_of(path, &["."]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    for title in ["dam: 2 frames", "other: 2 frames", "alone.ply: 1 frame"] {
+        assert!(ran.out.contains(title), "{title}: {}", ran.out);
+    }
+    let pairs = read_provenance(Kind::Png, File::open(path.join("sheet.png")).expect("there")).expect("ours");
+    let cameras = pairs.iter().filter(|(name, _)| name == "camera").map(|(_, value)| value);
+    let cameras: Vec<&String> = cameras.collect();
+    assert!(cameras.len() == 3 && cameras[0] != cameras[1], "each has its own camera: {cameras:?}");
+}
+
+/// The commands that were printed.
+fn commands(ran: &Ran) -> Vec<Vec<&str>> {
+    let lines = ran.out.lines().filter(|line| line.starts_with("meniscus convert "));
+    lines.map(|line| line.split_whitespace().skip(2).collect()).collect()
+}
+
+fn provenance(kind: Kind, path: &Path) -> HashMap<String, String> {
+    read_provenance(kind, File::open(path).expect("there")).expect("ours").into_iter().collect()
+}
+
+#[test]
+fn commands_make_what_cells_show() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
+    let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--no-seconds", "--vary"];
+    let tune = [&tune[..], &["ratio=1.25,3,time=0,5,h=1x,0.6x", "--preset", "water", "--clip"]].concat();
+    let tune = [&tune[..], &["-1,-1,-1,0.6,2,2", "--smooth-normals=2"]].concat();
+    let ran = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
+    assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
+    let first = fs::read(path.join("tune.png")).expect("there");
+    assert_eq!(meniscus(path, &tune).status, 0);
+    assert!(fs::read(path.join("tune.png")).expect("there") == first, "threads change the bytes");
+
+    let commands = commands(&ran);
+    assert_eq!(commands.len(), 8);
+    let seen = Seen::read(&path.join("tune.png"));
+    let mut cells: Vec<Vec<[u8; 3]>> = Vec::new();
+    for (index, command) in commands.iter().enumerate() {
+        let out = format!("o{index}");
+        let place = command.iter().position(|word| *word == "--out").expect("a folder");
+        let options = &command[place + 2..];
+        let convert = [&["convert", "dam.7.ply", "--format", "vdb", "--out", &out], options].concat();
+        let ran = meniscus(path, &convert);
+        assert_eq!(ran.status, 0, "{convert:?} {}", ran.err);
+        let render = ["render", "dam.7.ply", "-o", "cell.png", "--camera-from", "tune.png", "--size", SIZE];
+        let ran = meniscus(path, &[&render[..], options].concat());
+        assert_eq!(ran.status, 0, "{options:?} {}", ran.err);
+        let [level_set, picture] = [
+            provenance(Kind::Vdb, &path.join(&out).join("dam.7.vdb")),
+            provenance(Kind::Png, &path.join("cell.png")),
+        ];
+        let same = level_set.iter().filter(|(name, _)| picture.contains_key(*name));
+        let same: Vec<&String> =
+            same.filter(|(name, value)| picture[*name] == **value).map(|(n, _)| n).collect();
+        for name in ["input_hash", "voxel_size", "radius_min", "radius_max", "steps", "clip", "fill_cavities"]
+        {
+            assert!(same.iter().any(|same| *same == name), "{name}: {level_set:?} {picture:?}");
+        }
+        cells.push(Seen::read(&path.join("cell.png")).pixels);
+    }
+    // The labels of the widest cell have three lines; blocks have a title of one line each.
+    let line_count = (0..8)
+        .find(|&count| seen.part(place_in_block(0, 0, 0, count), CELL) == cells[0])
+        .expect("the first cell is on the sheet");
+    let line_count = (line_count..8)
+        .find(|&count| seen.part(place_in_block(1, 1, 1, count), CELL) == cells[7])
+        .expect("the last cell is on the sheet");
+    for (index, cell) in cells.iter().enumerate() {
+        let (column, row, block) = (index % 2, index / 2 % 2, index / 4);
+        let on_sheet = seen.part(place_in_block(column, row, block, line_count), CELL);
+        assert!(has_fluid(cell) && on_sheet == *cell, "cell {}", index + 1);
+        assert!(cells[..index].iter().all(|other| other != cell), "cell {} is there twice", index + 1);
+    }
+}
+
+/// Two rows of two cells are a block, with a line of title above them.
+fn place_in_block(column: usize, row: usize, block: usize, line_count: usize) -> [usize; 2] {
+    let row_height = CELL[1] + 3 + 15 * line_count + GAP;
+    let above = (block + 1) * (15 + GAP) + 2 * block * row_height;
+    [GAP + column * (CELL[0] + GAP), HEAD + above + row * row_height]
+}
+
+#[test]
+fn a_setting_that_is_refused_leaves_the_others() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 3);
+    let ran = meniscus(
+        path,
+        &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2", "--no-seconds"],
+    );
+    assert_eq!(ran.status, 1, "{} {}", ran.out, ran.err);
+    assert!(ran.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", ran.err);
+    assert!(ran.out.contains("dam.2.ply: of 3 frames") && commands(&ran).len() == 1, "{}", ran.out);
+    let ran =
+        meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.out.contains("dam.3.ply: of 3 frames"), "{}", ran.out);
+    // The settings that nobody varies make no sense: there is nothing to compare.
+    let ran = meniscus(path, &["tune", ".", "-o", "u.png", "--radius-min", "-1"]);
+    assert!(ran.status == 2 && ran.err.contains("r_min") && !path.join("u.png").exists(), "{}", ran.err);
+}
+
+#[test]
+fn sheets_that_cannot_be_are_refused() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    write_ply(&path.join("other.ply"), &block(5, 0.0));
+    fs::create_dir(path.join("empty")).expect("made");
+    fs::write(path.join("grid.vdb"), "no grid").expect("written");
+    let ran = meniscus(path, &["render", "dam.1.ply", "-o", "picture.png", "--size", SIZE]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    for (arguments, words) in [
+        (&["contact-sheet", "."][..], &["--output"][..]),
+        (&["contact-sheet", ".", "-o", "a.jpg"], &["a.jpg", ".png"]),
+        (&["contact-sheet", ".", "-o", "a.exr"], &["a.exr", ".png"]),
+        (&["contact-sheet", "missing", "-o", "a.png"], &["missing", "no such file or folder"]),
+        (&["contact-sheet", "empty", "-o", "a.png"], &["empty", "no frames"]),
+        (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
+        (&["contact-sheet", "picture.png", "-o", "picture.png"], &["picture.png", "replace the input"]),
+        (&["contact-sheet", ".", "-o", "picture.png"], &["picture.png", "replace the input"]),
+        (&["contact-sheet", "grid.vdb", "-o", "a.png", "--steps", "3"], &["no particles"]),
+        (&["contact-sheet", "dam.#.ply", "-o", "a.png", "--count", "1"], &["--count", "2..=1000"]),
+        (&["contact-sheet", ".", "-o", "a.png", "--size", "8192x8192"], &["8192x8192", "smaller --size"]),
+        (&["tune", ".", "-o", "a.png"], &["2 sequences", "dam.{}.ply", "other.ply", "name one"]),
+        (&["tune", "grid.vdb", "-o", "a.png"], &["grid.vdb", "give particles"]),
+        (&["tune", "dam.1.ply", "-o", "dam.1.ply"], &["dam.1.ply", ".png"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--frames", "7"], &["--frames selects none"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "size"], &["no `size` to vary", "ratio, time, h"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--vary", "ratio=x"], &["ratio=`x`", "expected a number"]),
+        (&["tune", "dam.1.ply", "-o", "a.png", "--size", "8192x8192"], &["16 cells", "smaller --size"]),
+    ] {
+        let ran = meniscus(path, arguments);
+        assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+        for word in words {
+            assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+        }
+    }
+    let many: Vec<String> = (0..101).map(|index| index.to_string()).collect();
+    let vary = format!("time={}", many.join(","));
+    let ran = meniscus(path, &["tune", "dam.1.ply", "-o", "a.png", "--vary", &vary]);
+    assert!(ran.status == 2 && ran.err.contains("101 cells; at most 100"), "{}", ran.err);
+    assert!(!path.join("a.png").exists());
+}
