@@ -39,8 +39,9 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict
     }
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = pipeline::sequences(found.files);
-    let shots = Shots::new(args, &sequences, console)?;
+    let shots = Shots::new(args, &sequences)?;
     let outputs = &shots.studio.outputs;
+    shots.studio.warn_of_ignored(&outputs.formats, console);
     let folder = OutFolder::make(&outputs.folder)
         .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
     let planned = sequences.iter().flat_map(|sequence| shots.selected(sequence));
@@ -73,7 +74,7 @@ struct Shots<'a> {
 }
 
 impl<'a> Shots<'a> {
-    fn new(args: &'a RenderArgs, sequences: &[Sequence], console: &Console) -> Result<Shots<'a>> {
+    fn new(args: &'a RenderArgs, sequences: &[Sequence]) -> Result<Shots<'a>> {
         let (folder, stem, preview) = match (&args.output, &args.out) {
             (Some(file), _) => {
                 let (folder, stem, extension) = named_picture(file, &["png", "exr"])?;
@@ -87,7 +88,7 @@ impl<'a> Shots<'a> {
             PreviewChoice::Png => (OutputFormat::Png, PictureFormat::Png),
             PreviewChoice::Exr => (OutputFormat::Exr, PictureFormat::Exr),
         };
-        let studio = Studio::new(&args.method, (&args.view, &args.run), (folder, kind, args.size), console)?;
+        let studio = Studio::new(&args.method, (&args.view, &args.run), (folder, kind, args.size))?;
         let shots = Shots { args, studio, format, stem };
         shots.check(sequences)?;
         Ok(shots)

@@ -51,7 +51,7 @@ pub(super) struct Skinned {
 }
 
 impl<'a> Studio<'a> {
-    /// For pictures of this format and size that go into this folder. Options that change nothing are told.
+    /// For pictures of this format and size that go into this folder.
     ///
     /// # Errors
     /// When an option is wrong.
@@ -59,7 +59,6 @@ impl<'a> Studio<'a> {
         method: &'a MethodArgs,
         (view, run): (&ViewArgs, &RunArgs),
         (folder, format, size): (PathBuf, OutputFormat, PictureSize),
-        console: &Console,
     ) -> Result<Studio<'a>> {
         let camera = match (&view.camera_from, view.camera) {
             (Some(file), _) => camera_of_file(file, view.up)?,
@@ -69,14 +68,18 @@ impl<'a> Studio<'a> {
         let mut outputs = output_options(folder, None, &typed);
         outputs.picture.camera = camera;
         outputs.formats = vec![format];
-        for warning in ignored(method, &outputs.formats, &FormatArgs::default()) {
-            console.warn(format_args!("warning: {warning}"));
-        }
         let obstacles = ObstacleFiles::new(method.obstacles.obstacle.clone());
         if let Some(missing) = obstacles.missing() {
             bail!("{}: there is no such obstacle", missing.display());
         }
         Ok(Studio { method, outputs, obstacles, memory_bytes: memory_bytes(run.memory)? })
+    }
+
+    /// Tells of options that change nothing where these formats are written.
+    pub(super) fn warn_of_ignored(&self, written: &[OutputFormat], console: &Console) {
+        for warning in ignored(self.method, written, &FormatArgs::default()) {
+            console.warn(format_args!("warning: {warning}"));
+        }
     }
 
     /// The settings that the particles of a sequence are skinned with; none for level sets.

@@ -1,7 +1,7 @@
 //! From a .png to a picture, for sheets of pictures that are there already.
 
 use std::fs::File;
-use std::io::Cursor;
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use meniscus_formats::provenance::{Kind, read_provenance};
@@ -11,7 +11,7 @@ use png::{ColorType, Decoder, DecodingError, Limits, Transformations};
 use crate::preview::Picture;
 
 use super::frame::{FrameError, Stage};
-use super::provenance::{CAMERA, SHEET};
+use super::provenance::{CAMERA, HEAD_BYTES, SHEET};
 use super::reading::read_file;
 
 /// Reads the colours of a picture. Transparency is left out.
@@ -31,7 +31,8 @@ pub fn camera_of_picture(path: &Path) -> Option<String> {
     if !is_png || !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
         return None;
     }
-    let pairs = read_provenance(Kind::Png, File::open(path).ok()?).ok()?;
+    let head = File::open(path).ok()?.take(HEAD_BYTES);
+    let pairs = read_provenance(Kind::Png, head).ok()?;
     let value = |wanted: &str| pairs.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.clone());
     if value(SHEET).is_some() { None } else { value(CAMERA) }
 }

@@ -23,7 +23,7 @@ use super::picture::PictureOptions;
 const GENERATOR: &str = "meniscus ";
 
 /// The provenance of an output is within this much from its start, unless the input's name is very long.
-const HEAD_BYTES: u64 = 16 << 10;
+pub(super) const HEAD_BYTES: u64 = 16 << 10;
 
 /// Names and values for an output in `format`, made from the frame's input with this hash, among these obstacles.
 pub(super) fn provenance(

@@ -118,10 +118,11 @@ impl Sheet {
         canvas.write(&title, [GAP, top]);
         top += title.height_with_gap();
         let [place_width, place_height] = self.place;
+        let row_height = self.row_height(block);
         for (index, cell) in block.cells.iter().enumerate() {
             let (row, column) = (index / block.columns.max(1), index % block.columns.max(1));
             let left = GAP + column * (place_width + GAP);
-            let cell_top = top + row * self.row_height(block);
+            let cell_top = top + row * row_height;
             match &cell.shown {
                 Shown::Picture(picture) => {
                     let [x, y] = [0, 1].map(|axis| self.place[axis].saturating_sub(picture.size[axis]) / 2);

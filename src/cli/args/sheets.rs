@@ -98,8 +98,8 @@ const CONTACT_SHEETS: &str = "\
 What is shown:
   Each sequence has its own part of the sheet and one camera; files that belong to none share one.
   Pictures of this program cost least, then level sets, then particles. Pictures are taken only where
-  they show all the frames that are there, from one camera, and neither --camera nor --camera-from is
-  given. The title says what was taken.
+  they show all the frames that are there, from one camera, and none of --camera, --camera-from and
+  --up is given. The title says what was taken.
 
 Exit status:
   0    every frame is on the sheet

@@ -35,7 +35,8 @@ pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Conso
     refuse_large(cell_count, args.size)?;
     let file = SheetFile::new(&args.output)?;
     let place = (file.folder.clone(), OutputFormat::Png, args.size);
-    let studio = Studio::new(&args.method, (&args.view, &args.run), place, console)?;
+    let studio = Studio::new(&args.method, (&args.view, &args.run), place)?;
+    studio.warn_of_ignored(&studio.outputs.formats, console);
     file.prepare(&studio, &files)?;
     let contact = Contact { args, studio };
     console.show_bar(cell_count);

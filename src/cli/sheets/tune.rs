@@ -52,7 +52,8 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Ver
     let frame = chosen(&sequence, args.frames.as_ref())?;
     let file = SheetFile::new(&args.output)?;
     let place = (file.folder.clone(), OutputFormat::Png, args.size);
-    let studio = Studio::new(&args.method, (&args.view, &args.run), place, console)?;
+    let studio = Studio::new(&args.method, (&args.view, &args.run), place)?;
+    studio.warn_of_ignored(&CONVERTED, console);
     file.prepare(&studio, &paths)?;
     let pool = thread_pool(args.run.threads)?;
     let tuning = pool.install(|| Tuning::new(args, studio, &sequence, frame))?;
@@ -70,6 +71,9 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Ver
     }
     Ok(tally.verdict())
 }
+
+/// What the commands write.
+const CONVERTED: [OutputFormat; 2] = [OutputFormat::Glb, OutputFormat::Vdb];
 
 fn only_sequence(sequences: Vec<Sequence>) -> Result<Sequence> {
     let names: Vec<&str> = sequences.iter().take(NAMED_MAX).map(|sequence| &*sequence.name).collect();
@@ -114,26 +118,22 @@ impl Grid {
         let axes = varied.iter().map(|(axis, _)| *axis).collect();
         let mut values = varied.into_iter().map(|(_, values)| values);
         let (rows, columns, blocks) = (values.next().unwrap_or_default(), values.next(), values.next());
-        let cell_count = [Some(&rows), columns.as_ref(), blocks.as_ref()]
-            .into_iter()
-            .flatten()
-            .fold(1usize, |count, values| count.saturating_mul(values.len()));
+        let count = |values: &Option<Vec<Value>>| values.as_ref().map_or(1, Vec::len);
+        let cell_count = rows.len() * count(&columns) * count(&blocks);
         if cell_count > CELLS_MAX {
             bail!("--vary makes {cell_count} cells; at most {CELLS_MAX} are shown: give fewer values");
         }
         refuse_large(cell_count, args.size)?;
+        // An axis that is not varied has one value: none.
+        let or_none = |values: Option<Vec<Value>>| -> Vec<Option<Value>> {
+            values.map_or(vec![None], |values| values.into_iter().map(Some).collect())
+        };
+        let [across, blocks] = [&columns, &blocks].map(|values| or_none(values.clone()));
         let mut settings = Vec::new();
-        let blocks: Vec<Option<Value>> =
-            blocks.map_or(vec![None], |values| values.into_iter().map(Some).collect());
         for block in &blocks {
             for row in &rows {
-                match &columns {
-                    None => settings.push(vec![*row]),
-                    Some(columns) => settings.extend(
-                        columns
-                            .iter()
-                            .map(|column| [*row, *column].into_iter().chain(*block).collect::<Vec<_>>()),
-                    ),
+                for column in &across {
+                    settings.push([Some(*row), *column, *block].into_iter().flatten().collect());
                 }
             }
         }
