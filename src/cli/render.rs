@@ -249,7 +249,7 @@ impl<'a> Shots<'a> {
         let bounds = match camera.needs_bounds() {
             true => {
                 let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-                sequence_bounds(&paths, settings.map_or(0.0, |settings| settings.radius_init))?
+                sequence_bounds(&paths, settings.map_or(0.0, |settings| settings.radius_min))?
             }
             false => None,
         };
