@@ -295,14 +295,16 @@ impl<'a> Shots<'a> {
     /// That there are no velocities is nothing to tell where nobody asked for them.
     fn is_worth_telling(&self, note: &str) -> bool {
         let is_asked = self.args.method.particles.attributes.is_some();
-        (self.format == PictureFormat::Exr || !note.contains(VELOCITIES))
-            && (is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
+        is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`"))
     }
 
     fn subject(&self, file: &FrameFile, settings: Option<&Settings>) -> Result<Subject> {
         if is_level_set(&file.path) {
             let hash = twox_hash::XxHash3_128::oneshot(&read_file(&file.path)?);
-            return Ok(Subject::LevelSet(LevelSetFile::read(&file.path)?, hash));
+            return Ok(Subject::LevelSet(
+                LevelSetFile::read(&file.path, self.format == PictureFormat::Exr)?,
+                hash,
+            ));
         }
         let settings = settings.context("there are no settings for particles among level sets")?;
         let frame = (&*file.path, file.number());
@@ -366,9 +368,6 @@ fn named_file(file: &Path) -> Result<(PathBuf, String, PreviewChoice)> {
 
 /// The attribute that .exr has a layer for.
 const VELOCITY: &str = "velocity";
-
-/// What notes on velocities have in them: of no interest where no picture has any.
-const VELOCITIES: &str = "velocities";
 
 /// The radius of the balls that particles are shown as, in units of r_min: by default they nearly touch.
 const BALL_RADIUS: f64 = 0.5;

@@ -54,7 +54,7 @@ pub fn sequence_bounds(paths: &[&Path], radius: f64) -> Result<Option<[DVec3; 2]
 /// The box that holds what is in a file: a level set in a .vdb, or particles.
 fn file_bounds(path: &Path, radius: f64) -> Result<Option<[DVec3; 2]>, FrameError> {
     if is_level_set(path) {
-        return Ok(LevelSetFile::read(path)?.scene().bounds());
+        return Ok(LevelSetFile::read(path, false)?.scene().bounds());
     }
     let bytes = read_file(path)?;
     let read = parse_particles(path, &bytes, &Wanted::radii(None))?;

@@ -5,7 +5,9 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
 
-use exr::prelude::{ReadChannels, ReadLayers, read};
+use exr::prelude::{
+    AnyChannels, FlatSamples, Layer, ReadChannels, ReadLayers, read, read_all_flat_layers_from_file,
+};
 use glam::{DVec3, IVec3};
 use meniscus::grid::{Field, Topology, voxel_in_leaf};
 use meniscus::level_set::NarrowBand;
@@ -133,6 +135,18 @@ fn layers_of(path: &Path) -> Vec<(String, Vec<String>)> {
     layers.collect()
 }
 
+fn velocity_in_the_middle(path: &Path) -> DVec3 {
+    let image = read_all_flat_layers_from_file(path).expect("an image");
+    let is_velocity = |layer: &&Layer<AnyChannels<FlatSamples>>| {
+        layer.attributes.layer_name.as_ref().is_some_and(|name| name == "velocity")
+    };
+    let layer = image.layer_data.iter().find(is_velocity).expect("a layer");
+    let middle = layer.size.1 / 2 * layer.size.0 + layer.size.0 / 2;
+    let channels = &layer.channel_data.list;
+    let along = [0, 1, 2].map(|axis| channels[axis].sample_data.value_by_flat_index(middle).to_f32());
+    DVec3::from(along.map(f64::from))
+}
+
 fn camera_in(path: &Path) -> String {
     let kind =
         if path.extension().is_some_and(|extension| extension == "png") { Kind::Png } else { Kind::Exr };
@@ -181,6 +195,18 @@ fn particles_and_level_sets_become_pictures() {
     assert_eq!(names_in(&path.join("turn")), ["drop.000.exr", "drop.001.exr", "drop.002.exr"]);
     assert_ne!(camera_in(&path.join("turn/drop.000.exr")), camera_in(&path.join("turn/drop.001.exr")));
     assert_eq!(layers_of(&path.join("turn/drop.001.exr")).len(), 6);
+
+    // A level set with velocities has them in its pictures, too.
+    let with_velocities =
+        ["convert", "drop.csv", "--out", "v", "--format", "vdb", "--attributes", "velocity"];
+    assert_eq!(meniscus(path, &with_velocities).status, 0);
+    let ran = meniscus(path, &["render", "v", "-o", "v.exr", "--size", "64x48"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let [of_particles, of_level_set] =
+        ["drop.exr", "v.exr"].map(|name| velocity_in_the_middle(&path.join(name)));
+    assert_eq!(layers_of(&path.join("v.exr")), layers_of(&path.join("drop.exr")));
+    assert!(of_particles.distance(DVec3::new(1.0, 2.0, 3.0)) < 1e-4, "{of_particles}");
+    assert!(of_level_set.distance(of_particles) < 1e-4, "{of_level_set}");
 
     let ran = meniscus(path, &["render", "drop.csv", "-o", "two.png", "--size", "120x40", "--particles"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
