@@ -7,7 +7,9 @@ mod solids;
 use std::io::Cursor;
 
 use meniscus_formats::provenance::Kind;
-use meniscus_formats::vdb::{Compression, WriteOptions, grid_notes, grids, read_level_set, write};
+use meniscus_formats::vdb::{
+    Compression, WriteOptions, grid_notes, grids, read_level_set, read_vectors, write,
+};
 use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{BandGrid, LeafValues, LevelSetView, Limits, Role};
 use solids::Solid;
@@ -93,6 +95,7 @@ fn openvdb_rs_finds_the_values_where_the_level_set_is_active() {
                     read_level_set(&bytes, None, &limits).expect(&case),
                     read_level_set(&alone, None, &limits).expect(&case)
                 );
+                let own = read_vectors(&bytes, &["velocity"], &limits).expect(&case).expect("velocities");
                 let (_, found) = vdb::io::read_stream(&bytes[..]).expect(&case);
                 let [vdb::AnyGrid::Float(surface), vdb::AnyGrid::Vec3S(velocity), vdb::AnyGrid::Float(age)] =
                     &found[..]
@@ -114,10 +117,15 @@ fn openvdb_rs_finds_the_values_where_the_level_set_is_active() {
                             "{case}"
                         );
                         assert_eq!(age.get_value(&at), value_at(voxel, 0), "{case}");
+                        let leaf = own.origins.iter().position(|origin| *origin == voxel.map(|c| c & !7));
+                        let [x, y, z] = voxel.map(|c| (c & 7) as usize);
+                        let value = own.leaves[leaf.expect("a leaf")][64 * x + 8 * y + z];
+                        assert_eq!(value, velocity.get_value(&at).0, "{case}");
                     }
                 }
                 assert_eq!(active, surface.active_voxel_count(), "{case}");
                 assert_eq!(velocity.get_value(&vdb::Coord::new(1 << 20, 0, 0)).0, [0.0; 3]);
+                assert_eq!((own.background, own.tiles.len()), ([0.0; 3], 0));
             }
         }
     }
@@ -163,6 +171,10 @@ fn grids_are_listed_and_the_level_set_is_found() {
     assert_eq!(data.class, "level set");
     let data = read_level_set(&bytes, Some("Cd"), &limits).expect_err("vectors are not read").to_string();
     assert!(data.contains("vec3s"), "{data}");
+    let data = read_vectors(&bytes, &["Cd", "v"], &limits).expect("readable").expect("there");
+    let stored = read_level_set(&bytes, Some("surface"), &limits).expect("the level set").leaves.len();
+    assert_eq!((&*data.name, data.leaves.len()), ("Cd", stored));
+    assert!(read_vectors(&bytes, &["surface"], &limits).expect("readable").is_none(), "no grid of vectors");
     assert_eq!(
         grid_notes(&list, "surface"),
         [

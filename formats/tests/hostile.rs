@@ -11,8 +11,8 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
-    Attribute, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, Result, Values, bgeo, csv,
-    gltf, obj, ply, read_obstacle, read_particles, vdb,
+    Attribute, BandGrid, LeafValues, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, Result,
+    Role, Values, bgeo, csv, gltf, obj, ply, read_obstacle, read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -128,7 +128,7 @@ fn damaged_level_sets_are_survived() {
         leaves: &leaves,
         half_width_voxels: 3.0,
         voxel_size: 0.1,
-        grids: &[],
+        grids: &[BandGrid { name: "v", role: Some(Role::Velocity), arity: 3, values: &OneVelocity }],
     };
     for compression in [vdb::Compression::None, vdb::Compression::ActiveMask, vdb::Compression::Blosc] {
         let mut bytes = Vec::new();
@@ -136,6 +136,16 @@ fn damaged_level_sets_are_survived() {
         vdb::write(&levels, &options, &[], &mut bytes).unwrap();
         sweep("written.vdb", &bytes, |bytes| vdb::read_level_set(bytes, None, &Limits::default()));
         sweep("written.vdb", &bytes, |bytes| vdb::grids(bytes, &Limits::default()));
+        sweep("written.vdb", &bytes, |bytes| vdb::read_vectors(bytes, &["velocity"], &Limits::default()));
+    }
+}
+
+#[derive(Debug)]
+struct OneVelocity;
+
+impl LeafValues for OneVelocity {
+    fn fill(&self, _leaf: usize, out: &mut [f32]) {
+        out.as_chunks_mut().0.fill([1.0, 2.0, 3.0]);
     }
 }
 

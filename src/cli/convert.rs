@@ -243,7 +243,7 @@ fn outputs_of(
         return Ok(outputs.clone());
     }
     let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-    let bounds = sequence_bounds(&paths, settings.radius_init)?;
+    let bounds = sequence_bounds(&paths, settings.radius_min)?;
     Ok(outputs.with_camera_around(bounds.unwrap_or(NOTHING)))
 }
 

@@ -91,7 +91,7 @@ impl<'a> Studio<'a> {
             return Ok(None);
         }
         let mut choices = choices(self.method);
-        if self.outputs.formats == [OutputFormat::Exr] && choices.attributes.is_none() {
+        if self.has_velocities() && choices.attributes.is_none() {
             choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
         }
         let voxel_size = self.voxel_size(sequence, &choices)?;
@@ -127,7 +127,7 @@ impl<'a> Studio<'a> {
         let bounds = match camera.needs_bounds() {
             true => {
                 let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-                sequence_bounds(&paths, settings.map_or(0.0, |settings| settings.radius_init))?
+                sequence_bounds(&paths, settings.map_or(0.0, |settings| settings.radius_min))?
             }
             false => None,
         };
@@ -142,7 +142,8 @@ impl<'a> Studio<'a> {
     pub(super) fn subject(&self, file: &FrameFile, settings: Option<&Settings>) -> Result<Subject> {
         if is_level_set(&file.path) {
             let hash = twox_hash::XxHash3_128::oneshot(&read_file(&file.path)?);
-            return Ok(Subject::LevelSet(Box::new(LevelSetFile::read(&file.path)?), hash));
+            let level_set = LevelSetFile::read(&file.path, self.has_velocities())?;
+            return Ok(Subject::LevelSet(Box::new(level_set), hash));
         }
         let settings = settings.context("there are no settings for particles among level sets")?;
         let frame = StillFrame::read((&file.path, file.number()), settings)?;
@@ -164,12 +165,13 @@ impl<'a> Studio<'a> {
             Subject::LevelSet(level_set, _) => &level_set.notes,
             Subject::Skinned(skinned) => &skinned.still.notes,
         };
-        let is_exr = self.outputs.formats == [OutputFormat::Exr];
         let is_asked = self.method.particles.attributes.is_some();
-        notes.iter().filter(move |note| {
-            (is_exr || !note.contains(VELOCITIES))
-                && (is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
-        })
+        notes.iter().filter(move |note| is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
+    }
+
+    /// Whether pictures have a place for velocities.
+    fn has_velocities(&self) -> bool {
+        self.outputs.formats == [OutputFormat::Exr]
     }
 }
 
@@ -259,9 +261,6 @@ pub(super) fn named_picture<'e>(file: &Path, extensions: &[&'e str]) -> Result<(
 
 /// The attribute that .exr has a layer for.
 const VELOCITY: &str = "velocity";
-
-/// What notes on velocities have in them: of no interest where no picture has any.
-const VELOCITIES: &str = "velocities";
 
 /// The radius of the balls that particles are shown as, in units of r_min: by default they nearly touch.
 const BALL_RADIUS: f64 = 0.5;

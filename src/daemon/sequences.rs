@@ -291,7 +291,7 @@ fn measured_on(path: &Path, order: &MeasureOrder) -> Result<Option<SequenceRecor
         return Ok(Some(record));
     }
     let settings = Settings::resolve(record.voxel_size, &order.watch.choices);
-    let radius = settings.map_or(record.voxel_size, |settings| settings.radius_init);
+    let radius = settings.map_or(record.voxel_size, |settings| settings.radius_min);
     let Some(bounds) = sequence_bounds(&[path], radius)? else { return Ok(None) };
     let fixed = outputs.with_camera_around(widened(bounds, outputs.up().direction())).picture.camera;
     let camera = Some(SequenceCamera { asked: asked_camera(outputs), fixed });

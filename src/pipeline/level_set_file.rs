@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use glam::{DVec3, IVec3};
-use meniscus_formats::vdb::{self, LevelSetData, Transform};
+use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
 use meniscus_formats::{Error, Limits};
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology};
@@ -20,34 +20,44 @@ pub struct LevelSetFile {
     band: NarrowBand,
     lattice: Lattice,
     origin: DVec3,
+    velocity: Option<[Field; 3]>,
     /// What a user should know though the file was read.
     pub notes: Vec<String>,
 }
 
 impl LevelSetFile {
-    /// Reads the level set of a .vdb.
+    /// Reads the level set of a .vdb, and its velocities if they are wanted.
     ///
     /// # Errors
     /// When the system refuses, or there is no level set that is read.
-    pub fn read(path: &Path) -> Result<LevelSetFile, FrameError> {
+    pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
         let fail = |error| FrameError::file(path, Stage::Read, error);
         let bytes = read_file(path)?;
         let limits = Limits::default();
         let data = vdb::read_level_set(&bytes, None, &limits).map_err(fail)?;
-        let grids = vdb::grids(&bytes, &limits).map_err(fail)?;
-        let has_velocity = grids.iter().any(|grid| VELOCITY_NAMES.contains(&&*grid.name));
+        let transform = data.transform;
         let (band, lattice, origin) =
             level_set(data).map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let notes = has_velocity.then(|| {
-            "its velocities are not read, and the picture has none: only grids of single numbers are"
-                .to_owned()
-        });
-        Ok(LevelSetFile { band, lattice, origin, notes: notes.into_iter().collect() })
+        let mut file = LevelSetFile { band, lattice, origin, velocity: None, notes: Vec::new() };
+        if wants_velocity {
+            let vectors = vdb::read_vectors(&bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
+            match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
+                Some(Ok(velocity)) => file.velocity = Some(velocity),
+                Some(Err(why)) => file.notes.push(format!("its velocities are not shown: {why}")),
+                None => {}
+            }
+        }
+        Ok(file)
     }
 
     /// What there is to take pictures of.
     pub fn scene(&self) -> Scene<'_> {
-        Scene { band: &self.band, lattice: self.lattice, origin: self.origin, velocity: None }
+        Scene {
+            band: &self.band,
+            lattice: self.lattice,
+            origin: self.origin,
+            velocity: self.velocity.as_ref(),
+        }
     }
 }
 
@@ -89,6 +99,32 @@ fn level_set(data: LevelSetData) -> Result<(NarrowBand, Lattice, DVec3), String>
     }
     let band = NarrowBand { topology: topology.into(), phi, half_width };
     Ok((band, Lattice { voxel_size }, DVec3::from(transform.translation)))
+}
+
+/// The velocities at the voxels of a band.
+fn velocities(
+    vectors: &VectorGridData,
+    transform: &Transform,
+    band: &NarrowBand,
+) -> Result<[Field; 3], String> {
+    if vectors.class == "staggered" {
+        return Err("they are on the faces of voxels".to_owned());
+    }
+    if vectors.transform != *transform {
+        return Err("their voxels are not those of the level set".to_owned());
+    }
+    if !vectors.leaves.iter().flatten().flatten().all(|number| number.is_finite()) {
+        return Err("some are no numbers".to_owned());
+    }
+    let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
+    for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {
+        // Far from the surface nothing asks for them.
+        let Some(leaf) = band.topology.find(IVec3::from(origin)) else { continue };
+        for (axis, field) in fields.iter_mut().enumerate() {
+            field.leaves[leaf] = Leaf { values: values.map(|value| value[axis]) };
+        }
+    }
+    Ok(fields)
 }
 
 /// The edge of a voxel; `None` where they are no cubes along the axes.

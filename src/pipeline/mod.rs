@@ -26,6 +26,7 @@
 //! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
 
 mod attributes;
+mod bounds;
 mod budget;
 mod crew;
 mod frame;
@@ -42,7 +43,6 @@ mod picture_file;
 mod provenance;
 mod reading;
 mod record;
-mod sequence_bounds;
 mod sink;
 mod source;
 mod stages;
@@ -54,6 +54,7 @@ mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
+pub use bounds::{NOTHING, bounds_of_particles, is_level_set, joined, sequence_bounds};
 pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist};
 pub use frame_particles::FrameParticles;
 pub use level_set_file::LevelSetFile;
@@ -62,10 +63,7 @@ pub use method::{LevelSetSkinning, Method};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
-pub use picture::{
-    NOTHING, PictureFormat, PictureOptions, Scene, bounds_of_particles, encode_picture, joined, up_of,
-    velocities,
-};
+pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{
     CAMERA, SheetPart, compression_name, is_own_output, picture_provenance, settings_fingerprint,
@@ -73,7 +71,6 @@ pub use provenance::{
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
-pub use sequence_bounds::{is_level_set, sequence_bounds};
 pub use sink::{stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};

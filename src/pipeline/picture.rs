@@ -8,12 +8,12 @@
 use glam::DVec3;
 use meniscus_formats::{PictureLayer, PictureView, Provenance, Samples, exr, png};
 
-use crate::grid::{Field, negative_masks};
+use crate::grid::Field;
 use crate::level_set::NarrowBand;
-use crate::particles::{Meaning, Particles};
+use crate::particles::Meaning;
 use crate::preview::{self, Layers, Picture, Up};
 use crate::skin::Surface;
-use crate::space::{CoordBox, Lattice};
+use crate::space::Lattice;
 use crate::transfer::BandAttribute;
 
 use super::viewpoint::{CameraChoice, Viewpoint};
@@ -79,37 +79,7 @@ impl Scene<'_> {
         }
         picture
     }
-
-    /// The box that holds what is inside, world units; `None` if nothing is.
-    pub fn bounds(&self) -> Option<[DVec3; 2]> {
-        let mut bounds = CoordBox::EMPTY;
-        for (mask, &origin) in negative_masks(&self.band.phi).iter().zip(self.band.topology.origins()) {
-            if !mask.is_empty() {
-                let own = mask.bounding_box();
-                bounds.include(origin + own.min);
-                bounds.include(origin + own.max);
-            }
-        }
-        let world = |corner: glam::IVec3| corner.as_dvec3() * self.lattice.voxel_size + self.origin;
-        (!bounds.is_empty()).then(|| [world(bounds.min - 1), world(bounds.max + 1)])
-    }
 }
-
-/// The box that holds balls of this radius at all particles, world units; `None` if there is none.
-pub fn bounds_of_particles(particles: &Particles, radius: f64) -> Option<[DVec3; 2]> {
-    let positions = (0..particles.len()).map(|index| particles.position(index));
-    let finite = positions.filter(|position| position.is_finite());
-    let boxes = finite.map(|position| [position - radius, position + radius]);
-    boxes.reduce(joined)
-}
-
-/// The box that holds two boxes.
-pub fn joined(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
-    [one[0].min(other[0]), one[1].max(other[1])]
-}
-
-/// What is looked at where there is nothing to see.
-pub const NOTHING: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];
 
 /// The velocities of a surface, if it has any, as pictures take them.
 pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {

@@ -18,10 +18,11 @@ use crate::skin::Surface;
 use crate::space::Lattice;
 use crate::transfer::BandAttribute;
 
+use super::bounds::NOTHING;
 use super::crew::Crew;
 use super::frame::{Frame, FrameError, Stage};
 use super::outputs::{OutputFormat, OutputOptions, output_path};
-use super::picture::{NOTHING, PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
+use super::picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
 use super::sink::{Unseen, publish, write_unseen};
 

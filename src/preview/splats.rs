@@ -1,10 +1,11 @@
 //! A picture of the particles themselves, as balls.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 
 use super::light::Lighting;
 use super::sky::Sky;
-use super::{Picture, View};
+use super::{Camera, Picture, View};
 use crate::particles::Particles;
 
 /// Rays along the edge of a pixel.
@@ -17,45 +18,83 @@ struct Splat {
     normal: Vec3,
 }
 
+/// A ball as the camera sees it, in rays from the upper left corner of the picture.
+#[derive(Clone, Copy)]
+struct Disc {
+    x: f64,
+    y: f64,
+    /// Its radius.
+    edge: f64,
+    /// World units.
+    depth: f64,
+}
+
+/// Rows of rays that one task draws.
+const BAND_ROWS: usize = 64;
+
 /// A picture of balls of this radius, world units.
 pub(super) fn render(particles: &Particles, radius: f64, view: &View) -> Picture {
-    let [width, height] = view.size;
-    let (columns, rows) = (width * SAMPLES, height * SAMPLES);
-    let mut splats = vec![Splat { depth: f32::INFINITY, normal: Vec3::ZERO }; columns * rows];
+    let [columns, rows] = view.size.map(|size| size * SAMPLES);
+    let discs: Vec<Disc> = (0..particles.len())
+        .into_par_iter()
+        .filter_map(|index| disc(particles.position(index), radius, view))
+        .collect();
+    let nothing = Splat { depth: f32::INFINITY, normal: Vec3::ZERO };
+    let mut splats = vec![nothing; columns * rows];
+    splats.par_chunks_mut(BAND_ROWS * columns.max(1)).enumerate().for_each(|(band, splats)| {
+        let mut band = Band { first_row: band * BAND_ROWS, columns, splats };
+        discs.iter().for_each(|disc| band.draw(disc, radius, &view.camera));
+    });
+    shade(&splats, view)
+}
+
+/// What is seen of a ball; `None` behind the camera.
+fn disc(center: DVec3, radius: f64, view: &View) -> Option<Disc> {
     let camera = &view.camera;
-    let scale = rows as f64 / (2.0 * camera.tan_half_view);
-    for index in 0..particles.len() {
-        let to = particles.position(index) - camera.eye;
-        let depth = to.dot(camera.forward);
-        if depth.is_nan() || depth <= radius {
-            continue;
-        }
-        let (x, y) = (to.dot(camera.right) / depth * scale, -to.dot(camera.up) / depth * scale);
-        let (x, y) = (x + columns as f64 / 2.0, y + rows as f64 / 2.0);
-        let edge = (radius / depth * scale).max(0.5);
+    let [columns, rows] = view.size.map(|size| (size * SAMPLES) as f64);
+    let to = center - camera.eye;
+    let depth = to.dot(camera.forward);
+    if depth.is_nan() || depth <= radius {
+        return None;
+    }
+    let scale = rows / (2.0 * camera.tan_half_view * depth);
+    let x = columns / 2.0 + to.dot(camera.right) * scale;
+    let y = rows / 2.0 - to.dot(camera.up) * scale;
+    Some(Disc { x, y, edge: (radius * scale).max(0.5), depth })
+}
+
+/// Some rows of the rays.
+struct Band<'a> {
+    first_row: usize,
+    columns: usize,
+    splats: &'a mut [Splat],
+}
+
+impl Band<'_> {
+    fn draw(&mut self, disc: &Disc, radius: f64, camera: &Camera) {
+        let &Disc { x, y, edge, depth } = disc;
         let span = |along: f64, count: usize| {
             let first = (along - edge).floor().clamp(0.0, count as f64) as usize;
             first..(along + edge).ceil().clamp(0.0, count as f64) as usize
         };
-        for row in span(y, rows) {
-            for column in span(x, columns) {
+        let y = y - self.first_row as f64;
+        for row in span(y, self.splats.len() / self.columns) {
+            for column in span(x, self.columns) {
                 let aside = [(column as f64 + 0.5 - x) / edge, (row as f64 + 0.5 - y) / edge];
                 let toward = 1.0 - aside[0] * aside[0] - aside[1] * aside[1];
                 if toward < 0.0 {
                     continue;
                 }
                 let toward = toward.sqrt();
-                let splat = &mut splats[row * columns + column];
+                let splat = &mut self.splats[row * self.columns + column];
                 let here = (depth - toward * radius) as f32;
                 if here < splat.depth {
-                    let normal: DVec3 =
-                        camera.right * aside[0] - camera.up * aside[1] - camera.forward * toward;
+                    let normal = camera.right * aside[0] - camera.up * aside[1] - camera.forward * toward;
                     *splat = Splat { depth: here, normal: normal.as_vec3() };
                 }
             }
         }
     }
-    shade(&splats, view)
 }
 
 /// Pixels are the means of their rays.
@@ -64,9 +103,8 @@ fn shade(splats: &[Splat], view: &View) -> Picture {
     let sky = Sky::empty();
     let lighting = Lighting::new(&sky, view);
     let toward = -view.camera.forward.as_vec3();
-    let mut picture = Picture { size: view.size, color: Vec::new(), coverage: Vec::new(), data: None };
     let weight = 1.0 / (SAMPLES * SAMPLES) as f32;
-    for pixel in 0..width * height {
+    let pixel = |pixel: usize| {
         let (x, y) = (pixel % width * SAMPLES, pixel / width * SAMPLES);
         let (mut color, mut coverage) = (Vec3::ZERO, 0.0);
         for sample in 0..SAMPLES * SAMPLES {
@@ -79,8 +117,8 @@ fn shade(splats: &[Splat], view: &View) -> Picture {
                 color += weight * lighting.background();
             }
         }
-        picture.color.push(color.to_array());
-        picture.coverage.push(coverage);
-    }
-    picture
+        (color.to_array(), coverage)
+    };
+    let (color, coverage) = (0..width * height).into_par_iter().map(pixel).unzip();
+    Picture { size: view.size, color, coverage, data: None }
 }

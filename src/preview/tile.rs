@@ -69,8 +69,8 @@ impl<'a> Eyes<'a> {
 
     fn look(&self, place: DVec2) -> (Seen, Option<Around>) {
         let ray = self.ray(place);
-        let ground = self.ground_at(&ray);
-        if let Some(hit) = self.surface.meet(&ray, [0.0, ground.unwrap_or(f64::INFINITY)]) {
+        // The ground is there for shadows, and hides nothing: fluid may be below it, and rests on it without a gap.
+        if let Some(hit) = self.surface.meet(&ray, [0.0, f64::INFINITY]) {
             let around = self.surface.around(&ray, &hit);
             let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
             let (what, normal) =
@@ -78,7 +78,7 @@ impl<'a> Eyes<'a> {
             return (Seen { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
         }
         let up = self.view.up.direction().as_vec3();
-        let seen = match ground {
+        let seen = match self.ground_at(&ray) {
             Some(t) => Seen { what: What::Ground, t, position: ray.at(t), normal: up },
             None => Seen { what: What::Nothing, t: f64::INFINITY, position: DVec3::INFINITY, normal: up },
         };

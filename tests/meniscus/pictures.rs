@@ -5,7 +5,9 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
 
-use exr::prelude::{ReadChannels, ReadLayers, read};
+use exr::prelude::{
+    AnyChannels, FlatSamples, Layer, ReadChannels, ReadLayers, read, read_all_flat_layers_from_file,
+};
 use glam::{DVec3, IVec3};
 use meniscus::grid::{Field, Topology, voxel_in_leaf};
 use meniscus::level_set::NarrowBand;
@@ -133,6 +135,18 @@ fn layers_of(path: &Path) -> Vec<(String, Vec<String>)> {
     layers.collect()
 }
 
+fn velocity_in_the_middle(path: &Path) -> DVec3 {
+    let image = read_all_flat_layers_from_file(path).expect("an image");
+    let is_velocity = |layer: &&Layer<AnyChannels<FlatSamples>>| {
+        layer.attributes.layer_name.as_ref().is_some_and(|name| name == "velocity")
+    };
+    let layer = image.layer_data.iter().find(is_velocity).expect("a layer");
+    let middle = layer.size.1 / 2 * layer.size.0 + layer.size.0 / 2;
+    let channels = &layer.channel_data.list;
+    let along = [0, 1, 2].map(|axis| channels[axis].sample_data.value_by_flat_index(middle).to_f32());
+    DVec3::from(along.map(f64::from))
+}
+
 fn camera_in(path: &Path) -> String {
     let kind =
         if path.extension().is_some_and(|extension| extension == "png") { Kind::Png } else { Kind::Exr };
@@ -181,6 +195,18 @@ fn particles_and_level_sets_become_pictures() {
     assert_eq!(names_in(&path.join("turn")), ["drop.000.exr", "drop.001.exr", "drop.002.exr"]);
     assert_ne!(camera_in(&path.join("turn/drop.000.exr")), camera_in(&path.join("turn/drop.001.exr")));
     assert_eq!(layers_of(&path.join("turn/drop.001.exr")).len(), 6);
+
+    // A level set with velocities has them in its pictures, too.
+    let with_velocities =
+        ["convert", "drop.csv", "--out", "v", "--format", "vdb", "--attributes", "velocity"];
+    assert_eq!(meniscus(path, &with_velocities).status, 0);
+    let ran = meniscus(path, &["render", "v", "-o", "v.exr", "--size", "64x48"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let [of_particles, of_level_set] =
+        ["drop.exr", "v.exr"].map(|name| velocity_in_the_middle(&path.join(name)));
+    assert_eq!(layers_of(&path.join("v.exr")), layers_of(&path.join("drop.exr")));
+    assert!(of_particles.distance(DVec3::new(1.0, 2.0, 3.0)) < 1e-4, "{of_particles}");
+    assert!(of_level_set.distance(of_particles) < 1e-4, "{of_level_set}");
 
     let ran = meniscus(path, &["render", "drop.csv", "-o", "two.png", "--size", "120x40", "--particles"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
@@ -269,5 +295,100 @@ fn a_daemon_keeps_its_camera() {
     assert_eq!(ran.status, 0, "{}", ran.err);
     for name in ["dam.0.exr", "dam.3.exr"] {
         assert_eq!(camera_in(&picture(name)), camera, "{name}");
+    }
+}
+
+/// How far a picture may be from the one that is kept, in levels of 255: numbers are the same on every machine but for
+/// the functions of angles, and an edge that falls otherwise moves a pixel.
+const MEAN_OFF_MAX: f64 = 0.1;
+/// Of all channels of all pixels, so many of a thousand may be off by more than [`OFF_MAX`].
+const FAR_OFF_THOUSANDTHS_MAX: f64 = 1.0;
+const OFF_MAX: u8 = 6;
+
+/// Width, height, and red, green and blue of every pixel.
+type Pixels = ([u32; 2], Vec<u8>);
+
+fn pixels(path: &Path) -> Pixels {
+    let file = BufReader::new(File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display())));
+    let mut reader = png::Decoder::new(file).read_info().expect("a picture");
+    let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
+    let info = reader.next_frame(&mut bytes).expect("pixels");
+    let channels = info.color_type.samples();
+    let bytes =
+        bytes[..info.buffer_size()].chunks_exact(channels).flat_map(|pixel| pixel[..3].to_vec()).collect();
+    ([info.width, info.height], bytes)
+}
+
+/// What is wrong with a picture, if it is too far from the reference.
+fn unlike(picture: &Pixels, reference: &Pixels) -> Option<String> {
+    if picture.0 != reference.0 {
+        return Some(format!("it has {:?} pixels, and the reference {:?}", picture.0, reference.0));
+    }
+    let off: Vec<u8> = picture.1.iter().zip(&reference.1).map(|(one, other)| one.abs_diff(*other)).collect();
+    let count = off.len() as f64;
+    let mean = off.iter().map(|&off| f64::from(off)).sum::<f64>() / count;
+    let far_off = 1000.0 * off.iter().filter(|&&off| off > OFF_MAX).count() as f64 / count;
+    (mean > MEAN_OFF_MAX || far_off > FAR_OFF_THOUSANDTHS_MAX)
+        .then(|| format!("off by {mean:.2} levels in the mean, {far_off:.1} ‰ by more than {OFF_MAX}"))
+}
+
+/// Pictures of a ball, of a frame of water and of its particles are those that were looked at. A new one is left beside
+/// the build, to be looked at and taken over.
+#[test]
+fn pictures_are_those_that_were_looked_at() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("pictures");
+    fs::create_dir_all(&made).expect("made");
+    let viewpoint = viewpoint(AWAY);
+    let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint);
+    let bytes = encode_picture(&picture, None, PictureFormat::Png, &[]).expect("encoded");
+    fs::write(made.join("ball.png"), bytes).expect("written");
+    for (name, arguments) in [
+        ("water", &[][..]),
+        ("water_above", &["--camera", "azimuth=-60,elevation=60"]),
+        ("particles", &["--particles"]),
+    ] {
+        let output = made.join(format!("{name}.png"));
+        let frame = root.join("examples/frames/dam.0006.bgeo");
+        let [frame, output] = [&frame, &output].map(|path| path.to_str().expect("UTF-8"));
+        let ran =
+            meniscus(root, &[&["render", frame, "-o", output, "--size", "320x180"], arguments].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+    }
+    for name in ["ball", "water", "water_above", "particles"] {
+        let name = format!("{name}.png");
+        let reference = pixels(&root.join("tests/meniscus/references").join(&name));
+        let unlike = unlike(&pixels(&made.join(&name)), &reference);
+        assert_eq!(unlike, None, "{}", made.join(&name).display());
+    }
+}
+
+/// A wrong sign, a hole or a light from elsewhere does not pass for the picture that is kept.
+#[test]
+fn what_is_wrong_is_seen() {
+    let picture = |band: &NarrowBand, spec: &str| -> Pixels {
+        let picture = picture_of(band, DVec3::ZERO, &viewpoint(spec));
+        let bytes = encode_picture(&picture, None, PictureFormat::Png, &[]).expect("encoded");
+        let file = tempdir().expect("a folder");
+        fs::write(file.path().join("a.png"), bytes).expect("written");
+        pixels(&file.path().join("a.png"))
+    };
+    let right = picture(&ball(1.0), AWAY);
+    let mut holed = ball(1.0);
+    // A few voxels in front, turned.
+    let topology = holed.topology.clone();
+    for (leaf, origin) in holed.phi.leaves.iter_mut().zip(topology.origins()) {
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            let away = (*origin + voxel_in_leaf(offset)).as_dvec3() - DVec3::new(0.0, 12.0, 16.0);
+            *value = if away.length() < 2.0 { value.abs() } else { *value };
+        }
+    }
+    assert_eq!(unlike(&picture(&ball(1.0), AWAY), &right), None);
+    for (wrong, picture) in [
+        ("inside out", picture(&ball(-1.0), AWAY)),
+        ("with a hole", picture(&holed, AWAY)),
+        ("from the side", picture(&ball(1.0), "eye=0.3:3:4,target=0:0:0,view=40")),
+    ] {
+        assert!(unlike(&picture, &right).is_some(), "{wrong}");
     }
 }

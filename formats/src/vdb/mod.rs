@@ -1,4 +1,4 @@
-//! OpenVDB files: level sets and what else is known of their voxels out, and float grids in.
+//! OpenVDB files: level sets and what else is known of their voxels out, grids of floats and of vectors in.
 //!
 //! ```text
 //!   header      magic, version 224, UUID, metadata of the file, number of grids
@@ -35,8 +35,8 @@ mod uuid;
 mod write;
 
 pub use metadata::MetaValue;
-pub use read::{GridInfo, Transform, grids, read_level_set};
-pub use read_tree::{LevelSetData, Tile};
+pub use read::{GridInfo, Transform, grids, read_level_set, read_vectors};
+pub use read_tree::{GridData, LevelSetData, Tile, VectorGridData};
 pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
 
 pub(crate) use read::{first_grid_metadata, last_grid_end};

@@ -1,13 +1,13 @@
 //! Reads what grids an OpenVDB file holds, and finds the one to read.
 //!
 //! Grids of any type are listed, as long as their place in the file is known: a file with offsets
-//! tells where each ends; a stream without offsets does not, and only float grids can be read past.
+//! tells where each ends; a stream without offsets does not, and only grids of floats and of vectors can be read past.
 
 use super::FORMAT;
 use super::cursor::Cursor;
-use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, UUID_BYTES, VERSIONS_READ};
+use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
 use super::metadata::{MetaValue, read_metadata};
-use super::read_tree::{Budget, LevelSetData, Storage, read_tree};
+use super::read_tree::{Budget, GridData, LevelSetData, Storage, Value, VectorGridData, read_tree};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 
@@ -87,7 +87,28 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
             .collect();
         return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
     };
-    let (Some(tree), Some(transform)) = (entry.tree_of(&entries), entry.info.transform) else {
+    read_grid(bytes, &entries, entry, limits)
+}
+
+/// Reads the first grid of vectors of three floats whose name is one of these; `None` if there is none.
+///
+/// # Errors
+///
+/// As [`read_level_set`].
+pub fn read_vectors(bytes: &[u8], names: &[&str], limits: &Limits) -> Result<Option<VectorGridData>> {
+    let entries = entries(bytes, limits)?;
+    let is_meant =
+        |entry: &&Entry| entry.info.type_name == TYPE_VEC3S && names.contains(&entry.info.name.as_str());
+    entries.iter().find(is_meant).map(|entry| read_grid(bytes, &entries, entry, limits)).transpose()
+}
+
+fn read_grid<V: Value>(
+    bytes: &[u8],
+    entries: &[Entry],
+    entry: &Entry,
+    limits: &Limits,
+) -> Result<GridData<V>> {
+    let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what =
             format!("grid \"{}\" has a map, or is an instance of a grid, that is not read", entry.info.name);
         return Err(Error::unsupported(FORMAT, what));
@@ -96,7 +117,7 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
     cursor.seek(tree.position as u64, "a grid")?;
     let info = entry.info.clone();
     let tree = read_tree(&mut cursor, tree.storage, &mut Budget::new(bytes.len(), limits))?;
-    Ok(LevelSetData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
+    Ok(GridData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
 }
 
 /// The metadata of the file's first grid, from the first bytes of the file.
@@ -161,7 +182,7 @@ impl Entry {
             return self.tree;
         }
         let parent = entries.iter().find(|entry| entry.descriptor_name == self.instance_parent)?;
-        parent.tree.filter(|_| parent.info.type_name == TYPE_FLOAT)
+        parent.tree.filter(|_| parent.info.type_name == self.info.type_name)
     }
 }
 
@@ -268,7 +289,7 @@ fn read_entry(cursor: &mut Cursor, descriptor: Descriptor) -> Result<Entry> {
         Some(name) => (name.to_string(), true),
         None => (type_name, false),
     };
-    if half != has_suffix && type_name == TYPE_FLOAT {
+    if half != has_suffix && [TYPE_FLOAT, TYPE_VEC3S].contains(&type_name.as_str()) {
         return Err(cursor.error("a grid whose type and metadata disagree on half floats"));
     }
     // Programs add a separator and a number to names that occur twice.
@@ -335,13 +356,16 @@ fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
 
 /// Reads past the tree of a grid in a stream, where nothing says where it ends.
 fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> {
-    let Some(tree) = entry.tree.filter(|_| entry.info.type_name == TYPE_FLOAT) else {
-        let (name, type_name) = (&entry.info.name, &entry.info.type_name);
-        let what =
-            format!("a stream without offsets, in which grid \"{name}\" of type {type_name} hides the next");
-        return Err(Error::unsupported(FORMAT, what));
-    };
     let mut budget = Budget::new(cursor.position() + cursor.remaining(), limits);
-    read_tree(cursor, tree.storage, &mut budget)?;
-    Ok(())
+    match (entry.tree, entry.info.type_name.as_str()) {
+        (Some(tree), TYPE_FLOAT) => read_tree::<f32>(cursor, tree.storage, &mut budget).map(|_| ()),
+        (Some(tree), TYPE_VEC3S) => read_tree::<[f32; 3]>(cursor, tree.storage, &mut budget).map(|_| ()),
+        (_, type_name) => {
+            let name = &entry.info.name;
+            let what = format!(
+                "a stream without offsets, in which grid \"{name}\" of type {type_name} hides the next"
+            );
+            Err(Error::unsupported(FORMAT, what))
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! Reads the tree of a float grid.
+//! Reads the tree of a grid of floats, or of vectors of three.
 //!
 //! Topology first: the root's background, tiles and children, depth first down to the masks of the
 //! leaves. Then the values of the leaves in the same order. What a value block leaves out is put
@@ -18,9 +18,15 @@ use super::read::Transform;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 
-/// A float grid read from a file; a level set if its class says so.
+/// A grid of floats read from a file; a level set if its class says so.
+pub type LevelSetData = GridData<f32>;
+
+/// A grid of vectors read from a file.
+pub type VectorGridData = GridData<[f32; 3]>;
+
+/// A grid read from a file.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LevelSetData {
+pub struct GridData<V> {
     /// The name that users see.
     pub name: String,
     /// `level set`, `fog volume`, …; empty if the file does not say.
@@ -28,30 +34,70 @@ pub struct LevelSetData {
     /// From voxels to the world.
     pub transform: Transform,
     /// The value where nothing is stored; in a level set, half the thickness of the band.
-    pub background: f32,
+    pub background: V,
     /// Origins of the leaves, in voxels.
     pub origins: Vec<[i32; 3]>,
     /// Values of each leaf, z fastest: in a level set signed distances in world units.
-    pub leaves: Vec<[f32; 512]>,
+    pub leaves: Vec<[V; 512]>,
     /// Active voxels of each leaf: bit `y·8 + z` of word x.
     pub masks: Vec<[u64; 8]>,
     /// Cubes of one value, except for inactive ones with the background.
-    pub tiles: Vec<Tile>,
+    pub tiles: Vec<Tile<V>>,
     /// What the file says of the grid.
     pub metadata: Vec<(String, MetaValue)>,
 }
 
 /// A cube of voxels with one value.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tile {
+pub struct Tile<V> {
     /// Its least voxel.
     pub origin: [i32; 3],
     /// Voxels along an edge: 8, 128 or 4096.
     pub size: i32,
     /// The value of all its voxels.
-    pub value: f32,
+    pub value: V,
     /// Whether they are active.
     pub active: bool,
+}
+
+/// What a voxel holds: so many floats.
+pub(super) trait Value: Copy + PartialEq {
+    const COUNT: usize;
+    const ZERO: Self;
+    /// All floats of values, one after the other.
+    fn flat(values: &mut [Self]) -> &mut [f32];
+
+    fn read(cursor: &mut Cursor, what: &str) -> Result<Self> {
+        let mut value = [Self::ZERO];
+        for number in Self::flat(&mut value) {
+            *number = cursor.f32(what)?;
+        }
+        Ok(value[0])
+    }
+
+    fn negative(self) -> Self {
+        let mut value = [self];
+        Self::flat(&mut value).iter_mut().for_each(|number| *number = -*number);
+        value[0]
+    }
+}
+
+impl Value for f32 {
+    const COUNT: usize = 1;
+    const ZERO: f32 = 0.0;
+
+    fn flat(values: &mut [f32]) -> &mut [f32] {
+        values
+    }
+}
+
+impl Value for [f32; 3] {
+    const COUNT: usize = 3;
+    const ZERO: [f32; 3] = [0.0; 3];
+
+    fn flat(values: &mut [[f32; 3]]) -> &mut [f32] {
+        values.as_flattened_mut()
+    }
 }
 
 /// How the values of a grid are stored.
@@ -80,18 +126,22 @@ impl Budget {
 }
 
 /// Reads a tree; name, class, transform and metadata are left to the caller.
-pub(super) fn read_tree(cursor: &mut Cursor, storage: Storage, budget: &mut Budget) -> Result<LevelSetData> {
+pub(super) fn read_tree<V: Value>(
+    cursor: &mut Cursor,
+    storage: Storage,
+    budget: &mut Budget,
+) -> Result<GridData<V>> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
-    const TILE_BYTES: usize = 12 + 4 + 1;
+    let tile_bytes = 12 + 4 * V::COUNT + 1;
     let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
     if buffers_per_leaf != 1 {
         return Err(Error::unsupported(FORMAT, format!("{buffers_per_leaf} buffers per leaf; one is read")));
     }
-    let background = cursor.f32("the background")?;
+    let background = V::read(cursor, "the background")?;
     let mut reader = TreeReader { background, storage, budget, data: empty(background), scratch: Vec::new() };
     let tile_count = cursor.u32("the number of root tiles")? as usize;
     let child_count = cursor.u32("the number of root children")? as usize;
-    let fits = tile_count.checked_mul(TILE_BYTES).zip(child_count.checked_mul(CHILD_BYTES_MIN));
+    let fits = tile_count.checked_mul(tile_bytes).zip(child_count.checked_mul(CHILD_BYTES_MIN));
     if fits.and_then(|(tiles, children)| tiles.checked_add(children)).is_none_or(|n| n > cursor.remaining()) {
         let what =
             format!("{tile_count} root tiles and {child_count} children, more than the file has bytes for");
@@ -99,7 +149,7 @@ pub(super) fn read_tree(cursor: &mut Cursor, storage: Storage, budget: &mut Budg
     }
     for _ in 0..tile_count {
         let origin = cursor.coord("a root tile")?;
-        let value = cursor.f32("a root tile")?;
+        let value = V::read(cursor, "a root tile")?;
         let active = cursor.u8("a root tile")? != 0;
         reader.push_tile(Tile { origin, size: 1 << NODE5_VOXELS_LOG2, value, active })?;
     }
@@ -120,8 +170,8 @@ pub(super) fn read_tree(cursor: &mut Cursor, storage: Storage, budget: &mut Budg
     Ok(reader.data)
 }
 
-fn empty(background: f32) -> LevelSetData {
-    LevelSetData {
+fn empty<V>(background: V) -> GridData<V> {
+    GridData {
         name: String::new(),
         class: String::new(),
         transform: Transform { axes: [[0.0; 3]; 3], translation: [0.0; 3] },
@@ -134,21 +184,21 @@ fn empty(background: f32) -> LevelSetData {
     }
 }
 
-struct TreeReader<'a> {
-    background: f32,
+struct TreeReader<'a, V> {
+    background: V,
     storage: Storage,
     budget: &'a mut Budget,
-    data: LevelSetData,
+    data: GridData<V>,
     scratch: Vec<u8>,
 }
 
-impl TreeReader<'_> {
+impl<V: Value> TreeReader<'_, V> {
     /// Reads an internal node and what is under it, down to the leaves' masks.
     fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
         let slot_count = 1 << (3 * log2);
         let children = cursor.mask(slot_count / 64, "the children of a node")?;
         let active = cursor.mask(slot_count / 64, "the active tiles of a node")?;
-        let mut values = vec![0.0; slot_count];
+        let mut values = vec![V::ZERO; slot_count];
         self.read_values(cursor, &active, &mut values)?;
         for (slot, &value) in values.iter().enumerate() {
             if !is_on(&children, slot) {
@@ -161,7 +211,7 @@ impl TreeReader<'_> {
             let origin = child_origin(origin, slot, log2, child_log2);
             if child_log2 == LEAF_LOG2 {
                 cursor.take(64, "the mask of a leaf")?; // comes again with the leaf's values
-                self.budget.spend(12 + 2048 + 64)?;
+                self.budget.spend(12 + 2048 * V::COUNT + 64)?;
                 self.data.origins.push(origin);
             } else {
                 self.read_node(cursor, origin, NODE4_LOG2, LEAF_LOG2)?;
@@ -173,32 +223,32 @@ impl TreeReader<'_> {
     fn read_leaf(&mut self, cursor: &mut Cursor, index: usize) -> Result<()> {
         debug_assert_eq!(index, self.data.leaves.len());
         let words = cursor.mask(8, "the mask of a leaf")?;
-        let mut leaf = [0.0; 512];
+        let mut leaf = [V::ZERO; 512];
         self.read_values(cursor, &words, &mut leaf)?;
         self.data.masks.push(std::array::from_fn(|word| words[word]));
         self.data.leaves.push(leaf);
         Ok(())
     }
 
-    fn push_tile(&mut self, tile: Tile) -> Result<()> {
+    fn push_tile(&mut self, tile: Tile<V>) -> Result<()> {
         if tile.active || tile.value != self.background {
-            self.budget.spend(size_of::<Tile>())?;
+            self.budget.spend(size_of::<Tile<V>>())?;
             self.data.tiles.push(tile);
         }
         Ok(())
     }
 
     /// Reads a block of values and puts back the inactive ones that it leaves out.
-    fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [f32]) -> Result<()> {
+    fn read_values(&mut self, cursor: &mut Cursor, active: &[u64], out: &mut [V]) -> Result<()> {
         let case = cursor.u8("the kind of a block of values")?;
         let (mut off, mut on) = (self.background, self.background);
         match case {
             inactive::PLUS_BACKGROUND | inactive::ALL_VALUES => {}
-            inactive::MINUS_BACKGROUND | inactive::MASK_OF_BACKGROUNDS => off = -self.background,
-            inactive::ONE_VALUE | inactive::MASK_AND_ONE_VALUE => off = cursor.f32("an inactive value")?,
+            inactive::MINUS_BACKGROUND | inactive::MASK_OF_BACKGROUNDS => off = self.background.negative(),
+            inactive::ONE_VALUE | inactive::MASK_AND_ONE_VALUE => off = V::read(cursor, "an inactive value")?,
             inactive::MASK_AND_TWO_VALUES => {
-                off = cursor.f32("an inactive value")?;
-                on = cursor.f32("an inactive value")?;
+                off = V::read(cursor, "an inactive value")?;
+                on = V::read(cursor, "an inactive value")?;
             }
             _ => return Err(cursor.error(format!("a block of values of kind {case}; 0 to 6 are known"))),
         }
@@ -208,18 +258,18 @@ impl TreeReader<'_> {
         );
         let selection = if has_mask { cursor.mask(out.len() / 64, "a selection mask")? } else { Vec::new() };
         if case == inactive::ALL_VALUES || self.storage.compression & COMPRESS_ACTIVE_MASK == 0 {
-            return self.read_chunk(cursor, out);
+            return self.read_chunk(cursor, V::flat(out));
         }
         let count = count_ones(active);
-        let mut packed = [0.0; 512];
+        let mut packed = [V::ZERO; 512];
         let mut larger = Vec::new(); // for internal nodes with many active tiles
         let packed = if count <= packed.len() {
             &mut packed[..count]
         } else {
-            larger.resize(count, 0.0);
+            larger.resize(count, V::ZERO);
             &mut larger[..]
         };
-        self.read_chunk(cursor, packed)?;
+        self.read_chunk(cursor, V::flat(packed))?;
         let mut next = packed.iter();
         for (slot, value) in out.iter_mut().enumerate() {
             *value = match next.as_slice().first() {
@@ -234,7 +284,7 @@ impl TreeReader<'_> {
         Ok(())
     }
 
-    /// Reads as many values as there is room for.
+    /// Reads as many floats as there is room for.
     fn read_chunk(&mut self, cursor: &mut Cursor, out: &mut [f32]) -> Result<()> {
         let Storage { compression, half } = self.storage;
         if half && out.is_empty() {
