@@ -130,7 +130,7 @@ mod tests {
     #[test]
     fn sheets_are_about_square_and_nearly_full() {
         for (cell_count, columns) in
-            [(1, 1), (2, 2), (3, 2), (4, 2), (5, 5), (7, 4), (8, 4), (12, 4), (60, 10)]
+            [(1, 1), (2, 2), (3, 3), (4, 2), (5, 5), (7, 4), (8, 4), (12, 4), (60, 10)]
         {
             assert_eq!(even_columns(cell_count), columns, "{cell_count}");
         }
