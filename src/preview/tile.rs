@@ -195,6 +195,12 @@ impl<'a> Tile<'a> {
             let Some(light) = self.lights[y_light * LIGHT_EDGE + x_light] else { continue };
             let [x_seen, y_seen] = [x_light, y_light].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
             let other = self.seen[y_seen * SEEN_EDGE + x_seen];
+            let is_contact = seen.what == What::Ground
+                && matches!(other.what, What::Outside | What::Inside)
+                && other.position.distance(position) < CONTACT_VOXELS;
+            if is_contact {
+                return self.lighting.arriving(position, seen.normal);
+            }
             let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
             let alike = other.normal.dot(seen.normal).max(0.0).powi(8) * (1.0 - apart / tolerance).max(0.0);
             if other.what != seen.what || alike <= 0.0 {
@@ -311,6 +317,9 @@ impl<'a> Tile<'a> {
 
 /// Places whose light is taken for a pixel's lie in its plane but for this part of the way between them.
 const PLANE_TOLERANCE: f64 = 0.7;
+
+/// Ground that is nearer to fluid has light of its own: where they touch, it fades within a voxel.
+const CONTACT_VOXELS: f64 = 6.0;
 
 /// With less of them its light is followed by itself.
 const LEAST_WEIGHT: f32 = 0.3;
