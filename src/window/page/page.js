@@ -10,6 +10,8 @@
 const STEP_PX = 120;
 const PLAY_MS = 1000 / 12;
 const PREFETCH = 4;
+// What is only scrolled past needs no picture.
+const PICTURE_MS = 90;
 const STAGES = ['read', 'rasterize', 'smooth', 'contour', 'write'];
 
 const $ = id => document.getElementById(id);
@@ -162,6 +164,7 @@ function showScrub() {
 
 const shown = new Map(); // elements, by name
 let stripAsked = false;
+let picturesAsked = false;
 function showStrip() {
   if (stripAsked) return;
   stripAsked = true;
@@ -178,17 +181,28 @@ function showStrip() {
         shown.delete(name);
       }
     }
-    for (let place = first; place < last; place++) showCell(place, listed[place]);
+    const seenUntil = performance.now() - PICTURE_MS;
+    let isEarly = false;
+    for (let place = first; place < last; place++) isEarly = showCell(place, listed[place], seenUntil) || isEarly;
+    if (isEarly && !picturesAsked) {
+      picturesAsked = true;
+      setTimeout(() => {
+        picturesAsked = false;
+        showStrip();
+      }, PICTURE_MS);
+    }
   });
 }
 
-function showCell(place, name) {
+/** Shows a frame at its place; whether it is too early for its picture. */
+function showCell(place, name, seenUntil) {
   const frame = frames.get(name);
   let cell = shown.get(name);
   if (!cell) {
     cell = make('div', '', make('div', 'picture'), make('div', 'name'), make('div', 'told'));
     cell.setAttribute('role', 'option');
     cell.id = `frame-${cells++}`;
+    cell.since = performance.now();
     cell.addEventListener('click', () => choose(name));
     shown.set(name, cell);
     $('strip-room').append(cell);
@@ -202,7 +216,9 @@ function showCell(place, name) {
   const [picture, title, told] = cell.children;
   title.textContent = name;
   told.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : reasonOf(frame) ?? frame.state);
-  showPicture(picture, frame);
+  const isEarly = seenUntil < cell.since;
+  if (!isEarly) showPicture(picture, frame);
+  return isEarly;
 }
 let cells = 0;
 
