@@ -25,7 +25,8 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tokio::net::{TcpSocket, TcpStream};
-use tokio::runtime::{self, Runtime};
+use tokio::runtime;
+use tokio::sync::oneshot;
 use tokio::time::{sleep, sleep_until};
 
 const FOLLOWER_COUNT: usize = 100;
@@ -174,31 +175,26 @@ const TICKS_PER_SECOND: f64 = 100.0;
 /// All who look, on one thread; they are gone when it is dropped.
 struct Clients {
     told: Arc<[AtomicU64; 2]>,
-    runtime: Option<Runtime>,
+    /// Ends the thread when it is dropped.
+    _here: oneshot::Sender<()>,
 }
 
 impl Clients {
     fn start(address: SocketAddr) -> Clients {
-        let runtime = runtime::Builder::new_multi_thread()
-            .worker_threads(1)
-            .enable_io()
-            .enable_time()
-            .build()
-            .expect("a thread");
         let told = Arc::new([const { AtomicU64::new(0) }; 2]);
-        for number in 0..FOLLOWER_COUNT + READER_COUNT {
-            let told = Arc::clone(&told);
-            let follows = number < FOLLOWER_COUNT;
-            runtime.spawn(async move {
-                // Whoever is refused comes again.
-                loop {
-                    let _ =
-                        if follows { follow(address, &told[0]).await } else { read(address, &told[1]).await };
-                    sleep(Duration::from_millis(100)).await;
+        let (here, gone) = oneshot::channel::<()>();
+        let of_thread = Arc::clone(&told);
+        thread::spawn(move || {
+            let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build();
+            runtime.expect("a runtime").block_on(async move {
+                for number in 0..FOLLOWER_COUNT + READER_COUNT {
+                    tokio::spawn(look(address, number < FOLLOWER_COUNT, Arc::clone(&of_thread)));
                 }
+                // Nothing is ever sent.
+                let _ = gone.await;
             });
-        }
-        Clients { told, runtime: Some(runtime) }
+        });
+        Clients { told, _here: here }
     }
 
     /// How often a follower was told something, and how many bytes were read.
@@ -207,11 +203,11 @@ impl Clients {
     }
 }
 
-impl Drop for Clients {
-    fn drop(&mut self) {
-        if let Some(runtime) = self.runtime.take() {
-            runtime.shutdown_background();
-        }
+/// Follows or reads; whoever is refused, or has read all, comes again.
+async fn look(address: SocketAddr, follows: bool, told: Arc<[AtomicU64; 2]>) {
+    loop {
+        let _ = if follows { follow(address, &told[0]).await } else { read(address, &told[1]).await };
+        sleep(Duration::from_millis(100)).await;
     }
 }
 

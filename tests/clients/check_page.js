@@ -77,7 +77,7 @@ function frameBytes(number) {
 }
 
 const nameOf = (number) => `dam.${String(number).padStart(4, "0")}.bgeo`;
-const FIRST_COUNT = 12;
+const FIRST_COUNT = 9;
 const BAD = nameOf(FIRST_COUNT + 1);
 
 async function framesAppear(watching, page) {
@@ -164,14 +164,19 @@ async function surfaceTurns(page, darkroom) {
 
 /** A picture of the canvas, once it does not change any more. */
 async function drawn(page) {
-  const canvas = await page.$("#canvas");
   let before = null;
   return until("the canvas stands still", async () => {
     await new Promise((done) => setTimeout(done, 300));
-    const [picture, last] = [await canvas.screenshot({ encoding: "base64" }), before];
+    const [picture, last] = [await pictureOf(page, "#canvas"), before];
     before = picture;
     return picture === last && picture;
   });
+}
+
+/** What is seen of an element, as the page stands: nothing is scrolled, or laid out anew for it. */
+async function pictureOf(page, selector) {
+  const clip = await (await page.$(selector)).boundingBox();
+  return page.screenshot({ encoding: "base64", clip, captureBeyondViewport: false });
 }
 
 async function playRuns(watching, page) {
@@ -289,21 +294,22 @@ async function figuresAreRight(watching, page) {
 async function chartIsDrawn(page, darkroom) {
   // It is drawn anew every five seconds.
   await page.waitForFunction(() => /\d+ frames a minute/.test(document.getElementById("flow-rate").textContent));
-  const chart = await (await page.$("#chart")).screenshot({ encoding: "base64" });
+  const chart = await pictureOf(page, "#chart");
   const { colours } = await darkroom.compare(chart, chart);
   const told = await textOf(page, "#flow .key");
   line("chart", `${colours} colours; ${told.replace(/\s+/g, " ").trim()}`, wrong({ "it is empty": colours > 10 }));
 }
 
 async function screenshots(page) {
-  await choose(page, nameOf(8));
+  // Beside the one that failed.
+  await choose(page, nameOf(FIRST_COUNT));
   const faults = [];
   for (const [name, [width, height]] of Object.entries(SCREENS)) {
     for (const scheme of ["light", "dark"]) {
       await page.setViewport({ width, height });
       await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
       await drawn(page);
-      await page.screenshot({ path: path.join(WORK, `${name}_${scheme}.png`) });
+      await page.screenshot({ path: path.join(WORK, `${name}_${scheme}.png`), captureBeyondViewport: false });
       const wide = await page.evaluate(() => document.documentElement.scrollWidth);
       if (wide > width) faults.push(`${name}: the page is ${wide} wide, and the screen ${width}`);
     }

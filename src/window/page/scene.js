@@ -25,8 +25,11 @@ export function makeScene(canvas) {
   let isHeld = false;
   const seen = new Box3();
   let isAsked = false;
+  // Over the user's shoulder: whatever is looked at is lit.
   sun.position.set(1, 2, 1.5);
-  scene.add(new HemisphereLight(0xffffff, 0x556066, 1.6), sun);
+  camera.add(sun, sun.target);
+  sun.target.position.set(0, 0, -1);
+  scene.add(new HemisphereLight(0xffffff, 0x556066, 1.6), camera);
 
   function paint() {
     if (isAsked) return;
