@@ -148,7 +148,7 @@ async function surfaceTurns(page, darkroom) {
   const [x, y] = [canvas.x + canvas.width / 2, canvas.y + canvas.height / 2];
   await page.mouse.move(x, y);
   await page.mouse.down();
-  for (let step = 1; step <= 10; step++) await page.mouse.move(x + 20 * step, y - 6 * step);
+  for (let step = 1; step <= 10; step++) await page.mouse.move(x - 10 * step, y - 4 * step);
   await page.mouse.up();
   const turned = await drawn(page);
   const turn = await darkroom.compare(still, turned);
@@ -297,7 +297,14 @@ async function chartIsDrawn(page, darkroom) {
   const chart = await pictureOf(page, "#chart");
   const { colours } = await darkroom.compare(chart, chart);
   const told = await textOf(page, "#flow .key");
-  line("chart", `${colours} colours; ${told.replace(/\s+/g, " ").trim()}`, wrong({ "it is empty": colours > 10 }));
+  const heights = () => page.$$eval("#canvas, #chart", (canvases) => canvases.map((canvas) => canvas.clientHeight).join());
+  const before = await heights();
+  await new Promise((done) => setTimeout(done, 11_000));
+  line(
+    "chart",
+    `${colours} colours; ${told.replace(/\s+/g, " ").trim()}`,
+    wrong({ "it is empty": colours > 10, "what is drawn on becomes larger each time": (await heights()) === before }),
+  );
 }
 
 async function screenshots(page) {
