@@ -148,7 +148,7 @@ async function surfaceTurns(page, darkroom) {
   const [x, y] = [canvas.x + canvas.width / 2, canvas.y + canvas.height / 2];
   await page.mouse.move(x, y);
   await page.mouse.down();
-  for (let step = 1; step <= 10; step++) await page.mouse.move(x - 4 * step, y - 4 * step);
+  for (let step = 1; step <= 10; step++) await page.mouse.move(x - 10 * step, y - 4 * step);
   await page.mouse.up();
   const turned = await drawn(page);
   const turn = await darkroom.compare(still, turned);
