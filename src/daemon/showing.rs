@@ -8,11 +8,11 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use crate::board::{Board, Figures, FrameState, FrameSummary, FrameView, OutputView, Status, now_ms};
-use crate::pipeline::{FrameFile, FrameReport, SequenceRecord, resident_memory_bytes};
+use crate::pipeline::{AutomaticVoxelSize, FrameFile, FrameReport, SequenceRecord, resident_memory_bytes};
 
 use super::config::{Config, Order, Poll, Watch};
 use super::frames::{FrameId, Phase};
-use super::journal::{FrameRecord, Standing};
+use super::journal::{self, FrameRecord, Standing};
 use super::mounts::free_bytes;
 use super::rounds::Daemon;
 use super::sequences::SequenceSettings;
@@ -120,8 +120,11 @@ impl Daemon<'_> {
         let place = sequence.key.folder.join(&sequence.key.name);
         let id = FrameId::new(sequence.root, &place);
         let name = self.shown_name(&id, &self.roots[sequence.root].path, &place);
-        let made = (&self.config.watches[sequence.root].outputs, &*self.obstacles[sequence.root]);
-        board.show_sequence(name.clone(), SequenceRecord::new(&name, settings, None, made));
+        let watch = &self.config.watches[sequence.root];
+        let made = (&watch.outputs, &*self.obstacles[sequence.root]);
+        let remembered = self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key);
+        let automatic = remembered.filter(|_| watch.voxel_size.is_none()).and_then(automatic_of);
+        board.show_sequence(name.clone(), SequenceRecord::new(&name, settings, automatic.as_ref(), made));
     }
 
     /// Shows how the daemon is.
@@ -203,6 +206,17 @@ fn plan_of(config: &Config, watches: &[&Watch]) -> Value {
         },
         "rescan_s": config.rescan_every.as_secs_f64(),
         "watches": watches.iter().map(watch).collect::<Vec<_>>(),
+    })
+}
+
+/// Where the voxel size of a sequence is from; the journal does not keep the median of the particles' own radii.
+fn automatic_of(record: &journal::SequenceRecord) -> Option<AutomaticVoxelSize> {
+    let &journal::SequenceRecord { voxel_size, spacing, ref measured_on, .. } = record;
+    Some(AutomaticVoxelSize {
+        voxel_size,
+        spacing: spacing?,
+        radius_median: None,
+        measured_on: measured_on.clone()?,
     })
 }
 

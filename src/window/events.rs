@@ -3,18 +3,21 @@
 //! Nothing is kept for anybody. Whoever follows has a place in the log of the board, and is told from there what
 //! has changed, as fast as the other side takes it. Who falls behind the end of the log is told to look at
 //! everything again.
+//!
+//! All who follow look at the board at the same moments. Those who keep up are then at the same place, and what comes
+//! after it is put into words once for all of them.
 
 use std::fmt::Write as _;
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use hyper::body::Bytes;
 use hyper::{Request, StatusCode};
 use serde_json::json;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep};
+use tokio::time::{Instant, sleep_until};
 
 use crate::board::{Board, Changes, FrameSummary};
 
@@ -22,9 +25,26 @@ use super::Shared;
 use super::answer::{Answer, Content, answer, text};
 use super::query::value_of;
 
-/// How many follow.
-#[derive(Debug, Default)]
-pub(super) struct Followers(AtomicUsize);
+/// Those who follow.
+#[derive(Debug)]
+pub(super) struct Followers {
+    count: AtomicUsize,
+    /// From here on the moments are counted at which they look.
+    since: Instant,
+    last: Mutex<Option<Told>>,
+}
+
+/// What was told to the last of them, in words.
+#[derive(Clone, Debug)]
+struct Told {
+    /// What has happened after this version.
+    after: u64,
+    /// That of the board when it was put into words.
+    board_version: u64,
+    /// What happens after this version is not in it.
+    next: u64,
+    text: Bytes,
+}
 
 /// One of them, until it is dropped.
 struct Follower(Arc<Shared>);
@@ -58,7 +78,7 @@ pub(super) fn follow<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
 
 /// Tells until nobody listens, or the window closes.
 async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
-    let Shared { board, closing, .. } = &*follower.0;
+    let Shared { board, closing, followers, .. } = &*follower.0;
     let mut version = match seen.as_deref() {
         // So that whoever loses the connection at once has something to go on from.
         None => board.version(),
@@ -72,17 +92,17 @@ async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io:
     let mut told_at = Instant::now();
     while !*closing.borrow() {
         let text = match version == board.version() {
-            true if told_at.elapsed() < PULSE => String::new(),
-            true => ":\n\n".to_owned(),
+            true if told_at.elapsed() < PULSE => Bytes::new(),
+            true => Bytes::from_static(b":\n\n"),
             false => {
-                let (next, text) = event(board, version);
-                version = next;
-                text
+                let told = followers.event_after(board, version);
+                version = told.next;
+                told.text
             }
         };
         if !text.is_empty() {
             told_at = Instant::now();
-            if sender.send(Ok(text.into())).await.is_err() {
+            if sender.send(Ok(text)).await.is_err() {
                 return;
             }
         }
@@ -91,7 +111,7 @@ async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io:
             return;
         }
         if version == board.version() {
-            sleep(EVERY).await;
+            sleep_until(followers.next_look()).await;
         }
     }
 }
@@ -124,9 +144,37 @@ fn place(id: &str, run: u64) -> Option<u64> {
     version.parse().ok().filter(|_| of_run.parse() == Ok(run))
 }
 
+impl Default for Followers {
+    fn default() -> Followers {
+        Followers { count: AtomicUsize::new(0), since: Instant::now(), last: Mutex::new(None) }
+    }
+}
+
+impl Followers {
+    /// When all look at the board again.
+    fn next_look(&self) -> Instant {
+        let looks = self.since.elapsed().as_millis() / EVERY.as_millis() + 1;
+        self.since + EVERY.saturating_mul(u32::try_from(looks).unwrap_or(u32::MAX))
+    }
+
+    /// What happened after a version; in the words of the last who asked, where these are still true.
+    fn event_after(&self, board: &Board, version: u64) -> Told {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let board_version = board.version();
+        if let Some(told) = &*last
+            && (told.after, told.board_version) == (version, board_version)
+        {
+            return told.clone();
+        }
+        let (next, text) = event(board, version);
+        let told = Told { after: version, board_version, next, text: text.into() };
+        last.insert(told).clone()
+    }
+}
+
 impl Follower {
     fn new(shared: &Arc<Shared>) -> Option<Follower> {
-        let followers = &shared.followers.0;
+        let followers = &shared.followers.count;
         // Dropping it takes it back, also where it is one too many.
         let follower = Follower(Arc::clone(shared));
         (followers.fetch_add(1, Ordering::Relaxed) < FOLLOWERS_MAX).then_some(follower)
@@ -135,13 +183,14 @@ impl Follower {
 
 impl Drop for Follower {
     fn drop(&mut self) {
-        self.0.followers.0.fetch_sub(1, Ordering::Relaxed);
+        self.0.followers.count.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::board::Status;
 
     #[test]
     fn places_are_of_one_run() {
@@ -158,5 +207,21 @@ mod tests {
         let (version, text) = event(&board, u64::MAX);
         assert_eq!(version, board.version());
         assert!(text.contains("event: resync\n") && text.ends_with("\n\n"), "{text}");
+    }
+    #[test]
+    fn those_at_the_same_place_are_told_the_same_words() {
+        let board = Board::new();
+        board.begin(json!({}));
+        board.tell(Status { stopping: true, ..Status::default() });
+        let followers = Followers::default();
+        let [first, second] = [1, 1].map(|version| followers.event_after(&board, version));
+        assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "the same bytes, and not equal ones");
+        assert!(first.text.starts_with(b"id: ") && first.next == board.version(), "{first:?}");
+        let other = followers.event_after(&board, 0);
+        assert_ne!(other.text, first.text, "that is another place");
+        board.tell(Status::default());
+        let later = followers.event_after(&board, 1);
+        assert_eq!((later.after, later.next), (1, board.version()));
+        assert_ne!(later.text, first.text, "more has happened");
     }
 }

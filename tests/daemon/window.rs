@@ -3,6 +3,7 @@
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
@@ -133,7 +134,11 @@ fn frames_appear_while_a_producer_writes() {
     assert_eq!(frame["outputs"][0]["name"], "dam.2.glb");
     assert_eq!(get(&address, "/files/dam.2.glb").content, scene.bytes("out/dam.2.glb"));
     let settings = get(&address, "/api/settings").json();
-    assert_eq!(settings["sequences"][0]["sequence"], "dam.{}.ply");
+    let sequence = &settings["sequences"][0];
+    assert_eq!(sequence["sequence"], "dam.{}.ply");
+    // By default, two voxels to the spacing.
+    assert_eq!(sequence["spacing"].as_f64(), sequence["voxel_size"].as_f64().map(|size| 2.0 * size));
+    assert!(sequence["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
     assert!(get(&address, "/metrics").text().contains("\nmeniscus_frames_converted_total 4\n"));
     assert_eq!(get(&address, "/api/status").json()["frames"]["done"], 4);
     assert_eq!([get(&address, "/healthz").status, get(&address, "/readyz").status], [200, 200]);
@@ -328,6 +333,113 @@ fn requests_that_never_end_hold_up_nobody_and_are_ended() {
         let _ = stream.read_to_end(&mut answer);
         assert!(!answer.starts_with(b"HTTP/1.1 2"));
     }
+}
+
+#[test]
+fn requests_that_come_letter_by_letter_hold_up_nobody() {
+    let scene = Scene::new();
+    let (watching, address) = watch(&scene, &[]);
+    let mut dribbling: Vec<TcpStream> = (0..300).map(|_| connect(&address)).collect();
+    let done = AtomicBool::new(false);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            let mut letters = b"GET / HTTP/1.1\r\nHost: localhost\r\nX: ".iter().chain([b'x'; 4096].iter());
+            while let Some(letter) = letters.next().filter(|_| !done.load(Ordering::Relaxed)) {
+                for stream in &mut dribbling {
+                    // Some have been cut off by now.
+                    let _ = stream.write_all(&[*letter]);
+                }
+                thread::sleep(Duration::from_millis(20));
+            }
+        });
+        scene.put_moving(1..=4);
+        for number in 1..=4 {
+            watching.await_converted(&format!("dam.{number}.ply"));
+        }
+        assert_eq!(get(&address, "/api/frames").status, 200);
+        done.store(true, Ordering::Relaxed);
+    });
+    drop(dribbling);
+    watching.assert_no_complaints();
+    scene.assert_as_converted(&[]);
+}
+
+#[test]
+fn other_protocols_and_requests_within_requests_get_nothing() {
+    let scene = Scene::new();
+    scene.write("secret", "the secret");
+    let (watching, address) = watch(&scene, &[]);
+    scene.put_moving(1..=2);
+    let host = format!("Host: {address}\r\n");
+    let second = format!("GET /api/settings HTTP/1.1\r\n{host}\r\n");
+    let upgrade = "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\
+                   Sec-WebSocket-Version: 13\r\n";
+    let answered = exchange(&address, format!("GET /api/nothing HTTP/1.1\r\n{host}{upgrade}\r\n").as_bytes());
+    assert_eq!(answered.status, 404, "an upgrade is no reason to");
+    for (what, request) in [
+        ("HTTP/2", "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0".to_owned()),
+        (
+            "two lengths",
+            format!("GET / HTTP/1.1\r\n{host}Content-Length: 0\r\nContent-Length: 9\r\n\r\n{second}"),
+        ),
+        (
+            "a length and chunks",
+            format!(
+                "GET / HTTP/1.1\r\n{host}Content-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n{second}"
+            ),
+        ),
+        ("chunks", format!("GET / HTTP/1.1\r\n{host}Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n{second}")),
+        (
+            "chunks in disguise",
+            format!(
+                "GET / HTTP/1.1\r\n{host}Transfer-Encoding: xchunked\r\nContent-Length: 4\r\n\r\nGET {second}"
+            ),
+        ),
+        ("a body", format!("GET / HTTP/1.1\r\n{host}Content-Length: {}\r\n\r\n{second}", second.len())),
+        ("two hosts", format!("GET / HTTP/1.1\r\n{host}Host: evil.example\r\n\r\n")),
+        ("a tunnel", format!("CONNECT 127.0.0.1:22 HTTP/1.1\r\n{host}\r\n")),
+        ("another's address", format!("GET http://evil.example/api/frames HTTP/1.1\r\n{host}\r\n")),
+        ("a line within a line", format!("GET /\r\n/api/frames HTTP/1.1\r\n{host}\r\n")),
+    ] {
+        let answer = exchange(&address, request.as_bytes());
+        assert!(!(200..400).contains(&answer.status), "{what}: {}", answer.headers);
+        let text = answer.text();
+        // What comes behind a request that was refused is not taken for another one.
+        assert!(!text.contains("HTTP/1.1 200") && !text.contains("sequences"), "{what}: {text}");
+    }
+    for number in 1..=2 {
+        watching.await_converted(&format!("dam.{number}.ply"));
+    }
+    assert_eq!(get(&address, "/healthz").status, 200);
+    watching.assert_no_complaints();
+    scene.assert_as_converted(&[]);
+}
+
+#[test]
+fn who_never_reads_an_answer_holds_up_nobody() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    let (watching, address) = watch(&scene, &[]);
+    watching.await_converted("dam.1.ply");
+    await_that("it is served", || get(&address, "/files/dam.1.glb").status == 200);
+    let deaf: Vec<TcpStream> = (0..80)
+        .map(|number| {
+            let mut stream = connect(&address);
+            let path = ["/files/dam.1.glb", "/events?after=0-0", "/vendor/three.core.min.js"][number % 3];
+            let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n");
+            // One after the other, so that what systems keep for the slow is soon full.
+            stream.write_all(request.repeat(20).as_bytes()).expect("sent");
+            stream
+        })
+        .collect();
+    scene.put_moving(2..=8);
+    for number in 2..=8 {
+        watching.await_converted(&format!("dam.{number}.ply"));
+    }
+    assert_eq!(get(&address, "/files/dam.1.glb").content, scene.bytes("out/dam.1.glb"));
+    drop(deaf);
+    watching.assert_no_complaints();
+    scene.assert_as_converted(&[]);
 }
 
 #[test]

@@ -10,6 +10,8 @@
 const STEP_PX = 120;
 const PLAY_MS = 1000 / 12;
 const PREFETCH = 4;
+// What is only scrolled past needs no picture.
+const PICTURE_MS = 90;
 const STAGES = ['read', 'rasterize', 'smooth', 'contour', 'write'];
 
 const $ = id => document.getElementById(id);
@@ -125,14 +127,19 @@ function linked(isLinked) {
 // ---- what is listed ----
 
 let listed = [];
+let countsTold = null;
 function list() {
   listed = $('only-failed').checked ? order.filter(name => frames.get(name).state === 'failed') : order;
 }
 
 function showAll() {
   list();
-  const parts = ['done', 'working', 'queued', 'waiting', 'retrying', 'failed'].filter(state => counts[state]);
-  $('counts').textContent = parts.map(state => `${counts[state]} ${state}`).join(' · ') || 'no frames yet';
+  const states = ['done', 'working', 'queued', 'waiting', 'retrying', 'failed'].filter(state => counts[state]);
+  const told = states.map(state => `${number(counts[state])} ${state}`);
+  if (told.join() !== countsTold) {
+    countsTold = told.join();
+    $('counts').replaceChildren(...(told.length ? told.map((text, i) => make('span', states[i], text)) : ['no frames yet']));
+  }
   const alarms = [status.paused && `paused: ${status.paused}`, ...(status.unavailable ?? []), status.stopping && 'stopping'];
   $('alarm').textContent = alarms.filter(Boolean).join(' · ');
   $('alarm').hidden = !$('alarm').textContent;
@@ -147,14 +154,17 @@ function showAll() {
 
 function showScrub() {
   $('scrub').max = Math.max(0, listed.length - 1);
-  $('scrub').value = Math.max(0, listed.indexOf(chosen));
+  const place = listed.indexOf(chosen);
+  $('scrub').value = Math.max(0, place);
   $('scrub').setAttribute('aria-valuetext', chosen ?? 'none');
+  $('place').textContent = place < 0 ? '' : `${number(place + 1)} / ${number(listed.length)}`;
 }
 
 // ---- the strip ----
 
 const shown = new Map(); // elements, by name
 let stripAsked = false;
+let picturesAsked = false;
 function showStrip() {
   if (stripAsked) return;
   stripAsked = true;
@@ -171,17 +181,28 @@ function showStrip() {
         shown.delete(name);
       }
     }
-    for (let place = first; place < last; place++) showCell(place, listed[place]);
+    const seenUntil = performance.now() - PICTURE_MS;
+    let isEarly = false;
+    for (let place = first; place < last; place++) isEarly = showCell(place, listed[place], seenUntil) || isEarly;
+    if (isEarly && !picturesAsked) {
+      picturesAsked = true;
+      setTimeout(() => {
+        picturesAsked = false;
+        showStrip();
+      }, PICTURE_MS);
+    }
   });
 }
 
-function showCell(place, name) {
+/** Shows a frame at its place; whether it is too early for its picture. */
+function showCell(place, name, seenUntil) {
   const frame = frames.get(name);
   let cell = shown.get(name);
   if (!cell) {
-    cell = make('div', '', make('div', 'picture'), make('div', 'name'));
+    cell = make('div', '', make('div', 'picture'), make('div', 'name'), make('div', 'told'));
     cell.setAttribute('role', 'option');
     cell.id = `frame-${cells++}`;
+    cell.since = performance.now();
     cell.addEventListener('click', () => choose(name));
     shown.set(name, cell);
     $('strip-room').append(cell);
@@ -192,19 +213,28 @@ function showCell(place, name) {
   const isChosen = name === chosen;
   cell.setAttribute('aria-selected', isChosen);
   if (isChosen) $('strip').setAttribute('aria-activedescendant', cell.id);
-  cell.lastChild.textContent = name;
-  const text = frame.stage ?? (frame.state === 'done' ? seconds(frame.seconds) : frame.state);
-  showPicture(cell.firstChild, frame, text);
+  const [picture, title, told] = cell.children;
+  title.textContent = name;
+  told.textContent = frame.stage ?? (frame.state === 'done' ? `done ${seconds(frame.seconds)}` : reasonOf(frame) ?? frame.state);
+  const isEarly = seenUntil < cell.since;
+  if (!isEarly) showPicture(picture, frame);
+  return isEarly;
 }
 let cells = 0;
 
-function showPicture(place, frame, text) {
+/** Why it failed or waits; not the path before it, for the name is beside it. */
+function reasonOf(frame) {
+  return frame.reason?.split(`${frame.name}: `).at(-1);
+}
+
+function showPicture(place, frame) {
   const path = frame.picture && `files/${encodeURIComponent(frame.picture)}?at=${frame.since_ms}`;
   if (!path) {
-    place.textContent = text;
+    place.textContent = frame.state === 'done' ? '' : frame.state;
   } else if (place.firstChild?.dataset?.path !== path) {
     const image = make('img');
     image.alt = '';
+    image.decoding = 'async';
     image.dataset.path = path;
     image.src = path;
     place.replaceChildren(image);
@@ -224,23 +254,28 @@ function choose(name, isFollowing = false) {
   if (name === undefined || !frames.has(name)) return;
   if (!isFollowing) $('follow').checked = false;
   chosen = name;
-  const strip = $('strip');
-  const left = listed.indexOf(name) * STEP_PX;
-  if (left < strip.scrollLeft || strip.scrollLeft + strip.clientWidth < left + STEP_PX) {
-    $('strip-room').style.width = `${listed.length * STEP_PX}px`;
-    strip.scrollLeft = left - (strip.clientWidth - STEP_PX) / 2;
-  }
+  bringIntoView();
   showScrub();
   showStrip();
   showFrame();
   return showSurface();
 }
 
+/** Moves the strip so that the chosen frame is seen. */
+function bringIntoView() {
+  const strip = $('strip');
+  const left = listed.indexOf(chosen) * STEP_PX;
+  if (left < strip.scrollLeft || strip.scrollLeft + strip.clientWidth < left + STEP_PX) {
+    $('strip-room').style.width = `${listed.length * STEP_PX}px`;
+    strip.scrollLeft = left - (strip.clientWidth - STEP_PX) / 2;
+  }
+}
+
 async function showSurface() {
   const frame = frames.get(chosen);
   if (!scene || !frame) return;
-  $('hint').textContent = frame.surface ? frame.name : `${frame.name}: ${frame.reason ?? frame.stage ?? frame.state}`;
-  if (!frame.surface) return;
+  $('hint').textContent = frame.surface ? frame.name : `${frame.name}: ${reasonOf(frame) ?? frame.stage ?? frame.state}`;
+  if (!frame.surface) return scene.clear();
   const place = listed.indexOf(chosen);
   const next = listed.slice(place + 1, place + 1 + PREFETCH).map(name => frames.get(name)).filter(one => one.surface);
   try {
@@ -305,7 +340,8 @@ async function showFrame() {
     ['in all', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
-  for (const note of figures?.notes ?? []) parts.push(make('p', '', note));
+  else if (frame.state === 'done') parts.push(make('p', 'note', 'Not converted since the daemon began: it has no more figures of it.'));
+  for (const note of figures?.notes ?? []) parts.push(make('p', 'note', note));
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);
     link.href = `files/${encodeURIComponent(output.name)}`;
@@ -347,29 +383,42 @@ function bytes(value) {
 
 async function showSettings() {
   const { daemon, sequences } = await json('api/settings');
-  const shownAs = value => value !== null && typeof value === 'object' ? Object.entries(value).map(([k, v]) => `${k} ${v}`).join(', ') : typeof value === 'number' && !Number.isInteger(value) ? Number(value.toPrecision(6)) : value;
-  const told = (name, value) => name.endsWith('_bytes') ? bytes(value) : Array.isArray(value) ? value.join(', ') : shownAs(value);
-  const block = (title, values) => [
-    make('h3', '', title),
-    pairs(Object.entries(values).map(([name, value]) => [name.replaceAll('_', ' '), told(name, value)])),
-  ];
+  const block = (title, values) => make('div', '', make('h3', '', title), pairs(Object.entries(values).map(([name, value]) => told(name, value))));
   const { watches, ...rest } = daemon;
-  const parts = [
-    ...sequences.flatMap(({ sequence, ...values }) => block(sequence, values)),
-    ...watches.flatMap(({ input, ...values }) => block(input, values)),
-    ...block('The daemon', rest),
-  ];
-  $('settings-text').replaceChildren(...parts);
+  $('settings-text').replaceChildren(
+    ...sequences.map(({ sequence, more, ...values }) => block(sequence, { ...values, ...more })),
+    ...watches.map(({ input, ...values }) => block(input, values)),
+    block('The daemon', rest),
+  );
+}
+
+/** A setting and its value, in words. */
+function told(name, value) {
+  const unit = name.match(/_(bytes|s|ms)$/)?.[1];
+  const label = (unit ? name.slice(0, -unit.length - 1) : name).replaceAll('_', ' ');
+  if (value === null || value === undefined) return [label, null];
+  if (unit === 'bytes') return [label, bytes(value)];
+  if (unit) return [label, `${value} ${unit}`];
+  return [label, plain(value)];
+}
+
+function plain(value) {
+  if (typeof value === 'boolean') return value ? 'yes' : 'no';
+  if (typeof value === 'number' && !Number.isInteger(value)) return Number(value.toPrecision(6));
+  if (Array.isArray(value)) return value.map(plain).join(', ');
+  if (value !== null && typeof value === 'object') return Object.entries(value).map(([k, v]) => `${k} ${plain(v)}`).join(', ');
+  return value;
 }
 
 // ---- the chart ----
 
+let samples = [];
 async function showFlow() {
   if (!document.hidden) {
     try {
       const told = await json('api/status');
-      status = told.status;
-      drawFlow(told.samples);
+      ({ status, samples } = told);
+      drawFlow();
     } catch {
       // The link says so.
     }
@@ -377,46 +426,61 @@ async function showFlow() {
   setTimeout(showFlow, 5000);
 }
 
-function drawFlow(samples) {
+/** Frames a minute as a line, what is queued and under way as an area; each has a scale of its own, which is written above it. */
+function drawFlow() {
   const canvas = $('chart');
   const ratio = devicePixelRatio || 1;
   const [width, height] = [canvas.clientWidth, canvas.clientHeight];
   [canvas.width, canvas.height] = [width * ratio, height * ratio];
+  if (samples.length < 2) return;
   const pen = canvas.getContext('2d');
   pen.scale(ratio, ratio);
-  const colour = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
-  if (samples.length < 2) return;
+  const style = getComputedStyle(document.documentElement);
+  const colour = name => style.getPropertyValue(`--${name}`);
   const [begin, end] = [samples[0].at_ms, samples.at(-1).at_ms];
+  const [top, bottom] = [20, height - 18];
   const x = sample => (sample.at_ms - begin) / Math.max(1, end - begin) * width;
+  const y = (value, most) => bottom - (bottom - top) * value / Math.max(most, 1);
   // Frames per minute, over the last ten samples.
   const rates = samples.map((sample, i) => {
     const before = samples[Math.max(0, i - 10)];
     return (sample.converted - before.converted) * 60000 / Math.max(1000, sample.at_ms - before.at_ms);
   });
   const queues = samples.map(sample => sample.queued + sample.working);
-  const line = (values, most, stroke, fill) => {
-    pen.beginPath();
-    values.forEach((value, i) => pen.lineTo(x(samples[i]), height - 4 - (height - 10) * value / Math.max(most, 1e-9)));
-    if (fill) {
-      pen.lineTo(width, height);
-      pen.lineTo(0, height);
-      pen.globalAlpha = .25;
-      pen.fillStyle = stroke;
-      pen.fill();
-      pen.globalAlpha = 1;
-    } else {
-      pen.strokeStyle = stroke;
-      pen.lineWidth = 1.5;
-      pen.stroke();
-    }
-  };
   const [rateMost, queueMost] = [Math.max(...rates), Math.max(...queues)];
-  line(queues, Math.max(queueMost, 1), colour('wait'), true);
-  line(rates, Math.max(rateMost, 1), colour('accent'), false);
-  $('flow-text').textContent = `line: ${rates.at(-1).toFixed(0)} frames a minute, at most ${rateMost.toFixed(0)} · `
-    + `area: ${queues.at(-1)} in the queue and under way, at most ${queueMost} · ${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · `
-    + `${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
+  const trace = (values, most) => {
+    pen.beginPath();
+    values.forEach((value, i) => pen.lineTo(x(samples[i]), y(value, most)));
+  };
+  pen.strokeStyle = colour('line');
+  for (const level of [top, (top + bottom) / 2, bottom]) pen.strokeRect(0, Math.round(level) + .5, width, 0);
+  trace(queues, queueMost);
+  pen.lineTo(width, bottom);
+  pen.lineTo(0, bottom);
+  pen.fillStyle = colour('wait');
+  pen.globalAlpha = .35;
+  pen.fill();
+  pen.globalAlpha = 1;
+  trace(rates, rateMost);
+  pen.strokeStyle = colour('accent');
+  pen.lineWidth = 2;
+  pen.stroke();
+  pen.font = `12px ${style.fontFamily || 'sans-serif'}`;
+  const word = (text, name, align, at) => {
+    pen.fillStyle = colour(name);
+    pen.textAlign = align;
+    pen.fillText(text, align === 'left' ? 0 : width, at);
+  };
+  word(`${rateMost.toFixed(0)} frames/min`, 'accent', 'left', 13);
+  word(`${number(queueMost)} in the queue`, 'faint', 'right', 13);
+  word(ago(end - begin), 'faint', 'left', height - 3);
+  word('now', 'faint', 'right', height - 3);
+  $('flow-rate').textContent = `${rates.at(-1).toFixed(0)} frames a minute`;
+  $('flow-queue').textContent = `${number(queues.at(-1))} queued and under way`;
+  $('flow-room').textContent = `${bytes(samples.at(-1).memory_bytes) ?? 'unknown'} of memory · ${bytes(status.disk_free_bytes) ?? 'unknown'} of disk free`;
 }
+
+const ago = spanMs => spanMs < 90000 ? `${Math.round(spanMs / 1000)} s ago` : `${Math.round(spanMs / 60000)} min ago`;
 
 // ---- keys, and the beginning ----
 
@@ -440,7 +504,12 @@ function key(event) {
 
 document.addEventListener('keydown', key);
 $('strip').addEventListener('scroll', showStrip, { passive: true });
-addEventListener('resize', showStrip);
+addEventListener('resize', () => {
+  bringIntoView();
+  showStrip();
+  drawFlow();
+});
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => drawFlow());
 $('play').addEventListener('click', () => play(!playing));
 $('scrub').addEventListener('input', () => choose(listed[Number($('scrub').value)]));
 $('follow').addEventListener('change', showAll);

@@ -1,7 +1,7 @@
 // The chosen frame in space: its .glb, drawn by three.js.
 //
 // Surfaces are kept by their address, a few of them; those that come next are fetched before they are asked for. The
-// camera looks at the first surface as a whole, and from then on is where the user put it.
+// camera has in view all that was shown so far, until the user turns it: from then on it is where the user put it.
 
 import {
   Box3, Color, DirectionalLight, HemisphereLight, MeshStandardMaterial, PerspectiveCamera, Scene, Sphere, Vector3, WebGLRenderer,
@@ -22,10 +22,14 @@ export function makeScene(canvas) {
   const kept = new Map(); // promises of surfaces, by address; the one that was used last is the last
   let current = null;
   let wanted = null;
-  let isPlaced = false;
+  let isHeld = false;
+  const seen = new Box3();
   let isAsked = false;
+  // Over the user's shoulder: whatever is looked at is lit.
   sun.position.set(1, 2, 1.5);
-  scene.add(new HemisphereLight(0xffffff, 0x556066, 1.6), sun);
+  camera.add(sun, sun.target);
+  sun.target.position.set(0, 0, -1);
+  scene.add(new HemisphereLight(0xffffff, 0x556066, 1.6), camera);
 
   function paint() {
     if (isAsked) return;
@@ -73,16 +77,20 @@ export function makeScene(canvas) {
     surface.traverse(part => part.geometry?.dispose());
   }
 
+  /** Steps back until this surface is in view, too, and all that was shown before it. */
   function place(surface) {
-    const sphere = new Box3().setFromObject(surface).getBoundingSphere(new Sphere());
-    if (sphere.isEmpty()) return;
-    const distance = sphere.radius / Math.sin(camera.fov * Math.PI / 360) * 1.15;
+    const box = new Box3().setFromObject(surface);
+    if (isHeld || box.isEmpty() || seen.containsBox(box)) return;
+    seen.union(box);
+    const sphere = seen.getBoundingSphere(new Sphere());
+    // The narrower side decides: on a phone held upright, that is the width.
+    const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * Math.min(1, canvas.clientWidth / Math.max(1, canvas.clientHeight)));
+    const distance = Math.max(sphere.radius, 1e-6) / Math.sin(half) * 0.9;
     camera.near = distance / 1000;
     camera.far = distance * 20;
     camera.position.copy(sphere.center).addScaledVector(new Vector3(0.6, 0.45, 1).normalize(), distance);
     controls.target.copy(sphere.center);
     controls.update();
-    isPlaced = true;
   }
 
   /** Shows the surface at `path`, and fetches those at `next`. */
@@ -94,13 +102,22 @@ export function makeScene(canvas) {
     if (current) scene.remove(current);
     current = surface;
     scene.add(surface);
-    if (!isPlaced) place(surface);
+    place(surface);
     paint();
   }
 
+  /** Shows nothing. */
+  function clear() {
+    wanted = null;
+    if (current) scene.remove(current);
+    current = null;
+    paint();
+  }
+
+  controls.addEventListener('start', () => { isHeld = true; });
   controls.addEventListener('change', paint);
   dark.addEventListener('change', paint);
   new ResizeObserver(paint).observe(canvas);
   paint();
-  return { show };
+  return { show, clear };
 }

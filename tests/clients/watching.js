@@ -1,0 +1,68 @@
+// The daemon with its window, in a folder of its own, and a producer that puts frames there.
+
+const fs = require("fs");
+const path = require("path");
+const { spawn } = require("child_process");
+
+const PATIENCE_MS = 300_000;
+
+/** Waits until `is` gives something; it is asked again and again. */
+async function until(what, is, patienceMs = PATIENCE_MS) {
+  const end = Date.now() + patienceMs;
+  for (;;) {
+    const found = await is();
+    if (found) return found;
+    if (Date.now() > end) throw new Error(`waited in vain: ${what}`);
+    await new Promise((done) => setTimeout(done, 50));
+  }
+}
+
+class Watching {
+  /** Starts `meniscus watch` on the folder `in` of an empty folder; with these options beside. */
+  static async start(program, folder, options) {
+    fs.mkdirSync(path.join(folder, "in"), { recursive: true });
+    const watching = new Watching();
+    watching.folder = folder;
+    watching.log = "";
+    const words = ["watch", "in", "--out", "out", "--listen", "127.0.0.1:0", ...options];
+    watching.child = spawn(program, words, { cwd: folder, stdio: ["ignore", "ignore", "pipe"] });
+    watching.child.stderr.on("data", (text) => (watching.log += text));
+    const found = await until("the window opens", () => {
+      if (watching.child.exitCode !== null) throw new Error(watching.log);
+      return watching.log.match(/http:\/\/127\.0\.0\.1:\d+/);
+    });
+    watching.address = `${found[0]}/`;
+    await until("the daemon is ready", async () => (await fetch(`${watching.address}readyz`)).ok);
+    return watching;
+  }
+
+  /** Writes a frame beside the folder, and renames it into place. */
+  put(name, bytes) {
+    const beside = path.join(this.folder, `${name}.part`);
+    fs.writeFileSync(beside, bytes);
+    fs.renameSync(beside, path.join(this.folder, "in", name));
+  }
+
+  async ask(what) {
+    const answer = await fetch(this.address + what);
+    if (!answer.ok) throw new Error(`${what}: ${answer.status}`);
+    return answer.json();
+  }
+
+  async frame(name) {
+    return this.ask(`api/frames/${encodeURIComponent(name)}`);
+  }
+
+  /** Waits until so many frames are in a state. */
+  async untilCount(state, count, patienceMs) {
+    await until(`${count} frames are ${state}`, async () => (await this.ask("api/status")).frames[state] >= count, patienceMs);
+  }
+
+  async stop() {
+    const ended = new Promise((done) => this.child.once("exit", done));
+    this.child.kill("SIGTERM");
+    await ended;
+  }
+}
+
+module.exports = { Watching, until };
