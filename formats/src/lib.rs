@@ -42,7 +42,7 @@ pub use data::{
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
 pub use obstacle::{ObstacleData, read_obstacle};
-pub use picture::{PictureCamera, PictureLayer, PictureView, Samples};
+pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, Samples};
 pub use probe::{Kind, Probe, looks_like_particles, probe};
 pub use vertex_attributes::{VertexAttribute, VertexValues};
 

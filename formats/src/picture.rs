@@ -1,4 +1,4 @@
-//! A picture to write, as whoever made it lends it.
+//! A picture to write, as whoever made it lends it; and one that was read.
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
@@ -16,6 +16,15 @@ pub struct PictureView<'a> {
     pub camera: Option<PictureCamera>,
     /// What made it.
     pub provenance: &'a Provenance,
+}
+
+/// The colours of a picture that was read, row by row from the top left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColorPicture {
+    /// Width and height in pixels.
+    pub size: [usize; 2],
+    /// Linear colour with the primaries of sRGB; 1 is white.
+    pub color: Vec<[f32; 3]>,
 }
 
 /// Values of the pixels beside their colour.

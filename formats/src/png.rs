@@ -1,16 +1,19 @@
-//! Portable Network Graphics: the colours of a picture, 8 bits each, as screens show them.
+//! Portable Network Graphics: the colours of a picture, 8 bits each, as screens show them, out and in.
 //!
 //! ```text
 //!   signature   IHDR   sRGB   tEXt meniscus_radius 0.025 …   IDAT …   IEND
 //! ```
 
-use std::io::Write;
+use std::io::{self, Write};
 
-use ::png::{BitDepth, ColorType, Compression, Encoder, EncodingError, SrgbRenderingIntent};
+use ::png::{
+    BitDepth, ColorType, Compression, Decoder, DecodingError, Encoder, EncodingError, Limits,
+    SrgbRenderingIntent, Transformations,
+};
 
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
-use crate::picture::PictureView;
+use crate::picture::{ColorPicture, PictureView};
 use crate::provenance::{GENERATOR, escape, prefixed};
 
 const FORMAT: &str = "PNG";
@@ -62,6 +65,59 @@ fn linear(value: f32) -> f32 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
+/// Reads the colours of a picture of at most 67 million pixels. Transparency is left out.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if it is no such file or is damaged; [`Error::TooLarge`] if it says that it is larger.
+pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
+    let limits = Limits { bytes: PIXELS_MAX * CHANNELS_MAX };
+    let mut decoder = Decoder::new_with_limits(io::Cursor::new(bytes), limits);
+    decoder.set_transformations(Transformations::normalize_to_color8());
+    let mut reader = decoder.read_info().map_err(unreadable)?;
+    let size = [reader.info().width, reader.info().height].map(|edge| edge as usize);
+    let is_small = size[0].checked_mul(size[1]).is_some_and(|count| count <= PIXELS_MAX);
+    let length = reader.output_buffer_size().filter(|_| is_small);
+    let length = length.ok_or_else(|| {
+        let what = format!("{} x {} pixels; at most {PIXELS_MAX} are read", size[0], size[1]);
+        Error::too_large(FORMAT, what)
+    })?;
+    let mut samples = vec![0; length];
+    let info = reader.next_frame(&mut samples).map_err(unreadable)?;
+    samples.truncate(info.buffer_size());
+    let bright: Vec<f32> = (0..=u8::MAX).map(|byte| linear(f32::from(byte) / 255.0)).collect();
+    let at = |sample: u8| bright[usize::from(sample)];
+    let color = match info.color_type {
+        ColorType::Rgb => samples.chunks_exact(3).map(|p| [at(p[0]), at(p[1]), at(p[2])]).collect(),
+        ColorType::Rgba => samples.chunks_exact(4).map(|p| [at(p[0]), at(p[1]), at(p[2])]).collect(),
+        ColorType::Grayscale => samples.iter().map(|&p| [at(p); 3]).collect(),
+        ColorType::GrayscaleAlpha => samples.chunks_exact(2).map(|p| [at(p[0]); 3]).collect(),
+        ColorType::Indexed => {
+            return Err(Error::unsupported(FORMAT, "its colours are indices of a palette that is not there"));
+        }
+    };
+    Ok(ColorPicture { size, color })
+}
+
+fn unreadable(error: DecodingError) -> Error {
+    match error {
+        DecodingError::IoError(source) if source.kind() == io::ErrorKind::UnexpectedEof => {
+            Error::short(FORMAT, Place::File, "it ends too soon")
+        }
+        DecodingError::IoError(source) => Error::Io(source),
+        DecodingError::LimitsExceeded => {
+            Error::too_large(FORMAT, "it asks for more memory than a picture may")
+        }
+        other => Error::invalid(FORMAT, Place::File, other.to_string()),
+    }
+}
+
+/// The largest picture that is read.
+const PIXELS_MAX: usize = 8192 * 8192;
+
+/// Samples of a pixel.
+const CHANNELS_MAX: usize = 4;
+
 /// Names and values of the texts in the head of a file.
 ///
 /// # Errors
@@ -104,7 +160,6 @@ mod tests {
     use super::*;
     use crate::provenance::{Kind, read_provenance};
     use crate::wholeness::is_whole;
-    use std::io;
 
     fn written(size: [usize; 2], color: &[[f32; 3]], provenance: &[(String, String)]) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -146,5 +201,34 @@ mod tests {
             let picture = PictureView { size, color: &color, layers: &[], camera: None, provenance: &[] };
             assert!(write(&picture, &mut Vec::new()).is_err(), "{size:?}");
         }
+    }
+
+    #[test]
+    fn pictures_come_back_as_they_were_written() {
+        let color = [[0.0, 1.0, 0.5], [0.2159, 0.002, 0.9], [0.7, 0.1, 0.04], [1.0; 3]];
+        let bytes = written([2, 2], &color, &[]);
+        let picture = read(&bytes).expect("a picture");
+        assert_eq!(picture.size, [2, 2]);
+        for (read, written) in picture.color.as_flattened().iter().zip(color.as_flattened()) {
+            assert!((read - written).abs() < 0.005, "{read} {written}");
+        }
+        for length in 0..bytes.len() {
+            assert!(read(&bytes[..length]).is_err() || length + 12 >= bytes.len(), "{length}");
+        }
+    }
+
+    #[test]
+    fn what_says_that_it_is_huge_is_refused_before_there_is_room_for_it() {
+        let mut bytes = written([1, 1], &[[0.5; 3]], &[]);
+        // Width and height are behind the signature and the head of the first chunk, and before its checksum.
+        bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
+        let checksum = crc32(&bytes[12..29]);
+        bytes[29..33].copy_from_slice(&checksum.to_be_bytes());
+        assert!(matches!(read(&bytes), Err(Error::TooLarge { .. })));
+    }
+
+    fn crc32(bytes: &[u8]) -> u32 {
+        let step = |rest: u32, _| if rest & 1 == 1 { (rest >> 1) ^ 0xedb8_8320 } else { rest >> 1 };
+        !bytes.iter().fold(!0, |rest, &byte| (0..8).fold(rest ^ u32::from(byte), step))
     }
 }

@@ -27,7 +27,7 @@ use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::print_settings::print_settings;
 use super::quantities::memory_bytes;
-use super::wording::{FRAMES_IN_VIEW, counted, described, notes, significant, standing_notes};
+use super::wording::{FRAMES_IN_VIEW, counted, counted_are, described, notes, significant, standing_notes};
 
 /// Converts what the arguments ask for.
 ///
@@ -125,7 +125,7 @@ fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection>
     let sequences: Vec<SelectedSequence> = pipeline::sequences(found.files)
         .into_iter()
         .map(|sequence| {
-            let is_selected = |file: &&FrameFile| is_selected(file, args.frames.as_ref());
+            let is_selected = |file: &&FrameFile| FrameSelection::takes(args.frames.as_ref(), file);
             let selected = sequence.frames.iter().filter(is_selected).cloned().collect();
             SelectedSequence { sequence, selected }
         })
@@ -141,14 +141,6 @@ fn select_frames(args: &ConvertArgs, console: &mut Console) -> Result<Selection>
         }
     }
     Ok(Selection { sequences, found: paths })
-}
-
-fn counted_are(count: u64) -> String {
-    if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }
-}
-
-fn is_selected(file: &FrameFile, selection: Option<&FrameSelection>) -> bool {
-    selection.is_none_or(|selection| file.number().is_some_and(|number| selection.contains(number)))
 }
 
 /// Makes sure that nothing written to the folder of the outputs, which exists, or to the report is

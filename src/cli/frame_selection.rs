@@ -1,5 +1,6 @@
 //! Which frames of a sequence: `1-240x2`, `1-10,20,30-40x5`.
 
+use crate::pipeline::FrameFile;
 use std::collections::HashSet;
 use std::fmt;
 use std::str::FromStr;
@@ -60,6 +61,11 @@ impl FrameSelection {
             (range.to_string(), if named <= SEARCHED_MAX || there == 0 { named - there } else { 0 })
         };
         self.ranges.iter().map(missing).filter(|&(_, count)| count > 0).collect()
+    }
+
+    /// Whether a frame is selected, where this is what was asked for; without, all are.
+    pub(super) fn takes(selection: Option<&FrameSelection>, file: &FrameFile) -> bool {
+        selection.is_none_or(|selection| file.number().is_some_and(|number| selection.contains(number)))
     }
 
     pub(super) fn contains(&self, number: u64) -> bool {

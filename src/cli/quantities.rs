@@ -25,6 +25,9 @@ pub(super) type PictureSize = [u16; 2];
 pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
     let edge = |text: &str| text.trim().parse().ok().filter(|edge| PICTURE_EDGE.contains(edge));
     let size = text.split_once('x').and_then(|(width, height)| Some([edge(width)?, edge(height)?]));
+    if size.is_some_and(|[width, height]| u32::from(width) * u32::from(height) > PICTURE_PIXELS_MAX) {
+        return Err(format!("`{text}` is too large: expected no more than 33 million pixels, which is 8K"));
+    }
     let [least, most] = [PICTURE_EDGE.start(), PICTURE_EDGE.end()];
     size.ok_or_else(|| {
         format!("`{text}` is no size: expected width and height in pixels, each {least} to {most}, such as 1280x720")
@@ -33,6 +36,9 @@ pub(super) fn parse_picture_size(text: &str) -> Result<PictureSize, String> {
 
 /// Pixels along the edge of a picture.
 const PICTURE_EDGE: std::ops::RangeInclusive<u16> = 16..=8192;
+
+/// Pixels of a picture: at 130 bytes for each while an .exr is made, 4 GB.
+const PICTURE_PIXELS_MAX: u32 = 8192 * 4096;
 
 /// A time from nothing to 30 days.
 pub(super) fn parse_duration(text: &str) -> Result<Duration, String> {
@@ -117,6 +123,8 @@ mod tests {
     #[test]
     fn pictures_have_two_edges() {
         assert_eq!(parse_picture_size("1280x720"), Ok([1280, 720]));
+        assert_eq!(parse_picture_size("7680x4320"), Ok([7680, 4320]));
+        assert!(parse_picture_size("8192x8192").is_err_and(|why| why.contains("33 million")));
         for text in ["", "1280", "15x720", "8193x16", "1280x720x3", "ax16"] {
             assert!(parse_picture_size(text).is_err_and(|why| why.contains("1280x720")), "{text}");
         }

@@ -21,9 +21,10 @@ use super::args::{PreviewChoice, RenderArgs};
 use super::choices::refuse_stray_rounds;
 use super::console::Console;
 use super::convert::thread_pool;
+use super::frame_selection::FrameSelection;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
-use super::studio::{Studio, Subject, find_subjects, named_picture};
+use super::studio::{Studio, Subject, caught, find_subjects, named_picture};
 use super::wording::counted;
 
 /// Takes the pictures that the arguments ask for.
@@ -113,10 +114,7 @@ impl<'a> Shots<'a> {
 
     fn selected<'s>(&self, sequence: &'s Sequence) -> impl Iterator<Item = &'s FrameFile> {
         let frames = self.args.frames.clone();
-        sequence.frames.iter().filter(move |file| {
-            let is_in = |number| frames.as_ref().is_none_or(|frames| frames.contains(number));
-            frames.is_none() || file.number().is_some_and(is_in)
-        })
+        sequence.frames.iter().filter(move |file| FrameSelection::takes(frames.as_ref(), file))
     }
 
     /// What the pictures of a frame are called.
@@ -150,7 +148,8 @@ impl<'a> Shots<'a> {
         };
         for file in frames {
             let start = Instant::now();
-            match self.take_frame(file, settings.as_ref(), &viewpoint, console) {
+            let taken = caught(&file.path, || self.take_frame(file, settings.as_ref(), &viewpoint, console));
+            match taken {
                 Ok(names) => {
                     done_count += 1;
                     let seconds = start.elapsed().as_secs_f64();
@@ -193,7 +192,10 @@ impl<'a> Shots<'a> {
             let turned = viewpoint.turned(360.0 * index as f64 / stems.len() as f64);
             let viewpoint = if index == 0 { *viewpoint } else { turned };
             let path = output_path(&outputs.folder, stem, outputs.formats[0]);
-            let bytes = self.encoded(&subject, file, &viewpoint)?;
+            let (bytes, is_empty) = self.encoded(&subject, file, &viewpoint)?;
+            if is_empty {
+                console.warn(format_args!("warning: {}: nothing is in view in {stem}", file.path.display()));
+            }
             write_whole(&path, |out| Ok(std::io::Write::write_all(out, &bytes)?))
                 .with_context(|| format!("{}: cannot write", path.display()))?;
             written.push(path);
@@ -201,7 +203,8 @@ impl<'a> Shots<'a> {
         Ok(written)
     }
 
-    fn encoded(&self, subject: &Subject, file: &FrameFile, viewpoint: &Viewpoint) -> Result<Vec<u8>> {
+    /// The bytes of a picture, and whether it shows nothing.
+    fn encoded(&self, subject: &Subject, file: &FrameFile, viewpoint: &Viewpoint) -> Result<(Vec<u8>, bool)> {
         let options =
             PictureOptions { camera: CameraChoice::from(*viewpoint), ..self.studio.outputs.picture };
         let picture = match self.args.particles {
@@ -211,6 +214,7 @@ impl<'a> Shots<'a> {
         let provenance = subject.provenance(&file.path, &options);
         // Side by side are two pictures, and no matrix leads to both.
         let camera = (!self.args.particles).then_some(viewpoint);
-        Ok(encode_picture(&picture, camera, self.format, &provenance)?)
+        let is_empty = picture.coverage.iter().all(|&part| part == 0.0);
+        Ok((encode_picture(&picture, camera, self.format, &provenance)?, is_empty))
     }
 }

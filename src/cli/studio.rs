@@ -6,14 +6,15 @@
 //!          └─ particles: skin ─┘
 //! ```
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
     FrameError, FrameFile, LevelSetFile, NOTHING, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions,
-    Scene, Sequence, Still, StillFrame, Viewpoint, automatic_voxel_size, files_in, is_level_set,
-    picture_provenance, read_file, sequence_bounds, up_of, velocities,
+    Scene, Sequence, Stage, Still, StillFrame, Viewpoint, automatic_voxel_size, files_in, is_level_set,
+    picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::preview::{Picture, render_particles, side_by_side};
 use crate::settings::{AttributeSelection, Choices, Settings};
@@ -25,6 +26,7 @@ use super::choices::{choices, ignored, output_options};
 use super::console::Console;
 use super::inputs::{Found, find_inputs};
 use super::quantities::{PictureSize, memory_bytes};
+use super::wording::counted;
 
 /// What is the same for all pictures of a command.
 pub(super) struct Studio<'a> {
@@ -38,7 +40,7 @@ pub(super) struct Studio<'a> {
 /// What there is to take pictures of.
 pub(super) enum Subject {
     /// A level set, and a hash of its file.
-    LevelSet(Box<LevelSetFile>, u128),
+    LevelSet(Box<LevelSetFile>),
     /// Particles and their surface.
     Skinned(Box<Skinned>),
 }
@@ -108,7 +110,8 @@ impl<'a> Studio<'a> {
             Some(voxel_size) => Ok(voxel_size),
             None => {
                 let paths = sequence.frames.iter().map(|file| &*file.path);
-                Ok(automatic_voxel_size(paths, choices.own_radii()?.as_ref())?.voxel_size)
+                let measured = automatic_voxel_size(paths, choices.own_radii()?.as_ref());
+                Ok(measured.with_context(|| sequence.name.clone())?.voxel_size)
             }
         }
     }
@@ -141,9 +144,8 @@ impl<'a> Studio<'a> {
     /// Those of every stage.
     pub(super) fn subject(&self, file: &FrameFile, settings: Option<&Settings>) -> Result<Subject> {
         if is_level_set(&file.path) {
-            let hash = twox_hash::XxHash3_128::oneshot(&read_file(&file.path)?);
             let level_set = LevelSetFile::read(&file.path, self.has_velocities())?;
-            return Ok(Subject::LevelSet(Box::new(level_set), hash));
+            return Ok(Subject::LevelSet(Box::new(level_set)));
         }
         let settings = settings.context("there are no settings for particles among level sets")?;
         let frame = StillFrame::read((&file.path, file.number()), settings)?;
@@ -162,7 +164,7 @@ impl<'a> Studio<'a> {
     /// What a user should know of a frame. That there are no velocities is nothing to tell where nobody asked for them.
     pub(super) fn notes_of<'n>(&self, subject: &'n Subject) -> impl Iterator<Item = &'n String> {
         let notes = match subject {
-            Subject::LevelSet(level_set, _) => &level_set.notes,
+            Subject::LevelSet(level_set) => &level_set.notes,
             Subject::Skinned(skinned) => &skinned.still.notes,
         };
         let is_asked = self.method.particles.attributes.is_some();
@@ -179,7 +181,7 @@ impl Subject {
     /// A picture of the surface, with what is known of its pixels if that is wanted.
     pub(super) fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], has_data: bool) -> Picture {
         match self {
-            Subject::LevelSet(level_set, _) => level_set.scene().picture(viewpoint, size, has_data),
+            Subject::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
             Subject::Skinned(skinned) => {
                 picture_of_still(&skinned.still, &skinned.settings, (viewpoint, size), has_data)
             }
@@ -199,13 +201,18 @@ impl Subject {
     /// What made a picture of it.
     pub(super) fn provenance(&self, input: &Path, options: &PictureOptions) -> Vec<(String, String)> {
         match self {
-            Subject::LevelSet(_, hash) => picture_provenance(input, *hash, None, options),
+            Subject::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
             Subject::Skinned(skinned) => {
                 let Skinned { frame, still, settings } = &**skinned;
                 picture_provenance(input, frame.hash(), Some((settings, &still.obstacles)), options)
             }
         }
     }
+}
+
+/// Does what a picture of a file takes; a panic becomes an error of this one, and the others go on.
+pub(super) fn caught<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    FrameError::catch(file, Stage::Write, work)?
 }
 
 /// A picture of a surface, with what is known of its pixels if that is wanted.
@@ -221,20 +228,41 @@ pub(super) fn picture_of_still(
     Scene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
 }
 
-/// The files that were meant; of a folder without particles, its level sets.
+/// The files that were meant; of a folder its particles, and the level sets of other frames.
 ///
 /// # Errors
 /// When an input stands for no file at all.
 pub(super) fn find_subjects(inputs: &[PathBuf]) -> Result<Found> {
     let mut all = Found::default();
     for input in inputs {
-        let found = find_inputs(std::slice::from_ref(input)).or_else(|error| {
-            let files = level_sets_in(input);
-            if files.is_empty() { Err(error) } else { Ok(Found { files, ..Found::default() }) }
-        })?;
+        let level_sets = level_sets_in(input);
+        let found = match find_inputs(std::slice::from_ref(input)) {
+            Ok(found) => with_level_sets(found, level_sets, input),
+            Err(_) if !level_sets.is_empty() => Found { files: level_sets, ..Found::default() },
+            Err(error) => return Err(error),
+        };
         all.add(found);
     }
     Ok(all)
+}
+
+/// Particles, and those level sets of the same folder whose frames are not there as particles.
+fn with_level_sets(mut found: Found, level_sets: Vec<FrameFile>, folder: &Path) -> Found {
+    let stems: HashSet<String> = found.files.iter().map(FrameFile::stem).collect();
+    let count = level_sets.len();
+    let (known, new): (Vec<_>, Vec<_>) = level_sets
+        .into_iter()
+        .partition(|file| file.path.file_stem().is_some_and(|stem| stems.contains(&*stem.to_string_lossy())));
+    if !known.is_empty() {
+        found.warnings.push(format!(
+            "{}: {} of {} passed over: their frames are there as particles",
+            folder.display(),
+            known.len(),
+            counted(count, "level set")
+        ));
+    }
+    found.add(Found { files: new, ..Found::default() });
+    found
 }
 
 /// The level sets in a folder; none in what is no folder.

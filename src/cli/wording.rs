@@ -150,6 +150,11 @@ fn broken_guarantees(report: &SkinReport) -> Vec<String> {
     broken
 }
 
+/// `3 frames are`.
+pub(super) fn counted_are(count: u64) -> String {
+    if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }
+}
+
 /// So many of something.
 pub(super) fn counted(count: usize, noun: &str) -> String {
     if count == 1 {

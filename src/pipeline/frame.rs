@@ -193,7 +193,10 @@ impl FrameError {
     }
 
     /// Does `work` on the frame at `path`; a panic becomes an error of this frame.
-    pub(super) fn catch<T>(path: &Path, during: Stage, work: impl FnOnce() -> T) -> Result<T, FrameError> {
+    ///
+    /// # Errors
+    /// The panic's message.
+    pub fn catch<T>(path: &Path, during: Stage, work: impl FnOnce() -> T) -> Result<T, FrameError> {
         // What was under way when the panic came is dropped with the frame: nobody sees it broken.
         catch_unwind(AssertUnwindSafe(work)).map_err(|payload| FrameError {
             path: path.to_owned(),

@@ -1,10 +1,12 @@
 //! From a .vdb to a level set, as pictures need it.
 
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
 use meniscus_formats::{Error, Limits};
+use twox_hash::XxHash3_128;
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology};
 use crate::level_set::NarrowBand;
@@ -21,6 +23,8 @@ pub struct LevelSetFile {
     lattice: Lattice,
     origin: DVec3,
     velocity: Option<[Field; 3]>,
+    /// The XXH3 hash of the file, 128 bits.
+    pub hash: u128,
     /// What a user should know though the file was read.
     pub notes: Vec<String>,
 }
@@ -33,12 +37,13 @@ impl LevelSetFile {
     pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
         let fail = |error| FrameError::file(path, Stage::Read, error);
         let bytes = read_file(path)?;
+        let hash = XxHash3_128::oneshot(&bytes);
         let limits = Limits::default();
         let data = vdb::read_level_set(&bytes, None, &limits).map_err(fail)?;
         let transform = data.transform;
         let (band, lattice, origin) =
             level_set(data).map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let mut file = LevelSetFile { band, lattice, origin, velocity: None, notes: Vec::new() };
+        let mut file = LevelSetFile { band, lattice, origin, velocity: None, hash, notes: Vec::new() };
         if wants_velocity {
             let vectors = vdb::read_vectors(&bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
@@ -132,9 +137,13 @@ fn voxel_size(transform: &Transform) -> Option<f64> {
     let [[x, a, b], [c, y, d], [e, f, z]] = transform.axes;
     let is_straight = [a, b, c, d, e, f].iter().all(|across| across.abs() <= SKEW_MAX * x);
     let is_even = (y - x).abs() <= SKEW_MAX * x && (z - x).abs() <= SKEW_MAX * x;
-    let is_placed = transform.translation.iter().all(|along| along.is_finite());
-    (x.is_finite() && x > 0.0 && is_straight && is_even && is_placed).then_some(x)
+    let is_placed = transform.translation.iter().all(|along| along.abs() <= PLACE_MAX);
+    (VOXEL_SIZES.contains(&x) && is_straight && is_even && is_placed).then_some(x)
 }
+
+/// World units; others are the work of chance.
+const VOXEL_SIZES: RangeInclusive<f64> = 1e-15..=1e15;
+const PLACE_MAX: f64 = 1e15;
 
 /// Steps that differ by more than this part are of different lengths, or not along the axes.
 const SKEW_MAX: f64 = 1e-4;

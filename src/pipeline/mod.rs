@@ -54,7 +54,7 @@ mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
-pub use bounds::{NOTHING, bounds_of_particles, is_level_set, joined, sequence_bounds};
+pub use bounds::{NOTHING, bounds_of_particles, is_level_set, sequence_bounds};
 pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist};
 pub use frame_particles::FrameParticles;
 pub use level_set_file::LevelSetFile;

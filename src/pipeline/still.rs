@@ -98,6 +98,12 @@ impl StillFrame {
         let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings))?;
         let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
         notes.extend(surface_notes(&surface, &outputs.formats));
+        let dropped_count = surface.report.dropped_count;
+        if dropped_count > 0 {
+            notes.push(format!(
+                "{dropped_count} of the particles left out: not finite, or too far away for the grid"
+            ));
+        }
         Ok(Still { surface, obstacles, notes })
     }
 }

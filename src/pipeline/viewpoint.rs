@@ -206,6 +206,9 @@ fn triple(v: DVec3) -> String {
     format!("{}:{}:{}", v.x, v.y, v.z)
 }
 
+/// Nothing is farther from the origin than this, world units: beyond, a camera could not be turned.
+const PLACE_MAX: f64 = 1e15;
+
 /// The camera that fits what is seen.
 const AUTO: &str = "auto";
 
@@ -247,7 +250,11 @@ impl Typed {
         let within = |least: f64, greatest: f64, expected: &str| {
             number().filter(|number| (least..=greatest).contains(number)).ok_or_else(|| wrong(expected))
         };
-        let place = || vector(value).ok_or_else(|| wrong("three numbers with colons between, such as 1:2:3"));
+        let is_near = |place: &DVec3| place.abs().max_element() <= PLACE_MAX;
+        let place = || {
+            let expected = "three numbers with colons between, such as 1:2:3, none beyond 1e15";
+            vector(value).filter(is_near).ok_or_else(|| wrong(expected))
+        };
         match key {
             "azimuth" => put(&mut self.azimuth, key, within(-360.0, 360.0, "degrees from -360 to 360")?),
             "elevation" => put(&mut self.elevation, key, within(-90.0, 90.0, "degrees from -90 to 90")?),

@@ -11,11 +11,12 @@
 //! This work is based on:
 //! Cyril Crassin and others. Interactive indirect illumination using voxel cone tracing. 2011
 
-use glam::{DVec3, IVec3, Vec3};
+use glam::{DVec3, I64Vec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::grid::{LEAF_EDGE, negative_masks};
 use crate::level_set::NarrowBand;
+use crate::space::box_of;
 
 /// What stands between a place and the light.
 pub(super) struct Sky {
@@ -47,21 +48,16 @@ impl Sky {
 
     pub(super) fn new(band: &NarrowBand) -> Sky {
         let origins = band.topology.origins();
-        let (mut least, mut greatest) = (IVec3::MAX, IVec3::MIN);
-        for &origin in origins {
-            (least, greatest) = (least.min(origin), greatest.max(origin));
-        }
-        if origins.is_empty() {
-            return Sky::empty();
-        }
-        let extent = greatest - least + LEAF_EDGE;
-        let mut edge = FINEST_EDGE;
-        let size = |edge: i32| (extent + (edge - 1)) / edge;
-        while size(edge).as_i64vec3().element_product() > CELLS_MAX {
+        let leaf_at = |index: usize| [origins[index].as_dvec3(), (origins[index] + LEAF_EDGE).as_dvec3()];
+        let Some([least, greatest]) = box_of(origins.len(), leaf_at) else { return Sky::empty() };
+        let (least, extent) = (least.as_ivec3(), (greatest - least).as_i64vec3());
+        let mut edge = i64::from(FINEST_EDGE);
+        let size = |edge: i64| (extent + (edge - 1)) / edge;
+        while size(edge).element_product() > CELLS_MAX {
             edge *= 2;
         }
-        let mut finest = Level { size: size(edge), density: Vec::new() };
-        finest.density = vec![0.0; finest.size.as_i64vec3().element_product() as usize];
+        let count = size(edge).element_product() as usize;
+        let mut finest = Level { size: size(edge).as_ivec3(), density: vec![0.0; count] };
         fill(&mut finest, band, least, edge);
         let mut levels = vec![finest];
         while let Some(level) = levels.last().filter(|level| level.size.max_element() > 1) {
@@ -103,6 +99,10 @@ impl Level {
     /// Trilinear, in cells; nothing is inside beyond them.
     fn at(&self, place: Vec3) -> f32 {
         let place = place - 0.5;
+        let is_near = place.cmpge(Vec3::NEG_ONE).all() && place.cmple(self.size.as_vec3()).all();
+        if !is_near {
+            return 0.0;
+        }
         let first = floor(place);
         let part = place - first.as_vec3();
         let value = |x: i32, y: i32, z: i32| {
@@ -149,37 +149,43 @@ fn floor(place: Vec3) -> IVec3 {
     toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
 }
 
-/// Tells each cell what part of it is inside.
-fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i32) {
-    let per_voxel = 1.0 / (edge * edge * edge) as f32;
+/// Tells each cell what part of it is inside; what strayed beyond all cells is in none.
+fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
+    let per_voxel = (1.0 / edge as f32).powi(3);
     let negative = negative_masks(&band.phi);
-    let mut columns: Vec<(IVec3, usize)> =
-        band.topology.origins().iter().enumerate().map(|(leaf, &origin)| (origin, leaf)).collect();
-    columns.sort_unstable_by_key(|(origin, _)| origin.to_array());
+    let extent = level.size.as_i64vec3() * edge;
+    let from_least = |origin: IVec3| origin.as_i64vec3() - least.as_i64vec3();
+    let mut columns: Vec<(I64Vec3, usize)> = (band.topology.origins().iter().enumerate())
+        .map(|(leaf, &origin)| (from_least(origin), leaf))
+        .filter(|(first, _)| first.cmpge(I64Vec3::ZERO).all() && first.cmplt(extent).all())
+        .collect();
+    columns.sort_unstable_by_key(|(first, _)| first.to_array());
     let half = LEAF_EDGE / 2;
-    for (index, &(origin, leaf)) in columns.iter().enumerate() {
+    for (index, &(first, leaf)) in columns.iter().enumerate() {
         for octant in 0..8 {
-            let first = half * IVec3::new(octant >> 2, octant >> 1 & 1, octant & 1);
+            let aside = half * IVec3::new(octant >> 2, octant >> 1 & 1, octant & 1);
             let count: u32 = (0..half * half)
                 .map(|row| {
-                    let (x, y) = (first.x + row / half, first.y + row % half);
-                    ((negative[leaf].row((x * 8 + y) as usize) >> first.z) & 0xf).count_ones()
+                    let (x, y) = (aside.x + row / half, aside.y + row % half);
+                    ((negative[leaf].row((x * 8 + y) as usize) >> aside.z) & 0xf).count_ones()
                 })
                 .sum();
-            let place = level.place((origin - least + first) / edge);
+            let place = level.place(((first + aside.as_i64vec3()) / edge).as_ivec3());
             level.density[place] += count as f32 * per_voxel;
         }
         // What is between two leaves of a column and not stored is inside where the first of them ends inside.
         let Some(&(next, _)) = columns.get(index + 1) else { continue };
-        let is_column = next.truncate() == origin.truncate();
+        let is_column = next.truncate() == first.truncate();
         let ends_inside = negative[leaf].rows_with(0x80).count_ones() > 32;
         if is_column && ends_inside {
-            let steps = (origin.z + LEAF_EDGE..next.z).step_by(half as usize);
-            for z in steps {
+            let (begin, end) = (first.z + i64::from(LEAF_EDGE), next.z);
+            for z in begin / edge..=(end - 1) / edge {
+                let count = end.min((z + 1) * edge) - begin.max(z * edge);
                 for quarter in 0..4 {
-                    let aside = half * IVec3::new(quarter >> 1, quarter & 1, 0);
-                    let place = level.place((origin.with_z(z) - least + aside) / edge);
-                    level.density[place] += (half * half * half) as f32 * per_voxel;
+                    let aside = i64::from(half) * I64Vec3::new(quarter >> 1, quarter & 1, 0);
+                    let cell = ((first + aside) / edge).with_z(z).as_ivec3();
+                    let place = level.place(cell);
+                    level.density[place] += (count * i64::from(half * half)) as f32 * per_voxel;
                 }
             }
         }
@@ -236,5 +242,35 @@ mod tests {
         assert!(sky.through(DVec3::new(60.0, 0.0, 0.0), Vec3::Y, 0.1) > 0.99);
         let half = sky.through(DVec3::new(20.0, -30.0, 0.0), Vec3::Y, 0.3);
         assert!((0.1..0.9).contains(&half), "{half} past the edge");
+    }
+
+    #[test]
+    fn what_strayed_leaves_the_light_alone() {
+        let near = ball(30.0);
+        let place = DVec3::new(0.0, -40.0, 0.0);
+        for stray in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)] {
+            let mut origins = near.topology.origins().to_vec();
+            origins.push(stray);
+            let topology = Topology::new(origins);
+            let mut phi = Field::splat(topology.len(), -1.0);
+            for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
+                if let Some(known) = near.topology.find(*origin) {
+                    leaf.values = near.phi.leaves[known].values;
+                }
+            }
+            let band = NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 };
+            let [with, without] = [&band, &near].map(|band| Sky::new(band).through(place, Vec3::X, 0.5));
+            assert!((with - without).abs() < 1e-3, "{with} with a stray at {stray}, {without} without");
+        }
+    }
+
+    /// Two halves of what there is, as far from each other as can be: neither has strayed.
+    #[test]
+    fn the_ends_of_the_world_are_one_sky() {
+        let origins = [IVec3::splat(-(1 << 30)), IVec3::splat((1 << 30) - 8)];
+        let topology = Topology::new(origins.to_vec());
+        let phi = Field::splat(2, -1.0);
+        let sky = Sky::new(&NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 });
+        assert!(sky.through(DVec3::ZERO, Vec3::X, 0.5) > 0.99);
     }
 }

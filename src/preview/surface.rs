@@ -8,14 +8,14 @@
 //! Inside a cell φ is trilinear, so along a ray it is a polynomial of third degree: what is met is the very surface
 //! that the values describe, however thin, and not what a step of some length may find.
 
-use glam::{IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 
 use super::walk::{Cells, Ray};
 use crate::grid::{LEAF_EDGE, Leaf, LeafMask, NO_LEAF, negative_masks, offset_in_leaf};
 use crate::level_set::NarrowBand;
-use crate::space::CoordBox;
+use crate::space::{CoordBox, box_of, joined};
 
 /// A level set that rays can find.
 pub(super) struct Surface<'a> {
@@ -52,6 +52,9 @@ const NODE_EDGE: i32 = 16;
 
 const NODE_LEAVES: usize = (NODE_EDGE * NODE_EDGE * NODE_EDGE) as usize;
 
+/// A ray is followed through so many nodes, which are two million voxels: beyond that no pixel is as small as a voxel.
+const NODES_MAX: usize = 1 << 14;
+
 impl<'a> Surface<'a> {
     pub(super) fn new(band: &'a NarrowBand) -> Surface<'a> {
         let negative = negative_masks(&band.phi);
@@ -65,7 +68,8 @@ impl<'a> Surface<'a> {
             topology.origins().par_iter().enumerate().filter_map(crossed).collect();
         let mut nodes = FxHashMap::default();
         let mut cells = CoordBox::EMPTY;
-        for (index, leaf) in crossed.iter().enumerate() {
+        let kept = kept_box(&crossed);
+        for (index, leaf) in crossed.iter().enumerate().filter(|(_, leaf)| kept.contains(leaf.origin)) {
             let (node, place) = node_of(leaf.origin / LEAF_EDGE);
             nodes.entry(node).or_insert_with(|| Box::new([NO_LEAF; NODE_LEAVES]))[place] = index as u32;
             let own = leaf.cells.bounding_box();
@@ -86,7 +90,8 @@ impl<'a> Surface<'a> {
         let leaf_range =
             [self.cells.min, self.cells.max].map(|cell| cell.div_euclid(IVec3::splat(LEAF_EDGE)));
         let node_range = leaf_range.map(|leaf| leaf.div_euclid(IVec3::splat(NODE_EDGE)));
-        for (node, in_node) in Cells::along(ray, f64::from(NODE_EDGE * LEAF_EDGE), span, node_range) {
+        let nodes = Cells::along(ray, f64::from(NODE_EDGE * LEAF_EDGE), span, node_range);
+        for (node, in_node) in nodes.take(NODES_MAX) {
             let Some(leaves) = self.nodes.get(&node) else { continue };
             let first = node * NODE_EDGE;
             for (leaf, in_leaf) in
@@ -171,6 +176,18 @@ impl<'a> Surface<'a> {
             values[offset_in_leaf(voxel)]
         };
         trilinear(std::array::from_fn(|index| corner(index as i32)), around.at)
+    }
+}
+
+/// Which leaves are shown: all, but of a world too wide for rays only those that did not stray.
+fn kept_box(leaves: &[CrossedLeaf]) -> CoordBox {
+    let corner = |index: usize| [leaves[index].origin.as_dvec3(); 2];
+    let all = (0..leaves.len()).map(corner).reduce(joined);
+    let wide = f64::from(NODE_EDGE * LEAF_EDGE) * NODES_MAX as f64;
+    let is_wide = |[least, greatest]: &[DVec3; 2]| (greatest - least).max_element() > wide;
+    match all.filter(is_wide).and_then(|_| box_of(leaves.len(), corner)) {
+        Some([least, greatest]) => CoordBox { min: least.as_ivec3(), max: greatest.as_ivec3() },
+        None => CoordBox::ALL,
     }
 }
 

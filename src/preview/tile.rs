@@ -185,6 +185,7 @@ impl<'a> Tile<'a> {
         });
         let position = seen.position;
         let tolerance = (PLANE_TOLERANCE * LIGHT_STEP as f64 * self.eyes.pixel_edge(seen.t)) as f32;
+        let contact = CONTACT_VOXELS.max(CONTACT_PIXELS * self.eyes.pixel_edge(seen.t));
         let (mut sum, mut weights) = (Light::NONE, 0.0);
         for corner in 0..4 {
             let (right, down) = (corner & 1, corner >> 1);
@@ -197,7 +198,7 @@ impl<'a> Tile<'a> {
             let other = self.seen[y_seen * SEEN_EDGE + x_seen];
             let is_contact = seen.what == What::Ground
                 && matches!(other.what, What::Outside | What::Inside)
-                && other.position.distance(position) < CONTACT_VOXELS;
+                && other.position.distance(position) < contact;
             if is_contact {
                 return self.lighting.arriving(position, seen.normal);
             }
@@ -320,6 +321,7 @@ const PLANE_TOLERANCE: f64 = 0.7;
 
 /// Ground that is nearer to fluid has light of its own: where they touch, it fades within a voxel.
 const CONTACT_VOXELS: f64 = 6.0;
+const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
 
 /// With less of them its light is followed by itself.
 const LEAST_WEIGHT: f32 = 0.3;

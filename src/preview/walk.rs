@@ -30,8 +30,11 @@ impl Ray {
         self.origin + self.direction * t
     }
 
-    /// Where the ray is in a box, if it ever is, after `t_min` and before `t_max`.
+    /// Where the ray is in a box, if it ever is, after `t_min` and before `t_max`. One that is not finite is nowhere.
     pub(super) fn within(&self, least: DVec3, greatest: DVec3, [t_min, t_max]: [f64; 2]) -> Option<[f64; 2]> {
+        if !(self.origin.is_finite() && self.direction.is_finite()) {
+            return None;
+        }
         let (mut first, mut last) = (t_min, t_max);
         for axis in 0..3 {
             let one = (least[axis] - self.origin[axis]) * self.inverse[axis];
@@ -134,5 +137,13 @@ mod tests {
         assert_eq!(ray.within(DVec3::new(2.0, -1.0, -1.0), DVec3::splat(3.0), [0.0, 9.0]), Some([2.0, 3.0]));
         assert_eq!(ray.within(DVec3::new(2.0, 1.0, -1.0), DVec3::splat(3.0), [0.0, 9.0]), None);
         assert_eq!(ray.within(DVec3::NEG_ONE, DVec3::ONE, [0.0, 9.0]), Some([0.0, 1.0]));
+    }
+
+    #[test]
+    fn a_ray_from_nowhere_meets_nothing() {
+        for origin in [DVec3::NAN, DVec3::INFINITY] {
+            let ray = Ray::new(origin, DVec3::X);
+            assert_eq!(ray.within(DVec3::NEG_ONE, DVec3::ONE, [0.0, 9.0]), None);
+        }
     }
 }

@@ -9,8 +9,9 @@ use crate::cli::args::{ContactSheetArgs, MethodArgs};
 use crate::cli::choices::refuse_stray_rounds;
 use crate::cli::console::Console;
 use crate::cli::convert::thread_pool;
+use crate::cli::frame_selection::FrameSelection;
 use crate::cli::interrupt::clean_up_when_interrupted;
-use crate::cli::studio::{Studio, Subject};
+use crate::cli::studio::{Studio, Subject, caught};
 use crate::cli::wording::{counted, significant};
 use crate::pipeline::{FrameFile, OutputFormat, PictureOptions, SheetPart, Viewpoint, read_picture};
 use crate::preview::{Block, Cell, Picture, Sheet, Shown};
@@ -76,10 +77,7 @@ struct ShownStrip {
 }
 
 fn shown(strips: Vec<Strip>, args: &ContactSheetArgs) -> Result<Vec<ShownStrip>> {
-    let is_selected = |file: &&FrameFile| match &args.frames {
-        None => true,
-        Some(frames) => file.number().is_some_and(|number| frames.contains(number)),
-    };
+    let is_selected = |file: &&FrameFile| FrameSelection::takes(args.frames.as_ref(), file);
     let shown = strips.into_iter().map(|strip| {
         let selected: Vec<FrameFile> = strip.sequence.frames.iter().filter(is_selected).cloned().collect();
         let indices = evenly(selected.len(), usize::from(args.count));
@@ -161,7 +159,9 @@ impl Contact<'_> {
         let cells = shown.frames.iter().map(|file| {
             let start = Instant::now();
             let taken = match &prepared {
-                Ok(prepared) => self.picture(file, shown.strip.kind, prepared, console),
+                Ok(prepared) => {
+                    caught(&file.path, || self.picture(file, shown.strip.kind, prepared, console))
+                }
                 Err(error) => Err(anyhow::anyhow!("{error:#}")),
             };
             console.advance_bar();

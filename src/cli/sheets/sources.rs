@@ -11,13 +11,14 @@
 //! All cells of a sequence have one camera. Pictures that were taken from several places are for want of anything
 //! else only.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 
 use crate::cli::inputs::{Found, find_inputs};
 use crate::cli::studio::level_sets_in;
+use crate::cli::wording::counted_are;
 use crate::pipeline::{
     FrameFile, Sequence, camera_of_picture, files_in, is_level_set, natural_order, sequences,
 };
@@ -91,14 +92,34 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
             strips_of.entry((folder, base)).or_default().push(strip);
         }
     }
-    let mut strips: Vec<Strip> = strips_of.into_values().filter_map(cheapest).collect();
+    let mut warnings = found.warnings;
+    let mut strips: Vec<Strip> = Vec::new();
+    for same in strips_of.into_values() {
+        let stems = |strip: &Strip| -> HashSet<String> {
+            let frames = strip.sequence.frames.iter();
+            frames.map(|file| without_extension(&file.name(), strip.kind)).collect()
+        };
+        let all: HashSet<String> = same.iter().flat_map(&stems).collect();
+        let Some(strip) = cheapest(same) else { continue };
+        let left_out = all.len() - stems(&strip).len();
+        if left_out > 0 {
+            warnings.push(format!(
+                "{}: {} not there as {}, and left out",
+                strip.name,
+                counted_are(left_out as u64),
+                strip.kind.name()
+            ));
+        }
+        strips.push(strip);
+    }
+    warnings.sort();
     let first = |strip: &Strip| strip.sequence.frames[0].path.to_string_lossy().into_owned();
     strips.sort_by(|a, b| natural_order(&first(a), &first(b)));
     if strips.is_empty() {
         let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
         bail!("there are no {} among the {} frames that were found", names.join(" or "), files.len());
     }
-    Ok(Sources { strips, files, warnings: found.warnings })
+    Ok(Sources { strips, files, warnings })
 }
 
 /// Frames of all kinds in a folder; else what the input stands for.

@@ -23,13 +23,13 @@ use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
 use crate::cli::interrupt::clean_up_when_interrupted;
-use crate::cli::studio::{Studio, picture_of_still};
+use crate::cli::studio::{Studio, caught, picture_of_still};
 use crate::cli::wording::counted;
 use crate::pipeline::{
     self, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
     bounds_of_particles, gist, is_level_set, up_of,
 };
-use crate::preview::{Block, Cell, Sheet, Shown};
+use crate::preview::{Block, Cell, Picture, Sheet, Shown};
 use crate::settings::Settings;
 
 use super::command::CommandLine;
@@ -95,10 +95,8 @@ const NAMED_MAX: usize = 5;
 
 /// The frame in the middle, of those that were asked for.
 fn chosen<'s>(sequence: &'s Sequence, frames: Option<&FrameSelection>) -> Result<&'s FrameFile> {
-    let is_selected = |file: &&FrameFile| {
-        frames.is_none_or(|frames| file.number().is_some_and(|number| frames.contains(number)))
-    };
-    let selected: Vec<&FrameFile> = sequence.frames.iter().filter(is_selected).collect();
+    let selected: Vec<&FrameFile> =
+        sequence.frames.iter().filter(|file| FrameSelection::takes(frames, file)).collect();
     selected.get(selected.len() / 2).copied().context("--frames selects none of the frames")
 }
 
@@ -193,8 +191,8 @@ impl<'a> Tuning<'a> {
             let (number, method) = (index + 1, self.method(values));
             let label = self.label(number, values);
             let mut lines = vec![label.clone()];
-            let (shown, command) = match self.skinned(&method) {
-                Ok((still, settings)) => {
+            let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
+                Ok((still, settings, picture)) => {
                     tally.done_count += 1;
                     for note in settings.warnings().iter().chain(&still.notes) {
                         if told.insert(gist(note)) {
@@ -205,8 +203,7 @@ impl<'a> Tuning<'a> {
                     let command = CommandLine::convert(&self.args.inputs, &method, self.args.view.up);
                     console.say(format_args!("{label}: {figures}\n{}", command.text()));
                     lines.push(figures);
-                    let seen = (&self.viewpoint, self.studio.outputs.picture.size);
-                    (Shown::Picture(picture_of_still(&still, &settings, seen, false)), Some(command))
+                    (Shown::Picture(picture), Some(command))
                 }
                 Err(error) => {
                     tally.failed_count += 1;
@@ -227,10 +224,13 @@ impl<'a> Tuning<'a> {
         method
     }
 
-    fn skinned(&self, method: &MethodArgs) -> Result<(Still, Settings)> {
+    fn taken(&self, method: &MethodArgs) -> Result<(Still, Settings, Picture)> {
         let voxel_size = method.first.voxel_size.unwrap_or(self.without.voxel_size);
         let settings = Settings::resolve(voxel_size, &choices(method))?;
-        Ok((self.studio.skin(&self.frame, &settings)?, settings))
+        let still = self.studio.skin(&self.frame, &settings)?;
+        let seen = (&self.viewpoint, self.studio.outputs.picture.size);
+        let picture = picture_of_still(&still, &settings, seen, false);
+        Ok((still, settings, picture))
     }
 
     fn label(&self, number: usize, values: &[Value]) -> String {
