@@ -287,7 +287,7 @@ async function figuresAreRight(watching, page) {
       "certificate": figures.certificate.holds && shown.figures.certificate === "holds",
       "the stages are others": shown.parts.map(([stage]) => stage).join() === Object.keys(figures.seconds).join(),
       "the bar has other parts": shown.parts.every(isPart),
-      "seconds": Object.entries(figures.seconds).every(([stage, seconds]) => shown.key.includes(`${stage} ${seconds.toFixed(2)} s`)),
+      "seconds": Object.entries(figures.seconds).every(([stage, seconds]) => shown.key.includes(`${stage} ${seconds.toFixed(seconds < 10 ? 2 : 0)} s`)),
       "outputs": shown.links.join() === frame.outputs.map((output) => `files/${output.name}`).join() && shown.links.length === 3,
       "the voxel size": Math.abs(Number(shown.settings["voxel size"]) / voxelSize - 1) < 1e-5,
       "the formats": shown.settings.formats === "glb, vdb, png",
