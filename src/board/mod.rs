@@ -10,7 +10,9 @@
 //!
 //! Two things must not happen: that somebody who looks slows down a frame, and that somebody who is slow
 //! costs memory. So what is shown of a frame is replaced, never built anew for all; the lock is held for
-//! the copy of some pointers; and the log of changes has an end. It holds *names* and not states: who
+//! the copy of some pointers and of plain numbers: those of a page, of 256 changes, of the 900 samples of
+//! the chart, of the counters; what is said of them is put into words after it; and the log of changes
+//! has an end. It holds *names* and not states: who
 //! comes late is told of a frame once, as it is by then. Who comes too late is told so, and looks at
 //! everything again.
 //!

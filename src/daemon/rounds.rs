@@ -363,6 +363,7 @@ impl<'a> Daemon<'a> {
         (self.notices)(Notice::Stopping);
         self.queue.close();
         let mut overdue_at = Some(Instant::now() + self.config.stop_deadline);
+        self.tell_of_stopping();
         loop {
             let until_overdue = overdue_at.map(|at| at.saturating_duration_since(Instant::now()));
             select! {
@@ -382,8 +383,9 @@ impl<'a> Daemon<'a> {
                 },
                 default(until_overdue.map_or(TURN_MAX, |wait| wait.min(TURN_MAX))) => {}
             }
-            (self.notices)(Notice::Alive);
-            self.show_status(true);
+            if self.told.at.is_none_or(|at| at.elapsed() >= TURN_MAX) {
+                self.tell_of_stopping();
+            }
             if overdue_at.is_some_and(|at| at <= Instant::now()) {
                 overdue_at = None;
                 tracing::warn!("frames under way are not finished within {:?}", self.config.stop_deadline);
@@ -395,6 +397,13 @@ impl<'a> Daemon<'a> {
             Command::Finish => Ended::Finish,
             Command::Reload => Ended::Reload,
         })
+    }
+
+    /// Shows that no more is taken, and tells that it is not stuck.
+    fn tell_of_stopping(&mut self) {
+        self.told.at = Some(Instant::now());
+        (self.notices)(Notice::Alive);
+        self.show_status(true);
     }
 
     /// Which folders are watched, how, and into what.

@@ -2,7 +2,7 @@
 //!
 //! Nothing here decides anything. Without a board nothing is shown, and nothing else changes.
 
-use std::path::Path;
+use std::path::{Component, Path};
 use std::sync::Arc;
 
 use serde_json::{Value, json};
@@ -74,9 +74,12 @@ impl Daemon<'_> {
         });
     }
 
+    /// Outputs as they are shown. One that is elsewhere, which the journal may say, has no name here, and nobody is to
+    /// read it through the board.
     fn shown_outputs(&self, id: &FrameId, record: &FrameRecord) -> Vec<OutputView> {
         let folder = &self.stores.of_watch(id.root).folder;
-        let shown = record.outputs.iter().map(|output| OutputView {
+        let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
+        let shown = inside.map(|output| OutputView {
             name: self.shown_name(id, folder, &output.path),
             size_bytes: output.size_bytes,
             path: output.path.clone(),
@@ -155,6 +158,12 @@ fn state_of(phase: &Phase) -> Option<FrameState> {
     })
 }
 
+/// Whether a file is in the folder, or in one below it.
+fn is_inside(path: &Path, folder: &Path) -> bool {
+    let within = path.strip_prefix(folder);
+    within.is_ok_and(|within| within.components().all(|part| matches!(part, Component::Normal(_))))
+}
+
 /// Whether a record is about the frame as it is now.
 fn is_about(record: &FrameRecord, phase: &Phase) -> bool {
     match record.standing {
@@ -224,5 +233,21 @@ fn automatic_of(record: &journal::SequenceRecord) -> Option<AutomaticVoxelSize> 
 pub(super) fn count(board: Option<&Board>, count: impl FnOnce(&mut crate::board::Counters)) {
     if let Some(board) = board {
         board.count(count);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_are_inside_their_folder() {
+        let is_inside = |path: &str| is_inside(Path::new(path), Path::new("/a/out"));
+        for path in ["/a/out/dam.1.glb", "/a/out/sub/dam.1.glb"] {
+            assert!(is_inside(path), "{path}");
+        }
+        for path in ["/a/out2/dam.1.glb", "/a/dam.1.glb", "/a/out/../dam.1.glb", "dam.1.glb", "/etc/passwd"] {
+            assert!(!is_inside(path), "{path}");
+        }
     }
 }

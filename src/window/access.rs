@@ -42,25 +42,29 @@ impl Token {
         black_box(difference) == 0
     }
 
-    /// Whether a request brings it: as `Authorization: Bearer`, or in the cookie of the page.
-    pub(super) fn is_in<B>(&self, request: &Request<B>) -> bool {
+    /// Whether a request brings it to the window at this port: as `Authorization: Bearer`, or in the cookie of the page.
+    pub(super) fn is_in<B>(&self, request: &Request<B>, port: u16) -> bool {
         let headers = request.headers();
         let bearer =
             headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
         let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+        let name = cookie_name(port);
         let mut given = cookies
             .flat_map(|cookies| cookies.split(';'))
-            .filter_map(|cookie| cookie.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
+            .filter_map(|cookie| cookie.trim().strip_prefix(&name)?.strip_prefix('='));
         bearer.is_some_and(|bearer| self.is(bearer)) || given.any(|given| self.is(given))
     }
 
-    /// What has a browser bring it from now on.
-    pub(super) fn cookie(&self) -> String {
-        format!("{COOKIE_NAME}={}; Path=/; HttpOnly; SameSite=Strict", self.0)
+    /// What has a browser bring it to the window at this port from now on.
+    pub(super) fn cookie(&self, port: u16) -> String {
+        format!("{}={}; Path=/; HttpOnly; SameSite=Strict", cookie_name(port), self.0)
     }
 }
 
-const COOKIE_NAME: &str = "meniscus_token";
+/// A browser takes all ports of a host for one: without the port, two daemons would take each other's place.
+fn cookie_name(port: u16) -> String {
+    format!("meniscus_token_{port}")
+}
 
 impl fmt::Debug for Token {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -148,10 +152,14 @@ mod tests {
         let token = Token::new("0123456789abcdef").expect("a token");
         let with =
             |name: &str, value: &str| Request::get("/").header(name, value).body(()).expect("a request");
-        assert!(token.is_in(&with("authorization", "Bearer 0123456789abcdef")));
-        assert!(token.is_in(&with("cookie", "a=b; meniscus_token=0123456789abcdef")));
-        assert!(!token.is_in(&with("authorization", "0123456789abcdef")));
-        assert!(!token.is_in(&with("cookie", "xmeniscus_token=0123456789abcdef")));
-        assert!(!token.is_in(&asked("localhost")));
+        let is_in = |name: &str, value: &str| token.is_in(&with(name, value), 7700);
+        assert!(is_in("authorization", "Bearer 0123456789abcdef"));
+        assert!(is_in("cookie", "a=b; meniscus_token_7700=0123456789abcdef"));
+        assert!(is_in("cookie", "meniscus_token_7701=x; meniscus_token_7700=0123456789abcdef"));
+        assert!(!is_in("authorization", "0123456789abcdef"));
+        assert!(!is_in("cookie", "xmeniscus_token_7700=0123456789abcdef"));
+        assert!(!is_in("cookie", "meniscus_token_7701=0123456789abcdef"), "that is for another window");
+        assert!(!token.is_in(&asked("localhost"), 7700));
+        assert!(token.cookie(7700).starts_with("meniscus_token_7700=0123456789abcdef; "));
     }
 }

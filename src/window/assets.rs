@@ -13,10 +13,11 @@ const TEXT: &str = "text/plain; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// Where each is asked for, what it is, and what is in it.
-const ASSETS: [(&str, &str, &[u8]); 11] = [
+const ASSETS: [(&str, &str, &[u8]); 12] = [
     ("/", HTML, include_bytes!("page/index.html")),
     ("/page.css", CSS, include_bytes!("page/page.css")),
     ("/page.js", SCRIPT, include_bytes!("page/page.js")),
+    ("/order.js", SCRIPT, include_bytes!("page/order.js")),
     ("/scene.js", SCRIPT, include_bytes!("page/scene.js")),
     ("/vendor/three.module.min.js", SCRIPT, include_bytes!("page/vendor/three.module.min.js")),
     ("/vendor/three.core.min.js", SCRIPT, include_bytes!("page/vendor/three.core.min.js")),

@@ -1,6 +1,6 @@
 //! Outputs, by their names on the board.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::time::UNIX_EPOCH;
@@ -64,15 +64,39 @@ pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> 
 
 /// Opens what the board names, if it is a file.
 fn open(path: &Path) -> io::Result<Opened> {
-    // A pipe in its place would never open; a link leads to what is not ours to show.
-    if !fs::symlink_metadata(path)?.is_file() {
+    let file = open_itself(path)?;
+    // Of what is open, not of what is there by now.
+    let metadata = file.metadata()?;
+    if !metadata.is_file() {
         return Err(io::ErrorKind::NotFound.into());
     }
-    let file = File::open(path)?;
-    let metadata = file.metadata()?;
     let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let tag = format!("\"{}-{}\"", metadata.len(), since.unwrap_or_default().as_nanos());
     Ok(Opened { file, size_bytes: metadata.len(), tag })
+}
+
+/// Opens what has this name, and not what a link in its place leads to: that is not ours to show. Nor does it wait at a
+/// pipe in its place.
+#[cfg(unix)]
+fn open_itself(path: &Path) -> io::Result<File> {
+    use rustix::fs::{Mode, OFlags};
+    use rustix::io::Errno;
+
+    let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    match rustix::fs::open(path, flags, Mode::empty()) {
+        Ok(file) => Ok(file.into()),
+        // Links (some systems say the second of them), sockets.
+        Err(Errno::LOOP | Errno::MLINK | Errno::NXIO) => Err(io::ErrorKind::NotFound.into()),
+        Err(error) => Err(error.into()),
+    }
+}
+
+#[cfg(not(unix))]
+fn open_itself(path: &Path) -> io::Result<File> {
+    match std::fs::symlink_metadata(path)?.is_file() {
+        true => File::open(path),
+        false => Err(io::ErrorKind::NotFound.into()),
+    }
 }
 
 fn part<B>(

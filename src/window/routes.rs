@@ -1,6 +1,6 @@
 //! From a request to its answer: whether it may be asked, and what it asks for.
 
-use std::net::IpAddr;
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use hyper::body::Body;
@@ -14,16 +14,36 @@ use super::query::{decoded, value_of};
 use super::{api, assets, events, files, metrics};
 
 /// Answers a request that came in at the address `local`.
-pub(super) async fn answer_to<B: Body>(shared: &Arc<Shared>, request: &Request<B>, local: IpAddr) -> Answer {
+pub(super) async fn answer_to<B: Body>(
+    shared: &Arc<Shared>,
+    request: &Request<B>,
+    local: SocketAddr,
+) -> Answer {
     match refusal(shared, request, local) {
         Some(refusal) => refusal,
         None => route(shared, request).await,
     }
 }
 
+/// Answers a request for which there is hardly any room: only whether the daemon runs. The connection ends with it.
+pub(super) async fn answer_in_a_crowd<B: Body>(
+    shared: &Arc<Shared>,
+    request: &Request<B>,
+    local: SocketAddr,
+) -> Answer {
+    closing(match is_about_health(request) {
+        true => answer_to(shared, request, local).await,
+        false => text(StatusCode::SERVICE_UNAVAILABLE, "too many look already"),
+    })
+}
+
+fn is_about_health<B>(request: &Request<B>) -> bool {
+    matches!(request.uri().path(), "/healthz" | "/readyz")
+}
+
 /// The answer to a request that may not be asked.
-fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: IpAddr) -> Option<Answer> {
-    if !is_for_this_host(request, local) {
+fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: SocketAddr) -> Option<Answer> {
+    if !is_for_this_host(request, local.ip()) {
         return Some(closing(text(StatusCode::MISDIRECTED_REQUEST, "this is not that host")));
     }
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
@@ -34,12 +54,12 @@ fn refusal<B: Body>(shared: &Shared, request: &Request<B>, local: IpAddr) -> Opt
     }
     let token = shared.token.as_ref()?;
     // Whoever asks whether it runs learns nothing else.
-    if matches!(request.uri().path(), "/healthz" | "/readyz") || token.is_in(request) {
+    if is_about_health(request) || token.is_in(request, local.port()) {
         return None;
     }
     let typed = value_of(request.uri().query(), "token").filter(|_| request.uri().path() == "/");
     match typed {
-        Some(typed) if token.is(&typed) => Some(with_cookie(&token.cookie())),
+        Some(typed) if token.is(&typed) => Some(with_cookie(&token.cookie(local.port()))),
         _ => Some(unauthorized()),
     }
 }

@@ -1,4 +1,8 @@
 //! From sockets to requests: how many at once, how large, and how slow they may be.
+//!
+//! Whoever takes an answer too slowly would hold a place for good. So each has some time that it may hold us up, which
+//! runs while it takes nothing and comes back with what it takes; and the last places are for those who only ask
+//! whether the daemon runs.
 
 use std::convert::Infallible;
 use std::io;
@@ -14,13 +18,16 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Sleep, sleep, timeout};
+use tokio::time::{Instant, Sleep, sleep, timeout};
 
 use super::Shared;
-use super::routes::answer_to;
+use super::routes::{answer_in_a_crowd, answer_to};
 
 /// Others wait until one of these has ended.
 const CONNECTIONS_MAX: usize = 512;
+
+/// So many of them are only for those who ask whether the daemon runs.
+const PLACES_FOR_HEALTH: usize = 16;
 
 /// What a request may say before its body, and in how many lines.
 const HEAD_BYTES_MAX: usize = 16 << 10;
@@ -31,6 +38,9 @@ const HEAD_PATIENCE: Duration = Duration::from_secs(10);
 
 /// How long the other side may take nothing of an answer.
 const STALL_PATIENCE: Duration = Duration::from_secs(30);
+
+/// Whoever takes less than this while there is more has that long in all.
+const TAKEN_BYTES_PER_S_MIN: f64 = 10e3;
 
 /// How long what is being answered may go on when the window closes.
 const CLOSING_PATIENCE: Duration = Duration::from_millis(300);
@@ -57,7 +67,10 @@ async fn accept_all(listener: tokio::net::TcpListener, room: Arc<Semaphore>, sha
         // The semaphore is never closed.
         let Ok(place) = Arc::clone(&room).acquire_owned().await else { return };
         match listener.accept().await {
-            Ok((stream, _)) => drop(tokio::spawn(answer_all(stream, place, Arc::clone(&shared)))),
+            Ok((stream, _)) => {
+                let is_crowded = room.available_permits() < PLACES_FOR_HEALTH;
+                tokio::spawn(answer_all(stream, place, is_crowded, Arc::clone(&shared)));
+            }
             // The system is short of something, or the other side is gone already.
             Err(_) => sleep(REFUSED_WAIT).await,
         }
@@ -65,45 +78,63 @@ async fn accept_all(listener: tokio::net::TcpListener, room: Arc<Semaphore>, sha
 }
 
 /// Answers the requests of one connection.
-async fn answer_all(stream: TcpStream, _place: OwnedSemaphorePermit, shared: Arc<Shared>) {
+async fn answer_all(stream: TcpStream, _place: OwnedSemaphorePermit, is_crowded: bool, shared: Arc<Shared>) {
     let Ok(local) = stream.local_addr() else { return };
     // Events are small, and nobody wants to wait for them.
     let _ = stream.set_nodelay(true);
     let service = service_fn(|request| {
         let shared = Arc::clone(&shared);
-        async move { Ok::<_, Infallible>(answer_to(&shared, &request, local.ip()).await) }
+        async move {
+            Ok::<_, Infallible>(match is_crowded {
+                true => answer_in_a_crowd(&shared, &request, local).await,
+                false => answer_to(&shared, &request, local).await,
+            })
+        }
     });
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_PATIENCE)
         .max_buf_size(HEAD_BYTES_MAX)
         .max_headers(HEAD_LINES_MAX)
-        .serve_connection(TokioIo::new(Guarded { stream, stalled: None }), service)
+        .serve_connection(TokioIo::new(Guarded::new(stream)), service)
         .await;
     if let Err(error) = served {
         tracing::debug!("a connection of the window has ended: {error}");
     }
 }
 
-/// A socket that gives up on a side that takes nothing.
+/// A socket that gives up on a side that takes nothing, or too little.
 struct Guarded {
     stream: TcpStream,
-    /// Ends when the other side has had its time; `None` while it takes what it is sent.
-    stalled: Option<Pin<Box<Sleep>>>,
+    /// How long the other side may still hold us up.
+    patience: Duration,
+    /// Since when it does, and when that is enough; `None` while it takes what it is sent.
+    held: Option<(Instant, Pin<Box<Sleep>>)>,
 }
 
 impl Guarded {
-    fn watched<T>(&mut self, written: Poll<io::Result<T>>, context: &mut Context<'_>) -> Poll<io::Result<T>> {
-        if written.is_ready() {
-            self.stalled = None;
-            return written;
-        }
-        let stalled = self.stalled.get_or_insert_with(|| Box::pin(sleep(STALL_PATIENCE)));
-        match stalled.as_mut().poll(context) {
-            Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
-            Poll::Pending => Poll::Pending,
-        }
+    fn new(stream: TcpStream) -> Guarded {
+        Guarded { stream, patience: STALL_PATIENCE, held: None }
     }
+
+    /// The other side has taken so many bytes.
+    fn taken(&mut self, count: usize) {
+        let held = self.held.take().map_or(Duration::ZERO, |(since, _)| since.elapsed());
+        self.patience = patience_after(self.patience, held, count);
+    }
+
+    /// The other side takes nothing; whether it has had its time.
+    fn is_over(&mut self, context: &mut Context<'_>) -> bool {
+        let patience = self.patience;
+        let (_, end) = self.held.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
+        end.as_mut().poll(context).is_ready()
+    }
+}
+
+/// How much patience there is with a side that has held us up for so long, and has then taken so many bytes.
+fn patience_after(before: Duration, held: Duration, taken_bytes: usize) -> Duration {
+    let earned = Duration::from_secs_f64(taken_bytes as f64 / TAKEN_BYTES_PER_S_MIN);
+    (before.saturating_sub(held) + earned).min(STALL_PATIENCE)
 }
 
 impl AsyncRead for Guarded {
@@ -119,17 +150,54 @@ impl AsyncRead for Guarded {
 impl AsyncWrite for Guarded {
     fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let this = self.get_mut();
-        let written = Pin::new(&mut this.stream).poll_write(context, bytes);
-        this.watched(written, context)
+        match Pin::new(&mut this.stream).poll_write(context, bytes) {
+            Poll::Ready(Ok(count)) => {
+                this.taken(count);
+                Poll::Ready(Ok(count))
+            }
+            Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
+            Poll::Pending if this.is_over(context) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        let this = self.get_mut();
-        let flushed = Pin::new(&mut this.stream).poll_flush(context);
-        this.watched(flushed, context)
+        // A socket has nothing to flush: what is written is with the system.
+        Pin::new(&mut self.get_mut().stream).poll_flush(context)
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.get_mut().stream).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How many pieces of 20 kB are taken by a side that takes one in so many seconds.
+    fn pieces_taken(every_s: u64) -> usize {
+        let every = Duration::from_secs(every_s);
+        let mut patience = STALL_PATIENCE;
+        let is_patient = |_: &usize| {
+            let is_in_time = every < patience;
+            patience = patience_after(patience, every, 20_000);
+            is_in_time
+        };
+        (0..1000).take_while(is_patient).count()
+    }
+
+    #[test]
+    fn who_takes_too_little_is_cut_off() {
+        assert_eq!(pieces_taken(1), 1000, "twice what must be");
+        assert_eq!(pieces_taken(2), 1000, "just enough");
+        // Five seconds for what should take two: three of the thirty are lost each time.
+        assert_eq!(pieces_taken(5), 9);
+        assert_eq!(pieces_taken(30), 0);
+    }
+
+    #[test]
+    fn patience_does_not_pile_up() {
+        assert_eq!(patience_after(STALL_PATIENCE, Duration::ZERO, usize::MAX >> 16), STALL_PATIENCE);
     }
 }

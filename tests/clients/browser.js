@@ -5,6 +5,7 @@
 const path = require("path");
 
 const CHROMIUM = "/usr/bin/chromium";
+const PATIENCE_MS = 300_000;
 const OPTIONS = [
   // Checks run as root, in a box of their own.
   "--no-sandbox",
@@ -19,7 +20,7 @@ const OPTIONS = [
 /** Starts the browser; `modules` is where puppeteer-core is. */
 async function startBrowser(modules) {
   const puppeteer = require(path.resolve(modules, "node_modules", "puppeteer-core"));
-  const browser = await puppeteer.launch({ executablePath: CHROMIUM, headless: true, args: OPTIONS, protocolTimeout: 300_000 });
+  const browser = await puppeteer.launch({ executablePath: CHROMIUM, headless: true, args: OPTIONS, protocolTimeout: PATIENCE_MS });
   return { browser, version: await browser.version(), close: () => browser.close() };
 }
 
@@ -36,6 +37,8 @@ async function openPage({ browser }, address, { width = 1440, height = 900 } = {
     const url = request.url();
     if (!/^(data|blob):/.test(url) && new URL(url).origin !== own) faults.push(`asks elsewhere: ${url}`);
   });
+  // A machine that has other work takes its time.
+  page.setDefaultTimeout(PATIENCE_MS);
   await page.setViewport({ width, height });
   await page.goto(address);
   return { page, faults };

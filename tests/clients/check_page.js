@@ -4,6 +4,8 @@
 //   failed      a frame that failed says why
 //   surface     the 3D view draws, and what it draws turns with the mouse
 //   play        goes on by itself while the sequence still grows; slider and keys choose frames
+//   order       of names: the daemon's own
+//   restart     of the daemon while the page plays: it goes on, with what the new one has
 //   figures     of a frame, of its stages, of the settings: those that /api says; the chart is drawn
 //   many        10 000 frames: few elements, smooth scrolling, the right names at the end
 //   silence     no error in the console, and nobody else was asked for anything
@@ -55,7 +57,9 @@ async function main() {
     await framesAreChosen(page);
     await figuresAreRight(watching, page);
     await chartIsDrawn(page, darkroom);
+    await orderIsTheSame(page);
     await screenshots(page);
+    await restartIsSurvived(watching, page, faults);
     line("silence", "console and requests, with few frames", faults);
     const many = await manyFrames();
     running.push(many);
@@ -283,7 +287,7 @@ async function figuresAreRight(watching, page) {
       "certificate": figures.certificate.holds && shown.figures.certificate === "holds",
       "the stages are others": shown.parts.map(([stage]) => stage).join() === Object.keys(figures.seconds).join(),
       "the bar has other parts": shown.parts.every(isPart),
-      "seconds": Object.entries(figures.seconds).every(([stage, seconds]) => shown.key.includes(`${stage} ${seconds.toFixed(2)} s`)),
+      "seconds": Object.entries(figures.seconds).every(([stage, seconds]) => shown.key.includes(`${stage} ${seconds.toFixed(seconds < 10 ? 2 : 0)} s`)),
       "outputs": shown.links.join() === frame.outputs.map((output) => `files/${output.name}`).join() && shown.links.length === 3,
       "the voxel size": Math.abs(Number(shown.settings["voxel size"]) / voxelSize - 1) < 1e-5,
       "the formats": shown.settings.formats === "glb, vdb, png",
@@ -323,6 +327,54 @@ async function screenshots(page) {
   }
   await page.setViewport({ width: SCREENS.desk[0], height: SCREENS.desk[1] });
   line("screenshots", `${WORK}/{desk,phone}_{light,dark}.png`, faults);
+}
+
+async function orderIsTheSame(page) {
+  const names = fs.readFileSync(path.join(__dirname, "..", "natural_order.txt"), "utf8").trim().split("\n");
+  const wrongPairs = await page.evaluate(async (sorted) => {
+    const { natural } = await import("/order.js");
+    const isWrong = (a, b) => Math.sign(natural(sorted[a], sorted[b])) !== Math.sign(a - b);
+    return sorted.flatMap((_, a) => sorted.flatMap((_, b) => (isWrong(a, b) ? [`${sorted[a]} and ${sorted[b]}`] : [])));
+  }, names);
+  line("order", `${names.length} names, each with each`, wrongPairs);
+}
+
+async function restartIsSurvived(watching, page, faults) {
+  const before = faults.length;
+  await page.keyboard.press("Home");
+  await page.click("#play");
+  await page.evaluate(() => {
+    window.links = [];
+    const link = document.getElementById("link");
+    new MutationObserver(() => window.links.push(link.className)).observe(link, { childList: true });
+  });
+  await watching.restart();
+  const late = nameOf(FIRST_COUNT + 5);
+  watching.put(late, frameBytes(FIRST_COUNT + 5));
+  await page.waitForFunction(() => window.links.includes("bad") && window.links.at(-1) === "good", { timeout: 120_000 });
+  // Paused and played at once, twice: one goes on, and not three.
+  await page.evaluate(() => {
+    for (let turn = 0; turn < 4; turn++) document.getElementById("play").click();
+    document.getElementById("strip").scrollTo({ left: 1e9 });
+    window.played = [];
+    const scrub = document.getElementById("scrub");
+    new MutationObserver(() => window.played.push(scrub.getAttribute("aria-valuetext"))).observe(scrub, { attributes: true });
+  });
+  await page.waitForFunction((name) => window.played.includes(name), { timeout: 120_000 }, late);
+  const [played, label, stayed] = [await page.evaluate(() => window.played), await textOf(page, "#play"), await page.evaluate(() => window.stayed)];
+  await page.click("#play");
+  // That nobody answered for a while is said by the browser itself.
+  const own = faults.splice(before).filter((fault) => !/net::ERR_|Failed to load resource/.test(fault));
+  line(
+    "restart",
+    `${new Set(played).size} frames played after it`,
+    own.concat(
+      wrong({
+        "it does not play any more": label === "Pause" && new Set(played).size > 3,
+        "the page was loaded again": stayed === true,
+      }),
+    ),
+  );
 }
 
 /** A daemon that has converted so many frames of one particle each, with a picture of every one. */

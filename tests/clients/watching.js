@@ -22,18 +22,29 @@ class Watching {
   static async start(program, folder, options) {
     fs.mkdirSync(path.join(folder, "in"), { recursive: true });
     const watching = new Watching();
-    watching.folder = folder;
-    watching.log = "";
-    const words = ["watch", "in", "--out", "out", "--listen", "127.0.0.1:0", ...options];
-    watching.child = spawn(program, words, { cwd: folder, stdio: ["ignore", "ignore", "pipe"] });
-    watching.child.stderr.on("data", (text) => (watching.log += text));
-    const found = await until("the window opens", () => {
-      if (watching.child.exitCode !== null) throw new Error(watching.log);
-      return watching.log.match(/http:\/\/127\.0\.0\.1:\d+/);
-    });
-    watching.address = `${found[0]}/`;
-    await until("the daemon is ready", async () => (await fetch(`${watching.address}readyz`)).ok);
+    Object.assign(watching, { program, folder, options });
+    await watching.begin("127.0.0.1:0");
     return watching;
+  }
+
+  /** Starts the daemon with its window there, and waits until it is ready. */
+  async begin(listen) {
+    this.log = "";
+    const words = ["watch", "in", "--out", "out", "--listen", listen, ...this.options];
+    this.child = spawn(this.program, words, { cwd: this.folder, stdio: ["ignore", "ignore", "pipe"] });
+    this.child.stderr.on("data", (text) => (this.log += text));
+    const found = await until("the window opens", () => {
+      if (this.child.exitCode !== null) throw new Error(this.log);
+      return this.log.match(/http:\/\/127\.0\.0\.1:\d+/);
+    });
+    this.address = `${found[0]}/`;
+    await until("the daemon is ready", async () => (await fetch(`${this.address}readyz`)).ok);
+  }
+
+  /** Ends the daemon, and starts another at the same address. */
+  async restart() {
+    await this.stop();
+    await this.begin(new URL(this.address).host);
   }
 
   /** Writes a frame beside the folder, and renames it into place. */

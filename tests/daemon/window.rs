@@ -231,6 +231,11 @@ fn only_outputs_are_served_and_by_their_names() {
     scene.remove("out/dam.1.glb");
     std::os::unix::fs::symlink(scene.path("secret"), scene.path("out/dam.1.glb")).expect("a link");
     assert_eq!(get(&address, "/files/dam.1.glb").status, 404);
+    // Nobody writes into this pipe: whoever opened it would wait.
+    scene.remove("out/dam.1.glb");
+    rustix::fs::mkfifoat(rustix::fs::CWD, scene.path("out/dam.1.glb"), rustix::fs::Mode::RUSR)
+        .expect("a pipe");
+    assert_eq!(get(&address, "/files/dam.1.glb").status, 404);
 }
 
 #[test]
@@ -443,6 +448,30 @@ fn who_never_reads_an_answer_holds_up_nobody() {
 }
 
 #[test]
+fn the_last_places_are_for_those_who_ask_how_it_is() {
+    let scene = Scene::new();
+    let (watching, address) = watch(&scene, &[]);
+    let following: Vec<Following> = (0..256).map(|_| Following::new(&address, "")).collect();
+    // Each has ten seconds for the rest of its request.
+    let slow: Vec<TcpStream> = (0..240)
+        .map(|_| {
+            let mut stream = connect(&address);
+            write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\n").expect("sent");
+            stream
+        })
+        .collect();
+    assert_eq!(get(&address, "/api/frames").status, 503);
+    for path in ["/healthz", "/readyz"] {
+        let answer = get(&address, path);
+        assert_eq!(answer.status, 200, "{path}");
+        assert!(answer.headers.contains("connection: close"), "{}", answer.headers);
+    }
+    drop((following, slow));
+    await_that("there is room again", || get(&address, "/api/frames").status == 200);
+    watching.assert_no_complaints();
+}
+
+#[test]
 fn fifty_follow_and_some_of_them_never_listen() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
@@ -478,6 +507,8 @@ fn a_token_is_demanded_where_there_is_one() {
     assert_eq!(opened.status, 303);
     let cookie = opened.headers.lines().find_map(|line| line.strip_prefix("set-cookie: ")).expect("a cookie");
     assert!(cookie.contains("httponly") && cookie.contains("samesite=strict"), "{cookie}");
+    let port = address.rsplit(':').next().expect("a port");
+    assert!(cookie.starts_with(&format!("meniscus_token_{port}=")), "{cookie}");
     let (cookie, _) = cookie.split_once(';').expect("what follows");
     assert_eq!(ask(&address, "/api/frames", &format!("Cookie: {cookie}\r\n")).status, 200);
 }

@@ -7,6 +7,8 @@
 // Only what can be seen of the strip is in the document, so ten thousand frames cost what fifty do. All that comes
 // from outside is put in as text, never as markup.
 
+import { natural } from './order.js';
+
 const STEP_PX = 120;
 const PLAY_MS = 1000 / 12;
 const PREFETCH = 4;
@@ -15,31 +17,19 @@ const PICTURE_MS = 90;
 const STAGES = ['read', 'rasterize', 'smooth', 'contour', 'write'];
 
 const $ = id => document.getElementById(id);
-const frames = new Map(); // by name
+let frames = new Map(); // by name
 let order = []; // names, in natural order
 let counts = {};
 let status = {};
 let chosen = null;
 let scene = null;
 let playing = false;
+// Only the last who asked goes on.
 let detailOf = 0;
+let playOf = 0;
+let settingsOf = 0;
 
 // ---- frames ----
-
-/** The same order as that of the daemon: runs of digits are numbers. */
-function natural(a, b) {
-  const [left, right] = [a, b].map(text => text.match(/\d+|\D/gu) ?? []);
-  for (let i = 0; i < Math.min(left.length, right.length); i++) {
-    const [l, r] = [left[i], right[i]];
-    if (l === r) continue;
-    if (/\d/.test(l[0]) && /\d/.test(r[0])) {
-      const [x, y] = [BigInt(l), BigInt(r)];
-      return x < y ? -1 : x > y ? 1 : l.length - r.length;
-    }
-    return l < r ? -1 : 1;
-  }
-  return left.length - right.length;
-}
 
 /** Where a name is, or would be. */
 function placeOf(name) {
@@ -68,33 +58,33 @@ async function json(path, options) {
   return answer.json();
 }
 
-/** Looks at everything; the place from which events go on. */
+/** Everything there is, and the place from which events go on. What is shown stays as it is meanwhile. */
 async function loadAll() {
-  frames.clear();
-  order = [];
+  const [all, names] = [new Map(), []];
   let [at, after] = [null, null];
   do {
     const page = await json('api/frames?limit=2000' + (after === null ? '' : `&after=${encodeURIComponent(after)}`));
     at ??= page.at;
     for (const frame of page.frames) {
       // They come in order.
-      if (!frames.has(frame.name)) order.push(frame.name);
-      frames.set(frame.name, frame);
+      if (!all.has(frame.name)) names.push(frame.name);
+      all.set(frame.name, frame);
     }
     after = page.next;
   } while (after !== null);
-  return at;
+  return { at, all, names };
 }
 
 let source = null;
 async function follow() {
   source?.close();
   try {
-    const at = await loadAll();
+    const { at, all, names } = await loadAll();
     const told = await json('api/status');
-    [counts, status] = [told.frames, told.status];
-    showSettings();
+    // At once: nobody sees the names of one and the frames of the other.
+    [frames, order, counts, status] = [all, names, told.frames, told.status];
     showAll();
+    showSettings();
     source = new EventSource(`events?after=${at}`);
   } catch {
     linked(false);
@@ -291,19 +281,27 @@ function surfacePath(frame) {
 
 async function play(isPlaying) {
   if (playing === isPlaying) return;
+  // Who was playing before ends with the next step, and says nothing more.
+  const turn = ++playOf;
+  showPlaying(isPlaying);
+  try {
+    while (playing && turn === playOf) {
+      const began = performance.now();
+      const place = listed.indexOf(chosen);
+      const next = listed.slice(place + 1).find(name => frames.get(name).surface)
+        ?? listed.find(name => frames.get(name).surface);
+      if (next === undefined) break;
+      await choose(next);
+      await new Promise(done => setTimeout(done, Math.max(0, PLAY_MS - (performance.now() - began))));
+    }
+  } finally {
+    if (turn === playOf) showPlaying(false);
+  }
+}
+
+function showPlaying(isPlaying) {
   playing = isPlaying;
   $('play').textContent = playing ? 'Pause' : 'Play';
-  while (playing) {
-    const began = performance.now();
-    const place = listed.indexOf(chosen);
-    const next = listed.slice(place + 1).find(name => frames.get(name).surface)
-      ?? listed.find(name => frames.get(name).surface);
-    if (next === undefined) break;
-    await choose(next);
-    await new Promise(done => setTimeout(done, Math.max(0, PLAY_MS - (performance.now() - began))));
-  }
-  playing = false;
-  $('play').textContent = 'Play';
 }
 
 function step(by) {
@@ -382,18 +380,28 @@ function bytes(value) {
 // ---- settings ----
 
 async function showSettings() {
-  const { daemon, sequences } = await json('api/settings');
-  const block = (title, values) => make('div', '', make('h3', '', title), pairs(Object.entries(values).map(([name, value]) => told(name, value))));
-  const { watches, ...rest } = daemon;
+  const turn = ++settingsOf;
+  let told;
+  try {
+    told = await json('api/settings');
+  } catch {
+    // The link says so; that they have changed is told only once.
+    setTimeout(() => turn === settingsOf && showSettings(), 2000);
+    return;
+  }
+  if (turn !== settingsOf) return;
+  // Before the daemon has begun, there is nothing that it was asked for.
+  const { watches = [], ...rest } = told.daemon ?? {};
+  const block = (title, values) => make('div', '', make('h3', '', title), pairs(Object.entries(values).map(([name, value]) => inWords(name, value))));
   $('settings-text').replaceChildren(
-    ...sequences.map(({ sequence, more, ...values }) => block(sequence, { ...values, ...more })),
+    ...told.sequences.map(({ sequence, more, ...values }) => block(sequence, { ...values, ...more })),
     ...watches.map(({ input, ...values }) => block(input, values)),
     block('The daemon', rest),
   );
 }
 
 /** A setting and its value, in words. */
-function told(name, value) {
+function inWords(name, value) {
   const unit = name.match(/_(bytes|s|ms)$/)?.[1];
   const label = (unit ? name.slice(0, -unit.length - 1) : name).replaceAll('_', ' ');
   if (value === null || value === undefined) return [label, null];
