@@ -38,7 +38,7 @@ struct Level {
 const FINEST_EDGE: i32 = 4;
 
 /// No more of the finest cells than this: a large frame has larger ones.
-const CELLS_MAX: i64 = 1 << 20;
+const CELLS_MAX: f64 = (1 << 20) as f64;
 
 impl Sky {
     /// Nothing stands in its way.
@@ -53,7 +53,7 @@ impl Sky {
         let (least, extent) = (least.as_ivec3(), (greatest - least).as_i64vec3());
         let mut edge = i64::from(FINEST_EDGE);
         let size = |edge: i64| (extent + (edge - 1)) / edge;
-        while size(edge).element_product() > CELLS_MAX {
+        while size(edge).as_dvec3().element_product() > CELLS_MAX {
             edge *= 2;
         }
         let count = size(edge).element_product() as usize;
