@@ -12,6 +12,8 @@
 
 #![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
 
+mod block;
+
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -20,6 +22,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+
+use block::block_ply;
 
 /// Frames before these have their own costs: the first settles the voxel size.
 const WARM_UP_COUNT: usize = 3;
@@ -75,7 +79,7 @@ impl Daemon {
     /// Lets a frame land, and tells what the daemon added to its skinning.
     fn time_added(&mut self, folder: &Path, number: usize) -> Duration {
         let part = folder.join(format!("in/.{number}.part"));
-        fs::write(&part, block_ply(0.01 * number as f32)).expect("written");
+        fs::write(&part, block_ply(BLOCK, 0.01 * number as f32)).expect("written");
         let outputs = ["glb", "vdb"].map(|format| folder.join(format!("out/dam.{number}.{format}")));
         let landed = Instant::now();
         fs::rename(&part, folder.join(format!("in/dam.{number}.ply"))).expect("renamed");
@@ -113,20 +117,3 @@ impl Drop for Daemon {
 
 /// Rarely enough to leave the cores to the daemon.
 const LOOK_EVERY: Duration = Duration::from_micros(200);
-
-/// A block of particles, 0.1 apart, moved along x, as binary PLY.
-fn block_ply(shift: f32) -> Vec<u8> {
-    let count: usize = BLOCK.iter().product();
-    let header = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
-         property float x\nproperty float y\nproperty float z\nend_header\n"
-    );
-    let mut bytes = header.into_bytes();
-    for index in 0..count {
-        let [x, y, z] = [index % BLOCK[0], index / BLOCK[0] % BLOCK[1], index / BLOCK[0] / BLOCK[1]];
-        for (along, shift) in [(x, shift), (y, 0.0), (z, 0.0)] {
-            bytes.extend((along as f32 * 0.1 + shift).to_le_bytes());
-        }
-    }
-    bytes
-}

@@ -14,6 +14,8 @@
 
 #![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
 
+mod block;
+
 use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,6 +28,8 @@ use meniscus::settings::{Choices, Settings};
 use meniscus::skin::{Surface, skin};
 use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
 use rayon::ThreadPoolBuilder;
+
+use block::block_ply;
 
 /// So many frames of a block of particles.
 struct Load {
@@ -166,21 +170,4 @@ fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &s
     let options = vdb::WriteOptions::default();
     write_whole(&folder.join(format!("{stem}.vdb")), |out| vdb::write(&levels, &options, &[], out))
         .expect("written");
-}
-
-/// A block of particles, 0.1 apart, moved along x, as binary PLY.
-fn block_ply(block: [usize; 3], shift: f32) -> Vec<u8> {
-    let count: usize = block.iter().product();
-    let header = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
-         property float x\nproperty float y\nproperty float z\nend_header\n"
-    );
-    let mut bytes = header.into_bytes();
-    for index in 0..count {
-        let [x, y, z] = [index % block[0], index / block[0] % block[1], index / block[0] / block[1]];
-        for (along, shift) in [(x, shift), (y, 0.0), (z, 0.0)] {
-            bytes.extend((along as f32 * 0.1 + shift).to_le_bytes());
-        }
-    }
-    bytes
 }

@@ -13,6 +13,8 @@
 
 #![expect(clippy::print_stdout, reason = "it is what a benchmark is for")]
 
+mod block;
+
 use std::fs;
 use std::io::{self, BufRead, BufReader};
 use std::net::SocketAddr;
@@ -28,6 +30,8 @@ use tokio::net::{TcpSocket, TcpStream};
 use tokio::runtime;
 use tokio::sync::oneshot;
 use tokio::time::{sleep, sleep_until};
+
+use block::block_ply;
 
 const FOLLOWER_COUNT: usize = 100;
 const READER_COUNT: usize = 100;
@@ -277,21 +281,4 @@ async fn take(stream: &TcpStream, piece: &mut [u8]) -> io::Result<usize> {
 fn land(folder: &Path, name: &str, bytes: &[u8]) {
     fs::write(folder.join("beside").join(name), bytes).expect("written");
     fs::rename(folder.join("beside").join(name), folder.join("in").join(name)).expect("renamed");
-}
-
-/// A block of particles, 0.1 apart, moved along x, as binary PLY.
-fn block_ply(block: [usize; 3], shift: f32) -> Vec<u8> {
-    let count: usize = block.iter().product();
-    let header = format!(
-        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
-         property float x\nproperty float y\nproperty float z\nend_header\n"
-    );
-    let mut bytes = header.into_bytes();
-    for index in 0..count {
-        let [x, y, z] = [index % block[0], index / block[0] % block[1], index / block[0] / block[1]];
-        for (along, shift) in [(x, shift), (y, 0.0), (z, 0.0)] {
-            bytes.extend((along as f32 * 0.1 + shift).to_le_bytes());
-        }
-    }
-    bytes
 }
