@@ -19,8 +19,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, PictureOptions, Wanted,
-    default_in_flight, parse_particles, read_file, run, write_whole,
+    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, PictureOptions,
+    StepsFoundBy, Wanted, default_in_flight, parse_particles, read_file, run, write_whole,
 };
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::{Surface, skin};
@@ -69,6 +69,7 @@ fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<
         folder: folder.join("out"),
         formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
         up: gltf::UpAxis::Y,
+        quantize: false,
         vdb_half: false,
         vdb_compression: vdb::Compression::Blosc,
         picture: PictureOptions::default(),
@@ -111,8 +112,10 @@ fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn 
         pool,
         on_error: OnError::Continue,
         skip_done: false,
+        certificates: false,
         in_flight: default_in_flight(pool.current_num_threads()),
         memory_bytes: u64::MAX,
+        steps_found_by: StepsFoundBy::Reader,
     };
     let mut failures = Vec::new();
     run(&LevelSetSkinning, frames, &conduct, |index, outcome| {

@@ -17,6 +17,7 @@
 pub mod cli;
 
 pub mod daemon;
+pub mod farm;
 pub mod window;
 
 pub mod board;

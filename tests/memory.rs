@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 use meniscus::pipeline::{
     Conduct, Frame, LevelSetSkinning, ObstacleFiles, OnError, Outcome, OutputFormat, OutputOptions,
-    PictureOptions, run,
+    PictureOptions, StepsFoundBy, run,
 };
 use meniscus::settings::{Choices, ClipBox, Settings};
 use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
@@ -56,6 +56,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         folder: folder.path().join("out"),
         formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
         up: gltf::UpAxis::Y,
+        quantize: false,
         vdb_half: false,
         vdb_compression: vdb::Compression::Blosc,
         picture: PictureOptions::default(),
@@ -77,8 +78,15 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct =
-        Conduct { pool: &pool, on_error: OnError::Continue, skip_done: false, in_flight: 8, memory_bytes };
+    let conduct = Conduct {
+        pool: &pool,
+        on_error: OnError::Continue,
+        skip_done: false,
+        certificates: false,
+        in_flight: 8,
+        memory_bytes,
+        steps_found_by: StepsFoundBy::Reader,
+    };
     run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
         let Outcome::Converted(report) = outcome else { panic!("frame {index}: {outcome:?}") };
         assert_eq!((report.notes, report.obstacle_open_edge_count), (vec![], 0), "frame {index}");

@@ -111,6 +111,7 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
             folder: surfaces.to_owned(),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
             up: gltf::UpAxis::Y,
+            quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
             picture: PictureOptions::default(),

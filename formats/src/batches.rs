@@ -186,11 +186,11 @@ fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Optio
         let head = read(file, 0..head_bytes.min(file_bytes))?;
         let may_go_on = |error: &Error| error.is_short() && (head.len() as u64) < file_bytes;
         match probe(&head, file_name) {
-            Probe { kind: Kind::Ply, gzipped: false } => match ply::read_header(&head, limits) {
+            Probe { kind: Kind::Ply, packing: None } => match ply::read_header(&head, limits) {
                 Err(error) if may_go_on(&error) => {}
                 header => return ply::records(&header?, file_bytes, limits),
             },
-            Probe { kind: Kind::ClassicBgeo, gzipped: false } => match bgeo::header_within(&head, limits) {
+            Probe { kind: Kind::ClassicBgeo, packing: None } => match bgeo::header_within(&head, limits) {
                 Err(error) if may_go_on(&error) => {}
                 header => {
                     let header = header?;

@@ -92,6 +92,11 @@ impl<'a> Cursor<'a> {
     }
 }
 
+/// The little-endian u32 at a position that is known to be there.
+pub(crate) fn u32_at(bytes: &[u8], position: usize) -> u32 {
+    u32::from_le_bytes([bytes[position], bytes[position + 1], bytes[position + 2], bytes[position + 3]])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -16,9 +16,10 @@ use std::io::{Read, Seek, SeekFrom};
 
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::packing::Packing;
 use crate::ply::Encoding;
 use crate::probe::{Kind, Probe, probe};
-use crate::{bgeo, ply};
+use crate::{bgeo, npy, ply};
 
 /// What the format says of a file that may still be growing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,17 +78,26 @@ enum Told {
 }
 
 fn told_by_head(head: &[u8], file_bytes: u64, file_name: &str) -> Told {
-    let Probe { kind, gzipped } = probe(head, file_name);
-    let is_beginning = |signature: &&[u8]| signature.starts_with(head) && head.len() < signature.len();
-    if let Some(signature) = SIGNATURES.into_iter().find(is_beginning) {
+    let Probe { kind, packing } = probe(head, file_name);
+    if let Some(signature) = signature_cut_off(head) {
         return Told::Now(at_least(signature.len() as u64, file_bytes, Completeness::ByReading));
     }
-    if gzipped {
-        return Told::Now(at_least(GZIP_BYTES_MIN, file_bytes, Completeness::ByReading));
+    match packing {
+        Some(Packing::Gzip) => {
+            return Told::Now(at_least(GZIP_BYTES_MIN, file_bytes, Completeness::ByReading));
+        }
+        Some(Packing::Zstd) => {
+            return Told::Now(at_least(ZSTD_BYTES_MIN, file_bytes, Completeness::ByReading));
+        }
+        None => {}
     }
     let told = match kind {
         Kind::Ply => told_by_ply(head, file_bytes),
         Kind::ClassicBgeo => told_by_bgeo(head, file_bytes),
+        Kind::Npy => told_by_npy(head, file_bytes),
+        Kind::Npz | Kind::VtkXml | Kind::HoudiniJsonBinary | Kind::HoudiniJsonText | Kind::HoudiniSc => {
+            Ok(Told::Now(Completeness::ByReading))
+        }
         _ => Ok(Told::Now(Completeness::Unproven)),
     };
     told.unwrap_or_else(|error| match error.is_short() {
@@ -95,6 +105,12 @@ fn told_by_head(head: &[u8], file_bytes: u64, file_name: &str) -> Told {
         true => Told::Now(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
         false => Told::Now(Completeness::Unproven),
     })
+}
+
+/// The signature that these bytes are the beginning of, if they are no more than that.
+pub(crate) fn signature_cut_off(head: &[u8]) -> Option<&'static [u8]> {
+    let is_beginning = |signature: &&[u8]| signature.starts_with(head) && head.len() < signature.len();
+    SIGNATURES.into_iter().find(is_beginning)
 }
 
 fn told_by_ply(head: &[u8], file_bytes: u64) -> Result<Told> {
@@ -118,6 +134,11 @@ fn told_by_bgeo(head: &[u8], file_bytes: u64) -> Result<Told> {
         _ if header.expected_bytes_is_exact => exactly(header.expected_bytes, file_bytes),
         _ => at_least(header.expected_bytes, file_bytes, Completeness::ByReading),
     }))
+}
+
+fn told_by_npy(head: &[u8], file_bytes: u64) -> Result<Told> {
+    let declared = npy::bytes_claimed(head, &Limits::default())?;
+    Ok(Told::Now(declared.map_or(Completeness::Unproven, |declared| exactly(declared, file_bytes))))
 }
 
 fn exactly(expected: u64, found: u64) -> Completeness {
@@ -150,8 +171,25 @@ const HEADS_BYTES: [u64; 2] = [16 << 10, 1 << 20];
 /// Bytes of a gzip file of nothing: header, an empty block, checksum and length.
 const GZIP_BYTES_MIN: u64 = 20;
 
+/// Bytes of a Zstandard file of nothing: signature, header, an empty block.
+const ZSTD_BYTES_MIN: u64 = 9;
+
 /// What files that can be read begin with. The beginning of one of these is no file of any kind, yet.
-const SIGNATURES: [&[u8]; 4] = [b"ply\n", b"ply\r", b"BgeoV", b"\x1f\x8b"];
+const SIGNATURES: [&[u8]; 13] = [
+    b"ply\n",
+    b"ply\r",
+    b"BgeoV",
+    b"\x1f\x8b",
+    b"\x28\xb5\x2f\xfd",
+    b"\x93NUMPY",
+    b"PK\x03\x04",
+    b"# vtk DataFile Version ",
+    b"ITEM: TIMESTEP\n",
+    b"\x7fNSJb",
+    b"\x7fbJSN",
+    b"scf1",
+    b"PGEOMETRY",
+];
 
 #[cfg(test)]
 mod tests {

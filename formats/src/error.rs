@@ -91,6 +91,27 @@ impl Error {
         Error::TooLarge { format, what: what.into() }
     }
 
+    /// The same error under the name of another format, which holds what was being read.
+    pub(crate) fn of_format(self, format: &'static str) -> Error {
+        match self {
+            Error::Short { place, what, .. } => Error::Short { format, place, what },
+            Error::Invalid { place, what, .. } => Error::Invalid { format, place, what },
+            Error::Unsupported { what, .. } => Error::Unsupported { format, what },
+            Error::TooLarge { what, .. } => Error::TooLarge { format, what },
+            Error::Io(source) => Error::Io(source),
+        }
+    }
+
+    /// The same error of a file that has so many more lines before those that were read.
+    pub fn lines_later(mut self, count: u64) -> Error {
+        if let Error::Short { place: Place::Line(line), .. }
+        | Error::Invalid { place: Place::Line(line), .. } = &mut self
+        {
+            *line = line.saturating_add(count);
+        }
+        self
+    }
+
     /// Whether the file ends too soon, so that it may still be growing.
     pub fn is_short(&self) -> bool {
         matches!(self, Error::Short { .. })
@@ -110,6 +131,7 @@ impl fmt::Display for Error {
             Error::Short { format, place, what } | Error::Invalid { format, place, what } => {
                 write!(f, "{format}, {place}: {what}")
             }
+            Error::Unsupported { format: "", what } => f.write_str(what),
             Error::Unsupported { format, what } => write!(f, "{format}: {what}"),
             Error::TooLarge { format, what } => write!(f, "{format}: {what}"),
         }

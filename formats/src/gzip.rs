@@ -59,7 +59,7 @@ fn inflate_member<'a>(
         let before = inflated.len();
         let outcome = decoder.by_ref().take(PIECE_BYTES as u64).read_to_end(inflated);
         let consumed = total - decoder.get_ref().len();
-        check_limits(inflated.len() as u64, consumed as u64, limits)?;
+        limits.check_unpacked(FORMAT, inflated.len() as u64, consumed as u64)?;
         if let Err(source) = outcome {
             return Err(damage(&source, consumed));
         }
@@ -67,18 +67,6 @@ fn inflate_member<'a>(
             return Ok(decoder.into_inner());
         }
     }
-}
-
-fn check_limits(inflated: u64, consumed: u64, limits: &Limits) -> Result<()> {
-    if inflated > limits.decompressed_bytes {
-        let most = limits.decompressed_bytes;
-        return Err(Error::too_large(FORMAT, format!("more than {most} bytes after decompression")));
-    }
-    if inflated > limits.decompressed_bytes_of(consumed) {
-        let most = limits.decompression_ratio;
-        return Err(Error::too_large(FORMAT, format!("more than {most} bytes out of each compressed byte")));
-    }
-    Ok(())
 }
 
 fn damage(source: &std::io::Error, consumed: usize) -> Error {

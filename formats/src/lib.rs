@@ -7,8 +7,11 @@
 
 #![forbid(unsafe_code)]
 
+pub mod atoms;
 pub mod batches;
 pub mod bgeo;
+mod blosc;
+mod blosclz;
 pub mod bytes;
 pub mod completeness;
 pub mod csv;
@@ -17,21 +20,35 @@ pub mod error;
 pub mod exr;
 pub mod gltf;
 mod gzip;
+pub mod houdini;
+pub mod lammps;
 mod le_bytes;
 pub mod limits;
+mod named_arrays;
 pub mod names;
+pub mod npy;
+mod number;
 pub mod obj;
 pub mod obstacle;
+pub mod packing;
+mod particle_columns;
 pub mod picture;
 pub mod ply;
 pub mod png;
 pub mod probe;
 pub mod provenance;
+mod quads;
 pub mod scalar;
+pub mod steps;
+pub mod stl;
 mod text;
+pub mod usda;
 pub mod vdb;
 mod vertex_attributes;
+pub mod vtk;
 pub mod wholeness;
+pub mod xyz;
+mod zstd;
 
 pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
 pub use completeness::{Completeness, completeness};
@@ -42,66 +59,79 @@ pub use data::{
 pub use error::{Error, Place, Result};
 pub use limits::Limits;
 pub use obstacle::{ObstacleData, read_obstacle};
+pub use packing::Packing;
 pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, Samples};
+use probe::LAMMPS_DATA;
 pub use probe::{Kind, Probe, looks_like_particles, probe};
 pub use vertex_attributes::{VertexAttribute, VertexValues};
 
-/// Reads a frame of particles from a file of any format that can be read, packed with gzip or not.
+/// Reads a frame of particles from a file of any format that can be read, packed or not.
 ///
 /// The content decides what the format is; see [`probe()`] for the part that `file_name` has in it.
-/// A mesh in a PLY file is read as the particles at its vertices, and a note says so.
+/// A mesh in a PLY file is read as the particles at its vertices, and a note says so. A file that may have several
+/// frames, such as a LAMMPS dump, must have one; for the others, see [`steps`].
 ///
 /// # Errors
 /// Those of the format's reader, with offsets counted after decompression; `Unsupported`, with what
 /// to do instead, for a file that is something else.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
-    let Probe { kind, gzipped } = probe(bytes, file_name);
+    let Probe { kind, packing } = probe(bytes, file_name);
     let is_vague = matches!(kind, Kind::Empty | Kind::Unknown | Kind::UnknownText);
-    if gzipped && is_vague {
-        gzip::check_start(bytes)?;
+    if let Some(packing) = packing.filter(|_| is_vague) {
+        packing.check_start(bytes)?;
     }
-    check_readable(kind)?;
-    let inflated;
-    let bytes = if gzipped {
-        inflated = gzip::inflate(bytes, limits)?;
-        &inflated
-    } else {
-        bytes
-    };
-    match kind {
-        Kind::Ply => ply::read(bytes, limits),
-        Kind::ClassicBgeo => bgeo::read(bytes, limits),
-        Kind::Delimited => csv::read(bytes, limits),
-        _ => Err(unreadable(kind)),
+    if !bytes.is_empty() && completeness::signature_cut_off(bytes).is_some() {
+        return Err(Error::short("", Place::File, "the file ends within its signature"));
+    }
+    let read = reader_of(kind)?;
+    read(&packing::unpacked(bytes, limits)?, limits)
+}
+
+/// Refuses what nothing here reads, by the first bytes of a file: a large one need not be read whole to be told so.
+///
+/// # Errors
+/// `Unsupported`, as [`read_particles`] would say of the whole.
+pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
+    match probe(head, file_name).kind {
+        kind @ (Kind::Foreign(_) | Kind::UnknownText | Kind::Unknown) => reader_of(kind).map(drop),
+        _ => Ok(()),
     }
 }
 
-/// Refuses what no reader takes, before any effort is spent on it.
-fn check_readable(kind: Kind) -> Result<()> {
-    match kind {
-        Kind::Ply | Kind::ClassicBgeo | Kind::Delimited => Ok(()),
-        _ => Err(unreadable(kind)),
-    }
-}
+const NOT_READ: &str =
+    "not a particle format that is read: save it as PLY, BGEO or VTK (docs/formats.md has all that are read)";
 
-/// What the file is, and what to do instead.
-fn unreadable(kind: Kind) -> Error {
-    let what = match kind {
-        Kind::Empty => return Error::short("", Place::File, "the file is empty"),
-        Kind::ClassicGeo => "text geometry is not read: save it as classic binary .bgeo or as PLY",
-        Kind::HoudiniJsonBinary | Kind::HoudiniJsonText | Kind::HoudiniSc => {
-            "geometry of Houdini 12 and later is not read yet: save it as classic .bgeo (.bhclassic) or as PLY"
+/// Turns the unpacked bytes of a file into a frame.
+type Reader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
+
+/// What reads files of this kind; of those that nothing reads, what they are and what to do instead.
+fn reader_of(kind: Kind) -> Result<Reader> {
+    let refusal = match kind {
+        Kind::Ply => return Ok(ply::read),
+        Kind::ClassicBgeo => return Ok(bgeo::read),
+        Kind::ClassicGeo => return Ok(bgeo::read_text),
+        Kind::HoudiniJsonBinary => return Ok(houdini::read_binary),
+        Kind::HoudiniJsonText => return Ok(houdini::read_text),
+        Kind::HoudiniSc => return Ok(houdini::read_container),
+        Kind::Delimited => return Ok(csv::read),
+        Kind::RawXyz => return Ok(xyz::read),
+        Kind::LammpsDump => return Ok(lammps::read),
+        Kind::XyzAtoms => return Ok(atoms::read),
+        Kind::VtkLegacy => return Ok(vtk::read_legacy),
+        Kind::VtkXml => return Ok(vtk::read_xml),
+        Kind::Npy => return Ok(npy::read),
+        Kind::Npz => return Ok(npy::read_archive),
+        Kind::Empty => return Err(Error::short("", Place::File, "the file is empty")),
+        Kind::OpenVdb => {
+            "this is a volume, not particles: `meniscus convert` does the level set of a file that is not packed, and whose name ends in .vdb"
         }
-        Kind::VtkLegacy | Kind::VtkXml => "not read yet: save the points as CSV or PLY",
-        Kind::Npy => "not read yet: save the positions as CSV or PLY",
-        Kind::OpenVdb => "this is a volume, not particles: give the particles that it was made of",
-        Kind::Glb | Kind::GltfJson | Kind::Obj => {
+        Kind::Glb | Kind::GltfJson | Kind::Obj | Kind::Stl | Kind::Usda => {
             "this is a mesh, not particles: give the particles, or save its vertices as PLY"
         }
-        Kind::Ply | Kind::ClassicBgeo | Kind::Delimited => "its particles cannot be read",
-        Kind::Foreign(_) | Kind::UnknownText | Kind::Unknown => {
-            "not a particle format that is read: use PLY, classic BGEO or delimited text"
+        Kind::Foreign(LAMMPS_DATA) => {
+            "a dump is what is read, and this is a file of write_data: write one with `write_dump all custom FILE id type x y z`"
         }
+        Kind::Foreign(_) | Kind::UnknownText | Kind::Unknown => NOT_READ,
     };
-    Error::unsupported(kind.name(), what)
+    Err(Error::unsupported(kind.name(), refusal))
 }

@@ -3,6 +3,8 @@
 //! What a reader allocates is bounded first by the bytes that the file really has; these limits
 //! bound what is left: text headers, and data that grows when it is decompressed.
 
+use crate::error::{Error, Result};
+
 /// Upper limits for reading one file.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
@@ -12,6 +14,8 @@ pub struct Limits {
     pub header_bytes: u64,
     /// Properties or attributes of one element.
     pub attribute_count: usize,
+    /// Frames in one file.
+    pub step_count: usize,
     /// Bytes after decompression.
     pub decompressed_bytes: u64,
     /// Decompressed bytes per compressed byte, counted after the first 16 MiB.
@@ -24,6 +28,7 @@ impl Default for Limits {
             particle_count: u32::MAX as u64,
             header_bytes: 1 << 20,
             attribute_count: 4096,
+            step_count: 1_000_000, // the shortest has three bytes, and each is remembered
             decompressed_bytes: 1 << 36, // the positions of as many particles as are allowed take 48 GiB
             decompression_ratio: 200, // particles shrink 2 to 10 times, lattices 50 times, a bomb 1030 times
         }
@@ -35,9 +40,34 @@ impl Default for Limits {
 pub(crate) const RATIO_FREE_BYTES: u64 = 16 << 20;
 
 impl Limits {
+    /// Refuses another frame of a file in which so many were found.
+    pub(crate) fn check_step(&self, format: &'static str, found: usize) -> Result<()> {
+        if found < self.step_count {
+            return Ok(());
+        }
+        let what = format!("more steps than the limit of {}: cut the file into several", self.step_count);
+        Err(Error::too_large(format, what))
+    }
+
     /// How many bytes may come out of `compressed` bytes.
     pub(crate) fn decompressed_bytes_of(&self, compressed: u64) -> u64 {
         let by_ratio = compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
         by_ratio.min(self.decompressed_bytes)
+    }
+
+    /// Refuses `unpacked` bytes that came out of `consumed` ones, if these are too many. `format` is what packed them.
+    pub(crate) fn check_unpacked(&self, format: &'static str, unpacked: u64, consumed: u64) -> Result<()> {
+        if unpacked > self.decompressed_bytes {
+            let most = self.decompressed_bytes;
+            return Err(Error::too_large(format, format!("more than {most} bytes after decompression")));
+        }
+        if unpacked > self.decompressed_bytes_of(consumed) {
+            let most = self.decompression_ratio;
+            return Err(Error::too_large(
+                format,
+                format!("more than {most} bytes out of each compressed byte"),
+            ));
+        }
+        Ok(())
     }
 }

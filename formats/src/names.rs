@@ -102,6 +102,13 @@ pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
     roles
 }
 
+/// The rank of a name among those of a position of three values, lower being better; `None` of any other name.
+pub(crate) fn position_rank(name: &str) -> Option<usize> {
+    let stem = matched_part(name).to_ascii_lowercase();
+    let names = POSITIONS.iter().chain(&["x", "xyz", "r"]);
+    names.skip(1).position(|&alias| alias == stem)
+}
+
 /// What the values of an attribute with [`Role::Radius`] must be multiplied by to be radii.
 pub fn radius_scale(name: &str) -> f64 {
     let name = matched_part(name).to_ascii_lowercase();

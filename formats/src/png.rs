@@ -82,6 +82,10 @@ pub fn read(bytes: &[u8]) -> Result<ColorPicture> {
         let what = format!("{} x {} pixels; at most {PIXELS_MAX} are read", size[0], size[1]);
         Error::too_large(FORMAT, what)
     })?;
+    // What is not there is not waited for with so much memory.
+    if reader.info().raw_bytes() > bytes.len().saturating_mul(DEFLATE_RATIO_MAX) {
+        return Err(Error::short(FORMAT, Place::File, "it has less data than its size in pixels needs"));
+    }
     let mut samples = vec![0; length];
     let info = reader.next_frame(&mut samples).map_err(unreadable)?;
     samples.truncate(info.buffer_size());
@@ -114,6 +118,9 @@ fn unreadable(error: DecodingError) -> Error {
 
 /// The largest picture that is read.
 const PIXELS_MAX: usize = 8192 * 8192;
+
+/// Bytes that a byte of deflated data may stand for, at most.
+const DEFLATE_RATIO_MAX: usize = 1032;
 
 /// Samples of a pixel.
 const CHANNELS_MAX: usize = 4;
@@ -219,12 +226,20 @@ mod tests {
 
     #[test]
     fn what_says_that_it_is_huge_is_refused_before_there_is_room_for_it() {
+        assert!(matches!(read(&of_size([0xffff, 0xffff])), Err(Error::TooLarge { .. })));
+        // As large as may be, in a hundred bytes.
+        let error = read(&of_size([8192, 8192])).expect_err("nothing of it is there").to_string();
+        assert!(error.contains("less data than its size in pixels needs"), "{error}");
+    }
+
+    /// One pixel that says that it is more.
+    fn of_size(size: [u32; 2]) -> Vec<u8> {
         let mut bytes = written([1, 1], &[[0.5; 3]], &[]);
         // Width and height are behind the signature and the head of the first chunk, and before its checksum.
-        bytes[16..24].copy_from_slice(&[0, 0, 0xff, 0xff, 0, 0, 0xff, 0xff]);
+        bytes[16..24].copy_from_slice(size.map(u32::to_be_bytes).as_flattened());
         let checksum = crc32(&bytes[12..29]);
         bytes[29..33].copy_from_slice(&checksum.to_be_bytes());
-        assert!(matches!(read(&bytes), Err(Error::TooLarge { .. })));
+        bytes
     }
 
     fn crc32(bytes: &[u8]) -> u32 {

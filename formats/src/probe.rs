@@ -1,14 +1,15 @@
 //! What a file is, by its content.
 //!
-//! Names lie: `.bgeo` alone stands for three unrelated formats, any of them gzipped or not. So the
+//! Names lie: `.bgeo` alone stands for three unrelated formats, any of them packed or not. So the
 //! content decides, from the surest sign to the vaguest: a signature in the first bytes, then what
 //! a text starts with, then whether its lines look like a table. The name has a say only where the
 //! content has none.
 
 use std::fmt;
 
+use crate::atoms::looks_like_atoms;
 use crate::csv;
-use crate::gzip::{inflate_head, is_gzip};
+use crate::packing::{Packing, unpacked_name};
 use crate::text::{Lines, parse_number};
 
 /// What a file was recognised as.
@@ -38,10 +39,22 @@ pub enum Kind {
     GltfJson,
     /// Wavefront's mesh as text.
     Obj,
+    /// Triangles in binary STL.
+    Stl,
+    /// USD as text.
+    Usda,
     /// A table as text: CSV, tab- or space-separated.
     Delimited,
+    /// Tables of particles by LAMMPS, one for each time step.
+    LammpsDump,
+    /// Atoms as text, after their count and a comment; frames may follow each other.
+    XyzAtoms,
+    /// Positions as raw 32-bit reals.
+    RawXyz,
     /// One NumPy array.
     Npy,
+    /// NumPy arrays with names, in a ZIP archive.
+    Npz,
     /// A format that is recognised only to name it.
     Foreign(&'static str),
     /// No bytes at all.
@@ -74,8 +87,14 @@ impl Kind {
             Kind::Glb => "binary glTF",
             Kind::GltfJson => "glTF",
             Kind::Obj => "OBJ",
+            Kind::Stl => "STL",
+            Kind::Usda => "USD text",
             Kind::Delimited => "delimited text",
+            Kind::LammpsDump => "LAMMPS dump",
+            Kind::XyzAtoms => "XYZ atoms",
+            Kind::RawXyz => "raw XYZ",
             Kind::Npy => "NumPy array",
+            Kind::Npz => "NumPy archive",
             Kind::Foreign(name) => name,
             Kind::Empty => "empty file",
             Kind::UnknownText => "text of an unknown kind",
@@ -89,15 +108,21 @@ impl Kind {
 pub struct Probe {
     /// What it is, or what is packed in it.
     pub kind: Kind,
-    /// Whether it is packed with gzip.
-    pub gzipped: bool,
+    /// What it is packed in.
+    pub packing: Option<Packing>,
 }
 
 impl fmt::Display for Probe {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", self.kind, if self.gzipped { ", gzipped" } else { "" })
+        match self.packing {
+            Some(packing) => write!(f, "{}, {}", self.kind, packing.participle()),
+            None => self.kind.fmt(f),
+        }
     }
 }
+
+/// What LAMMPS writes by `write_data`.
+pub(crate) const LAMMPS_DATA: &str = "LAMMPS data";
 
 /// Bytes that are looked at.
 const HEAD_BYTES: usize = 8 << 10;
@@ -106,12 +131,17 @@ const HEAD_BYTES: usize = 8 << 10;
 /// either of two things. The file need not be whole: a few kilobytes are enough.
 pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     let name = file_name.to_ascii_lowercase();
-    if is_gzip(bytes) {
-        let head = inflate_head(bytes, HEAD_BYTES);
-        let kind = if is_gzip(&head) { Kind::Foreign("gzip within gzip") } else { kind_of(&head, &name) };
-        return Probe { kind, gzipped: true };
-    }
-    Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), gzipped: false }
+    let packing = Packing::of(bytes);
+    let Some(outer) = packing else {
+        return Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), packing };
+    };
+    let head = outer.unpack_head(bytes, HEAD_BYTES);
+    let kind = match (outer, Packing::of(&head)) {
+        (_, None) => kind_of(&head, unpacked_name(&name)),
+        (Packing::Gzip, Some(Packing::Gzip)) => Kind::Foreign("gzip within gzip"),
+        (_, Some(_)) => Kind::Foreign("a packed file that is packed again"),
+    };
+    Probe { kind, packing }
 }
 
 /// Whether a file is worth reading for its particles, told from its first bytes: for the listing of
@@ -119,7 +149,7 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 ///
 /// Formats of particles are told by [`probe()`], be they read or not. A text must be a table: a
 /// header that names a position and fits the row below it, or a row of three numbers or more. `head`
-/// should have 8 KiB, unless the file is shorter; it may be packed with gzip.
+/// should have 8 KiB, unless the file is shorter; it may be packed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     match probe(head, file_name).kind {
         Kind::Ply
@@ -130,13 +160,21 @@ pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
         | Kind::HoudiniSc
         | Kind::VtkLegacy
         | Kind::VtkXml
-        | Kind::Npy => true,
-        Kind::Delimited if is_gzip(head) => csv::looks_like_particles(&inflate_head(head, HEAD_BYTES)),
-        Kind::Delimited => csv::looks_like_particles(head),
+        | Kind::LammpsDump
+        | Kind::XyzAtoms
+        | Kind::RawXyz
+        | Kind::Npy
+        | Kind::Npz => true,
+        Kind::Delimited => match Packing::of(head) {
+            Some(packing) => csv::looks_like_particles(&packing.unpack_head(head, HEAD_BYTES)),
+            None => csv::looks_like_particles(head),
+        },
         Kind::OpenVdb
         | Kind::Glb
         | Kind::GltfJson
         | Kind::Obj
+        | Kind::Stl
+        | Kind::Usda
         | Kind::Foreign(_)
         | Kind::Empty
         | Kind::UnknownText
@@ -151,28 +189,51 @@ fn kind_of(head: &[u8], name: &str) -> Kind {
     if let Some(&(_, kind)) = SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
         return kind;
     }
+    if head.starts_with(b"PK\x03\x04") {
+        let is_npz = name.ends_with(".npz") || first_member(head).is_some_and(|name| name.ends_with(b".npy"));
+        return if is_npz { Kind::Npz } else { Kind::Foreign("ZIP archive") };
+    }
     if head.starts_with(b"ply") && head.get(3).is_some_and(u8::is_ascii_whitespace) {
         return Kind::Ply;
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     // Before the question whether this is text: VTK appends raw bytes to its XML.
-    if text.starts_with(b"<") && contains(text, b"<VTKFile") {
+    let is_named_vtk = || name.ends_with(".vtp") || name.ends_with(".vtu");
+    if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
+    {
         return Kind::VtkXml;
     }
     if !is_text(head) {
-        return Kind::Unknown;
+        // Nothing tells a binary STL file but its name, or this program's.
+        if name.ends_with(".stl") || head.starts_with(b"meniscus ") {
+            return Kind::Stl;
+        }
+        return if name.ends_with(".xyz") { Kind::RawXyz } else { Kind::Unknown };
     }
     match text.first() {
         Some(b'{' | b'[') => json_kind(text, name),
         Some(b'<') => Kind::Foreign("XML"),
+        _ if text.starts_with(b"solid") && name.ends_with(".stl") => {
+            Kind::Foreign("STL text: save it as binary STL")
+        }
+        _ if text.starts_with(b"ITEM:") => Kind::LammpsDump,
+        _ if looks_like_lammps_data(text) => Kind::Foreign(LAMMPS_DATA),
+        _ if looks_like_atoms(text) => Kind::XyzAtoms,
         _ if looks_like_obj(text, name) => Kind::Obj,
         _ if looks_like_table(text) || csv::looks_like_particles(text) => Kind::Delimited,
         _ => Kind::UnknownText,
     }
 }
 
+/// The name of the first member of a ZIP archive.
+fn first_member(head: &[u8]) -> Option<&[u8]> {
+    let length = u16::from_le_bytes(*head.get(26..)?.first_chunk()?);
+    head.get(30..)?.get(..length.into())
+}
+
 fn json_kind(text: &[u8], name: &str) -> Kind {
-    if contains(text, b"\"fileversion\"") || contains(text, b"\"pointcount\"") {
+    let is_named_geo = || name.ends_with(".geo") || name.ends_with(".bgeo");
+    if contains(text, b"\"fileversion\"") || contains(text, b"\"pointcount\"") || is_named_geo() {
         return Kind::HoudiniJsonText;
     }
     let gltf_keys: [&[u8]; 4] = [b"\"asset\"", b"\"accessors\"", b"\"bufferViews\"", b"\"meshes\""];
@@ -185,6 +246,26 @@ fn json_kind(text: &[u8], name: &str) -> Kind {
 /// Text holds no control characters but those that lay it out. Bytes above 127 may be any encoding.
 fn is_text(head: &[u8]) -> bool {
     head.iter().all(|&byte| byte >= b' ' || matches!(byte, b'\t' | b'\n' | b'\r' | 0x0b | 0x0c | 0x1a))
+}
+
+/// Whether a text has what stands above the sections of a file by `write_data`, in any order: so many atoms, and their
+/// types or a side of their box. Its first line may say anything.
+fn looks_like_lammps_data(text: &[u8]) -> bool {
+    let (mut has_count, mut has_more) = (false, false);
+    for line in Lines::new(text).skip(1) {
+        let line = line.split(|&byte| byte == b'#').next().unwrap_or_default();
+        if line.trim_ascii().is_empty() {
+            continue;
+        }
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        if words.next().and_then(parse_number::<f64>).is_none() {
+            break; // the first section
+        }
+        let names: Vec<&[u8]> = words.filter(|word| parse_number::<f64>(word).is_none()).collect();
+        has_count |= names == [b"atoms"];
+        has_more |= names == [&b"atom"[..], b"types"] || names == [b"xlo", b"xhi"];
+    }
+    has_count && has_more
 }
 
 /// Whether every line that says something starts with a word of the OBJ format, and one has a vertex.
@@ -250,14 +331,12 @@ const SIGNATURES: &[(&[u8], Kind)] = &[
     (b" BDV\0\0\0\0", Kind::OpenVdb),
     (b"glTF", Kind::Glb),
     (b"\x93NUMPY", Kind::Npy),
-    (b"PK\x03\x04", Kind::Foreign("ZIP archive, perhaps NumPy's .npz")),
     (b"\x89HDF\r\n\x1a\n", Kind::Foreign("HDF5")),
     (b"Ogawa", Kind::Foreign("Alembic")),
     (b"PXR-USDC", Kind::Foreign("USD")),
-    (b"#usda", Kind::Foreign("USD")),
+    (b"#usda", Kind::Usda),
     (b"NanoVDB", Kind::Foreign("NanoVDB")),
     (b"\xc0PRT\r\n\x1a\n", Kind::Foreign("Krakatoa PRT")),
-    (b"\x28\xb5\x2f\xfd", Kind::Foreign("Zstandard archive")),
     (b"\xfd7zXZ\0", Kind::Foreign("XZ archive")),
     (b"BZh", Kind::Foreign("bzip2 archive")),
     (b"\xff\xfe", Kind::Foreign("UTF-16 text: save it as UTF-8")),
@@ -299,15 +378,33 @@ mod tests {
             (b"# x y z\n0.5 2 3", "a.xyz", Kind::Delimited),
             (b"x y z radius\n", "a.txt", Kind::Delimited),
             (b"# made by hand\n# x y z\n", "a.xyz", Kind::Delimited),
-            (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::Delimited),
+            (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::LammpsDump),
+            (b"LAMMPS data file\n\n2 atoms\n0 1 xlo xhi\n\nAtoms\n\n", "a", Kind::Foreign(LAMMPS_DATA)),
+            (b"# by hand\n2 atoms\n1 atom types # He\n", "a.xyz", Kind::Foreign(LAMMPS_DATA)),
+            (b"box\n2 atoms\n0 1 2\n", "a.xyz", Kind::Delimited),
+            (b"2\nwater\nO 0 0 0\nH 1 0 0\n", "a.xyz", Kind::XyzAtoms),
+            (b"2\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::XyzAtoms),
+            (b"2\n\n8 0 0 0 5\n1 1 0 0 5\n2\n\n8 0 0 0 5\n1 1 0 0 5", "a.xyz", Kind::XyzAtoms),
+            (b"3\nwater\n8 0 0 0\n1 1 0", "a.xyz", Kind::XyzAtoms),
+            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Delimited), // another count
+            (b"2\nx y z r\n8 0 0 1\n1 1 0 1\n", "a.xyz", Kind::Delimited),
+            (b"2\nwater\n8 0 0\n1 1 0\n", "a.xyz", Kind::Delimited),
+            (b"2\nwater\n8 0 0 0\n1.5 1 0 0\n", "a.xyz", Kind::Delimited),
+            (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", Kind::Delimited),
+            (b"2\n\nH1 0 0 0 1 1", "a.txt", Kind::XyzAtoms),
+            (b"2\n1 2 3\n4 5 6\n", "a.xyz", Kind::Delimited),
             (b"Dear reader,\nthere is nothing here\n", "a", Kind::Delimited), // has a comma: told by the reader
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", Kind::UnknownText),
             (b"Dear reader\n", "a", Kind::UnknownText),
             (b"\x93NUMPY\x01\0", "a.npy", Kind::Npy),
-            (b"PK\x03\x04", "a.npz", Kind::Foreign("ZIP archive, perhaps NumPy's .npz")),
-            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", Kind::Unknown),
+            (b"PK\x03\x04", "a.npz", Kind::Npz),
+            (b"PK\x03\x04", "a.zip", Kind::Foreign("ZIP archive")),
+            (b"PK\x03\x04\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0a.npy", "a", Kind::Npz),
+            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", Kind::RawXyz),
+            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.bin", Kind::Unknown),
             (b"\xff", "a", Kind::UnknownText),
             (b"\x1f\x8b", "a.bgeo", Kind::Empty),
+            (b"\x28\xb5\x2f\xfd", "a.bgeo", Kind::Empty),
         ];
         for (bytes, name, kind) in table {
             let found = probe(bytes, name);
@@ -327,6 +424,7 @@ mod tests {
             (b"# x y z\nprint(1)\n", "sim.py", false),
             (b"{\"x\": [1, 2, 3]}", "settings.json", false),
             (b"v 1 2 3\nv 4 5 6\n", "mesh.obj", false),
+            (b"by hand\n2 atoms\n1 atom types\n\nAtoms\n\n1 1 0.5 0.5 0.5\n", "a.data", false),
             (b"", "empty.csv", false),
             (b"x,y,z\n", "a.csv", true),
             (b"# x y z", "a.xyz", true),
@@ -335,6 +433,7 @@ mod tests {
             (b"1 2 3\n", "a", true),
             (b"1\t2\t3", "a.log", true),
             (b"ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0.5 0.5 0.5\n", "a.dump", true),
+            (b"1\nhelium\nHe 0.5 0.5 0.5\n", "a.xyz", true),
             (b"ply\nformat ascii 1.0\n", "a.ply", true),
         ];
         for (bytes, name, expected) in table {

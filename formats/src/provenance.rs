@@ -7,6 +7,9 @@
 //!   .glb .gltf    asset.extras             {"meniscus": {"radius": "0.025"}}
 //!   .obj          comment                  # meniscus_radius: 0.025
 //!   .ply          comment                  comment meniscus_radius: 0.025
+//!   .vtp          a string of the field data  meniscus_radius: 48 46 48 50 53 0
+//!   .stl          title                i=9f3c…, and what else fits into 80 bytes
+//!   .usda         customLayerData      dictionary meniscus = { string radius = "0.025" }
 //!   .png          text                     meniscus_radius\0 0.025
 //!   .exr          attribute of the file    meniscus = "meniscus_radius: 0.025 …"
 //! ```
@@ -19,7 +22,7 @@ use std::io::Read;
 use crate::data::Provenance;
 use crate::error::Result;
 use crate::vdb::MetaValue;
-use crate::{exr, gltf, png, vdb};
+use crate::{exr, gltf, png, stl, usda, vdb, vtk};
 
 /// The program and its version, for the place where formats name their maker.
 pub(crate) const GENERATOR: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
@@ -41,6 +44,12 @@ pub enum Kind {
     Obj,
     /// `.ply`.
     Ply,
+    /// VTK's PolyData, `.vtp`.
+    Vtp,
+    /// Binary `.stl`.
+    Stl,
+    /// USD as text, `.usda`.
+    Usda,
     /// OpenVDB, `.vdb`.
     Vdb,
     /// `.png`.
@@ -63,6 +72,9 @@ pub fn read_provenance(kind: Kind, file: impl Read) -> Result<Vec<(String, Strin
         Kind::Gltf => gltf::read_provenance(&head),
         Kind::Obj => Ok(from_comments(&head, "# ")),
         Kind::Ply => Ok(from_comments(&head, "comment ")),
+        Kind::Vtp => Ok(from_strings(vtk::field_strings(&head)?)),
+        Kind::Stl => stl::read_provenance(&head),
+        Kind::Usda => usda::read_provenance(&head),
         Kind::Vdb => Ok(from_metadata(vdb::first_grid_metadata(&head)?)),
         Kind::Png => Ok(from_entries(png::texts(&head)?)),
         Kind::Exr => Ok(from_comments(&exr::provenance_text(&head)?, "")),
@@ -102,6 +114,12 @@ fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours =
         |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), unescape(&value)?));
     entries.into_iter().filter_map(ours).collect()
+}
+
+/// Those of our own among names and values.
+fn from_strings(strings: Vec<(String, String)>) -> Vec<(String, String)> {
+    let ours = |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), value));
+    strings.into_iter().filter_map(ours).collect()
 }
 
 fn from_metadata(metadata: Vec<(String, MetaValue)>) -> Vec<(String, String)> {

@@ -8,6 +8,9 @@
 //!   .gltf   the document parses to its end
 //!   .obj    the last line is the writer's own     # end: 642 vertices, 1280 triangles
 //!   .ply    the header says what follows; faces are triangles
+//!   .vtp    the data and the document are closed as the writer closes them
+//!   .stl    the head says how many triangles follow
+//!   .usda   the last line is the writer's own     # end: 642 vertices, 1280 faces
 //!   .vdb    each grid's descriptor says where it ends, and where the next one is
 //!   .png    the last chunk says that it is the last
 //!   .exr    the last block says how long it is
@@ -23,7 +26,7 @@ use serde::de::IgnoredAny;
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::provenance::{HEAD_BYTES_MAX, Kind};
-use crate::{exr, gltf, obj, ply, png, vdb};
+use crate::{exr, gltf, obj, ply, png, stl, usda, vdb, vtk};
 
 /// Whether a file that a writer of this crate made has neither lost its end nor grown. Other
 /// programs' files may well be whole and not be told so.
@@ -36,6 +39,9 @@ pub fn is_whole(kind: Kind, file: &mut (impl Read + Seek)) -> Result<bool> {
     let expected_bytes = match kind {
         Kind::Gltf => return is_whole_json(file),
         Kind::Obj => return Ok(obj::ends_as_written(&tail(file, file_bytes)?)),
+        Kind::Vtp => return Ok(vtk::ends_as_written(&tail(file, file_bytes)?)),
+        Kind::Usda => return Ok(usda::ends_as_written(&tail(file, file_bytes)?)),
+        Kind::Stl => stl::bytes_claimed(&head(file)?),
         Kind::Png => return Ok(png::ends_as_written(&tail(file, file_bytes)?)),
         Kind::Exr => exr::bytes_claimed(&head(file)?, |start| piece(file, start, exr::BLOCK_HEAD_BYTES))?,
         Kind::Glb => gltf::glb_bytes_claimed(&head(file)?)?,

@@ -145,6 +145,37 @@ fn precision_follows_what_was_written() {
 }
 
 #[test]
+fn integers_are_exact_or_told_to_be_rounded() {
+    let read = |ids: &[&str]| {
+        let rows: String = ids.iter().map(|id| format!("0,0,0,{id}\n")).collect();
+        let text = format!("x,y,z,id\n{rows}");
+        let mut frame = csv::read(text.as_bytes(), &Limits::default()).expect("a table");
+        (frame.attributes.remove(0).values, frame.notes)
+    };
+    let all = [i64::MIN, i64::MIN + 1, -1, i64::MAX - 1, i64::MAX];
+    let (values, notes) = read(&all.map(|id| id.to_string()).each_ref().map(String::as_str));
+    assert_eq!((values, notes), (Values::I64(all.into()), vec![]));
+    let told = ["Integers of \"id\" were rounded: some do not fit in 64 bits, so all became 64-bit reals."];
+    let power = 2f64.powi(63);
+    for (ids, expected) in [
+        (["9223372036854775807", "9223372036854775809"], [power, power]),
+        (["9223372036854775808", "9223372036854777857"], [power, power + 2048.0]),
+        (["-9223372036854775809", "+18446744073709551615"], [-power, 2.0 * power]),
+        (["9007199254740993", "0.5"], [9_007_199_254_740_992.0, 0.5]),
+        (["", "\"9007199254740993\""], [f64::NAN, 9_007_199_254_740_992.0]),
+        (["1", "100000000000000000000000000000000000000001"], [1.0, 1e41]),
+    ] {
+        let (values, notes) = read(&ids);
+        assert_eq!(format!("{values:?}"), format!("{:?}", Values::F64(expected.into())), "{ids:?}");
+        assert_eq!(notes, told, "{ids:?}");
+    }
+    // What reals can stand for is none that was rounded.
+    for ids in [["9007199254740992", "0.5"], ["36893488147419103232", "1"], ["0", "12345678901234567.5"]] {
+        assert_eq!(read(&ids).1, [""; 0], "{ids:?}");
+    }
+}
+
+#[test]
 #[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
 fn files_of_real_producers_are_read() {
     let root = std::env::var_os("MENISCUS_SHARED")

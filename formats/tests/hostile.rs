@@ -6,13 +6,15 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "sizes and small random numbers")]
 
+mod fixtures;
+
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
     Attribute, BandGrid, LeafValues, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, Result,
-    Role, Values, bgeo, csv, gltf, obj, ply, read_obstacle, read_particles, vdb,
+    Role, Values, bgeo, csv, gltf, lammps, obj, ply, read_obstacle, read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -89,12 +91,95 @@ fn damaged_files_of_any_kind_are_survived() {
     }
     for (name, bytes) in corpus(&["taichi", "plyfile_ascii", "vtkDelimited"]) {
         sweep(&name, &gzipped(&bytes), |bytes| read_particles(bytes, &name, &Limits::default()));
+        sweep(&name, &zstd_packed(&bytes), |bytes| read_particles(bytes, &name, &Limits::default()));
     }
+}
+
+#[test]
+fn damaged_files_of_other_formats_are_survived() {
+    let _alone = alone();
+    for (name, bytes) in fixtures::all() {
+        sweep(&name, &bytes, |bytes| read_particles(bytes, &name, &Limits::default()));
+    }
+}
+
+/// Files of some megabytes in which a few bytes ask for as much memory or time as they can: for each, what it is and the
+/// words that it is refused with.
+fn worst_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
+    let bytes_of =
+        |numbers: &[u64]| numbers.iter().flat_map(|number| number.to_le_bytes()).collect::<Vec<u8>>();
+    let zeros = fixtures::zlib_packed(&vec![0; 128 << 20]);
+    let last_block = [
+        b"<VTKFile type=\"PolyData\" header_type=\"UInt64\" compressor=\"vtkZLibDataCompressor\"><PolyData><Piece \
+          NumberOfPoints=\"1\"><Points><DataArray type=\"UInt8\" NumberOfComponents=\"3\" format=\"appended\" offset=\"0\"/>\
+          </Points></Piece></PolyData><AppendedData encoding=\"raw\">_",
+        &bytes_of(&[1, 1, 1 << 40, zeros.len() as u64])[..],
+        &zeros,
+        b"</AppendedData></VTKFile>",
+    ];
+    let columns = |fortran| fixtures::array(1, "'|u1'", fortran, "(1, 8388608)", &vec![0; 8 << 20]);
+    let legacy = "# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS 0 float\n";
+    let geometry = |points: u32, attributes: &[u8]| {
+        let mut bytes = b"\x7fNSJb[\x27\x0apointcount\x14".to_vec();
+        bytes.extend(u64::from(points).to_le_bytes());
+        bytes.extend(b"\x27\x0aattributes[\x27\x0fpointattributes[");
+        [&bytes, attributes, b"]]]"].concat()
+    };
+    let one_piece = |code: u8, count: u32, payload: Vec<u8>| {
+        [&[0x40, code, 0xf4][..], &count.to_le_bytes(), &payload].concat()
+    };
+    let position = b"[[\x27\x04type\x27\x07numeric\x27\x04name\x27\x01P][\x27\x06values[\x27\x04size\x11\x03\
+                     \x27\x07storage\x27\x08fpreal64";
+    let narrow = one_piece(0x11, 24 << 20, vec![1; 24 << 20]);
+    let narrow = [&position[..], b"\x27\x0brawpagedata", &narrow, b"]]]"].concat();
+    let flags = one_piece(0x10, 32 << 20, vec![0; 4 << 20]);
+    let flags =
+        [&position[..], b"\x27\x08pagesize\x11\x01\x27\x11constantpageflags[", &flags.repeat(7), b"]]]]"]
+            .concat();
+    let word = [&b"\x2b\x00\xf4"[..], &(1u32 << 20).to_le_bytes(), &vec![b'a'; 1 << 20]].concat();
+    let texts = b"[[\x27\x04type\x27\x06string\x27\x04name\x27\x01s][\x27\x07strings";
+    let texts = [&word, &texts[..], &one_piece(0x26, 1 << 16, vec![0; 1 << 16]), b"]]"].concat();
+    vec![
+        ("a last block of VTK", last_block.concat(), "the last block has"),
+        ("columns of NumPy", columns(false), "more than the limit of 4096"),
+        ("columns of Fortran", columns(true), "more than the limit of 4096"),
+        (
+            "notes of VTK",
+            [legacy, "POINT_DATA 0\nFIELD f 2000000\n", &"a 1 1 int\n1\n".repeat(2_000_000)].concat().into(),
+            "more arrays than",
+        ),
+        ("notes of Houdini", geometry(1, &b"[[]\x00]".repeat(6 << 20)), "more attributes than"),
+        ("narrow numbers of Houdini", geometry(8 << 20, &narrow), "arrays that become more than"),
+        ("flags of Houdini", geometry(u32::MAX, &flags), "arrays that become more than"),
+        ("words of Houdini", geometry(1, &texts), "texts of"),
+    ]
+}
+
+#[test]
+fn the_worst_files_are_refused_in_little_memory() {
+    let _alone = alone();
+    for (name, bytes, words) in worst_files() {
+        let read = |bytes: &[u8]| read_particles(bytes, "worst", &Limits::default());
+        check_within(name, &bytes, 4 * bytes.len() + ALLOWED_BYTES, &read);
+        let error = read(&bytes).expect_err(name).to_string();
+        assert!(error.contains(words), "{name}: expected `{words}` in: {error}");
+    }
+}
+
+/// Whether anything follows a step is not asked of all blanks at the end, again for each step.
+#[test]
+fn blanks_behind_many_steps_are_looked_at_once() {
+    let _alone = alone();
+    let steps = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS x y z\n".repeat(100_000);
+    let text = steps + &" ".repeat(8 << 20);
+    let count =
+        |bytes: &[u8]| lammps::steps(bytes, &Limits::default()).map(|steps| assert_eq!(steps.len(), 100_000));
+    check("blank.dump", text.as_bytes(), &count);
 }
 
 /// A bomb is refused while it is small, whatever it says that it is.
 #[test]
-fn gzip_bombs_are_refused() {
+fn bombs_are_refused() {
     let _alone = alone();
     let starts: [&[u8]; 4] = [
         b"",
@@ -108,6 +193,9 @@ fn gzip_bombs_are_refused() {
         let limits = Limits::default();
         check("bomb", &bomb, &|bytes| read_particles(bytes, "bomb.gz", &limits));
         assert!(read_particles(&bomb, "bomb.gz", &limits).is_err(), "{:?}", shown(start));
+        let bomb = zstd_packed(&[start, &vec![filling; 100 << 20]].concat());
+        check("bomb", &bomb, &|bytes| read_particles(bytes, "bomb.zst", &limits));
+        assert!(read_particles(&bomb, "bomb.zst", &limits).is_err(), "{:?}", shown(start));
     }
 }
 
@@ -291,13 +379,17 @@ fn sweep<T>(name: &str, bytes: &[u8], read: impl Fn(&[u8]) -> Result<T>) {
 
 /// Reads once, and fails on a panic or on too much memory.
 fn check<T>(name: &str, bytes: &[u8], read: &impl Fn(&[u8]) -> Result<T>) {
+    check_within(name, bytes, bytes.len() + ALLOWED_BYTES, read);
+}
+
+fn check_within<T>(name: &str, bytes: &[u8], allowed_bytes: usize, read: &impl Fn(&[u8]) -> Result<T>) {
     let before = MEMORY.current_usage();
     MEMORY.reset_peak_usage();
     let outcome = catch_unwind(AssertUnwindSafe(|| read(bytes)));
     let held = MEMORY.peak_usage().saturating_sub(before);
     let length = bytes.len();
     assert!(outcome.is_ok(), "{name}: panicked on {length} bytes: {:?}", shown(bytes));
-    assert!(held <= length + ALLOWED_BYTES, "{name}: held {held} for {length} bytes: {:?}", shown(bytes));
+    assert!(held <= allowed_bytes, "{name}: held {held} for {length} bytes: {:?}", shown(bytes));
 }
 
 /// The start of a file, to find the case again.
@@ -310,6 +402,10 @@ fn gzipped(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
     encoder.write_all(bytes).unwrap();
     encoder.finish().unwrap()
+}
+
+fn zstd_packed(bytes: &[u8]) -> Vec<u8> {
+    ruzstd::encoding::compress_to_vec(bytes, ruzstd::encoding::CompressionLevel::Fastest)
 }
 
 /// A small generator, the same on every machine.

@@ -306,7 +306,9 @@ fn what_does_not_come_through_is_told() {
     assert_eq!(
         ply::attribute_notes(&attributes),
         [
-            format!("{VERTEX_COUNT} values of huge are beyond ±2⁵³, and rounded in the .ply"),
+            format!(
+                "{VERTEX_COUNT} values of huge are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are"
+            ),
             format!("{cut} values of Cd are beyond 0 to 1, and cut to it in the .ply"),
             "long is not in the .ply: its strings are too long for a header".to_string(),
         ]

@@ -61,6 +61,22 @@ impl Certificate {
             && self.particles_outside == 0
             && self.mesh_is_closed_manifold
     }
+
+    /// What of it does not hold, in words; nothing where all does.
+    pub fn fault(&self) -> String {
+        let counts = [
+            (self.bound_violation_count, "voxels out of bounds"),
+            (self.vertices_inside_min, "vertices too near to particles"),
+            (self.vertices_outside_max, "vertices too far from particles"),
+            (self.particles_outside, "particles outside"),
+        ];
+        let counts = counts.into_iter().filter(|&(count, _)| count > 0);
+        let mut faults: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
+        if !self.mesh_is_closed_manifold {
+            faults.push("the mesh is not closed".to_owned());
+        }
+        faults.join(", ")
+    }
 }
 
 /// What is not asked of a result: it was taken away on purpose.

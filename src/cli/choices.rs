@@ -5,14 +5,15 @@ use std::path::PathBuf;
 use anyhow::{Result, bail};
 use meniscus_formats::{gltf, vdb};
 
-use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
-use crate::settings::{AnisotropyKind, Choices, Contouring, Integrator, Preset};
+use crate::pipeline::{ObstacleFiles, OutputFormat, OutputOptions, PictureOptions};
+use crate::settings::{AnisotropyKind, Choices, Contouring, Integrator, Preset, Settings};
 
 use super::args::{
     AnisotropyChoice, CompressionChoice, ContourChoice, FirstArgs, Format, FormatArgs, IntegratorChoice,
     MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, PreviewChoice, SolverArgs, SurfaceArgs,
     UpChoice,
 };
+use super::console::Console;
 
 /// The choices of the method.
 pub(super) fn choices(args: &MethodArgs) -> Choices {
@@ -97,6 +98,43 @@ fn contouring_of(contour: ContourChoice) -> Contouring {
     }
 }
 
+/// Tells of options that change nothing. One may be wrong and without effect: that it is wrong is told, and later.
+pub(super) fn warn_of_ignored(
+    method: &MethodArgs,
+    formats: Option<&[Format]>,
+    format_args: &FormatArgs,
+    console: &Console,
+) {
+    let choices = choices(method);
+    let is_sound = match method.first.voxel_size {
+        Some(voxel_size) => Settings::resolve(voxel_size, &choices).is_ok(),
+        None => Settings::check(&choices).is_ok(),
+    };
+    if is_sound {
+        for warning in ignored(method, &written_formats(formats, format_args), format_args) {
+            console.warn(format_args!("warning: {warning}"));
+        }
+    }
+}
+
+/// The obstacles that were named.
+///
+/// # Errors
+/// When there is no such file.
+pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
+    let obstacles = ObstacleFiles::new(method.obstacles.obstacle.clone());
+    if let Some(missing) = obstacles.missing() {
+        let missing_name = missing.display();
+        match missing.is_dir() {
+            true => bail!(
+                "{missing_name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj"
+            ),
+            false => bail!("{missing_name}: there is no such obstacle"),
+        }
+    }
+    Ok(obstacles)
+}
+
 /// What was typed and changes nothing, a sentence each.
 pub(super) fn ignored(args: &MethodArgs, written: &[OutputFormat], format_args: &FormatArgs) -> Vec<String> {
     let ignored = without_use(args).into_iter();
@@ -147,15 +185,15 @@ fn without_file(
     let MeshArgs { contour, decimate, smooth_normals, quads } = &args.mesh;
     let has = |format| written.contains(&format);
     let has_mesh = written.iter().any(|format| format.is_mesh());
-    let has_gltf = has(OutputFormat::Glb) || has(OutputFormat::Gltf);
-    let (obj, vdb) = (has(OutputFormat::Obj), has(OutputFormat::Vdb));
+    let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].into_iter().any(has);
+    let (has_quads, vdb) = (written.iter().any(|format| format.has_quads()), has(OutputFormat::Vdb));
     let has_picture = written.iter().any(|format| format.picture().is_some());
     let cases = [
         ("--contour", contour.is_some(), has_mesh, "meshes"),
         ("--decimate", decimate.is_some(), has_mesh, "meshes"),
         ("--smooth-normals", smooth_normals.is_some(), has_mesh, "meshes"),
-        ("--quads", *quads, obj, ".obj"),
-        ("--up", format_args.up.is_some(), has_gltf || has_picture, ".glb, .gltf and pictures"),
+        ("--quads", *quads, has_quads, ".obj, .vtp and .usda"),
+        ("--up", format_args.up.is_some(), has_up || has_picture, ".glb, .gltf, .usda and pictures"),
         ("--preview-size", format_args.preview_size.is_some(), has_picture, "--preview"),
         ("--camera", format_args.camera.is_some(), has_picture, "--preview"),
         ("--vdb-half", format_args.vdb_half, vdb, ".vdb"),
@@ -183,6 +221,17 @@ pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Resu
     Ok(())
 }
 
+/// Refuses to quantize where no .glb is written: whoever asks for it counts on small files.
+///
+/// # Errors
+/// What to do instead.
+pub(super) fn refuse_idle_quantize(formats: Option<&[Format]>, args: &FormatArgs) -> Result<()> {
+    if args.quantize && !written_formats(formats, args).contains(&OutputFormat::Glb) {
+        bail!("--quantize is for .glb only, and none is written: leave it out, or add glb to --format");
+    }
+    Ok(())
+}
+
 /// What is written, to `folder`: .glb and .vdb by default.
 pub(super) fn output_options(
     folder: PathBuf,
@@ -196,6 +245,7 @@ pub(super) fn output_options(
             UpChoice::Y => gltf::UpAxis::Y,
             UpChoice::Z => gltf::UpAxis::Z,
         },
+        quantize: args.quantize,
         vdb_half: args.vdb_half,
         vdb_compression: match args.vdb_compression.unwrap_or(CompressionChoice::Blosc) {
             CompressionChoice::None => vdb::Compression::None,
@@ -234,6 +284,9 @@ fn distinct(formats: Option<&[Format]>) -> Vec<OutputFormat> {
             Format::Vdb => OutputFormat::Vdb,
             Format::Obj => OutputFormat::Obj,
             Format::Ply => OutputFormat::Ply,
+            Format::Vtp => OutputFormat::Vtp,
+            Format::Stl => OutputFormat::Stl,
+            Format::Usda => OutputFormat::Usda,
         };
         if !distinct.contains(&format) {
             distinct.push(format);

@@ -1,7 +1,7 @@
 //! Which frames of a sequence: `1-240x2`, `1-10,20,30-40x5`.
 
 use crate::pipeline::FrameFile;
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::fmt;
 use std::str::FromStr;
 
@@ -48,6 +48,31 @@ impl fmt::Display for SelectionError {
 }
 
 impl std::error::Error for SelectionError {}
+
+/// The numbers that are missing between the first and the last of these, and how many; `None` where none are, or where the
+/// numbers are not evenly apart for the most part.
+pub(super) fn gaps(numbers: impl IntoIterator<Item = u64>) -> Option<(String, u64)> {
+    let numbers: Vec<u64> = BTreeSet::from_iter(numbers).into_iter().collect();
+    let pairs = || numbers.windows(2).map(|pair| (pair[0], pair[1]));
+    let step = pairs().map(|(low, high)| high - low).min()?;
+    let even_count = pairs().filter(|(low, high)| high - low == step).count();
+    // Steps of a simulation may be of any length; frames of a sequence are one apart.
+    let is_even = 2 * even_count + usize::from(step == 1) >= numbers.len();
+    if !is_even || !pairs().all(|(low, high)| (high - low).is_multiple_of(step)) {
+        return None;
+    }
+    let gaps: Vec<StepRange> = pairs()
+        .filter(|(low, high)| high - low > step)
+        .map(|(low, high)| StepRange { first: low + step, last: high - step, step })
+        .collect();
+    let count = gaps.iter().map(|gap| (gap.last - gap.first) / step + 1).sum();
+    let mut named: Vec<String> = gaps.iter().take(GAPS_NAMED).map(StepRange::to_string).collect();
+    named.extend((gaps.len() > GAPS_NAMED).then(|| "..".to_owned()));
+    (count > 0).then(|| (named.join(","), count))
+}
+
+/// More gaps are not named.
+const GAPS_NAMED: usize = 8;
 
 /// Ranges of more numbers are not searched for missing ones: `0-999999999` means "all there are".
 const SEARCHED_MAX: u64 = 100_000;
@@ -153,6 +178,25 @@ mod tests {
             let error = text.parse::<FrameSelection>().expect_err(text).to_string();
             assert!(error.starts_with(&format!("`{item}` is no selection")), "{error}");
             assert!(error.contains("1-240x2"), "{error}");
+        }
+    }
+
+    #[test]
+    fn gaps_are_told_where_numbers_are_even() {
+        for (numbers, expected) in [
+            (&[][..], None),
+            (&[7], None),
+            (&[1, 900], None),
+            (&[1, 2, 3, 6, 7], Some(("4-5", 2))),
+            (&[1, 2, 4], Some(("3", 1))),
+            (&[0, 100, 300], None),
+            (&[0, 100, 200, 400], Some(("300", 1))),
+            (&[0, 10, 20, 60, 70, 90], Some(("30-50x10,80", 4))),
+            (&[0, 7, 20, 21, 50], None),
+            (&[1, 2, 3, 3, 2, 1], None),
+        ] {
+            let expected = expected.map(|(gaps, count)| (gaps.to_owned(), count));
+            assert_eq!(gaps(numbers.iter().copied()), expected, "{numbers:?}");
         }
     }
 }

@@ -7,20 +7,27 @@
 //!   dam.%04d.bgeo      the same
 //!   dam.{}.bgeo        a number of any width       dam.7.bgeo
 //!   shots/*/dam*.ply   anything else with * ? []   what matches
+//!   dump.lammpstrj     a file with several steps   each of them
+//!   dump.lammpstrj/step=1000   one of its steps    that step
 //! ```
 //!
 //! What exists is taken by its name, so that odd characters in names never get in the way.
 
 use std::collections::HashSet;
+use std::ffi::OsString;
 use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
-use glob::MatchOptions;
-use meniscus_formats::looks_like_particles;
+use glob::{MatchOptions, Pattern};
+use meniscus_formats::packing::read_head;
+use meniscus_formats::{Error, looks_like_particles};
 
-use crate::pipeline::{FrameFile, NumberPattern, files_in, has_particle_extension, is_own_output};
+use crate::pipeline::{
+    FrameFile, NumberPattern, files_in, frames_in, is_level_set, is_own_output, promises_particles,
+    size_bytes, step_of,
+};
 
 /// The files that were meant.
 #[derive(Debug, Default)]
@@ -47,13 +54,40 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
             found.add_folder(input)?;
         } else if input.symlink_metadata().is_ok() {
             found.files.push(FrameFile::new(input.clone()));
+        } else if step_of(input).is_some_and(|(file, _)| file.is_file()) {
+            size_bytes(input).map_err(|error| anyhow!("{}: {error}", input.display()))?;
+            found.files.push(FrameFile::new(input.clone()));
         } else {
             found.add_pattern(input)?;
         }
     }
+    let (frames, refused): (Vec<_>, Vec<_>) = found.files.into_iter().map(frames_of).partition(Result::is_ok);
+    found.files = frames.into_iter().flatten().flatten().collect();
+    for error in refused.into_iter().filter_map(Result::err) {
+        // Others are not lost for it.
+        if found.files.is_empty() {
+            return Err(error);
+        }
+        found.warnings.push(format!("{error}: left out"));
+    }
     let mut seen = HashSet::new();
     found.files.retain(|file| seen.insert(entry(&file.path)));
     Ok(found)
+}
+
+/// The steps of a file that has several; else the file. One that cannot be looked through is read later, which says why.
+///
+/// # Errors
+/// When it is beyond a limit, such as that of steps: as one frame it would be read whole for nothing.
+fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>> {
+    if step_of(&file.path).is_some() {
+        return Ok(vec![file]);
+    }
+    match frames_in(&file.path) {
+        Ok(frames) if frames.len() > 1 => Ok(frames.into_iter().map(FrameFile::new).collect()),
+        Err(error @ Error::TooLarge { .. }) => bail!("{}: {error}", file.path.display()),
+        _ => Ok(vec![file]),
+    }
 }
 
 impl Found {
@@ -69,6 +103,7 @@ impl Found {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
         let count_before = self.files.len();
         let file_count = files.len();
+        let has_level_set = files.iter().any(|path| is_level_set(path));
         for path in files {
             match is_frame(&path) {
                 Ok(true) => self.files.push(FrameFile::new(path)),
@@ -77,7 +112,11 @@ impl Found {
             }
         }
         if self.files.len() == count_before {
-            bail!("{}: no frames of particles among the {file_count} files of this folder", folder.display());
+            let hint = if has_level_set { ": level sets are given by name, or by a pattern" } else { "" };
+            bail!(
+                "{}: no frames of particles among the {file_count} files of this folder{hint}",
+                folder.display()
+            );
         }
         Ok(())
     }
@@ -104,7 +143,8 @@ impl Found {
             bail!("{pattern}: no such file or folder");
         }
         if self.files.len() == count_before {
-            bail!("{pattern}: no file matches");
+            let why = self.warnings.pop().map_or(String::new(), |why| format!("; {why}"));
+            bail!("{pattern}: no file matches{why}");
         }
         Ok(())
     }
@@ -134,6 +174,9 @@ impl Found {
 
     /// What matches a glob. A folder that cannot be looked into costs itself only.
     fn matching(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
+        if pattern.split('/').any(|part| part == "**") {
+            return self.matching_below(pattern);
+        }
         let paths = glob::glob_with(pattern, GLOB_OPTIONS).with_context(|| pattern.to_owned())?;
         let warnings = &mut self.warnings;
         let found = paths.filter_map(|path| {
@@ -141,6 +184,56 @@ impl Found {
         });
         Ok(found.collect())
     }
+
+    /// The same of one with `**`, which stands for folders within folders: each is looked into once, under its own name
+    /// rather than that of a link, for links may lead in circles.
+    fn matching_below(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
+        let glob = Pattern::new(pattern).with_context(|| pattern.to_owned())?;
+        let matches = |path: &Path| glob.matches_with(&path.to_string_lossy(), GLOB_OPTIONS);
+        let literal = &pattern[..pattern.find(['*', '?', '[']).unwrap_or(pattern.len())];
+        let base = Path::new(&literal[..literal.rfind('/').map_or(0, |slash| slash + 1)]);
+        let (mut pending, mut linked) = (vec![base.to_owned()], Vec::new());
+        let (mut found, mut seen) = (Vec::new(), HashSet::new());
+        found.extend(matches(base).then(|| base.to_owned()));
+        while let Some(folder) = pending.pop().or_else(|| linked.pop()) {
+            let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
+            let entries = shown.canonicalize().and_then(|true_name| match seen.insert(true_name) {
+                true => entries_of(shown, pattern.contains("/.")),
+                false => Ok(Vec::new()),
+            });
+            let entries = entries.unwrap_or_else(|error| {
+                // What is not there has nothing in it.
+                if error.kind() != io::ErrorKind::NotFound {
+                    self.warnings.push(cannot_read(shown, &error));
+                }
+                Vec::new()
+            });
+            for (name, is_link) in entries {
+                let path = folder.join(name);
+                found.extend(matches(&path).then(|| path.clone()));
+                match is_link {
+                    _ if !path.is_dir() => {}
+                    true => linked.push(path),
+                    false => pending.push(path),
+                }
+            }
+        }
+        found.sort();
+        Ok(found)
+    }
+}
+
+/// The names in a folder, and which are links.
+fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, bool)>> {
+    let mut entries = Vec::new();
+    for entry in folder.read_dir()? {
+        let entry = entry?;
+        let name = entry.file_name();
+        if with_hidden || !name.as_encoded_bytes().starts_with(b".") {
+            entries.push((name, entry.file_type()?.is_symlink()));
+        }
+    }
+    Ok(entries)
 }
 
 fn cannot_read(path: &Path, error: &io::Error) -> String {
@@ -154,22 +247,13 @@ fn cannot_read(path: &Path, error: &io::Error) -> String {
 /// When only the content can tell, and it cannot be read.
 fn is_frame(path: &Path) -> io::Result<bool> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let promises = has_particle_extension(&name) && !has_plain_text_extension(&name);
     // A folder may hold the results of an earlier run beside the frames, and a .ply may be either.
-    Ok((promises || head_is_of_particles(path, &name)?) && !is_own_output(path))
+    Ok((promises_particles(&name) || head_is_of_particles(path, &name)?) && !is_own_output(path))
 }
 
 fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
-    let mut head = Vec::new();
-    File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
+    let head = read_head(File::open(path)?, HEAD_BYTES)?;
     Ok(looks_like_particles(&head, name))
-}
-
-/// Names that readme files and logs have, too.
-fn has_plain_text_extension(name: &str) -> bool {
-    let name = name.to_ascii_lowercase();
-    let name = name.strip_suffix(".gz").unwrap_or(&name);
-    [".txt", ".dat", ".asc"].iter().any(|extension| name.ends_with(extension))
 }
 
 /// What two ways of writing the same name have in common.

@@ -15,13 +15,23 @@ mod frame_selection;
 mod info;
 mod inputs;
 mod interrupt;
+mod manual;
 mod out_folder;
+mod particles_only;
+mod plan;
 mod print_settings;
 mod quantities;
 mod render;
+mod resolving;
+mod resurfacing;
+mod run;
+mod selecting;
+mod sequence;
 mod sheets;
 mod status;
 mod studio;
+mod tally;
+mod verify;
 mod watch;
 mod why;
 mod wording;
@@ -47,6 +57,15 @@ enum Verdict {
     NothingDone,
 }
 
+/// Whether a configuration file with this text would be understood; nothing of it is done.
+///
+/// # Errors
+/// What is wrong with it, and on which line.
+#[doc(hidden)]
+pub fn check_config(text: &str) -> anyhow::Result<()> {
+    config_file::check(text)
+}
+
 /// Runs the command in `arguments`, the program's name first. The exit status is 0 when all was
 /// done, 1 when some of it failed, 2 when nothing was done or the command makes no sense.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ExitCode {
@@ -61,6 +80,9 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
     let mut console = Console::new();
     let verdict = match typed.command {
         Command::Convert(args) => convert::convert(&args, &mut console),
+        Command::Plan(args) => plan::plan(&args, &mut console),
+        Command::Verify(args) => verify::verify(&args, &mut console),
+        Command::Sequence(args) => sequence::sequence(&args, &mut console),
         Command::Render(args) => render::render(&args, &mut console),
         Command::ContactSheet(args) => sheets::contact_sheet(&args, &mut console),
         Command::Tune(args) => sheets::tune(&args, &mut console),
@@ -68,10 +90,12 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
         Command::Watch(args) => watch::watch(&args),
         Command::Status(args) => status::status(&args, &mut console),
         Command::Why(args) => why::why(&args, &mut console),
+        Command::Completions(args) => manual::completions(&args, &mut console),
+        Command::Man(args) => manual::man(&args),
     };
     let verdict = verdict.unwrap_or_else(|error| {
         console.hide_bar();
-        console.warn(format_args!("error: {error:#}"));
+        console.warn(format_args!("error: {}", wording::with_causes(&error)));
         Verdict::NothingDone
     });
     if let Err(error) = console.finish() {

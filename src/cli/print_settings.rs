@@ -108,10 +108,14 @@ fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
 /// How files are written, of those formats that are.
 fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
     let mut keys = Vec::new();
-    let is_gltf = |format: &OutputFormat| matches!(format, OutputFormat::Glb | OutputFormat::Gltf);
+    let has_up =
+        |format: &OutputFormat| matches!(format, OutputFormat::Glb | OutputFormat::Gltf | OutputFormat::Usda);
     let preview = outputs.formats.iter().find(|format| format.picture().is_some());
-    if outputs.formats.iter().any(is_gltf) || preview.is_some() {
+    if outputs.formats.iter().any(has_up) || preview.is_some() {
         keys.push(("up".to_owned(), quoted(up_name(outputs.up).to_owned())));
+    }
+    if outputs.quantize {
+        keys.push(("quantize".to_owned(), outputs.quantize.to_string()));
     }
     if outputs.formats.contains(&OutputFormat::Vdb) {
         let compression = compression_name(outputs.vdb_compression).to_owned();
@@ -132,7 +136,7 @@ fn is_of_use(name: &str, formats: &[OutputFormat], has_obstacles: bool) -> bool 
     match name {
         "void_threshold" => has_obstacles,
         "contour" | "decimate" | "smooth_normals" => formats.iter().any(|format| format.is_mesh()),
-        "quads" => formats.contains(&OutputFormat::Obj),
+        "quads" => formats.iter().any(|format| format.has_quads()),
         _ => true,
     }
 }

@@ -24,8 +24,9 @@ use super::convert::thread_pool;
 use super::frame_selection::FrameSelection;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
+use super::resurfacing::refuse_method;
 use super::studio::{Studio, Subject, caught, find_subjects, named_picture};
-use super::wording::counted;
+use super::wording::{counted, with_causes};
 
 /// Takes the pictures that the arguments ask for.
 ///
@@ -104,6 +105,9 @@ impl<'a> Shots<'a> {
             bail!("-o names one picture, and there are {count} frames: give --out with a folder");
         }
         let mut files = sequences.iter().flat_map(|sequence| &sequence.frames);
+        if files.clone().all(|file| is_level_set(&file.path)) {
+            refuse_method(&self.args.method)?;
+        }
         if self.args.particles
             && let Some(file) = files.find(|file| is_level_set(&file.path))
         {
@@ -119,9 +123,8 @@ impl<'a> Shots<'a> {
 
     /// What the pictures of a frame are called.
     fn stems(&self, file: &FrameFile) -> Vec<String> {
-        let stem = file.stem();
-        let of_file = if is_level_set(&file.path) { &stem[..stem.len() - ".vdb".len()] } else { &stem };
-        let stem = self.stem.as_deref().unwrap_or(of_file);
+        let of_file = file.stem();
+        let stem = self.stem.as_deref().unwrap_or(&of_file);
         match self.args.turntable {
             None => vec![stem.to_owned()],
             Some(count) => (0..count).map(|index| format!("{stem}.{index:03}")).collect(),
@@ -142,7 +145,7 @@ impl<'a> Shots<'a> {
         let (settings, viewpoint) = match prepared {
             Ok(prepared) => prepared,
             Err(error) => {
-                console.warn(format_args!("error: {error:#}"));
+                console.warn(format_args!("error: {}", with_causes(&error)));
                 return Ok((0, frames.len()));
             }
         };
@@ -161,7 +164,7 @@ impl<'a> Shots<'a> {
                 }
                 Err(error) => {
                     failed_count += 1;
-                    console.warn(format_args!("error: {error:#}"));
+                    console.warn(format_args!("error: {}", with_causes(&error)));
                 }
             }
         }

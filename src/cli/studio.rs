@@ -9,7 +9,7 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
     FrameError, FrameFile, LevelSetFile, NOTHING, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions,
@@ -111,7 +111,12 @@ impl<'a> Studio<'a> {
             None => {
                 let paths = sequence.frames.iter().map(|file| &*file.path);
                 let measured = automatic_voxel_size(paths, choices.own_radii()?.as_ref());
-                Ok(measured.with_context(|| sequence.name.clone())?.voxel_size)
+                let measured = measured.map_err(|none| match none.sparse_count {
+                    // Why a file cannot be read begins with its name.
+                    0 => Error::from(none),
+                    _ => Error::from(none).context(sequence.name.clone()),
+                });
+                Ok(measured?.voxel_size)
             }
         }
     }

@@ -13,6 +13,7 @@ use crate::daemon::journal::{FrameRecord, PlanRecord, Standing, State, now_ms};
 use crate::daemon::place::{below, known_path};
 use crate::daemon::selection::{Content, Selection};
 use crate::daemon::{Config, Patience, Watch};
+use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
 
 use super::Verdict;
 use super::args::{WatchArgs, WhyArgs};
@@ -26,7 +27,7 @@ use super::watch::make_plan;
 /// # Errors
 /// When there is neither such a file nor a record of it, or something cannot be read.
 pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
-    let frame = known_path(&args.file).context("the file has no name")?;
+    let frame = known_frame(&args.file).context("the file has no name")?;
     let asked = match &args.config {
         Some(file) => Asked::of_file(file, args)?,
         None => Asked::of_journal(args, &frame)?,
@@ -42,8 +43,20 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
         None => &read_journal(&journal)?,
     };
     let record = state.frames.get(&frame);
-    if record.is_none() && !frame.exists() {
-        bail!("{}: no such file, and nothing is recorded of it in {}", frame.display(), journal.display());
+    if let [first, .., last] = &frames_in(&frame).unwrap_or_default()[..] {
+        let [first, last] = [first, last].map(|step| step.display());
+        console.say(format_args!(
+            "{}: a file of several frames: ask for one, from {first} to {last}",
+            frame.display()
+        ));
+        return Ok(Verdict::Done);
+    }
+    let missing = match is_missing_step(&frame) {
+        Ok(true) => Some("step"),
+        _ => (!file_of(&frame).exists()).then_some("file"),
+    };
+    if let (None, Some(what)) = (record, missing) {
+        bail!("{}: no such {what}, and nothing is recorded of it in {}", frame.display(), journal.display());
     }
     let output_folders: Vec<PathBuf> =
         asked.watches.iter().map(|watch| watch.outputs.folder.clone()).collect();
@@ -66,6 +79,15 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
         console.say(format_args!("No daemon is at work in {}.", output.display()));
     }
     Ok(Verdict::Done)
+}
+
+/// The path by which the daemon knows a frame.
+fn known_frame(path: &Path) -> std::io::Result<PathBuf> {
+    let file = known_path(file_of(path))?;
+    Ok(match (step_of(path), path.file_name()) {
+        (Some(_), Some(step)) => file.join(step),
+        _ => file,
+    })
 }
 
 const UNKNOWN: &str = "The journal does not say what the daemon was asked for: this is by its defaults. \
@@ -102,7 +124,7 @@ impl Asked {
         let PlanRecord { watches, patience } = match plan {
             Some(plan) => plan,
             None => {
-                let inputs = vec![frame.parent().unwrap_or(frame).to_owned()];
+                let inputs = vec![file_of(frame).parent().unwrap_or(frame).to_owned()];
                 let watch_args = WatchArgs { inputs, out: Some(output.to_owned()), ..WatchArgs::default() };
                 let Config { watches, patience, .. } = make_plan(&watch_args)?.config;
                 PlanRecord { watches, patience }
@@ -122,7 +144,7 @@ impl Asked {
         let takes = |watch: &Watch| {
             let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, Vec::new());
             let frame = below(&watch.input, frame).unwrap_or_else(|| frame.to_owned());
-            selection.is_ok_and(|selection| selection.takes(&watch.input, &frame))
+            selection.is_ok_and(|selection| selection.takes(&watch.input, file_of(&frame)))
         };
         let around = self.watches.iter().filter(is_meant);
         around.max_by_key(|watch| (takes(watch), watch.input.components().count())).ok_or_else(|| {
@@ -201,6 +223,7 @@ fn recorded(record: &FrameRecord, now_ms: u64) -> String {
         Standing::Failed => "failed",
         Standing::Retrying => "failed, and is to be tried again",
         Standing::Refused => "refused, on account of other files",
+        Standing::GivenUp => "failed, and is to be tried again at the next start",
     };
     format!("{standing}, {}{attempts}", ago(record.at_ms, now_ms))
 }

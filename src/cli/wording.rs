@@ -150,6 +150,17 @@ fn broken_guarantees(report: &SkinReport) -> Vec<String> {
     broken
 }
 
+/// An error and what caused it, each once: some say themselves what did.
+pub(super) fn with_causes(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !told.ends_with(&cause) {
+            told += &format!(": {cause}");
+        }
+    }
+    told
+}
+
 /// `3 frames are`.
 pub(super) fn counted_are(count: u64) -> String {
     if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }
@@ -185,6 +196,18 @@ fn rounded_down(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::{FrameError, Stage};
+
+    #[test]
+    fn a_cause_is_told_once() {
+        let bare = || meniscus_formats::Error::unsupported("PLY", "of another kind");
+        let of_frame = FrameError::file("a.ply".as_ref(), Stage::Read, bare());
+        assert_eq!(with_causes(&anyhow::Error::from(of_frame)), "a.ply: PLY: of another kind");
+        assert_eq!(
+            with_causes(&anyhow::Error::from(bare()).context("in all")),
+            "in all: PLY: of another kind"
+        );
+    }
 
     #[test]
     fn voxels_that_hold_a_particle_are_not_rounded_up() {

@@ -72,7 +72,7 @@ pub fn decide(
     let Some(record) = record else { return Decision::Convert(ConvertReason::New) };
     let skip_reason = match record.standing {
         Standing::Queued => return Decision::Convert(ConvertReason::WasUnderWay),
-        Standing::Retrying => return Decision::Convert(ConvertReason::Retry),
+        Standing::Retrying | Standing::GivenUp => return Decision::Convert(ConvertReason::Retry),
         Standing::Refused => return Decision::Convert(ConvertReason::WasRefused),
         Standing::Done => SkipReason::Done,
         Standing::Failed => SkipReason::FailedUnchanged,
@@ -102,7 +102,7 @@ pub fn decide_by_content(record: &FrameRecord, hash: u128) -> Decision {
         Standing::Done => Decision::Skip(SkipReason::Done),
         Standing::Failed => Decision::Skip(SkipReason::FailedUnchanged),
         Standing::Queued => Decision::Convert(ConvertReason::WasUnderWay),
-        Standing::Retrying => Decision::Convert(ConvertReason::Retry),
+        Standing::Retrying | Standing::GivenUp => Decision::Convert(ConvertReason::Retry),
         Standing::Refused => Decision::Convert(ConvertReason::WasRefused),
     }
 }
@@ -249,6 +249,7 @@ mod tests {
         for now in [ALIKE(), touched(), moved(), longer(), other_settings(), output_gone()] {
             check(Standing::Queued, &now, &Decision::Convert(ConvertReason::WasUnderWay));
             check(Standing::Retrying, &now, &Decision::Convert(ConvertReason::Retry));
+            check(Standing::GivenUp, &now, &Decision::Convert(ConvertReason::Retry));
             check(Standing::Refused, &now, &Decision::Convert(ConvertReason::WasRefused));
         }
     }

@@ -15,10 +15,10 @@ use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::read_file;
+use crate::pipeline::{file_of, is_missing_step, read_file};
 
 use super::config::{Patience, Watch};
-use super::decision::{Decision, SkipReason, decide, decide_by_content};
+use super::decision::{ConvertReason, Decision, SkipReason, decide, decide_by_content};
 use super::evidence::{completeness_of, sentinel_of};
 use super::journal::FrameRecord;
 use super::mounts::network_file_system;
@@ -31,7 +31,7 @@ pub use super::sequences::remembered_fingerprint;
 /// A frame, and what the loop would go by.
 #[derive(Clone, Copy, Debug)]
 pub struct Question<'a> {
-    /// The file. Absolute.
+    /// The file, or the step of one. Absolute.
     pub frame: &'a Path,
     /// How it is watched.
     pub watch: &'a Watch,
@@ -86,7 +86,7 @@ pub enum Change {
 /// What comes of a frame, and why. Displays as a sentence without its subject and full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// There is no such file.
+    /// There is no such file, or no such step in it.
     Gone,
     /// Its name is not one of a frame.
     NotTaken,
@@ -109,10 +109,12 @@ pub fn explain(question: &Question<'_>) -> Result<Explanation, ExplainError> {
     let selection =
         Selection::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
             .map_err(ExplainError::Pattern)?;
-    let is_taken = selection.takes(&watch.input, frame);
+    let is_taken = selection.takes(&watch.input, file_of(frame));
     let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
     let output_missing = record.and_then(first_missing_output);
     let seen = look(frame, trust_clock(frame)).map_err(ExplainError::Io)?;
+    // What cannot be gone through may have it: reading it will say why.
+    let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
     let (file, verdict) = match seen {
         None => (None, Verdict::Gone),
         Some(seen) => {
@@ -145,8 +147,8 @@ fn facts(
     let readiness = Candidate::new(now, seen, false).readiness(
         now,
         patience,
-        sentinel_of(watch, frame, &seen.stamp),
-        || completeness_of(frame),
+        sentinel_of(watch, file_of(frame), &seen.stamp),
+        || completeness_of(file_of(frame)),
     );
     let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
     let mut decision = decide(record, &seen.stamp, settings, output_missing);
@@ -168,12 +170,12 @@ fn facts(
             decision = decide_by_content(record, hash);
         }
     }
-    Ok((FileFacts { content: content(frame)?, readiness, change }, decision))
+    Ok((FileFacts { content: content(file_of(frame))?, readiness, change }, decision))
 }
 
 /// Whether the file's times are by the clock of this machine.
 fn trust_clock(path: &Path) -> bool {
-    let folder = path.parent().unwrap_or(path);
+    let folder = file_of(path).parent().unwrap_or(path);
     network_file_system(folder).is_ok_and(|network| network.is_none())
 }
 
@@ -190,7 +192,7 @@ fn first_missing_output(record: &FrameRecord) -> Option<PathBuf> {
 impl fmt::Display for Verdict {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Verdict::Gone => f.write_str("is not converted because there is no such file"),
+            Verdict::Gone => f.write_str("is not converted because there is no such frame"),
             Verdict::NotTaken => {
                 f.write_str("is not converted because its name, or its place, is not one of a frame")
             }
@@ -200,6 +202,10 @@ impl fmt::Display for Verdict {
                 f.write_str("is not converted because this program made it")
             }
             Verdict::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
+            // What is recorded is that they were there; whether they still are is not looked at here.
+            Verdict::Converted(Decision::Convert(ConvertReason::WasRefused)) => f.write_str(
+                "will be converted once the files that kept it from that are gone, or now if they are",
+            ),
             Verdict::Converted(decision) => write!(f, "will be converted because {decision}"),
         }
     }
@@ -235,13 +241,13 @@ mod tests {
 
     use tempfile::TempDir;
 
-    use crate::daemon::decision::ConvertReason;
     use crate::daemon::journal::{OutputRecord, Standing};
     use crate::daemon::readiness::Proof;
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::settings::Choices;
 
-    const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+    const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\n\
+        property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
 
     /// A watched folder with one frame, left alone for a minute, and one output.
     struct Bench {
@@ -270,6 +276,7 @@ mod tests {
                     folder: out,
                     formats: vec![OutputFormat::Glb],
                     up: meniscus_formats::gltf::UpAxis::Y,
+                    quantize: false,
                     vdb_half: false,
                     vdb_compression: meniscus_formats::vdb::Compression::None,
                     picture: crate::pipeline::PictureOptions::default(),
@@ -360,6 +367,9 @@ mod tests {
         assert_eq!(bench.verdict(Some(&record)), Verdict::Converted(Decision::Convert(missing)));
         let failed = bench.record(Standing::Failed);
         assert_eq!(bench.verdict(Some(&failed)), Verdict::Skipped(SkipReason::FailedUnchanged));
+        let refused = bench.record(Standing::Refused);
+        let told = bench.verdict(Some(&refused)).to_string();
+        assert!(told.contains("once the files that kept it from that are gone"), "{told}");
     }
 
     #[test]

@@ -7,6 +7,7 @@
 //!                  │   no settings yet      │                       │
 //!                  │                        ├──▶ retrying           │
 //!                  └──▶ ignored             └──▶ failed ────────────┘
+//!                  └──▶ gone through ──▶ steps      a file with several: each is a frame of its own, held at once
 //! ```
 
 use std::cmp::Reverse;
@@ -15,11 +16,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::{FileStamp, step_of};
 
 use super::readiness::Candidate;
 
-/// A file in a watched folder. One file in two of them is two frames: what becomes of it may differ.
+/// A file in a watched folder, or a step of one. One file in two of them is two frames: what becomes of it may differ.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(super) struct FrameId {
     /// The index of its root.
@@ -31,6 +32,11 @@ pub(super) struct FrameId {
 impl FrameId {
     pub(super) fn new(root: usize, path: &Path) -> FrameId {
         FrameId { root, path: path.into() }
+    }
+
+    /// The file of a step; `None` of what is a file.
+    pub(super) fn file(&self) -> Option<FrameId> {
+        step_of(&self.path).map(|(file, _)| FrameId::new(self.root, file))
     }
 }
 
@@ -83,6 +89,10 @@ pub(super) enum Phase {
     Failed(FileStamp),
     /// No particles: some other file, or one of our own outputs.
     Ignored(FileStamp),
+    /// Complete, and of a kind that may have several steps: which it has is being found out.
+    GoneThrough(FileStamp),
+    /// A file with several steps, of which each is a frame.
+    Steps(FileStamp),
 }
 
 impl Phase {
@@ -95,7 +105,9 @@ impl Phase {
             | Phase::Retrying(stamp, _)
             | Phase::Done(stamp)
             | Phase::Failed(stamp)
-            | Phase::Ignored(stamp) => *stamp,
+            | Phase::Ignored(stamp)
+            | Phase::GoneThrough(stamp)
+            | Phase::Steps(stamp) => *stamp,
         }
     }
 }
@@ -109,6 +121,8 @@ pub(super) struct Tally {
     pub(super) held: usize,
     /// Waiting or under way.
     pub(super) queued: usize,
+    /// Files whose steps are being found.
+    pub(super) gone_through: usize,
     pub(super) retrying: usize,
     pub(super) done: usize,
     pub(super) failed: usize,
@@ -183,10 +197,11 @@ impl Frames {
                 }
                 Phase::Held(_) => tally.held += 1,
                 Phase::Queued(_) => tally.queued += 1,
+                Phase::GoneThrough(_) => tally.gone_through += 1,
                 Phase::Retrying(..) => tally.retrying += 1,
                 Phase::Done(_) => tally.done += 1,
                 Phase::Failed(_) => tally.failed += 1,
-                Phase::Ignored(_) => {}
+                Phase::Ignored(_) | Phase::Steps(_) => {}
             }
         }
         tally

@@ -7,6 +7,8 @@ use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use crate::pipeline::step_of;
+
 use super::evidence::{may_be_sentinel, path_of_sentinel};
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::Standing;
@@ -117,7 +119,9 @@ impl Daemon<'_> {
         // Nothing is known of what lies where the scan could not look.
         let is_hidden = |id: &FrameId| found.problems.iter().any(|(path, _)| id.path.starts_with(path));
         let is_gone = |id: &FrameId, frame: &FrameState| {
-            id.root == index && frame.scan_count != count && !is_hidden(id)
+            // A step goes with its file.
+            let is_file = step_of(&id.path).is_none();
+            id.root == index && is_file && frame.scan_count != count && !is_hidden(id)
         };
         let gone: Vec<FrameId> =
             self.frames.iter().filter(|(id, frame)| is_gone(id, frame)).map(|(id, _)| id.clone()).collect();

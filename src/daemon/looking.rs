@@ -4,6 +4,7 @@
 //!   sight ──▶ advance ──▶ ready ──▶ release ──▶ enqueue
 //!     │          │          │          │
 //!     │          │          │          └ its sequence has no settings yet: held
+//!     │          │          ├ it may have several steps: gone through, and each goes on by itself
 //!     │          │          └ no particles, or its outputs are another's
 //!     │          └ known from the journal, or still being written
 //!     └ seen before, and unchanged
@@ -13,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, Frame, FrameFile, OutputOptions, output_path};
+use crate::pipeline::{FileStamp, Frame, FrameFile, OutputOptions, file_of, output_path};
 use crate::settings::Settings;
 
 use super::decision::{Decision, SkipReason, decide};
@@ -29,6 +30,9 @@ use super::sequences::{SequenceSettings, outputs_with};
 impl Daemon<'_> {
     /// A file of a root was seen.
     pub(super) fn sight(&mut self, id: &FrameId, seen: &Seen, renamed: bool) {
+        if let Some(file) = id.file() {
+            return self.sight_step(&file, id, seen);
+        }
         let candidate = Candidate::new(Instant::now(), seen, renamed);
         let scan_count = self.scan_count;
         let Some(frame) = self.frames.get_mut(id) else {
@@ -42,9 +46,14 @@ impl Daemon<'_> {
         match &mut frame.phase {
             Phase::Settling(candidate) => candidate.see(Instant::now(), seen, renamed),
             Phase::Done(_) if is_same => return self.check_outputs(id),
+            Phase::Steps(_) if is_same => return self.check_steps(id),
             _ if is_same => return,
             // Under way: it is looked at again when its outcome comes.
             Phase::Queued(stamp) if !self.queue.remove(id, stamp.modified_ns) => return,
+            Phase::Steps(_) => {
+                self.unqueue_steps(id, seen);
+                self.settle(id, candidate);
+            }
             _ => self.settle(id, candidate),
         }
         self.advance(id);
@@ -76,6 +85,7 @@ impl Daemon<'_> {
         self.refused.remove(id);
         self.unshow(id);
         self.give_way(id);
+        self.forget_steps(id);
     }
 
     /// The outputs of this frame are nobody's any more: whoever was refused them may have them.
@@ -123,7 +133,7 @@ impl Daemon<'_> {
 
     /// What the journal knows of exactly this file: that its outputs are there, or that it cannot be
     /// converted.
-    fn known_phase(&mut self, id: &FrameId, sequence: usize, stamp: &FileStamp) -> Option<Phase> {
+    pub(super) fn known_phase(&mut self, id: &FrameId, sequence: usize, stamp: &FileStamp) -> Option<Phase> {
         let wanted = self.output_paths(id);
         let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path)?;
         // The record may be of the same file in another root, whose outputs lie elsewhere.
@@ -154,7 +164,7 @@ impl Daemon<'_> {
     }
 
     /// A frame that is done stays so only while its outputs are there.
-    fn check_outputs(&mut self, id: &FrameId) {
+    pub(super) fn check_outputs(&mut self, id: &FrameId) {
         if !self.outputs_are_there {
             return;
         }
@@ -204,14 +214,22 @@ impl Daemon<'_> {
 
     /// A file is complete.
     pub(super) fn ready(&mut self, id: &FrameId, stamp: FileStamp) {
-        match content(&id.path) {
+        match content(file_of(&id.path)) {
             Ok(Content::Particles) => {}
             Ok(Content::OwnOutput | Content::NotParticles) => {
+                self.forget_steps(id);
                 return self.set_phase(id, Phase::Ignored(stamp));
             }
             // Reading it will say what is wrong.
             Err(error) => tracing::debug!(frame = %id.path.display(), "cannot be looked into: {error}"),
         }
+        if !self.ask_for_steps(id, stamp) {
+            self.hold(id, stamp);
+        }
+    }
+
+    /// A frame is there to be converted.
+    pub(super) fn hold(&mut self, id: &FrameId, stamp: FileStamp) {
         if let Err(conflict) = self.claim(id) {
             return self.refuse(id, stamp, conflict);
         }
@@ -263,7 +281,7 @@ impl Daemon<'_> {
     fn outputs(&mut self, id: &FrameId) -> Arc<OutputOptions> {
         let root = &self.roots[id.root].path;
         let out = &self.stores.of_watch(id.root).folder;
-        let within = id.path.parent().and_then(|folder| folder.strip_prefix(root).ok());
+        let within = file_of(&id.path).parent().and_then(|folder| folder.strip_prefix(root).ok());
         let folder = within.map_or_else(|| out.clone(), |within| out.join(within));
         let options = &self.config.watches[id.root].outputs;
         let mirrored = self.outputs_of.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {

@@ -46,7 +46,7 @@ impl Daemon<'_> {
             .filter(|(id, frame)| frame.sequence == index && !sequence.sparse.contains(*id))
             .filter_map(|(id, frame)| match frame.phase {
                 Phase::Held(stamp) => Some((id, Some(stamp))),
-                Phase::Settling(_) | Phase::Retrying(..) => Some((id, None)),
+                Phase::Settling(_) | Phase::GoneThrough(_) | Phase::Retrying(..) => Some((id, None)),
                 _ => None,
             })
             .collect();

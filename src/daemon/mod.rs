@@ -2,14 +2,16 @@
 //!
 //! ```text
 //!   watcher ──hints──▶ ┌──────────┐ ──queue──▶ pipeline: read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write
-//!   scans ────────────▶│ the loop │ ◀─outcomes─┘
-//!   commands ─────────▶│          │ ──▶ journal: what was done, and what failed
-//!                      └──────────┘
+//!   scans ────────────▶│          │ ◀─outcomes─┘
+//!   commands ─────────▶│ the loop │ ──▶ journal: what was done, and what failed
+//!                      │          │ ◀──▶ a thread that measures spacings
+//!                      └──────────┘ ◀──▶ a thread that goes through files for their steps
 //!
 //!   root       a watched folder, there or not     scan, watcher   what is in it, what has changed
 //!   readiness  when a file is complete            sequences       settings, fixed once for each sequence
 //!   frames     how far each frame is              hints           what was heard, what scans say
 //!   rounds     the loop itself                    queue           which frame is next
+//!   steps      files with several frames
 //!   outcomes   what became of it                  retry, room     what is tried again, and when
 //!   journal    what is known after a restart      decision        why a frame is, or is not, converted
 //!   lock       one daemon for one folder          explain         the same, for whoever asks
@@ -47,12 +49,14 @@ pub mod scan;
 pub mod selection;
 mod sequences;
 mod showing;
+mod steps;
 mod stores;
 pub mod watcher;
 
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use crossbeam::channel::{Receiver, bounded, unbounded};
@@ -61,7 +65,7 @@ use rayon::ThreadPoolBuilder;
 pub use config::{Config, Order, Patience, Poll, Watch};
 
 use crate::board::Board;
-use crate::pipeline::{Conduct, Frame, LevelSetSkinning, OnError, Stage, stream_seen};
+use crate::pipeline::{Conduct, Frame, LevelSetSkinning, OnError, Stage, StepsFoundBy, stream_seen};
 
 use frames::FrameId;
 use lock::LockError;
@@ -187,20 +191,26 @@ pub fn run(
     let (to_loop, outcomes) = bounded(config.in_flight);
     let (to_measure, orders) = unbounded();
     let (to_loop_measured, measured) = unbounded();
-    let daemon = Daemon::open(config, board, &queue, to_measure, notices)?;
+    let (to_find_steps, steps_orders) = unbounded();
+    let (to_loop_found, found_steps) = unbounded();
+    let daemon = Daemon::open(config, board, &queue, (to_measure, to_find_steps), notices)?;
     let conduct = Conduct {
         pool: &pool,
         on_error: OnError::Continue,
         skip_done: true,
+        certificates: false,
         in_flight: config.in_flight,
         memory_bytes: config.memory_bytes,
+        // There is a thread for that.
+        steps_found_by: StepsFoundBy::Another,
     };
     let began = |frame: &Frame, stage: Stage| {
         if let Some(board) = board {
             board.began(&frame.outputs.folder.join(&frame.stem), stage);
         }
     };
-    let (queue, pool, began) = (&queue, &pool, &began);
+    let is_over = AtomicBool::new(false);
+    let (queue, pool, began, is_over) = (&queue, &pool, &began, &is_over);
     thread::scope(|scope| {
         scope.spawn(move || {
             // Nobody listens only when the loop is gone, and then nobody needs to know.
@@ -221,20 +231,28 @@ pub fn run(
                 }
             }
         });
+        scope.spawn(move || {
+            for order in steps_orders {
+                if to_loop_found.send(steps::find_steps(order, is_over)).is_err() {
+                    return;
+                }
+            }
+        });
         // Frames under way are finished, whatever ends the loop: the scope waits for them. It would wait
-        // for ever for the two threads if what they listen to outlived the loop.
-        let _closing = Closing(queue);
-        let (outcomes, measured) = (outcomes, measured);
+        // for ever for these threads if what they listen to outlived the loop.
+        let _closing = Closing(queue, is_over);
+        let (outcomes, measured, found_steps) = (outcomes, measured, found_steps);
         let mut daemon = daemon;
-        daemon.run(commands, &outcomes, &measured)
+        daemon.run(commands, &outcomes, &measured, &found_steps)
     })
 }
 
-/// Closes the queue when the loop ends, also where it ends in a panic.
-struct Closing<'a>(&'a Queue);
+/// Closes the queue when the loop ends, and says that it is over, also where it ends in a panic.
+struct Closing<'a>(&'a Queue, &'a AtomicBool);
 
 impl Drop for Closing<'_> {
     fn drop(&mut self) {
         self.0.close();
+        self.1.store(true, Ordering::Relaxed);
     }
 }

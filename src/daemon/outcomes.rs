@@ -146,7 +146,7 @@ impl Daemon<'_> {
     /// Not the file's fault: it is tried again when its file changes, or after a restart.
     fn fail_until_restart(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
         self.set_phase(id, Phase::Failed(stamp));
-        self.note(id, Standing::Retrying, stamp, Some(reason.clone()));
+        self.note(id, Standing::GivenUp, stamp, Some(reason.clone()));
         self.note_failure(id, reason);
     }
 
@@ -200,11 +200,14 @@ impl Daemon<'_> {
     }
 
     /// A frame settles once more, whatever is known of it.
-    fn start_over(&mut self, id: &FrameId) {
+    pub(super) fn start_over(&mut self, id: &FrameId) {
         match look(&id.path, self.roots[id.root].trust_clock()) {
             Ok(Some(seen)) => {
                 self.settle(id, Candidate::new(Instant::now(), &seen, false));
-                self.advance(id);
+                match id.file() {
+                    Some(file) => self.sight_step(&file, id, &seen),
+                    None => self.advance(id),
+                }
             }
             _ => self.look_again(id),
         }

@@ -143,6 +143,7 @@ mod tests {
             folder: PathBuf::new(),
             formats: Vec::new(),
             up: gltf::UpAxis::Y,
+            quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::None,
             picture: crate::pipeline::PictureOptions::default(),

@@ -22,6 +22,7 @@ use super::root::Root;
 use super::scan::look;
 use super::sequences::{MeasureOrder, Measured, Sequences, obstacle_files};
 use super::showing::count;
+use super::steps::{FileSteps, FoundSteps, StepsOrder};
 use super::stores::{Listings, Presence, Stores};
 use super::watcher::{Hint, Watcher};
 use super::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
@@ -33,9 +34,12 @@ pub(super) struct Daemon<'a> {
     pub(super) board: Option<&'a Board>,
     pub(super) queue: &'a Queue,
     pub(super) to_measure: Sender<MeasureOrder>,
+    pub(super) to_find_steps: Sender<StepsOrder>,
     pub(super) roots: Vec<Root<'a>>,
     pub(super) stores: Stores,
     pub(super) frames: Frames,
+    /// The steps of each file that has several.
+    pub(super) steps_of: HashMap<FrameId, FileSteps>,
     pub(super) sequences: Sequences,
     /// Sequences that may have become measurable.
     pub(super) dirty_sequences: HashSet<usize>,
@@ -90,7 +94,7 @@ impl<'a> Daemon<'a> {
         config: &'a Config,
         board: Option<&'a Board>,
         queue: &'a Queue,
-        to_measure: Sender<MeasureOrder>,
+        (to_measure, to_find_steps): (Sender<MeasureOrder>, Sender<StepsOrder>),
         notices: &'a mut dyn FnMut(Notice),
     ) -> Result<Daemon<'a>, DaemonError> {
         let stores = Stores::open(config)?;
@@ -104,9 +108,11 @@ impl<'a> Daemon<'a> {
             board,
             queue,
             to_measure,
+            to_find_steps,
             roots,
             stores,
             frames: Frames::default(),
+            steps_of: HashMap::new(),
             sequences: Sequences::default(),
             dirty_sequences: HashSet::new(),
             measuring_count: 0,
@@ -135,6 +141,7 @@ impl<'a> Daemon<'a> {
         commands: &Receiver<Command>,
         outcomes: &Receiver<(FrameId, Frame, Outcome)>,
         measured: &Receiver<Measured>,
+        found_steps: &Receiver<FoundSteps>,
     ) -> Result<Summary, DaemonError> {
         self.note_plan();
         self.show_plan();
@@ -169,6 +176,10 @@ impl<'a> Daemon<'a> {
                 recv(measured) -> measured => match measured {
                     Ok(measured) => self.measured(measured),
                     Err(_) => return Err(DaemonError::Threads("measuring has ended".to_owned())),
+                },
+                recv(found_steps) -> found => match found {
+                    Ok(found) => self.found_steps(found),
+                    Err(_) => return Err(DaemonError::Threads("looking for steps has ended".to_owned())),
                 },
                 recv(self.hints) -> hint => match hint {
                     Ok(hint) => self.take_hints(hint),
@@ -291,10 +302,11 @@ impl<'a> Daemon<'a> {
     }
 
     fn status(&self) -> String {
-        let Tally { settling, held, queued, retrying, done, failed, .. } = self.frames.tally();
+        let Tally { settling, held, queued, gone_through, retrying, done, failed, .. } = self.frames.tally();
         let mut status = format!("{done} done, {queued} queued");
         for (count, what) in [
             (settling, "being written"),
+            (gone_through, "gone through for steps"),
             (held, "without settings yet"),
             (retrying, "to retry"),
             (failed, "failed"),
@@ -318,9 +330,9 @@ impl<'a> Daemon<'a> {
         if self.queue.len() > 0 {
             return false;
         }
-        let Tally { settling, stuck, queued, retrying, held, .. } = self.frames.tally();
-        if settling - stuck + queued + retrying + self.measuring_count > 0 || !self.dirty_sequences.is_empty()
-        {
+        let Tally { settling, stuck, queued, gone_through, retrying, held, .. } = self.frames.tally();
+        let left_count = settling - stuck + queued + gone_through + retrying + self.measuring_count;
+        if left_count > 0 || !self.dirty_sequences.is_empty() {
             return false;
         }
         let stuck = self.tell_of_stuck();
@@ -463,7 +475,7 @@ impl<'a> Daemon<'a> {
             frames_since: told_at.map(|told_at| self.finished_count - told_at),
         });
         let failed = failed.collect();
-        let left_count = tally.settling + tally.held + tally.queued + tally.retrying;
+        let left_count = tally.settling + tally.held + tally.queued + tally.gone_through + tally.retrying;
         Summary { ended, done_count: tally.done, failed, left_count }
     }
 }

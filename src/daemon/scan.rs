@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::{FileStamp, file_of};
 
 use super::selection::{Selection, is_hidden};
 
@@ -47,7 +47,7 @@ pub struct Scan {
 /// # Errors
 /// When the system refuses.
 pub fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
-    match fs::metadata(path) {
+    match fs::metadata(file_of(path)) {
         Ok(metadata) => Ok(seen(&metadata, trust_clock)),
         Err(error) if is_gone(&error) => Ok(None),
         Err(error) => Err(error),

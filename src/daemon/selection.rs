@@ -14,14 +14,15 @@
 use std::ffi::OsStr;
 use std::fmt;
 use std::fs::File;
-use std::io::{self, Read};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use glob::{MatchOptions, Pattern};
+use meniscus_formats::packing::read_head;
 use meniscus_formats::provenance::{self, read_provenance};
 use meniscus_formats::{Kind, looks_like_particles, probe};
 
-use crate::pipeline::has_particle_extension;
+use crate::pipeline::{are_particles, has_particle_extension, promises_particles};
 
 /// Which files are frames, as far as their names tell.
 #[derive(Clone, Debug)]
@@ -132,9 +133,8 @@ pub fn content(path: &Path) -> io::Result<Content> {
     if !path.metadata()?.is_file() {
         return Ok(Content::NotParticles);
     }
-    let mut head = Vec::new();
-    File::open(path)?.take(HEAD_BYTES).read_to_end(&mut head)?;
-    let promises = has_particle_extension(&name) && !has_plain_text_extension(&name);
+    let head = read_head(File::open(path)?, HEAD_BYTES)?;
+    let promises = promises_particles(&name);
     Ok(if is_own_output(&head, &name) {
         Content::OwnOutput
     } else if promises || looks_like_particles(&head, &name) {
@@ -153,17 +153,11 @@ fn is_hidden_path(within: &Path) -> bool {
     within.components().any(|part| is_hidden(part.as_os_str()))
 }
 
-/// Names that readme files and logs have, too: only the content tells.
-fn has_plain_text_extension(name: &str) -> bool {
-    let name = name.to_ascii_lowercase();
-    let name = name.strip_suffix(".gz").unwrap_or(&name);
-    [".txt", ".dat", ".asc"].iter().any(|extension| name.ends_with(extension))
-}
-
 /// Whether these are the first bytes of a file that carries this program's provenance.
 fn is_own_output(head: &[u8], name: &str) -> bool {
     let kind = match probe(head, name).kind {
         Kind::Ply => provenance::Kind::Ply,
+        Kind::VtkXml => provenance::Kind::Vtp,
         Kind::Glb => provenance::Kind::Glb,
         Kind::GltfJson => provenance::Kind::Gltf,
         Kind::Obj => provenance::Kind::Obj,
@@ -171,7 +165,9 @@ fn is_own_output(head: &[u8], name: &str) -> bool {
         _ => return false,
     };
     // A head that is damaged carries none.
-    read_provenance(kind, head).is_ok_and(|recorded| recorded.iter().any(|(name, _)| name == "generator"))
+    read_provenance(kind, head).is_ok_and(|recorded| {
+        recorded.iter().any(|(name, _)| name == "generator") && !are_particles(&recorded)
+    })
 }
 
 const MATCH_OPTIONS: MatchOptions =

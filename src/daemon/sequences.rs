@@ -20,7 +20,7 @@ use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
     CameraChoice, FileStamp, FrameError, FrameFile, ObstacleFiles, ObstacleStamps, OutputOptions,
-    PictureOptions, automatic_voxel_size, sequence_bounds, settings_fingerprint,
+    PictureOptions, automatic_voxel_size, file_of, sequence_bounds, settings_fingerprint,
 };
 use crate::settings::{OwnRadii, Settings};
 
@@ -256,7 +256,7 @@ pub(super) fn measure(mut order: MeasureOrder) -> Measured {
     };
     for (path, stamp) in std::mem::take(&mut order.files) {
         let found = measured_on(&path, &order);
-        if FileStamp::of_path(&path).ok() != Some(stamp) {
+        if FileStamp::of_path(file_of(&path)).ok() != Some(stamp) {
             measured.changed = Some(path);
             break;
         }

@@ -8,7 +8,9 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 
 use crate::board::{Board, Figures, FrameState, FrameSummary, FrameView, OutputView, Status, now_ms};
-use crate::pipeline::{AutomaticVoxelSize, FrameFile, FrameReport, SequenceRecord, resident_memory_bytes};
+use crate::pipeline::{
+    AutomaticVoxelSize, FrameFile, FrameReport, SequenceRecord, file_of, resident_memory_bytes, text_of_name,
+};
 
 use super::config::{Config, Order, Poll, Watch};
 use super::frames::{FrameId, Phase};
@@ -90,9 +92,9 @@ impl Daemon<'_> {
     /// What a file is called on the board: its path within the folder, and where there are several, the number of the
     /// watched one before it.
     fn shown_name(&self, id: &FrameId, folder: &Path, path: &Path) -> String {
-        let within = path.strip_prefix(folder).unwrap_or(path).to_string_lossy();
+        let within = text_of_name(path.strip_prefix(folder).unwrap_or(path).as_os_str());
         match self.roots.len() {
-            1 => within.into_owned(),
+            1 => within,
             _ => format!("{}/{within}", id.root + 1),
         }
     }
@@ -101,7 +103,7 @@ impl Daemon<'_> {
     fn shown_stem(&self, id: &FrameId) -> std::path::PathBuf {
         let root = &self.roots[id.root].path;
         let folder = &self.stores.of_watch(id.root).folder;
-        let within = id.path.parent().and_then(|folder| folder.strip_prefix(root).ok());
+        let within = file_of(&id.path).parent().and_then(|folder| folder.strip_prefix(root).ok());
         let folder = within.map_or_else(|| folder.clone(), |within| folder.join(within));
         folder.join(FrameFile::new(id.path.to_path_buf()).stem())
     }
@@ -149,12 +151,12 @@ impl Daemon<'_> {
 /// How far a frame is; `None` if it is no frame.
 fn state_of(phase: &Phase) -> Option<FrameState> {
     Some(match phase {
-        Phase::Settling(_) | Phase::Held(_) => FrameState::Waiting,
+        Phase::Settling(_) | Phase::Held(_) | Phase::GoneThrough(_) => FrameState::Waiting,
         Phase::Queued(_) => FrameState::Queued,
         Phase::Retrying(..) => FrameState::Retrying,
         Phase::Done(_) => FrameState::Done,
         Phase::Failed(_) => FrameState::Failed,
-        Phase::Ignored(_) => return None,
+        Phase::Ignored(_) | Phase::Steps(_) => return None,
     })
 }
 
@@ -169,8 +171,8 @@ fn is_about(record: &FrameRecord, phase: &Phase) -> bool {
     match record.standing {
         Standing::Done => matches!(phase, Phase::Done(_)),
         Standing::Queued => matches!(phase, Phase::Queued(_) | Phase::Held(_)),
-        Standing::Retrying => matches!(phase, Phase::Retrying(..) | Phase::Failed(_)),
-        Standing::Failed | Standing::Refused => matches!(phase, Phase::Failed(_)),
+        Standing::Retrying => matches!(phase, Phase::Retrying(..)),
+        Standing::Failed | Standing::Refused | Standing::GivenUp => matches!(phase, Phase::Failed(_)),
     }
 }
 

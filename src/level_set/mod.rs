@@ -11,11 +11,13 @@
 
 mod bounds;
 mod redistance;
+mod widen;
 
 use std::sync::Arc;
 
 pub use bounds::Bounds;
 pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
+pub use widen::{WIDENED_MAX, widened};
 
 use crate::grid::{Field, Topology};
 

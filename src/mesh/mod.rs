@@ -44,7 +44,8 @@ pub struct Mesh {
     /// Three vertex indices a triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
     /// World position that `positions` are relative to: zero unless the frame is so far from the
-    /// world's origin that 32-bit positions would lose what matters. Always whole voxels.
+    /// world's origin that 32-bit positions would lose what matters. Always whole voxels, but for a level set that was
+    /// given on a lattice of its own.
     pub origin: DVec3,
 }
 

@@ -258,6 +258,7 @@ mod tests {
             folder: "out".into(),
             formats: vec![OutputFormat::Glb],
             up: UpAxis::Y,
+            quantize: false,
             vdb_half: false,
             vdb_compression: Compression::None,
             picture: crate::pipeline::PictureOptions::default(),

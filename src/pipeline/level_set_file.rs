@@ -23,6 +23,10 @@ pub struct LevelSetFile {
     lattice: Lattice,
     origin: DVec3,
     velocity: Option<[Field; 3]>,
+    /// What the grid is called.
+    name: String,
+    /// What the file says that it is.
+    class: String,
     /// The XXH3 hash of the file, 128 bits.
     pub hash: u128,
     /// What a user should know though the file was read.
@@ -35,17 +39,29 @@ impl LevelSetFile {
     /// # Errors
     /// When the system refuses, or there is no level set that is read.
     pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
+        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity)
+    }
+
+    /// The same of the bytes of the file.
+    ///
+    /// # Errors
+    /// When there is no level set that is read.
+    pub(super) fn of_bytes(
+        path: &Path,
+        bytes: &[u8],
+        wants_velocity: bool,
+    ) -> Result<LevelSetFile, FrameError> {
         let fail = |error| FrameError::file(path, Stage::Read, error);
-        let bytes = read_file(path)?;
-        let hash = XxHash3_128::oneshot(&bytes);
+        let hash = XxHash3_128::oneshot(bytes);
         let limits = Limits::default();
-        let data = vdb::read_level_set(&bytes, None, &limits).map_err(fail)?;
-        let transform = data.transform;
+        let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
+        let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
         let (band, lattice, origin) =
             level_set(data).map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let mut file = LevelSetFile { band, lattice, origin, velocity: None, hash, notes: Vec::new() };
+        let mut file =
+            LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, notes: Vec::new() };
         if wants_velocity {
-            let vectors = vdb::read_vectors(&bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
+            let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
                 Some(Ok(velocity)) => file.velocity = Some(velocity),
                 Some(Err(why)) => file.notes.push(format!("its velocities are not shown: {why}")),
@@ -53,6 +69,31 @@ impl LevelSetFile {
             }
         }
         Ok(file)
+    }
+
+    /// The level set, in voxels of its lattice.
+    pub(super) fn into_band(self) -> NarrowBand {
+        self.band
+    }
+
+    /// Whether the file says that it is a level set, so that what is around its surface is stored.
+    pub(super) fn is_declared(&self) -> bool {
+        self.class == "level set"
+    }
+
+    /// What the grid is called.
+    pub(super) fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// How large its voxels are.
+    pub(super) fn lattice(&self) -> Lattice {
+        self.lattice
+    }
+
+    /// Where its voxel (0, 0, 0) is, world units.
+    pub(super) fn origin(&self) -> DVec3 {
+        self.origin
     }
 
     /// What there is to take pictures of.
@@ -72,7 +113,7 @@ const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
 fn level_set(data: LevelSetData) -> Result<(NarrowBand, Lattice, DVec3), String> {
     let LevelSetData { name, class, transform, background, origins, leaves, .. } = data;
     if class == "fog volume" {
-        return Err(format!("the grid \"{name}\" is a fog volume: a picture needs a level set"));
+        return Err(format!("the grid \"{name}\" is a fog volume, and no level set"));
     }
     let voxel_size = voxel_size(&transform)
         .ok_or_else(|| format!("the grid \"{name}\" has voxels that are no cubes along the axes"))?;

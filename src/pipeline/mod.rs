@@ -1,13 +1,14 @@
 //! Frames through the stages: from files to files, several at once.
 //!
 //! ```text
-//!   source      which files are frames, in which order, of which sequence
+//!   source      which files are frames, in which order, of which sequence   steps  those of a file that has several
 //!   voxel_size  the voxel size of a sequence, where nobody gave one
 //!   outputs     which files will be written, and that none of them is an input
 //!   frame       what is to be done, and what came of it
 //!
 //!   stages      read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, several frames side by side
 //!   crew        whose turn it is to compute           budget   who may take how much memory
+//!   seats       how many compute at once
 //!   method      the three stages in the middle        memory   how much there is
 //!
 //!   attributes  what else is needed of each particle   obstacles  what is in the way of a frame
@@ -16,10 +17,12 @@
 //!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
 //!   writing     surfaces to bytes                      provenance  what made them
 //!   picture     surfaces to pictures                   viewpoint   where they are taken from
+//!   resurfacing  surfaces of level sets that are given
 //!   level_set_file  surfaces from .vdb                 picture_file  pictures from .png
-//!   still       a frame by itself, and no files
+//!   still       a frame by itself, and no files       particles_only  particles as they are, and no surface
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
-//!   record      what was measured, as JSON
+//!   record      what was measured, as JSON             shot      all frames in one file
+//!   certificate_file  what was checked of a frame, beside it   inspection  what there is of a frame already
 //! ```
 //!
 //! One command for one file, a sequence and a daemon run this same pipeline; they differ only in
@@ -28,25 +31,33 @@
 mod attributes;
 mod bounds;
 mod budget;
+mod certificate_file;
 mod crew;
 mod frame;
 mod frame_particles;
+mod inspection;
 mod level_set_file;
 mod memory;
 mod method;
+mod names;
 mod number_pattern;
 mod obstacle_notes;
 mod obstacles;
 mod outputs;
+mod particles_only;
 mod picture;
 mod picture_file;
 mod provenance;
 mod reading;
 mod record;
+mod resurfacing;
+mod seats;
+mod shot;
 mod sink;
 mod source;
 mod stages;
 mod stamp;
+mod steps;
 mod still;
 mod temporary;
 mod viewpoint;
@@ -55,26 +66,36 @@ mod writing;
 
 pub use attributes::Wanted;
 pub use bounds::{NOTHING, bounds_of_particles, is_level_set, sequence_bounds};
+pub use certificate_file::certificate_path;
 pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist};
 pub use frame_particles::FrameParticles;
+pub use inspection::{FrameState, Inspection, inspect};
 pub use level_set_file::LevelSetFile;
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::{LevelSetSkinning, Method};
+pub(crate) use names::text_of_name;
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
-pub use outputs::{Conflict, OutputFormat, OutputOptions, check_outputs, output_path};
+pub use outputs::{Conflict, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path};
+pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
 pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{
-    CAMERA, SheetPart, compression_name, is_own_output, picture_provenance, settings_fingerprint,
-    sheet_provenance, up_name,
+    CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, compression_name, is_own_output,
+    picture_provenance, settings_fingerprint, sheet_provenance, up_name,
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
+pub use resurfacing::{BandToSurface, resurface_all};
+pub use shot::{ShotError, ShotFormat, ShotReport, ShotSource, is_shot, write_shot};
 pub use sink::{stop_writing, write_whole};
-pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, sequences};
+pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, promises_particles, sequences};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
 pub use stamp::FileStamp;
+pub use steps::{
+    FileFrames, StepsFoundBy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
+    may_hold_several, size_bytes, step_of,
+};
 pub use still::{Still, StillFrame};
 pub use temporary::sweep_temporaries;
 pub use viewpoint::{CameraChoice, Viewpoint};

@@ -212,6 +212,11 @@ impl ObstacleFiles {
         self.paths.iter().enumerate().map(of_one).fold(0, u64::saturating_add)
     }
 
+    /// Whether all obstacles of the frame of this number are there.
+    pub fn are_there(&self, number: Option<u64>) -> bool {
+        self.stamps(number).are_all_there
+    }
+
     /// Finds and hashes those of a frame.
     pub(super) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, ObstacleError> {
         let found = self.paths.iter().enumerate().map(|(index, path)| {

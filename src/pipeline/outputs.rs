@@ -14,8 +14,10 @@ use meniscus_formats::{gltf, vdb};
 
 use crate::preview::Up;
 
+use super::names::name_of_text;
 use super::obstacles::ObstacleFiles;
 use super::picture::{PictureFormat, PictureOptions, up_of};
+use super::steps::file_of;
 
 /// A format to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +32,12 @@ pub enum OutputFormat {
     Obj,
     /// Binary PLY.
     Ply,
+    /// VTK PolyData.
+    Vtp,
+    /// Binary STL.
+    Stl,
+    /// USD as text.
+    Usda,
     /// A picture: colours.
     Png,
     /// A picture: all that is known of its pixels.
@@ -38,12 +46,15 @@ pub enum OutputFormat {
 
 impl OutputFormat {
     /// Every format there is.
-    pub const ALL: [OutputFormat; 7] = [
+    pub const ALL: [OutputFormat; 10] = [
         OutputFormat::Glb,
         OutputFormat::Gltf,
         OutputFormat::Vdb,
         OutputFormat::Obj,
         OutputFormat::Ply,
+        OutputFormat::Vtp,
+        OutputFormat::Stl,
+        OutputFormat::Usda,
         OutputFormat::Png,
         OutputFormat::Exr,
     ];
@@ -56,6 +67,9 @@ impl OutputFormat {
             OutputFormat::Vdb => "vdb",
             OutputFormat::Obj => "obj",
             OutputFormat::Ply => "ply",
+            OutputFormat::Vtp => "vtp",
+            OutputFormat::Stl => "stl",
+            OutputFormat::Usda => "usda",
             OutputFormat::Png => "png",
             OutputFormat::Exr => "exr",
         }
@@ -64,6 +78,11 @@ impl OutputFormat {
     /// Whether its files hold the mesh.
     pub fn is_mesh(self) -> bool {
         self != OutputFormat::Vdb && self.picture().is_none()
+    }
+
+    /// Whether its files have quads where that is asked for.
+    pub fn has_quads(self) -> bool {
+        matches!(self, OutputFormat::Obj | OutputFormat::Vtp | OutputFormat::Usda)
     }
 
     /// As a format of pictures, if it is one.
@@ -83,8 +102,10 @@ pub struct OutputOptions {
     pub folder: PathBuf,
     /// One file for each.
     pub formats: Vec<OutputFormat>,
-    /// Which axis of the particles points up, for glTF, where it must be y.
+    /// Which axis of the particles points up, for glTF, where it must be y, and for USD, which asks.
     pub up: gltf::UpAxis,
+    /// Small integers in .glb.
+    pub quantize: bool,
     /// 16-bit values in .vdb.
     pub vdb_half: bool,
     /// How values are packed in .vdb.
@@ -114,7 +135,7 @@ impl OutputOptions {
 
 /// Where the output in `format` of the frame called `stem` goes.
 pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
-    folder.join(format!("{stem}.{}", format.extension()))
+    folder.join(name_of_text(&format!("{stem}.{}", format.extension())))
 }
 
 /// Why a run must not begin.
@@ -134,12 +155,21 @@ pub enum Conflict {
         /// The obstacle, as it was asked for.
         obstacle: PathBuf,
     },
-    /// Two inputs, or an input and the report, have outputs of one name.
+    /// Two inputs have outputs of one name.
     SameOutput {
         /// The output.
         output: PathBuf,
         /// What it would be made from, twice.
         makers: [PathBuf; 2],
+    },
+    /// Something else that is written, such as the report, has the name of an output.
+    ReplacesOutput {
+        /// The output.
+        output: PathBuf,
+        /// The input that it would be made from.
+        input: PathBuf,
+        /// What else.
+        what: &'static str,
     },
 }
 
@@ -165,13 +195,19 @@ impl fmt::Display for Conflict {
                 second.display(),
                 output.display()
             ),
+            Conflict::ReplacesOutput { output, input, what } => write!(
+                f,
+                "{what} and the result of {} would both become {}: choose another name for {what}",
+                input.display(),
+                output.display()
+            ),
         }
     }
 }
 
 impl std::error::Error for Conflict {}
 
-/// Checks that the outputs of all planned frames (input and stem), and `report` where there is one,
+/// Checks that the outputs of all planned frames (input and stem), and whatever else is written (what it is, and where),
 /// replace neither one of `inputs` nor an obstacle nor each other. The folder must exist: only then is it known
 /// where its path leads.
 ///
@@ -182,30 +218,42 @@ pub fn check_outputs(
     inputs: &[PathBuf],
     obstacles: &ObstacleFiles,
     options: &OutputOptions,
-    report: Option<&Path>,
+    written: Option<(&'static str, &Path)>,
 ) -> Result<(), Conflict> {
     let mut input_of: HashMap<Identity, &Path> = HashMap::new();
-    for input in inputs {
-        input_of.extend(identities(input).into_iter().map(|identity| (identity, &**input)));
+    let mut files: Vec<&Path> = inputs.iter().map(|input| file_of(input)).collect();
+    files.dedup(); // the steps of one stand together
+    for input in files {
+        input_of.extend(identities(input).into_iter().map(|identity| (identity, input)));
     }
     let outputs = planned.iter().flat_map(|(input, stem)| {
         options.formats.iter().map(move |&format| (output_path(&options.folder, stem, format), &**input))
     });
-    let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
-    for (output, maker) in outputs.chain(report.map(|path| (path.to_owned(), Path::new("the report")))) {
-        if let Some(input) = identities(&output).iter().find_map(|identity| input_of.get(identity)) {
-            return Err(Conflict::ReplacesInput { output, input: (*input).to_owned() });
+    let refuse_loss = |output: &Path| {
+        if let Some(input) = identities(output).iter().find_map(|identity| input_of.get(identity)) {
+            return Err(Conflict::ReplacesInput { output: output.to_owned(), input: (*input).to_owned() });
         }
-        obstacles.refuse_output(&output)?;
+        obstacles.refuse_output(output)
+    };
+    let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
+    for (output, maker) in outputs {
+        refuse_loss(&output)?;
         if let Some(other) = maker_of.insert(entry(&output), maker) {
             return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
         }
     }
-    Ok(())
+    let Some((what, path)) = written else { return Ok(()) };
+    refuse_loss(path)?;
+    match maker_of.get(&entry(path)) {
+        Some(&input) => {
+            Err(Conflict::ReplacesOutput { output: path.to_owned(), input: input.to_owned(), what })
+        }
+        None => Ok(()),
+    }
 }
 
 /// Whether two paths name one file, be it there or not.
-pub(super) fn are_one_file(one: &Path, other: &Path) -> bool {
+pub fn are_one_file(one: &Path, other: &Path) -> bool {
     let identities = identities(one);
     self::identities(other).iter().any(|identity| identities.contains(identity))
 }
@@ -233,7 +281,7 @@ fn identities(path: &Path) -> Vec<Identity> {
 
 /// The entry in its folder that a path names: links in the folder's path are followed, the entry
 /// itself is not.
-pub(super) fn entry(path: &Path) -> PathBuf {
+pub fn entry(path: &Path) -> PathBuf {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),

@@ -15,15 +15,20 @@ use twox_hash::XxHash3_64;
 
 use crate::settings::{Pairs, Settings};
 
+use super::certificate_file::hash_text;
 use super::frame::Frame;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::PictureOptions;
+use super::steps::frame_name;
 
 /// What an output's generator begins with; the version follows.
 const GENERATOR: &str = "meniscus ";
 
 /// The provenance of an output is within this much from its start, unless the input's name is very long.
 pub(super) const HEAD_BYTES: u64 = 16 << 10;
+
+/// This program and its version, as outputs have them.
+pub const GENERATOR_AND_VERSION: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
 
 /// Names and values for an output in `format`, made from the frame's input with this hash, among these obstacles.
 pub(super) fn provenance(
@@ -35,7 +40,23 @@ pub(super) fn provenance(
     pairs.extend(settings_pairs(&frame.settings, format));
     pairs.extend(obstacle_pairs(&frame.settings, obstacles));
     pairs.extend(option_pairs(&frame.outputs, format));
-    owned(pairs)
+    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
+}
+
+/// The same where there is room for 80 characters: what the input and the obstacles were is told by hashes, and so is all
+/// else together.
+fn condensed(pairs: Pairs) -> Pairs {
+    const OF_OBSTACLES: [&str; 2] = ["void_threshold", "obstacles"];
+    let hash = |pairs: &[&(&str, String)], digits: usize| {
+        let text: String = pairs.iter().map(|(name, value)| format!("{name}={value}\n")).collect();
+        format!("{:016x}", XxHash3_64::oneshot(text.as_bytes()))[..digits].to_owned()
+    };
+    let (kept, hashed): (Vec<_>, Vec<_>) =
+        pairs.iter().partition(|(name, _)| ["generator", "input_hash"].contains(name));
+    let (obstacles, settings): (Vec<_>, Vec<_>) =
+        hashed.into_iter().partition(|(name, _)| OF_OBSTACLES.contains(name));
+    let obstacles = (!obstacles.is_empty()).then(|| ("obstacles", hash(&obstacles, 8)));
+    kept.into_iter().cloned().chain([("settings", hash(&settings, 12))]).chain(obstacles).collect()
 }
 
 /// Names and values for a picture of a file with this hash; with the settings by which it was skinned, among these
@@ -72,7 +93,7 @@ pub struct SheetPart {
 
 /// Names and values for a sheet of this kind, part by part.
 pub fn sheet_provenance(kind: &str, parts: &[SheetPart]) -> Vec<(String, String)> {
-    let mut pairs = vec![("generator", generator()), (SHEET, kind.to_owned())];
+    let mut pairs = vec![("generator", GENERATOR_AND_VERSION.to_owned()), (SHEET, kind.to_owned())];
     for part in parts {
         pairs.push(("input", part.name.clone()));
         pairs.extend(part.hash.map(|hash| ("input_hash", hash_text(hash))));
@@ -83,20 +104,12 @@ pub fn sheet_provenance(kind: &str, parts: &[SheetPart]) -> Vec<(String, String)
     owned(pairs)
 }
 
-fn generator() -> String {
-    format!("{GENERATOR}{}", env!("CARGO_PKG_VERSION"))
-}
-
 fn made_from(input: &Path, hash: u128) -> Pairs {
     vec![
-        ("generator", generator()),
-        ("input", input.file_name().unwrap_or_default().to_string_lossy().into_owned()),
+        ("generator", GENERATOR_AND_VERSION.to_owned()),
+        ("input", frame_name(input)),
         ("input_hash", hash_text(hash)),
     ]
-}
-
-fn hash_text(hash: u128) -> String {
-    format!("xxh3-128:{hash:032x}")
 }
 
 fn obstacle_pairs(settings: &Settings, obstacles: &str) -> Pairs {
@@ -122,7 +135,11 @@ pub(super) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
 }
 
 /// Whether a file records `wanted` and nothing else, and is whole.
-fn records(path: &Path, kind: Kind, wanted: &[(String, String)]) -> meniscus_formats::Result<bool> {
+pub(super) fn records(
+    path: &Path,
+    kind: Kind,
+    wanted: &[(String, String)],
+) -> meniscus_formats::Result<bool> {
     // Opening a pipe would wait for its other end.
     if !path.metadata()?.is_file() {
         return Ok(false);
@@ -150,8 +167,43 @@ pub fn is_own_output(path: &Path) -> bool {
         .map_err(meniscus_formats::Error::from)
         .and_then(|file| read_provenance(provenance_kind(format), file.take(HEAD_BYTES)));
     let is_generator = |(name, value): &(String, String)| name == "generator" && value.starts_with(GENERATOR);
-    recorded.is_ok_and(|pairs| pairs.iter().any(is_generator))
+    recorded.is_ok_and(|pairs| pairs.iter().any(is_generator) && !are_particles(&pairs))
 }
+
+/// Whether a file that this program wrote holds particles, and may be a frame.
+pub fn are_particles(recorded: &[(String, String)]) -> bool {
+    recorded.iter().any(|(name, value)| name == CONTENTS && value == PARTICLES)
+}
+
+/// Names and values for the particles of an input with this hash, written as they are.
+pub(super) fn particles_provenance(input: &Path, hash: u128) -> Vec<(String, String)> {
+    let mut pairs = made_from(input, hash);
+    pairs.push((CONTENTS, PARTICLES.to_owned()));
+    owned(pairs)
+}
+
+/// Names and values for an output of a level set with this hash, smoothed within so many voxels. Of the settings only those are
+/// there that have a say.
+pub(super) fn level_set_provenance(
+    frame: &Frame,
+    hash: u128,
+    slack_voxels: f64,
+    format: OutputFormat,
+) -> Vec<(String, String)> {
+    const OF_MESH: [&str; 5] = ["voxel_size", "contour", "decimate", "smooth_normals", "quads"];
+    const OF_SOLVER: [&str; 6] =
+        ["integrator", "laplacian_steps", "steps", "step_size", "redistance_every", "cg_tolerance"];
+    let has_say = |name: &str| OF_MESH.contains(&name) || (slack_voxels > 0.0 && OF_SOLVER.contains(&name));
+    let mut pairs = made_from(&frame.input, hash);
+    pairs.push(("band_slack", slack_voxels.to_string()));
+    pairs.extend(settings_pairs(&frame.settings, format).into_iter().filter(|(name, _)| has_say(name)));
+    pairs.extend(option_pairs(&frame.outputs, format));
+    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
+}
+
+/// What says that an output holds particles and no surface.
+const CONTENTS: &str = "contents";
+const PARTICLES: &str = "particles";
 
 /// All that outputs depend on but the input, in short: the settings, the formats and how they are written,
 /// the version of this program. Equal ones mean that an output need not be made again.
@@ -176,8 +228,13 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static 
             ("half", options.vdb_half.to_string()),
             ("compression", compression_name(options.vdb_compression).to_owned()),
         ],
-        OutputFormat::Glb | OutputFormat::Gltf => vec![("up", up_name(options.up).to_owned())],
-        OutputFormat::Obj | OutputFormat::Ply => Vec::new(),
+        OutputFormat::Glb if options.quantize => {
+            vec![("up", up_name(options.up).to_owned()), ("quantize", options.quantize.to_string())]
+        }
+        OutputFormat::Glb | OutputFormat::Gltf | OutputFormat::Usda => {
+            vec![("up", up_name(options.up).to_owned())]
+        }
+        OutputFormat::Obj | OutputFormat::Ply | OutputFormat::Vtp | OutputFormat::Stl => Vec::new(),
         OutputFormat::Png | OutputFormat::Exr => {
             let up = ("up", up_name(options.up).to_owned());
             [vec![up], picture_pairs(&options.picture)].concat()
@@ -201,11 +258,15 @@ pub const CAMERA: &str = "camera";
 pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Vec<(&'static str, String)> {
     let has = |format: &OutputFormat| options.formats.contains(format);
     let mut chosen = Vec::new();
-    if has(&OutputFormat::Obj) && settings.quads {
+    if options.formats.iter().any(|format| format.has_quads()) && settings.quads {
         chosen.push(("quads", settings.quads.to_string()));
     }
-    if (has(&OutputFormat::Glb) || has(&OutputFormat::Gltf)) && options.up != gltf::UpAxis::Y {
+    let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].iter().any(has);
+    if has_up && options.up != gltf::UpAxis::Y {
         chosen.push(("up", up_name(options.up).to_owned()));
+    }
+    if has(&OutputFormat::Glb) && options.quantize {
+        chosen.push(("quantize", options.quantize.to_string()));
     }
     if has(&OutputFormat::Vdb) && options.vdb_half {
         chosen.push(("vdb_half", options.vdb_half.to_string()));
@@ -222,7 +283,7 @@ pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Ve
 /// Every setting that matters to an output in `format`.
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     let mut pairs = settings.pairs(format.is_mesh());
-    if format == OutputFormat::Obj && settings.quads {
+    if format.has_quads() && settings.quads {
         pairs.push(("quads", true.to_string()));
     }
     pairs
@@ -245,13 +306,16 @@ pub fn up_name(up: gltf::UpAxis) -> &'static str {
     }
 }
 
-fn provenance_kind(format: OutputFormat) -> Kind {
+pub(super) fn provenance_kind(format: OutputFormat) -> Kind {
     match format {
         OutputFormat::Glb => Kind::Glb,
         OutputFormat::Gltf => Kind::Gltf,
         OutputFormat::Vdb => Kind::Vdb,
         OutputFormat::Obj => Kind::Obj,
         OutputFormat::Ply => Kind::Ply,
+        OutputFormat::Vtp => Kind::Vtp,
+        OutputFormat::Stl => Kind::Stl,
+        OutputFormat::Usda => Kind::Usda,
         OutputFormat::Png => Kind::Png,
         OutputFormat::Exr => Kind::Exr,
     }

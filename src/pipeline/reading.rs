@@ -4,7 +4,8 @@ use std::fs::{self, File, Metadata};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, read_particles};
+use meniscus_formats::packing::read_head;
+use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, read_particles, refuse_foreign};
 use twox_hash::xxhash3_128::Hasher;
 
 use crate::particles::{Cloud, Particles, Shapes};
@@ -12,6 +13,7 @@ use crate::particles::{Cloud, Particles, Shapes};
 use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};
 use super::stamp::FileStamp;
+use super::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
 
 /// What the pipeline needs of a file.
 #[derive(Clone, Debug)]
@@ -22,13 +24,56 @@ pub struct ReadFrame {
     pub notes: Vec<String>,
 }
 
-/// The bytes of a file.
+/// The bytes of a file, or of a step of one.
 ///
 /// # Errors
 /// When the system refuses.
 pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
-    fs::read(path).map_err(|error| FrameError::file(path, Stage::Read, error))
+    let fail = |error: meniscus_formats::Error| FrameError::file(path, Stage::Read, error);
+    match step_of(path) {
+        None => {
+            refuse_large_foreign(path).map_err(fail)?;
+            fs::read(path).map_err(|error| fail(error.into()))
+        }
+        Some(step) => match read_step(step, StepsFoundBy::Reader).map_err(fail)? {
+            Some((bytes, _)) => Ok(bytes),
+            None => Err(FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Changed }),
+        },
+    }
 }
+
+/// The bytes of a frame and the stamp of its file; `None` when that was written, replaced or removed meanwhile.
+///
+/// # Errors
+/// When the system refuses, or there is no such step in the file.
+pub(super) fn read_frame_unchanged(
+    path: &Path,
+    steps_found_by: StepsFoundBy,
+) -> meniscus_formats::Result<Option<(Vec<u8>, FileStamp)>> {
+    match step_of(path) {
+        None => {
+            refuse_large_foreign(path)?;
+            Ok(read_unchanged(path)?)
+        }
+        Some(step) => read_step(step, steps_found_by),
+    }
+}
+
+/// Refuses a large file that nothing reads before all of it is in memory.
+fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
+    let metadata = path.metadata()?;
+    if !metadata.is_file() || metadata.len() < LARGE_BYTES {
+        return Ok(());
+    }
+    let head = read_head(File::open(path)?, LARGE_HEAD_BYTES)?;
+    refuse_foreign(&head, &path.file_name().unwrap_or_default().to_string_lossy())
+}
+
+/// From here on a file is worth a look at its head.
+const LARGE_BYTES: u64 = 1 << 20;
+
+/// More than any format needs to be recognized.
+const LARGE_HEAD_BYTES: u64 = 1 << 16;
 
 /// The bytes of a file and its stamp; `None` when it was written, replaced or removed meanwhile.
 ///
@@ -203,9 +248,9 @@ const HASHED_BYTES: usize = 1 << 18;
 /// # Errors
 /// When they are no particles that can be read, or lack what is needed.
 pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<ReadFrame, FrameError> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(bytes, &name, &Limits::default())
-        .map_err(|error| FrameError::file(path, Stage::Read, error))?;
+        .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))?;
     let ParticleFrame { positions, attributes, mut notes } = frame;
     let missing =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };

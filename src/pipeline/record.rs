@@ -204,8 +204,9 @@ struct SecondsRecord {
     write: f64,
 }
 
+/// What was checked, and what came of it.
 #[derive(Clone, Copy, Debug, Serialize)]
-struct CertificateRecord {
+pub(super) struct CertificateRecord {
     holds: bool,
     bound_violations: usize,
     vertex_distance_min_voxels: f64,
@@ -248,6 +249,13 @@ impl RunRecord {
     pub fn add_sequence(&mut self, sequence: SequenceRecord) -> usize {
         self.settings.push(sequence);
         self.settings.len() - 1
+    }
+
+    /// Adds a frame that was found done without looking at its input.
+    pub fn add_done(&mut self, frame: &Frame, sequence_index: usize) {
+        let input = text(&frame.input);
+        let status = Status::AlreadyDone;
+        self.add(FrameRecord { input, settings: sequence_index, status, measured: None, error: None });
     }
 
     /// Adds a frame that went through the pipeline. Frames are reported in the order they are added.
@@ -472,7 +480,7 @@ fn edits_record(edits: &EditReport) -> Option<EditsRecord> {
     })
 }
 
-fn certificate_record(report: &SkinReport) -> CertificateRecord {
+pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
         holds: certificate.holds(),

@@ -44,6 +44,16 @@ impl Unseen {
     pub(super) fn size_bytes(&self) -> u64 {
         self.size_bytes
     }
+
+    /// Where it is to appear.
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Where it is until then.
+    pub(super) fn written_path(&self) -> &Path {
+        self.temporary.path()
+    }
 }
 
 /// Writes what is to appear at `path`.

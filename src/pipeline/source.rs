@@ -5,6 +5,9 @@
 //!   └stem──┘└extension┘          the stem names the outputs: dam.0012.glb
 //!       └──┘                     the last number of the stem is the frame's
 //!   dam.{}.bgeo.gz               what is left when it is taken out names the sequence
+//!
+//!   dump.lammpstrj/step=1000     a step of a file with several: its outputs are called dump.1000, and its number is 1000
+//!   dump.lammpstrj/step={}       the steps of a file are a sequence of their own
 //! ```
 //!
 //! Natural order compares runs of digits as numbers: frame 9 comes before frame 10.
@@ -14,7 +17,11 @@ use std::collections::HashMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// A file that holds, or should hold, a frame of particles.
+use meniscus_formats::packing::unpacked_name;
+
+use super::steps::{STEP, frame_name, step_of};
+
+/// A file that holds, or should hold, a frame of particles; or a step of one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FrameFile {
     /// Where it is, as it was asked for.
@@ -26,7 +33,17 @@ pub struct FrameFile {
 impl FrameFile {
     /// A file whose frame number is the last number of its stem.
     pub fn new(path: PathBuf) -> FrameFile {
-        let number_span = last_number(stem(&file_name(&path)));
+        let number_span = match step_of(&path) {
+            None => last_number(stem(&frame_name(&path))),
+            // What follows a dot tells steps of one number apart.
+            Some((_, step)) => {
+                let name = frame_name(&path);
+                let start = name.len() - step.len();
+                let digits = step.find('.').unwrap_or(step.len());
+                let is_number = digits > 0 && step.as_bytes()[..digits].iter().all(u8::is_ascii_digit);
+                is_number.then_some(start..start + digits)
+            }
+        };
         FrameFile { path, number_span }
     }
 
@@ -35,14 +52,21 @@ impl FrameFile {
         FrameFile { path, number_span: Some(number_span) }
     }
 
-    /// The file name, without its folder.
+    /// The file name, without its folder; of a step, what tells it from others behind that.
     pub fn name(&self) -> String {
-        file_name(&self.path)
+        frame_name(&self.path)
     }
 
     /// The file name without what says that it is a file of particles: what outputs are called.
     pub fn stem(&self) -> String {
-        stem(&self.name()).to_owned()
+        match step_of(&self.path) {
+            Some((file, step)) => format!("{}.{step}", stem(&frame_name(file))),
+            None => {
+                let name = self.name();
+                // Level sets are no frames of particles, and lose their extension all the same.
+                strip_extension(&name, ".vdb").unwrap_or_else(|| stem(&name)).to_owned()
+            }
+        }
     }
 
     /// The frame's number, where the name has one of up to 64 bits.
@@ -53,6 +77,12 @@ impl FrameFile {
 
     /// What the files of a sequence share: their folder, and the name with `{}` for the frame's number.
     pub fn sequence(&self) -> (PathBuf, String) {
+        if let Some((file, _)) = step_of(&self.path) {
+            return (
+                file.parent().map(Path::to_owned).unwrap_or_default(),
+                format!("{}/{STEP}{{}}", frame_name(file)),
+            );
+        }
         let mut name = self.name();
         if let Some(span) = self.number_span.clone() {
             name.replace_range(span, "{}");
@@ -118,10 +148,18 @@ pub fn has_particle_extension(name: &str) -> bool {
     stem(name).len() < name.len()
 }
 
+/// Whether a file name promises particles so that one without any is broken, and no readme file or log: of names that
+/// these have, too, only the content tells.
+pub fn promises_particles(name: &str) -> bool {
+    let unpacked = unpacked_name(name).to_ascii_lowercase();
+    let may_be_any_text = [".txt", ".dat", ".asc"].iter().any(|extension| unpacked.ends_with(extension));
+    has_particle_extension(name) && !may_be_any_text
+}
+
 /// The file name without its particle extensions; all of it where it has none.
 fn stem(name: &str) -> &str {
-    let uncompressed = strip_extension(name, ".gz").unwrap_or(name);
-    PARTICLE_EXTENSIONS.iter().find_map(|extension| strip_extension(uncompressed, extension)).unwrap_or(name)
+    let unpacked = unpacked_name(name);
+    PARTICLE_EXTENSIONS.iter().find_map(|extension| strip_extension(unpacked, extension)).unwrap_or(name)
 }
 
 /// `name` without `extension` in any case, if something is left.
@@ -139,10 +177,6 @@ fn last_number(text: &str) -> Option<Range<usize>> {
     Some(start..end)
 }
 
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 fn digit_count(text: &[u8]) -> usize {
     text.iter().take_while(|byte| byte.is_ascii_digit()).count()
 }
@@ -154,7 +188,7 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
 
 /// Longer ones first where one ends like another. What is read is decided by content; these only
 /// say where the stem ends, and which files of a folder are frames.
-const PARTICLE_EXTENSIONS: [&str; 17] = [
+const PARTICLE_EXTENSIONS: [&str; 21] = [
     ".bgeo.sc",
     ".geo.sc",
     ".bgeo",
@@ -172,6 +206,10 @@ const PARTICLE_EXTENSIONS: [&str; 17] = [
     ".vtk",
     ".vtp",
     ".vtu",
+    ".npy",
+    ".npz",
+    ".dump",
+    ".lammpstrj",
 ];
 
 #[cfg(test)]
@@ -189,6 +227,9 @@ mod tests {
             ("dam.0012.bgeo.gz", "dam.0012"),
             ("dam.BGEO.SC", "dam"),
             ("x.ply.gz", "x"),
+            ("x.ply.zst", "x"),
+            ("x.npz", "x"),
+            ("x.lammpstrj.gz", "x"),
             ("x.gz", "x.gz"),
             ("frame.0001", "frame.0001"),
             ("v1.5", "v1.5"),
@@ -243,6 +284,20 @@ mod tests {
             ("a.11.ply", vec![Some(11)]),
         ];
         assert_eq!(found, expected.map(|(name, numbers)| (name.to_owned(), numbers)));
+    }
+
+    #[test]
+    fn steps_are_frames_of_their_file() {
+        let all = ["in/d.7.dump.gz/step=1000", "in/d.7.dump.gz/step=0", "in/d.7.dump.gz/step=-5"];
+        let named = ["in/d.7.dump.gz/step=1000.2", "in/d.7.dump.gz/step=unnumbered"].map(file);
+        let found: Vec<_> = named.iter().map(|step| (step.stem(), step.number())).collect();
+        assert_eq!(found, [("d.7.1000.2".to_owned(), Some(1000)), ("d.7.unnumbered".to_owned(), None)]);
+        let found = sequences(all.map(file).to_vec());
+        let numbers: Vec<_> =
+            found.iter().map(|s| s.frames.iter().map(FrameFile::number).collect::<Vec<_>>()).collect();
+        assert_eq!(numbers, [vec![None, Some(0), Some(1000)]]);
+        assert_eq!(found[0].name, "d.7.dump.gz/step={}");
+        assert_eq!(found[0].frames[0].sequence().0, Path::new("in"));
     }
 
     #[test]

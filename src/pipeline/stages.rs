@@ -39,12 +39,15 @@ use super::budget::{Budget, Reservation};
 use super::crew::{Crew, Tasks};
 use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
 use super::frame_particles::{FileParticles, FrameParticles};
+use super::inspection::is_certified;
 use super::memory::peak_memory_bytes;
 use super::method::Method;
 use super::obstacle_notes::out_of_reach;
 use super::obstacles::{FoundObstacles, FrameObstacles};
 use super::provenance::is_done;
-use super::reading::{InputFile, parse_particles, read_unchanged};
+use super::reading::{InputFile, parse_particles, read_frame_unchanged};
+use super::seats::{Seat, Seats};
+use super::steps::{StepsFoundBy, reading_bytes, step_of};
 use super::writing::{Written, surface_notes, write_files, write_surface};
 
 /// What to do when a frame fails.
@@ -67,11 +70,16 @@ pub struct Conduct<'a> {
     /// Leave frames alone whose outputs are there, made from the same input by the same settings
     /// and the same version of this program.
     pub skip_done: bool,
+    /// Write the certificate of each frame beside its outputs, with their hashes. Then a frame is not done without it,
+    /// nor with other bytes than those it was written for.
+    pub certificates: bool,
     /// As many frames, at most, have been asked for and are not finished; at least one.
     pub in_flight: usize,
     /// As many bytes, about, the frames under way may take together. A frame that needs more by itself is
     /// skinned in tiles that wait on disk; one that cannot be fails, and says what it needs.
     pub memory_bytes: u64,
+    /// Who goes through a file with several frames that was written again. Where it is another, reading never waits for that.
+    pub steps_found_by: StepsFoundBy,
 }
 
 /// How many frames it takes to keep so many threads busy: one for each, and some that are read or written.
@@ -289,7 +297,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             return Err(Outcome::NotStarted);
         }
         // A file that cannot be looked at will not be read either.
-        let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
+        let file_bytes = reading_bytes(&frame.input, self.conduct.steps_found_by);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(READING_MEMORY).saturating_add(obstacle_bytes);
         let mut memory = self.budget.hold(bytes);
@@ -309,21 +317,18 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
 
     /// The particles of a frame, and the notes on them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
-        let failed = |error: io::Error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
+        let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let of_obstacle = |error| FrameError::of_stage(frame, Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
-        let file = InputFile::open(&frame.input).map_err(failed)?;
         let wanted = Wanted::by(&frame.settings);
-        if file.is_regular()
-            && file.stamp().size >= STREAMED_FROM_BYTES
-            && needs_positions_only(&frame.settings)
-        {
+        if let Some(file) = self.worth_streaming(frame).map_err(|error| failed(error.into()))? {
+            let failed = |error: io::Error| failed(error.into());
             let input = ReadInput { stamp: file.stamp(), hash: file.hash().map_err(failed)? };
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
             }
-            if self.conduct.skip_done && is_done(frame, input.hash, &obstacles.recorded()) {
+            if self.conduct.skip_done && self.is_done(frame, input.hash, &obstacles.recorded()) {
                 return Err(Outcome::AlreadyDone(input));
             }
             let streamed = FileParticles::open(&frame.input, file)
@@ -334,10 +339,10 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 return self.planned(number, frame, move || Ok((particles, notes)), obstacles, input);
             }
         }
-        let unchanged = read_unchanged(&frame.input).map_err(failed)?;
+        let unchanged = read_frame_unchanged(&frame.input, self.conduct.steps_found_by).map_err(failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
-        if self.conduct.skip_done && is_done(frame, input.hash, &obstacles.recorded()) {
+        if self.conduct.skip_done && self.is_done(frame, input.hash, &obstacles.recorded()) {
             return Err(Outcome::AlreadyDone(input));
         }
         let path = frame.input.clone();
@@ -346,6 +351,23 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
             Ok((FrameParticles::InMemory(read.cloud), read.notes))
         };
         self.planned(number, frame, parse, obstacles, input)
+    }
+
+    /// The file of a frame that is better gone through twice, batch by batch, than read once.
+    fn worth_streaming(&self, frame: &Frame) -> io::Result<Option<InputFile>> {
+        if step_of(&frame.input).is_some() || !needs_positions_only(&frame.settings) {
+            return Ok(None);
+        }
+        let file = InputFile::open(&frame.input)?;
+        Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
+    }
+
+    /// Whether a frame needs not be made again.
+    fn is_done(&self, frame: &Frame, hash: u128, obstacles: &str) -> bool {
+        match self.conduct.certificates {
+            true => is_certified(frame, hash, obstacles),
+            false => is_done(frame, hash, obstacles),
+        }
     }
 
     /// Has a frame parsed and planned in the pool; waiting for the disk before it is no work for that.
@@ -505,7 +527,10 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
         let write = |format, out: &mut BufWriter<&File>| {
             write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out)
         };
-        let written = FrameError::catch(&frame.input, Stage::Write, || write_files(frame, write));
+        let written = FrameError::catch(&frame.input, Stage::Write, || {
+            let certify = self.conduct.certificates.then_some((known.input.hash, &surface.report));
+            write_files(frame, write, certify)
+        });
         match written.flatten() {
             Ok(Written { paths, sizes_bytes }) => Outcome::Converted(Box::new(FrameReport {
                 input: known.input,
@@ -517,7 +542,8 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: [known.notes, surface_notes(&surface, &frame.outputs.formats)].concat(),
+                notes: [known.notes, surface_notes(&surface, &frame.outputs, frame.settings.voxel_size)]
+                    .concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }
@@ -548,34 +574,6 @@ fn outcome_of(error: FrameError) -> Outcome {
 
 fn is_failure(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::Failed(_) | Outcome::Changed)
-}
-
-/// The places in which frames compute.
-struct Seats {
-    taken: Sender<()>,
-    given_back: Receiver<()>,
-}
-
-/// One of them, given back when it is dropped.
-struct Seat<'a>(&'a Seats);
-
-impl Seats {
-    fn new(count: usize) -> Seats {
-        let (taken, given_back) = bounded(count);
-        Seats { taken, given_back }
-    }
-
-    fn take(&self) -> Seat<'_> {
-        // It fails only when there are no more seats at all, and they last as long as this does.
-        let _ = self.taken.send(());
-        Seat(self)
-    }
-}
-
-impl Drop for Seat<'_> {
-    fn drop(&mut self) {
-        let _ = self.0.given_back.try_recv();
-    }
 }
 
 /// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.

@@ -5,9 +5,10 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use glam::Vec3;
 use meniscus_formats::{
     BandGrid, LeafValues, LevelSetView, MeshView, Provenance, Role, VertexAttribute, VertexValues, gltf, obj,
-    ply, vdb,
+    ply, stl, usda, vdb, vtk,
 };
 
 use crate::level_set::NarrowBand;
@@ -19,6 +20,7 @@ use crate::space::Lattice;
 use crate::transfer::BandAttribute;
 
 use super::bounds::NOTHING;
+use super::certificate_file::{certificate_path, write_certificate};
 use super::crew::Crew;
 use super::frame::{Frame, FrameError, Stage};
 use super::outputs::{OutputFormat, OutputOptions, output_path};
@@ -36,13 +38,15 @@ pub(super) struct Written {
 }
 
 /// Writes a frame in every format, each as `write` does it: all of these files appear, whole and
-/// together, or none. Their folder is made where it is missing.
+/// together, or none; and with them, where `certify` is there, the certificate of the frame from an input with this hash.
+/// Their folder is made where it is missing.
 ///
 /// # Errors
 /// The first file that cannot be written.
 pub(super) fn write_files(
     frame: &Frame,
     write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
+    certify: Option<(u128, &SkinReport)>,
 ) -> Result<Written, FrameError> {
     let OutputOptions { folder, formats, .. } = &*frame.outputs;
     let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
@@ -51,7 +55,12 @@ pub(super) fn write_files(
         let path = output_path(folder, &frame.stem, format);
         write_unseen(&path, |out| write(format, out)).map_err(|error| fail(&path, error))
     };
-    let unseen: Vec<Unseen> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
+    let mut unseen: Vec<Unseen> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
+    if let Some((input_hash, report)) = certify {
+        let path = certificate_path(folder, &frame.stem);
+        let certificate = write_certificate(&path, (&frame.input, input_hash), report, &unseen);
+        unseen.push(certificate.map_err(|error| fail(&path, error))?);
+    }
     let sizes_bytes = unseen.iter().map(Unseen::size_bytes).collect();
     let paths = publish(unseen).map_err(|(path, error)| fail(&path, error.into()))?;
     Ok(Written { paths, sizes_bytes })
@@ -70,8 +79,23 @@ pub(super) fn write_surface<'env>(
     crew: &Crew<'_, '_, 'env>,
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
-    let options = &*frame.outputs;
     let provenance = provenance(frame, (input_hash, obstacles), format);
+    write_made(surface, (number, frame), provenance, format, crew, out)
+}
+
+/// The same of a surface that says this of what made it.
+///
+/// # Errors
+/// Those of [`write_surface`].
+pub(super) fn write_made<'env>(
+    surface: &Arc<Surface>,
+    (number, frame): (usize, &Frame),
+    provenance: Vec<(String, String)>,
+    format: OutputFormat,
+    crew: &Crew<'_, '_, 'env>,
+    out: &mut impl Write,
+) -> meniscus_formats::Result<()> {
+    let options = &*frame.outputs;
     let attributes = vertex_attributes(&surface.attributes.vertices);
     let mesh = mesh_view(&surface.mesh, &attributes);
     match format {
@@ -80,8 +104,8 @@ pub(super) fn write_surface<'env>(
             crew.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
         }
         OutputFormat::Obj => {
-            let quads = if frame.settings.quads { surface.mesh.quads() } else { Vec::new() };
-            let options = obj::WriteOptions { quads: quads.into(), ..obj::WriteOptions::default() };
+            let options =
+                obj::WriteOptions { quads: quads_of(surface, frame), ..obj::WriteOptions::default() };
             for index in 0..obj::batch_count(&mesh) {
                 let (surface, options, provenance) =
                     (Arc::clone(surface), options.clone(), provenance.clone());
@@ -95,8 +119,32 @@ pub(super) fn write_surface<'env>(
             }
             Ok(())
         }
+        OutputFormat::Usda => {
+            let quads = quads_of(surface, frame);
+            let options = usda::WriteOptions { up: options.up, quads, ..usda::WriteOptions::default() };
+            for index in 0..usda::batch_count(&mesh, &options) {
+                let (surface, options, provenance) =
+                    (Arc::clone(surface), options.clone(), provenance.clone());
+                let encode = move || {
+                    let attributes = vertex_attributes(&surface.attributes.vertices);
+                    usda::encode_batch(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
+                };
+                for text in crew.run(number, encode)? {
+                    out.write_all(&text)?;
+                }
+            }
+            Ok(())
+        }
         // These are copies of what the mesh has: writing them costs more.
-        OutputFormat::Glb => gltf::write_glb(&mesh, &gltf_options(options), &provenance, out),
+        OutputFormat::Glb => {
+            let options = gltf::WriteOptions { quantize: options.quantize, ..gltf_options(options) };
+            gltf::write_glb(&mesh, &options, &provenance, out)
+        }
+        OutputFormat::Vtp => {
+            let options = vtk::WriteOptions { quads: quads_of(surface, frame) };
+            vtk::write_mesh(&mesh, &options, &provenance, out)
+        }
+        OutputFormat::Stl => stl::write(&mesh, &provenance, out),
         OutputFormat::Gltf => gltf::write_gltf(&mesh, &gltf_options(options), &provenance, out),
         OutputFormat::Ply => ply::write::write_mesh(&mesh, &provenance, out),
         OutputFormat::Png => {
@@ -158,6 +206,11 @@ fn gltf_options(options: &OutputOptions) -> gltf::WriteOptions {
     gltf::WriteOptions { up: options.up, ..gltf::WriteOptions::default() }
 }
 
+/// Which triangles are halves of quads, where quads are asked for.
+fn quads_of(surface: &Surface, frame: &Frame) -> Arc<[bool]> {
+    if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() }
+}
+
 fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
     MeshView {
         positions: bytemuck::cast_slice(&mesh.positions),
@@ -215,10 +268,32 @@ fn role(meaning: Meaning) -> Option<Role> {
 }
 
 /// What a user should know of a surface and of its files.
-pub(super) fn surface_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
+pub(super) fn surface_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<String> {
     let why_empty = why_empty(&surface.report).map(str::to_owned);
-    why_empty.into_iter().chain(attribute_notes(surface, formats)).collect()
+    let misfit = misfit(&surface.mesh, &surface.report, voxel_size);
+    let notes = why_empty.into_iter().chain(misfit).chain(attribute_notes(surface, &outputs.formats));
+    notes.chain(position_notes(surface, outputs, voxel_size)).collect()
 }
+
+/// What a user should know of positions that a file has no room for as they are.
+fn position_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<String> {
+    let OutputOptions { formats, quantize, .. } = outputs;
+    let mesh = mesh_view(&surface.mesh, &[]);
+    let voxels = |moved: f64| Some(moved / voxel_size).filter(|moved| *moved > TOLD_FROM_VOXELS);
+    let quantized = formats.contains(&OutputFormat::Glb) && *quantize && !mesh.triangles.is_empty();
+    let quantized = quantized.then(|| voxels(gltf::quantization_error(&mesh))).flatten();
+    let rounded = formats.contains(&OutputFormat::Stl).then(|| voxels(stl::rounding(&mesh))).flatten();
+    let quantized = quantized.map(|moved| {
+        format!("vertices are moved by up to {moved:.3} voxels in the quantized .glb: the frame is wide for its 65536 steps")
+    });
+    let rounded = rounded.map(|moved| {
+        format!("vertices are moved by up to {moved:.3} voxels in the .stl, whose numbers have 32 bits: it is far from the origin")
+    });
+    quantized.into_iter().chain(rounded).collect()
+}
+
+/// A file that moves vertices by more than this is told of, in voxels.
+const TOLD_FROM_VOXELS: f64 = 0.02;
 
 /// Why nothing is left of the surface of a frame that has particles.
 fn why_empty(report: &SkinReport) -> Option<&'static str> {
@@ -238,6 +313,44 @@ fn why_empty(report: &SkinReport) -> Option<&'static str> {
     })
 }
 
+/// What tells of voxels that do not fit the particles: most of these are drops by themselves, or all are one blob.
+fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
+    let SkinReport { particle_count, edits, contact, certificate, .. } = report;
+    let is_whole = edits.clipped_voxel_count == 0
+        && edits.island_count == 0
+        && contact.particle_count == 0
+        && contact.taken_count == 0;
+    if *particle_count < CROWD || !is_whole {
+        return None;
+    }
+    // Six digits are as many as anybody reads.
+    let shown: f64 = format!("{voxel_size:.5e}").parse().unwrap_or(voxel_size);
+    let remedy = "half their spacing is taken without --voxel-size";
+    let piece_count = report.mesh.component_count;
+    if 2 * piece_count > *particle_count {
+        return Some(format!(
+            "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels \
+             of {shown} are small beside what is between them; {remedy}"
+        ));
+    }
+    if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
+        return None;
+    }
+    let low = mesh.positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
+    let high = mesh.positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
+    let width = f64::from((high - low).max_element()) / voxel_size - 2.0 * certificate.vertex_distance_min;
+    (width <= BLOB_VOXELS).then(|| {
+        format!("all of the {particle_count} particles are within {BLOB_VOXELS} voxels: voxels of {shown} are large beside them; {remedy}")
+    })
+}
+
+/// Fewer particles may be drops, or one.
+const CROWD: usize = 33;
+
+/// As wide as a blob is without what is around its particles, in voxels, and what its mesh has at most.
+const BLOB_VOXELS: f64 = 4.0;
+const BLOB_VERTICES: usize = 1 << 12;
+
 /// What a user should know of attributes that the files do not hold as they are.
 fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
@@ -251,6 +364,15 @@ fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
     }
     if has(OutputFormat::Ply) {
         notes.extend(ply::attribute_notes(&vertices));
+    }
+    if has(OutputFormat::Vtp) {
+        notes.extend(vtk::attribute_notes(&vertices));
+    }
+    if has(OutputFormat::Usda) {
+        notes.extend(usda::attribute_notes(&vertices));
+    }
+    if has(OutputFormat::Stl) && !vertices.is_empty() {
+        notes.push("the .stl has triangles only, and nothing that is known of the vertices".to_owned());
     }
     if has(OutputFormat::Vdb) {
         let band = &surface.attributes.band;

@@ -60,7 +60,7 @@ pub struct Choices {
     pub decimate: Option<f64>,
     /// Rounds in which normals are averaged with their neighbours; 0 by default.
     pub smooth_normals: Option<u32>,
-    /// Whether .obj has quads; not by default.
+    /// Whether .obj, .vtp and .usda have quads; not by default.
     pub quads: Option<bool>,
     /// Which integrator; `Fast` by default.
     pub integrator: Option<Integrator>,

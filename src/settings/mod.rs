@@ -48,7 +48,7 @@ pub struct Settings {
     pub decimate: f64,
     /// Rounds in which normals are averaged with their neighbours.
     pub smooth_normals: u32,
-    /// Whether .obj has quads.
+    /// Whether .obj, .vtp and .usda have quads.
     pub quads: bool,
     /// Which integrator.
     pub integrator: Integrator,

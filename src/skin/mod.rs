@@ -6,6 +6,7 @@
 //! three calls for one that is larger than memory.
 
 mod attributes;
+mod band;
 mod finish;
 mod plan;
 mod shape;
@@ -17,6 +18,7 @@ use std::convert::Infallible;
 use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
+pub use band::{SLACK_MAX_VOXELS, resurface};
 pub use plan::{Plan, Surroundings, TooLarge, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};

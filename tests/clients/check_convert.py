@@ -34,6 +34,7 @@ def main():
     reads(check, "own", OWN, [])
     awkward(check)
     flowing(check)
+    moving(check)
     check.end()
 
 
@@ -68,7 +69,7 @@ def outcome(frame, out, formats):
         f"{frame['particles']} particles, h = {frame['settings']['voxel_size']:.6g}, "
         f"{frame['triangles']} triangles in {frame['components']} pieces, {sum(frame['seconds'].values()):.2f} s"
     )
-    stem = Path(frame["input"]).stem
+    stem = Path(frame["input"]).name.removesuffix(".sc").rpartition(".")[0]
     missing = [f for f in formats if not (out / f"{stem}.{f}").is_file() or not (out / f"{stem}.{f}").stat().st_size]
     faults = [f"no {stem}.{f}" for f in missing]
     if not certificate["holds"]:
@@ -138,6 +139,28 @@ def flowing(check):
         if told and (told["vertices"]["empty"] or told["band"]["empty"]):
             faults.append(f"places without particles: {told}")
         check.line(f"{label} attributes", f"{', '.join(told.get('names', []))}: {told.get('seconds', 0):.3f} s", faults)
+
+
+def moving(check):
+    """A shot of a block that grows, for programs that take meshes in other formats; and as one file that plays."""
+    folder = WORK / "awkward" / "moving"
+    folder.mkdir(parents=True, exist_ok=True)
+    for frame in MOVING:
+        points = [(0.1 * x, 0.1 * y, 0.1 * z) for x in range(4 + 2 * frame) for y in range(5) for z in range(4)]
+        rows = ["x,y,z,vx,vy,vz", *(f"{x!r},{y!r},{z!r},{x!r},2,0" for x, y, z in points)]
+        (folder / f"moving.{frame:03}.csv").write_text("\n".join(rows) + "\n")
+    for label, more in (("moving", []), ("moving-quantized", ["--quantize", "--quads"])):
+        out = OUT / label
+        shots = ["--sequence-glb", out / "shot.glb", "--sequence-usda", out / "shot.usda"]
+        options = ["--voxel-size", "0.05", "--attributes", "velocity", "--up", "z", *shots, *more]
+        out.mkdir(parents=True, exist_ok=True)
+        reads(check, label, folder, options, ["glb", "obj", "ply", "vtp", "stl", "usda"])
+        faults = [f"no {shot.name}" for shot in (out / "shot.glb", out / "shot.usda") if not shot.is_file()]
+        check.line(f"{label} shots", f"{len(MOVING)} frames", faults)
+
+
+# Numbers of frames; one is missing.
+MOVING = (1, 2, 4)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ mod scene; // a watched folder, the daemon beside it, and its log
 mod sentinels; // files that say that another is complete
 mod sequences; // one voxel size for a sequence, whatever the order
 mod signals; // asked to end, to hurry, or to read its file again
+mod steps; // a dump to which steps are appended
 mod told; // what the commands tell of a running and of a stopped daemon
 mod window; // what is shown while it runs, to whom, and that nobody who looks does any harm
 mod writers; // the ways in which frames come into being

@@ -38,7 +38,7 @@ fn what_makes_no_sense_is_refused() {
         (&["dam.1.ply", "--frames", "5-1"], &["backwards"]),
         (&["dam.1.ply", "--frames", "7"], &["--frames selects none of the 1"]),
         (&["dam.1.ply", "--threads", "0"], &["--threads"]),
-        (&["dam.1.ply", "--format", "stl"], &["stl"]),
+        (&["dam.1.ply", "--format", "fbx"], &["fbx"]),
         (&["dam.1.ply", "--voxel-size", "-1"], &["voxel size", "positive"]),
         (&["dam.1.ply", "--radius-min", "-0.1"], &["-0.1", "radius"]),
         (&["dam.1.ply", "--radius-init", "-0.001"], &["radius"]),
@@ -170,13 +170,13 @@ fn where_nothing_can_be_read_the_reason_leads() {
     let folder = folder();
     let path = folder.path();
     for number in 1..=2 {
-        let vtk = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET POLYDATA\n";
+        let vtk = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET STRUCTURED_POINTS\n";
         fs::write(path.join(format!("f.{number}.vtk")), vtk).expect("written");
     }
     let err = |inputs: &[&str]| meniscus(path, &[&["convert", "--out", "o"], inputs].concat()).err;
     for inputs in [&["f.1.vtk"][..], &["f.1.vtk", "f.2.vtk"]] {
         let err = err(inputs);
-        assert!(err.contains("f.1.vtk: legacy VTK: not read yet"), "{err}");
+        assert!(err.contains("f.1.vtk: legacy VTK: a data set of the type STRUCTURED_POINTS"), "{err}");
         assert!(!err.contains("--voxel-size") && !err.contains("distinct"), "{err}");
     }
     // Readable, but sparse: a voxel size would help.
@@ -235,6 +235,30 @@ fn warnings_name_the_sequence() {
     let arguments = ["convert", "dam.1.ply", "--out", "o", "--radius-min", "0.05"];
     let ran = meniscus(folder.path(), &arguments);
     assert_eq!(ran.err.matches("warning: dam.1.ply: r_min is").count(), 1, "{}", ran.err);
+}
+
+#[test]
+fn voxels_that_do_not_fit_the_particles_are_told() {
+    let folder = folder();
+    write_ply(&folder.path().join("block.ply"), &block(5, 0.0));
+    let of_size = |voxel_size: &str| {
+        let arguments = ["convert", "block.ply", "--out", "o", "--format", "glb", "--report", "r.json"];
+        let ran = meniscus(folder.path(), &[&arguments[..], &["--voxel-size", voxel_size]].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let report = fs::read_to_string(folder.path().join("r.json")).expect("a report");
+        (ran.err, report)
+    };
+    for (voxel_size, words) in [
+        (
+            "0.01",
+            "125 particles became 125 pieces, most of one particle each: they are spray, or voxels of 0.01 are small",
+        ),
+        ("10", "all of the 125 particles are within 4 voxels: voxels of 10 are large"),
+    ] {
+        let (err, report) = of_size(voxel_size);
+        assert!(err.contains(words) && report.contains(words), "{voxel_size}: {err}");
+    }
+    assert_eq!(of_size("0.08").0, "");
 }
 
 #[test]

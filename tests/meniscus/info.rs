@@ -45,6 +45,29 @@ fn attributes_are_described() {
     assert_eq!(json[0]["particles"]["spacing"], Value::Null);
 }
 
+/// A step that is cut off is told as such, and the others are described.
+#[test]
+fn each_step_is_described() {
+    let folder = tempdir().expect("a folder");
+    let step = |number: usize, count: usize| {
+        format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{count}\nITEM: ATOMS id x y z\n1 0 0 0.5\n")
+    };
+    let text = [step(0, 1), step(100, 2), step(200, 1)].concat();
+    fs::write(folder.path().join("d.dump"), text).expect("written");
+    let ran = meniscus(folder.path(), &["info", "--json", "d.dump"]);
+    assert_eq!(ran.status, 1);
+    assert!(
+        ran.err.contains("error: d.dump/step=100: LAMMPS dump, at line 6: expected 2 atoms"),
+        "{}",
+        ran.err
+    );
+    let json: Value = serde_json::from_str(&ran.out).expect("the output is JSON");
+    let files: Vec<_> = json.as_array().expect("a list").iter().map(|file| &file["file"]).collect();
+    assert_eq!(files, ["d.dump/step=0", "d.dump/step=100", "d.dump/step=200"]);
+    assert_eq!((&json[0]["kind"], &json[0]["particles"]["count"]), (&"LAMMPS dump".into(), &1.into()));
+    assert_eq!(meniscus(folder.path(), &["info", "d.dump/step=200"]).status, 0);
+}
+
 #[test]
 fn meshes_are_described() {
     let folder = tempdir().expect("a folder");
@@ -90,6 +113,11 @@ fn attributes_of_gltf_are_described() {
         let out = meniscus(path, &["info", name]).out;
         assert!(out.contains("_VELOCITY: f32 × 3, velocity, 1 … 1; 2 … 2; 3 … 3"), "{out}");
         assert!(out.contains("_AGE: f32 × 1, 7 … 7") && !out.contains("spacing"), "{out}");
+        let json: Value =
+            serde_json::from_str(&meniscus(path, &["info", "--json", name]).out).expect("the output is JSON");
+        let names: Vec<_> = json[0]["mesh"]["attributes"].as_array().expect("a list").iter().collect();
+        assert_eq!((&names[0]["name"], &names[1]["name"]), (&"_AGE".into(), &"_VELOCITY".into()), "{json}");
+        assert!(json[0].get("particles").is_none(), "vertices are no particles: {json}");
     }
 }
 
@@ -137,6 +165,24 @@ fn a_file_that_cannot_be_read_costs_itself_only() {
     assert!(both.err.contains("noise: ") && both.err.contains("missing.ply: "), "{}", both.err);
     assert!(both.out.contains("block.ply: PLY"));
     assert_eq!(meniscus(folder.path(), &["info", "noise"]).status, 2);
+}
+
+#[test]
+fn folders_are_refused_and_patterns_taken() {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    for name in ["a.1.ply", "a.2.ply"] {
+        write_ply(&folder.path().join("in").join(name), &block(4, 0.0));
+    }
+    let ran = meniscus(folder.path(), &["info", "in"]);
+    assert_eq!(ran.status, 2);
+    assert!(ran.err.contains("in: this is a folder: give the files in it, or a pattern"), "{}", ran.err);
+    for pattern in ["in/*.ply", "in/a.#.ply"] {
+        let ran = meniscus(folder.path(), &["info", pattern]);
+        assert_eq!((ran.status, ran.out.matches(": PLY, ").count()), (0, 2), "{}{}", ran.out, ran.err);
+    }
+    let ran = meniscus(folder.path(), &["info", "in/*.obj"]);
+    assert!(ran.status == 2 && ran.err.contains("*.obj: "), "{}", ran.err);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use meniscus::level_set::NarrowBand;
 use meniscus::mesh::Mesh;
 use meniscus::pipeline::{
     Cause, Conduct, FileStamp, Frame, FrameObstacles, FrameParticles, LevelSetSkinning, Method, OnError,
-    Outcome, OutputFormat, OutputOptions, PictureOptions, Stage, run,
+    Outcome, OutputFormat, OutputOptions, PictureOptions, Stage, StepsFoundBy, run,
 };
 use meniscus::report::SkinReport;
 use meniscus::settings::{Choices, Settings};
@@ -107,6 +107,7 @@ impl Bench {
             folder: folder.path().join("out"),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
             up: gltf::UpAxis::Y,
+            quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,
             picture: PictureOptions::default(),
@@ -185,7 +186,15 @@ impl Bench {
 
 /// How frames are converted where it does not matter.
 pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
-    Conduct { pool, on_error: OnError::Continue, skip_done: false, in_flight: 5, memory_bytes: 1 << 30 }
+    Conduct {
+        pool,
+        on_error: OnError::Continue,
+        skip_done: false,
+        certificates: false,
+        in_flight: 5,
+        memory_bytes: 1 << 30,
+        steps_found_by: StepsFoundBy::Reader,
+    }
 }
 
 /// One letter for each outcome.
@@ -296,6 +305,8 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
     assert_eq!(run(&bench), "cccc");
     bench.change_outputs(|outputs| outputs.up = gltf::UpAxis::Z);
     assert_eq!(run(&bench), "cccc");
+    bench.change_outputs(|outputs| outputs.quantize = true);
+    assert_eq!(run(&bench), "cccc");
     // Settings.
     let choices = Choices { laplacian_steps: Some(14), ..Choices::default() };
     bench.frames[2].settings = Arc::new(Settings::resolve(0.05, &choices).expect("valid"));
@@ -305,10 +316,11 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
 #[test]
 fn what_lost_its_end_is_made_again() {
     let mut bench = Bench::new(&[2]);
-    bench.change_outputs(|outputs| outputs.formats.push(OutputFormat::Gltf));
+    let more = [OutputFormat::Gltf, OutputFormat::Vtp, OutputFormat::Stl, OutputFormat::Usda];
+    bench.change_outputs(|outputs| outputs.formats.extend(more));
     let run = |bench: &Bench| letters(&bench.run_with(&Quick::new(None), OnError::Continue, true, 2));
     assert_eq!(run(&bench), "c");
-    for extension in ["glb", "gltf", "obj", "ply", "vdb"] {
+    for extension in ["glb", "gltf", "obj", "ply", "vdb", "vtp", "stl", "usda"] {
         let path = bench.out().join(format!("f.0.{extension}"));
         let whole = fs::read(&path).expect("readable");
         for length in [whole.len() * 6 / 10, whole.len() - 1] {

@@ -42,6 +42,11 @@ fn what_makes_no_sense_is_refused_before_anything_is_made() {
     ] {
         assert_refused(path, &[&["in", "--out", "out"], arguments].concat(), words);
     }
+    assert_refused(
+        path,
+        &["meniscus.toml", "--out", "out"],
+        &["this is a file: `meniscus convert` does files"],
+    );
     assert!(!path.join("out").exists());
 }
 

@@ -13,3 +13,4 @@ mod poll; // looking by itself, where the system tells nothing
 mod roots; // folders that vanish, come back, come up empty, come late
 mod scale; // many frames that are converted already
 mod scene; // a daemon at work, seen from outside; small frames
+mod soak; // everything at once, and for long

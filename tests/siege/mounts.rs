@@ -6,7 +6,7 @@
 
 use std::env;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 use crate::scene::tell;
 
@@ -26,9 +26,11 @@ pub(crate) fn with_own_mounts(name: &str, test: impl FnOnce()) {
         .arg(env::current_exe().expect("this test"))
         .args(["--exact", name, "--nocapture"])
         .env(INSIDE, "1")
+        // What it tells is told, also where it passes.
+        .stderr(Stdio::inherit())
         .output()
         .expect("it starts");
-    let said = [ran.stdout, ran.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).concat();
+    let said = String::from_utf8_lossy(&ran.stdout);
     assert!(ran.status.success() && said.contains("1 passed"), "{said}");
 }
 

@@ -4,6 +4,7 @@
 //! order, tells that nothing else was queued before it.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use tempfile::{TempDir, tempdir};
@@ -148,8 +149,8 @@ fn outputs_that_are_removed_are_made_again() {
     let arguments = ["in", "--out", "out", "--settle", "50ms", "--rescan", "200ms"];
     let mut daemon = Daemon::start(folder.path(), &arguments);
     daemon.until_converted(&frame_names(1, 3));
-    // With the journal and the lock in it.
-    fs::remove_dir_all(&out).expect("removed");
+    // With the journal and the lock in it; the daemon may write there at that very moment.
+    while fs::remove_dir_all(&out).is_err_and(|error| error.kind() == ErrorKind::DirectoryNotEmpty) {}
     land_sequence(&inside, 4, 4, 5);
     daemon.until("all are there again", |daemon| {
         daemon.converted().len() == 7 && daemon.has_status("4 done, 0 queued")

@@ -142,13 +142,29 @@ impl Daemon {
     /// Asks it to end, and waits until it has: in good order, and with nothing but information and
     /// warnings in its log.
     pub(crate) fn stop(mut self) {
-        let pid = self.pid().to_string();
-        let sent = Command::new("kill").args(["-TERM", &pid]).status().expect("kill runs");
-        assert!(sent.success(), "the daemon was there");
+        self.end();
+        assert!(!self.log.iter().any(|line| line["level"] == "ERROR"), "{}", self.everything());
+    }
+
+    /// Asks it to end, and waits until it has, in good order; frames may have failed.
+    pub(crate) fn end(&mut self) {
+        self.signal("TERM");
         self.until("it ends", |daemon| daemon.has_ended);
         let status = self.child.wait().expect("it ended");
         assert!(status.success(), "{status}:\n{}", self.everything());
-        assert!(!self.log.iter().any(|line| line["level"] == "ERROR"), "{}", self.everything());
+    }
+
+    /// Sends it a signal of this name.
+    pub(crate) fn signal(&self, name: &str) {
+        let sent =
+            Command::new("kill").args(["-s", name, &self.pid().to_string()]).status().expect("kill runs");
+        assert!(sent.success(), "the daemon was there");
+    }
+
+    /// Ends it in the midst of whatever it does.
+    pub(crate) fn kill(&mut self) {
+        self.child.kill().expect("killed");
+        self.child.wait().expect("it ended");
     }
 
     /// Waits until it ends by itself, with everything converted, as long as it has something to say.

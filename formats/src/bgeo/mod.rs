@@ -24,10 +24,12 @@
 
 mod header;
 mod read;
+mod text;
 mod write;
 
 pub use header::{AttributeHeader, AttributeKind, Header, header};
 pub use read::read;
+pub use text::read_text;
 pub use write::write;
 
 pub(crate) use header::header_within;

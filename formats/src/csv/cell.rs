@@ -162,6 +162,28 @@ fn exceeds_f32_by(text: &[u8], value: f64, difference: f64) -> bool {
     digit_count > DIGITS_ALWAYS_HELD && difference > half_of_last_digit + rounding_of_value
 }
 
+/// Whether `text` is an integer that a 64-bit real cannot stand for.
+#[inline]
+pub(super) fn is_rounded_integer(text: &[u8]) -> bool {
+    const DIGITS_ALWAYS_HELD: usize = 15;
+    DIGITS_ALWAYS_HELD < text.len() && is_rounded_long_integer(text)
+}
+
+#[cold]
+fn is_rounded_long_integer(text: &[u8]) -> bool {
+    let text = text.trim_ascii();
+    let digits = text.strip_prefix(b"-").or(text.strip_prefix(b"+")).unwrap_or(text);
+    let magnitude = std::str::from_utf8(digits).ok().filter(|_| digits.iter().all(u8::is_ascii_digit));
+    // What even 128 bits do not hold is rounded nearly always.
+    magnitude.is_some_and(|digits| digits.parse().map_or(!digits.is_empty(), is_rounded))
+}
+
+/// Whether an integer so far from zero has more bits than a 64-bit real.
+pub(super) fn is_rounded(magnitude: u128) -> bool {
+    let bit_count = u128::BITS.saturating_sub(magnitude.leading_zeros() + magnitude.trailing_zeros());
+    f64::MANTISSA_DIGITS < bit_count
+}
+
 /// The number of significant digits, and the power of ten that the last of them counts.
 fn written_precision(text: &[u8]) -> (u32, i32) {
     let mut digit_count = 0u32;

@@ -9,7 +9,7 @@
 //!
 //! Columns of parts that were read side by side are joined where that makes what reading on would have made.
 
-use super::cell::{exceeds_f32, narrow};
+use super::cell::{exceeds_f32, is_rounded, is_rounded_integer, narrow};
 use std::collections::HashMap;
 
 /// The values of one column, one per row.
@@ -22,6 +22,8 @@ pub(super) struct Column {
     pub(super) exceeds_f32: bool,
     /// Whether an integer was written that may read differently among reals: −0, +5, or one of many digits.
     has_odd_integer: bool,
+    /// Whether an integer was written that is another one as a 64-bit real.
+    pub(super) has_rounded_integer: bool,
 }
 
 #[derive(Debug)]
@@ -44,7 +46,13 @@ impl Column {
     /// An empty column with room for `row_count` numbers.
     pub(super) fn with_capacity(row_count: usize) -> Column {
         let values = ColumnValues::Integers(Vec::with_capacity(row_count));
-        Column { values, has_value: false, exceeds_f32: false, has_odd_integer: false }
+        Column {
+            values,
+            has_value: false,
+            exceeds_f32: false,
+            has_odd_integer: false,
+            has_rounded_integer: false,
+        }
     }
 
     /// Appends a number other than an integer; `text` is how it was written.
@@ -53,6 +61,9 @@ impl Column {
         self.has_value = true;
         if !self.exceeds_f32 {
             self.exceeds_f32 = exceeds_f32(text, value);
+        }
+        if !self.has_rounded_integer && is_rounded_integer(text) {
+            (self.has_rounded_integer, self.exceeds_f32) = (true, true);
         }
         if let Some(reals) = self.reals() {
             reals.push(value);
@@ -157,16 +168,19 @@ impl Column {
         self.has_value |= next.has_value;
         self.exceeds_f32 |= next.exceeds_f32;
         self.has_odd_integer |= next.has_odd_integer;
+        self.has_rounded_integer |= next.has_rounded_integer;
     }
 
     /// The column as reals; integers become such. None if it holds texts.
     pub(super) fn reals(&mut self) -> Option<&mut Vec<f64>> {
         if let ColumnValues::Integers(integers) = &mut self.values {
             let integers = std::mem::take(integers);
-            self.exceeds_f32 |= integers.iter().any(|&value| {
-                let value = integer_as_real(value);
-                f64::from(narrow(value)) != value
-            });
+            self.has_rounded_integer |= integers.iter().any(|value| is_rounded(value.unsigned_abs().into()));
+            self.exceeds_f32 |= self.has_rounded_integer
+                || integers.iter().any(|&value| {
+                    let value = integer_as_real(value);
+                    f64::from(narrow(value)) != value
+                });
             // Of one size: the allocation stays.
             self.values = ColumnValues::Reals(integers.into_iter().map(integer_as_real).collect());
         }
@@ -206,7 +220,7 @@ impl Texts {
 #[derive(Debug)]
 pub(super) struct NotAText;
 
-/// Exact up to 2⁵³; identities beyond keep their column free of other numbers.
+/// Exact up to 2⁵³; what is rounded beyond is [told](Column::has_rounded_integer).
 fn integer_as_real(value: i64) -> f64 {
     value as f64
 }

@@ -24,6 +24,10 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
     let positions = positions(&mut table.columns, layout.position, table.row_count);
     let mut attributes = Vec::with_capacity(groups.len());
     for group in groups {
+        if group.scale != 1.0 && !table.columns[group.columns[0]].is_text() {
+            let name = without_unit(&group.name);
+            notes.push(format!("`{name}` is taken for a diameter: the radius is half of it."));
+        }
         if table.columns[group.columns[0]].is_text() {
             take_texts(&group, &layout.names, &mut table.columns, &mut attributes);
         } else {
@@ -31,6 +35,13 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
             let name = without_unit(&group.name);
             attributes.push(Attribute { name, arity: group.arity(), role: group.role, values });
         }
+    }
+    for (name, column) in layout.names.iter().zip(&table.columns) {
+        notes.extend(column.has_rounded_integer.then(|| {
+            format!(
+                "Integers of {name:?} were rounded: some do not fit in 64 bits, so all became 64-bit reals."
+            )
+        }));
     }
     ParticleFrame { positions, attributes, notes }
 }

@@ -82,6 +82,11 @@ pub(crate) fn looks_like_particles(head: &[u8]) -> bool {
     has_header && !has_text
 }
 
+/// Whether a line names a position, and so may be a header.
+pub(crate) fn names_position(line: &[u8]) -> bool {
+    headers(line, &Limits::default()).next().is_some()
+}
+
 /// The line as a header with each delimiter by which it names a position.
 fn headers(line: &[u8], limits: &Limits) -> impl Iterator<Item = (Delimiter, Header)> {
     DELIMITERS.into_iter().filter_map(move |delimiter| {

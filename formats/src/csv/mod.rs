@@ -17,9 +17,10 @@
 //! integers as long as all are, else reals. Reals are kept in 64 bits if the file says more than a
 //! 32-bit one can stand for: if any value has more than 7 digits, and the nearest 32-bit real is
 //! further away than half of the last one. Numbers that were 32-bit reals before they were printed
-//! stay such. An attribute, and the position, is decided as a whole.
+//! stay such. An attribute, and the position, is decided as a whole. Integers that are rounded thereby, being beyond 64 bits or
+//! beside other numbers, are told.
 //!
-//! Not read: decimal commas, LAMMPS dumps, several tables in one file, quoted line breaks.
+//! Not read: decimal commas, several tables in one file, quoted line breaks; for LAMMPS dumps see [`crate::lammps`].
 
 mod cell;
 mod column;
@@ -28,7 +29,7 @@ mod layout;
 mod parts;
 mod rows;
 
-pub(crate) use layout::looks_like_particles;
+pub(crate) use layout::{looks_like_particles, names_position};
 
 use crate::{Error, Limits, ParticleFrame, Place, Result};
 
@@ -51,6 +52,56 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let layout = layout::layout(bytes, limits)?;
     let table = parts::read_rows(bytes, &layout, limits)?;
     Ok(frame::frame(layout, table))
+}
+
+/// What is to be told of rows that another format counts, where the last one has no line end, nor a blank behind it.
+pub(crate) fn open_end_note(rows: &[u8]) -> Option<String> {
+    let is_open = !rows.last().is_some_and(u8::is_ascii_whitespace);
+    is_open.then(|| {
+        "The file ends without a line end: if it is still being written, the last number may lack digits."
+            .into()
+    })
+}
+
+/// The rows of a table that another format has a header for: blanks are between the cells.
+pub(crate) struct Rows {
+    /// One name per column.
+    pub(crate) names: Vec<String>,
+    /// The columns of the position, which the names must tell as well.
+    pub(crate) position: [usize; 3],
+    /// Where the first row begins.
+    pub(crate) offset: usize,
+    /// The line of the first row, from 1.
+    pub(crate) line: u64,
+    /// How many there are, as the header says.
+    pub(crate) count: u64,
+}
+
+/// Reads rows up to the end of `bytes`; `None` if the names tell another position.
+///
+/// # Errors
+///
+/// Those of [`read`]; [`Error::Invalid`] where there are more or fewer rows than the header says.
+pub(crate) fn read_rows(bytes: &[u8], rows: Rows, limits: &Limits) -> Result<Option<ParticleFrame>> {
+    let Rows { names, position, offset, line, count } = rows;
+    if layout::group(&names, |_| false).position != Some(position) {
+        return Ok(None);
+    }
+    let layout = layout::Layout {
+        delimiter: cell::Delimiter::Blanks,
+        names,
+        position,
+        rows_offset: offset,
+        rows_line: line,
+        notes: Vec::new(),
+    };
+    let table = parts::read_rows(bytes, &layout, limits)?;
+    let found = table.row_count as u64 + table.dropped_row_count;
+    if found != count {
+        let what = format!("expected {count} rows, found {found}, and lines that are none");
+        return Err(Error::invalid(FORMAT, Place::Line(line), what));
+    }
+    Ok(Some(frame::frame(layout, table)))
 }
 
 /// Tells binary data from text by its first bytes, before it is complained about as a bad number.

@@ -186,6 +186,10 @@ impl<'a> Rows<'a> {
         }
         let text = unquoted(cell);
         match meaning(&text) {
+            // All there is of a number so far, more likely than what stands for none.
+            Meaning::Missing if is_position && &*text == b"-" && self.at + length == self.bytes.len() => {
+                return Err(self.not_a_number(&text, index));
+            }
             Meaning::Missing => column.push_missing(),
             Meaning::Number(value) if !column.is_text() => match integer(&text) {
                 Some((value, length)) if length == text.len() => column.push_integer(value, &text),
@@ -247,7 +251,7 @@ impl<'a> Rows<'a> {
         let place = Place::Line(self.line);
         match self.at + self.line_text().len() < self.bytes.len() {
             true => Error::invalid(FORMAT, place, what),
-            false => Error::short(FORMAT, place, what),
+            false => Error::short(FORMAT, place, format!("{what}; the file ends there, without a line end")),
         }
     }
 }
@@ -257,17 +261,22 @@ impl<'a> Rows<'a> {
 fn integer(text: &[u8]) -> Option<(i64, usize)> {
     const DIGITS_MAX: usize = 18; // always fit
     let sign = usize::from(matches!(text.first(), Some(b'-' | b'+')));
+    // Below zero, where there is one more than above.
     let mut value = 0i64;
     let mut length = sign;
     while let Some(digit @ b'0'..=b'9') = text.get(length) {
-        if length == sign + DIGITS_MAX {
-            return None;
-        }
-        value = 10 * value + i64::from(digit - b'0');
+        let digit = i64::from(digit - b'0');
+        value = match length < sign + DIGITS_MAX {
+            true => 10 * value - digit,
+            false => value.checked_mul(10)?.checked_sub(digit)?,
+        };
         length += 1;
     }
-    let value = if text.first() == Some(&b'-') { -value } else { value };
-    (sign < length).then_some((value, length))
+    if length == sign {
+        return None;
+    }
+    let is_negative = text.first() == Some(&b'-');
+    Some((if is_negative { value } else { value.checked_neg()? }, length))
 }
 
 /// The length of the blanks between a number and the end of its cell; none if something else follows.

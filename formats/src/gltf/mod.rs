@@ -14,20 +14,27 @@
 
 mod beside;
 mod buffer;
+mod frame_file;
+mod quantized;
 mod read;
 mod read_attributes;
 mod read_camera;
 mod read_provenance;
+mod sequence;
 mod vertex_data;
 mod write;
 
 pub use beside::{Beside, FileBeside, files_beside};
+pub use frame_file::FrameFile;
+pub use quantized::quantization_error;
 pub use read::{read_mesh, read_mesh_with};
 pub use read_attributes::read_attributes;
 pub use read_camera::{CameraData, read_camera};
+pub use sequence::{SHOT_FRAMES, ShotFrame, ShotInfo, read_shot_info, write_sequence};
 pub use vertex_data::attribute_notes;
 pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
 
+pub(crate) use frame_file::{Column, FramePlace};
 pub(crate) use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};
 
 /// The format's name in errors.
@@ -40,6 +47,7 @@ const CHUNK_BIN: [u8; 4] = *b"BIN\0";
 
 /// The codes of component types that are written.
 mod component {
+    pub(super) const I8: u32 = 5120;
     pub(super) const U16: u32 = 5123;
     pub(super) const U32: u32 = 5125;
     pub(super) const F32: u32 = 5126;

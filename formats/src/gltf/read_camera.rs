@@ -1,10 +1,12 @@
 //! Reads the camera of a glTF file, as placed by its default scene.
 
 use ::gltf::camera::Projection;
+use serde::Deserialize;
+use serde::de::IgnoredAny;
 
 use super::FORMAT;
 use super::read::{chunks, document, parse, placed};
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 
 /// A camera with perspective. Directions are not of length 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,6 +30,7 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     let (json, _) = chunks(bytes)?;
     let document = document(json)?;
     let places = parse(json)?;
+    let Cameras { cameras: cameras_of } = parse(json)?;
     let Some(scene) = document.default_scene().or_else(|| document.scenes().next()) else {
         return Err(Error::unsupported(FORMAT, "there is no scene, and so no camera: export one with it"));
     };
@@ -35,6 +38,9 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
     let Some((camera, placement)) = cameras.first() else {
         return Err(Error::unsupported(FORMAT, "there is no camera: export it with the scene"));
     };
+    if !cameras_of.iter().all(CameraEntry::has_its_kind) {
+        return Err(Error::invalid(FORMAT, Place::File, "a camera without the numbers of its kind"));
+    }
     let Projection::Perspective(perspective) = camera.projection() else {
         return Err(Error::unsupported(
             FORMAT,
@@ -48,6 +54,30 @@ pub fn read_camera(bytes: &[u8]) -> Result<CameraData> {
         up,
         view_radians: f64::from(perspective.yfov()),
     })
+}
+
+/// What the crate believes of cameras without having looked.
+#[derive(Deserialize)]
+struct Cameras {
+    #[serde(default)]
+    cameras: Vec<CameraEntry>,
+}
+
+#[derive(Deserialize)]
+struct CameraEntry {
+    #[serde(rename = "type")]
+    kind: String,
+    perspective: Option<IgnoredAny>,
+    orthographic: Option<IgnoredAny>,
+}
+
+impl CameraEntry {
+    fn has_its_kind(&self) -> bool {
+        match &*self.kind {
+            "perspective" => self.perspective.is_some(),
+            _ => self.orthographic.is_some(),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -81,6 +111,16 @@ mod tests {
         let orthographic =
             scene(r#"{"type":"orthographic","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#);
         let none = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{}]}"#;
+        // One kind is said, and the numbers are those of the other.
+        let crossed = [
+            scene(r#"{"type":"perspective","orthographic":{"xmag":1,"ymag":1,"znear":0.1,"zfar":9}}"#),
+            scene(r#"{"type":"orthographic","perspective":{"yfov":0.5,"znear":0.1}}"#),
+            scene(r#"{"type":"perspective"}"#),
+        ];
+        for text in crossed {
+            let error = read_camera(text.as_bytes()).expect_err(&text).to_string();
+            assert!(error.contains("without the numbers of its kind"), "{error}");
+        }
         for (text, told) in [(&*orthographic, "orthographic"), (none, "no camera"), ("{}", "")] {
             let error = read_camera(text.as_bytes()).expect_err(text).to_string();
             assert!(error.contains(told), "{error}");

@@ -10,6 +10,7 @@ use base64::write::EncoderWriter;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
 
+use super::quantized::{Cube, EXTENSION, write_normals};
 use super::vertex_data::{Placed, placed};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
@@ -34,11 +35,13 @@ pub struct WriteOptions {
     pub up: UpAxis,
     /// The name that programs show.
     pub name: String,
+    /// Whether positions and normals are small integers; see [`super::quantization_error`].
+    pub quantize: bool,
 }
 
 impl Default for WriteOptions {
     fn default() -> WriteOptions {
-        WriteOptions { up: UpAxis::Y, name: "surface".into() }
+        WriteOptions { up: UpAxis::Y, name: "surface".into(), quantize: false }
     }
 }
 
@@ -55,7 +58,7 @@ pub fn write_glb(
     out: &mut impl Write,
 ) -> Result<()> {
     mesh.check(FORMAT)?;
-    let layout = Layout::of(mesh);
+    let layout = Layout::of(mesh, options.quantize);
     let mut json = to_json(&Document::new(mesh, &layout, options, provenance, None))?;
     json.resize(json.len().next_multiple_of(4), b' ');
     let bin_bytes = layout.byte_count().next_multiple_of(4);
@@ -90,7 +93,7 @@ pub fn write_gltf(
 ) -> Result<()> {
     const URI: &str = "data:application/octet-stream;base64,";
     mesh.check(FORMAT)?;
-    let layout = Layout::of(mesh);
+    let layout = Layout::of(mesh, options.quantize);
     if u32::try_from(layout.byte_count()).is_err() {
         return Err(too_large(mesh));
     }
@@ -115,7 +118,7 @@ pub fn write_gltf(
 }
 
 /// The size of a `.glb` with chunks of these sizes, if 32 bits hold it.
-fn glb_bytes(json_bytes: u64, bin_bytes: u64) -> Option<u32> {
+pub(super) fn glb_bytes(json_bytes: u64, bin_bytes: u64) -> Option<u32> {
     const HEADER_BYTES: u64 = 12;
     const CHUNK_HEAD_BYTES: u64 = 8;
     let bin = if bin_bytes == 0 { 0 } else { CHUNK_HEAD_BYTES + bin_bytes };
@@ -131,7 +134,7 @@ fn too_large(mesh: &MeshView) -> Error {
     Error::too_large(FORMAT, what)
 }
 
-fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Write) -> Result<()> {
+pub(super) fn write_chunk_head(byte_count: u64, kind: [u8; 4], out: &mut impl Write) -> Result<()> {
     let length = u32::try_from(byte_count).unwrap_or(u32::MAX); // below the file's size, which fits
     out.write_all(&length.to_le_bytes())?;
     out.write_all(&kind)?;
@@ -145,43 +148,81 @@ fn to_json(document: &Document) -> Result<Vec<u8>> {
 /// The parts of the buffer: positions, normals, attributes, indices.
 struct Layout<'a> {
     vertex_count: usize,
+    /// Where positions and normals are small integers.
+    cube: Option<Cube>,
     attributes: Vec<Placed<'a>>,
     index_bytes: u64,
     index_component: u32,
 }
 
+/// A part that has a value for each vertex.
+#[derive(Clone, Copy)]
+struct Column {
+    arity: usize,
+    component: u32,
+    /// From one vertex to the next.
+    stride_bytes: u64,
+}
+
+impl Column {
+    fn reals(arity: usize) -> Column {
+        Column { arity, component: component::F32, stride_bytes: 4 * arity as u64 }
+    }
+
+    /// Integers stand for −1 ..= 1.
+    fn is_normalized(self) -> bool {
+        self.component != component::F32
+    }
+}
+
+const QUANTIZED_POSITIONS: Column = Column { arity: 3, component: component::U16, stride_bytes: 8 };
+const QUANTIZED_NORMALS: Column = Column { arity: 3, component: component::I8, stride_bytes: 4 };
+
 impl<'a> Layout<'a> {
-    fn of(mesh: &MeshView<'a>) -> Layout<'a> {
+    fn of(mesh: &MeshView<'a>, quantize: bool) -> Layout<'a> {
         if mesh.triangles.is_empty() {
-            let attributes = Vec::new();
-            return Layout { vertex_count: 0, attributes, index_bytes: 0, index_component: component::U16 };
+            let (attributes, index_component) = (Vec::new(), component::U16);
+            return Layout { vertex_count: 0, cube: None, attributes, index_bytes: 0, index_component };
         }
         // 65535 itself is forbidden as an index, so 65535 vertices are the most for 16 bits.
         let narrow = mesh.positions.len() <= usize::from(u16::MAX);
         Layout {
             vertex_count: mesh.positions.len(),
+            cube: quantize.then(|| Cube::around(mesh.positions)),
             attributes: placed(mesh),
             index_bytes: 3 * mesh.triangles.len() as u64 * if narrow { 2 } else { 4 },
             index_component: if narrow { component::U16 } else { component::U32 },
         }
     }
 
-    /// Components of each part that has values for the vertices, in order: all are reals.
-    fn arities(&self) -> impl Iterator<Item = usize> {
-        [3, 3].into_iter().chain(self.attributes.iter().map(|attribute| attribute.arity))
+    /// The parts that have values for the vertices, in order.
+    fn columns(&self) -> impl Iterator<Item = Column> {
+        let first = match self.cube {
+            Some(_) => [QUANTIZED_POSITIONS, QUANTIZED_NORMALS],
+            None => [Column::reals(3); 2],
+        };
+        first.into_iter().chain(self.attributes.iter().map(|attribute| Column::reals(attribute.arity)))
     }
 
-    fn vertex_bytes(&self, arity: usize) -> u64 {
-        4 * arity as u64 * self.vertex_count as u64
+    fn column_bytes(&self, column: Column) -> u64 {
+        column.stride_bytes * self.vertex_count as u64
     }
 
     fn byte_count(&self) -> u64 {
-        self.vertex_bytes(self.arities().sum()) + self.index_bytes
+        self.columns().map(|column| self.column_bytes(column)).sum::<u64>() + self.index_bytes
     }
 
     fn write_buffer(&self, mesh: &MeshView, out: &mut impl Write) -> Result<()> {
-        write_f32s(mesh.positions.as_flattened(), out)?;
-        write_f32s(mesh.normals.as_flattened(), out)?;
+        match &self.cube {
+            Some(cube) => {
+                cube.write_positions(mesh.positions, out)?;
+                write_normals(mesh.normals, out)?;
+            }
+            None => {
+                write_f32s(mesh.positions.as_flattened(), out)?;
+                write_f32s(mesh.normals.as_flattened(), out)?;
+            }
+        }
         for attribute in &self.attributes {
             attribute.write(out)?;
         }
@@ -200,6 +241,10 @@ impl<'a> Layout<'a> {
 #[serde(rename_all = "camelCase")]
 struct Document<'a> {
     asset: Asset<'a>,
+    #[serde(skip_serializing_if = "<[&str]>::is_empty")]
+    extensions_used: &'static [&'static str],
+    #[serde(skip_serializing_if = "<[&str]>::is_empty")]
+    extensions_required: &'static [&'static str],
     scene: usize,
     scenes: [Scene<'a>; 1],
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -237,6 +282,8 @@ struct Node<'a> {
     translation: Option<[f64; 3]>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rotation: Option<[f64; 4]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scale: Option<[f64; 3]>,
 }
 
 #[derive(Serialize)]
@@ -259,12 +306,27 @@ struct Primitive<'a> {
 struct Accessor {
     buffer_view: usize,
     component_type: u32,
+    #[serde(skip_serializing_if = "is_false")]
+    normalized: bool,
     count: usize,
     r#type: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
-    min: Option<[f32; 3]>,
+    min: Option<Corner>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    max: Option<[f32; 3]>,
+    max: Option<Corner>,
+}
+
+/// Least or greatest numbers of an accessor, as they are stored.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Corner {
+    Reals([f32; 3]),
+    Integers([u16; 3]),
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it so")]
+fn is_false(flag: &bool) -> bool {
+    !flag
 }
 
 #[derive(Serialize)]
@@ -273,6 +335,8 @@ struct BufferView {
     buffer: usize,
     byte_offset: u64,
     byte_length: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    byte_stride: Option<u64>,
     target: u32,
 }
 
@@ -332,8 +396,11 @@ impl<'a> Document<'a> {
     ) -> Document<'a> {
         let name = options.name.as_str();
         let extras = (!provenance.is_empty()).then(|| Extras { meniscus: provenance_entries(provenance) });
+        let extensions: &[&str] = if layout.cube.is_some() { &[EXTENSION] } else { &[] };
         let mut document = Document {
             asset: Asset { version: "2.0", generator: GENERATOR, extras },
+            extensions_used: extensions,
+            extensions_required: extensions,
             scene: 0,
             scenes: [Scene { name, nodes: Vec::new() }],
             nodes: Vec::new(),
@@ -355,7 +422,7 @@ impl<'a> Document<'a> {
         let extras = MeshExtras { meniscus: provenance_entries(provenance), strings };
         let extras = Some(extras).filter(|extras| !extras.meniscus.is_empty() || !extras.strings.is_empty());
         document.scenes[0].nodes.push(0);
-        document.nodes.push(node(name, mesh.origin, options.up));
+        document.nodes.push(node(name, mesh.origin, options.up, layout.cube.as_ref()));
         document.meshes.push(Mesh { name, primitives: [primitive], extras });
         document.accessors = accessors(mesh, layout);
         document.buffer_views = layout.views();
@@ -365,15 +432,17 @@ impl<'a> Document<'a> {
 }
 
 /// The node places the mesh: first the mesh's origin is added, then Z up becomes Y up. glTF rotates
-/// before it translates, so the translation is the rotated origin.
-fn node(name: &str, origin: [f64; 3], up: UpAxis) -> Node<'_> {
+/// before it translates, so the translation is the rotated origin. Small integers are scaled before all that.
+fn node<'a>(name: &'a str, origin: [f64; 3], up: UpAxis, cube: Option<&Cube>) -> Node<'a> {
     const HALF_SQRT: f64 = std::f64::consts::FRAC_1_SQRT_2;
-    let [x, y, z] = origin;
+    let low = cube.map_or([0.0; 3], |cube| cube.low);
+    let corner @ [x, y, z] = std::array::from_fn(|axis| origin[axis] + f64::from(low[axis]));
     let (translation, rotation) = match up {
-        UpAxis::Y => (origin, None),
+        UpAxis::Y => (corner, None),
         UpAxis::Z => ([x, z, 0.0 - y], Some([-HALF_SQRT, 0.0, 0.0, HALF_SQRT])),
     };
-    Node { name, mesh: 0, translation: (origin != [0.0; 3]).then_some(translation), rotation }
+    let translation = (corner != [0.0; 3]).then_some(translation);
+    Node { name, mesh: 0, translation, rotation, scale: cube.map(|cube| [f64::from(cube.size); 3]) }
 }
 
 fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
@@ -384,19 +453,25 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
             max[axis] = max[axis].max(position[axis]);
         }
     }
-    let of_vertices = |(buffer_view, arity): (usize, usize)| Accessor {
+    let of_vertices = |(buffer_view, column): (usize, Column)| Accessor {
         buffer_view,
-        component_type: component::F32,
+        component_type: column.component,
+        normalized: column.is_normalized(),
         count: mesh.positions.len(),
-        r#type: TYPE_OF_ARITY[arity - 1],
+        r#type: TYPE_OF_ARITY[column.arity - 1],
         min: None,
         max: None,
     };
-    let mut accessors: Vec<Accessor> = layout.arities().enumerate().map(of_vertices).collect();
+    let mut accessors: Vec<Accessor> = layout.columns().enumerate().map(of_vertices).collect();
+    let [min, max] = match &layout.cube {
+        Some(cube) => cube.bounds([min, max]).map(Corner::Integers),
+        None => [min, max].map(Corner::Reals),
+    };
     (accessors[0].min, accessors[0].max) = (Some(min), Some(max));
     accessors.push(Accessor {
         buffer_view: accessors.len(),
         component_type: layout.index_component,
+        normalized: false,
         count: 3 * mesh.triangles.len(),
         r#type: TYPE_OF_ARITY[0],
         min: None,
@@ -408,14 +483,18 @@ fn accessors(mesh: &MeshView, layout: &Layout) -> Vec<Accessor> {
 impl Layout<'_> {
     fn views(&self) -> Vec<BufferView> {
         let mut end = 0;
-        let mut view = |byte_length, target| {
+        let mut view = |byte_length, byte_stride, target| {
             let byte_offset = end;
             end += byte_length;
-            BufferView { buffer: 0, byte_offset, byte_length, target }
+            BufferView { buffer: 0, byte_offset, byte_length, byte_stride, target }
         };
-        let mut views: Vec<BufferView> =
-            self.arities().map(|arity| view(self.vertex_bytes(arity), TARGET_VERTICES)).collect();
-        views.push(view(self.index_bytes, TARGET_INDICES));
+        let of_vertices = |column: Column| {
+            // Reals follow each other; between small integers there is padding.
+            let stride = column.is_normalized().then_some(column.stride_bytes);
+            view(self.column_bytes(column), stride, TARGET_VERTICES)
+        };
+        let mut views: Vec<BufferView> = self.columns().map(of_vertices).collect();
+        views.push(view(self.index_bytes, None, TARGET_INDICES));
         views
     }
 }

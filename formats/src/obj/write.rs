@@ -21,8 +21,9 @@ use rayon::prelude::*;
 
 use super::FORMAT;
 use crate::data::{MeshView, Provenance};
-use crate::error::{Error, Place, Result};
+use crate::error::Result;
 use crate::provenance::{GENERATOR, comments};
+use crate::quads::{Face, check_quads, faces, quad_count};
 use crate::vertex_attributes::{Purpose, VertexAttribute, cut_note, purposes};
 
 /// Elements that are formatted as one task, and tasks whose text is held at once.
@@ -89,7 +90,7 @@ pub fn encode_batch(
 ) -> Result<Vec<Vec<u8>>> {
     let Some(index) = index.checked_sub(1) else {
         mesh.check(FORMAT)?;
-        check_quads(mesh.triangles, &options.quads)?;
+        check_quads(FORMAT, mesh.triangles, &options.quads)?;
         let name = options.name.replace(char::is_control, "_");
         let header = format!("# {GENERATOR}\n{}o {name}\n", comments(provenance, "# "));
         return Ok(vec![header.into_bytes()]);
@@ -100,7 +101,7 @@ pub fn encode_batch(
     let mut texts: Vec<Vec<u8>> =
         (first..end).into_par_iter().map(|task| text_of(mesh, &options.quads, task)).collect();
     if end == task_count {
-        let quads = options.quads.iter().filter(|&&is_quad| is_quad).count();
+        let quads = quad_count(&options.quads);
         let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len() - 2 * quads);
         let quads = if quads > 0 { format!(", {quads} quads") } else { String::new() };
         texts.push(format!("{LAST_LINE}{vertices} vertices, {triangles} triangles{quads}\n").into_bytes());
@@ -196,44 +197,10 @@ fn range_of(count: usize, task: usize) -> Range<usize> {
     start..(start + ELEMENTS_PER_TASK).min(count)
 }
 
-/// Refuses quads that are none: two triangles that have no edge in common, or one that is in two quads.
-fn check_quads(triangles: &[[u32; 3]], quads: &[bool]) -> Result<()> {
-    let invalid = |what: String| Err(Error::invalid(FORMAT, Place::File, what));
-    if !quads.is_empty() && quads.len() != triangles.len() {
-        return invalid(format!("{} marks of quads for {} triangles", quads.len(), triangles.len()));
-    }
-    let is_none = |&index: &usize| {
-        quads[index]
-            && (quads.get(index + 1) != Some(&false)
-                || quad_of(triangles[index], triangles[index + 1]).is_none())
-    };
-    match (0..quads.len()).find(is_none) {
-        Some(index) => invalid(format!("triangle {index} and the next are no quad")),
-        None => Ok(()),
-    }
-}
-
-/// The quad of two triangles, counter-clockwise as they are; `None` if no edge of the one is an edge of the other the
-/// other way round.
-fn quad_of(one: [u32; 3], other: [u32; 3]) -> Option<[u32; 4]> {
-    let turns = |[a, b, c]: [u32; 3]| [[a, b, c], [b, c, a], [c, a, b]];
-    turns(one).into_iter().find_map(|[a, b, c]| {
-        let [.., d] = turns(other).into_iter().find(|[from, to, _]| [*from, *to] == [b, a])?;
-        Some([a, d, b, c])
-    })
-}
-
-/// The lines of one task of triangles, some of which are halves of quads. A quad belongs where its first half is.
+/// The lines of one task of triangles, some of which are halves of quads.
 fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
-    let range = range_of(triangles.len(), task);
-    let indices: Vec<usize> = range.filter(|&index| index == 0 || !quads[index - 1]).collect();
-    lines_of(&indices, |line, &index| {
-        let quad = if quads[index] { quad_of(triangles[index], triangles[index + 1]) } else { None };
-        match quad {
-            Some(quad) => line.face(&quad),
-            None => line.face(&triangles[index]),
-        }
-    })
+    let faces: Vec<Face> = faces(triangles, quads, range_of(triangles.len(), task)).collect();
+    lines_of(&faces, |line, face| line.face(face.corners()))
 }
 
 /// Whether the last bytes of a file are those of a whole one that [`write`] made.

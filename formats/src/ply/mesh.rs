@@ -59,7 +59,9 @@ pub(crate) fn mesh_bytes_claimed(head: &[u8], limits: &Limits) -> Result<Option<
         let table = element.count.checked_mul(record);
         size = size.zip(table).and_then(|(size, table)| size.checked_add(table));
     }
-    Ok(size.filter(|_| header.encoding.endian().is_some()))
+    // A header may lose its line end, where nothing follows it.
+    let is_ended = head.get(..header.body_offset).is_some_and(|header| header.ends_with(b"\n"));
+    Ok(size.filter(|_| is_ended && header.encoding.endian().is_some()))
 }
 
 fn normals(values: &Values) -> Vec<[f32; 3]> {

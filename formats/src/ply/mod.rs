@@ -26,11 +26,13 @@ mod read;
 mod rows;
 mod vertex_data;
 pub mod write;
+mod write_particles;
 
 pub use header::{Element, Encoding, Header, Property, PropertyType, read_header};
 pub use mesh::{read_mesh, read_mesh_and_vertices};
 pub use read::read;
 pub use vertex_data::attribute_notes;
+pub use write_particles::{particle_notes, write_particles};
 
 pub(crate) use batches::{PositionColumns, records};
 pub(crate) use mesh::mesh_bytes_claimed;

@@ -80,7 +80,7 @@ fn velocity_names(stem: &str) -> Vec<String> {
     ["x", "y", "z"].map(|axis| format!("{stem}{axis}")).to_vec()
 }
 
-fn component_names(stem: &str, arity: usize) -> Vec<String> {
+pub(super) fn component_names(stem: &str, arity: usize) -> Vec<String> {
     match arity {
         1 => vec![stem.into()],
         2..=4 => ["x", "y", "z", "w"].iter().take(arity).map(|axis| format!("{stem}_{axis}")).collect(),
@@ -107,11 +107,18 @@ fn values_of<'a>(
             }
             let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
             if rounded != 0 {
-                notes.push(format!("{rounded} values of {name} are beyond ±2⁵³, and rounded in the .ply"));
+                notes.push(format!("{rounded} values of {name} are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are"));
             }
             Values::Doubles(values)
         }
     }
+}
+
+/// The lines of the header that tell which strings the numbers in a column stand for.
+pub(super) fn string_comments(name: &str, table: &[String]) -> String {
+    let line =
+        |(index, text): (usize, &String)| format!("comment string {index} of {name}: {}\n", escape(text));
+    table.iter().enumerate().map(line).collect()
 }
 
 impl Placed<'_> {
@@ -129,10 +136,7 @@ impl Placed<'_> {
     /// The lines of the header that tell what indices mean.
     pub(super) fn comments(&self) -> String {
         let Values::Strings(table, _) = self.values else { return String::new() };
-        let line = |(index, text): (usize, &String)| {
-            format!("comment string {index} of {}: {}\n", self.names[0], escape(text))
-        };
-        table.iter().enumerate().map(line).collect()
+        string_comments(&self.names[0], table)
     }
 
     /// Appends the values of a vertex.

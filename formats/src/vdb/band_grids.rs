@@ -7,11 +7,11 @@
 
 use rayon::prelude::*;
 
-use super::blosc::Encoder;
 use super::encode_leaves::{Encoding, LEAVES_PER_BATCH, Packed, append_chunk, push_values};
 use super::layout::{inactive, ones};
 use super::tree::Leaf;
 use super::{Compression, FORMAT};
+use crate::blosc::Encoder;
 use crate::data::BandGrid;
 use crate::error::{Error, Place, Result};
 

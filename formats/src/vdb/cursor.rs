@@ -96,8 +96,3 @@ impl<'a> Cursor<'a> {
         Error::invalid(FORMAT, Place::Offset(self.position as u64), what)
     }
 }
-
-/// The u32 at a position that is known to be there.
-pub(super) fn u32_at(bytes: &[u8], position: usize) -> u32 {
-    u32::from_le_bytes([bytes[position], bytes[position + 1], bytes[position + 2], bytes[position + 3]])
-}

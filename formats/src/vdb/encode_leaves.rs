@@ -9,9 +9,9 @@ use half::slice::HalfFloatSliceExt;
 use rayon::prelude::*;
 
 use super::Compression;
-use super::blosc::Encoder;
 use super::layout::inactive;
 use super::uuid::{Digest, digest};
+use crate::blosc::Encoder;
 
 /// Leaves that are encoded as one task: large enough to hide its cost, small enough to share.
 pub(super) const LEAVES_PER_BATCH: usize = 128;

@@ -22,7 +22,6 @@
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
 mod band_grids;
-mod blosc;
 mod cursor;
 mod encode_leaves;
 mod layout;

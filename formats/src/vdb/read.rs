@@ -216,7 +216,11 @@ fn grid_cursor<'a>(after: &Cursor, descriptor: &Descriptor, bytes: &'a [u8]) -> 
     let Descriptor { grid_start, end, .. } = *descriptor;
     let within = usize::try_from(end).ok().and_then(|end| bytes.get(..end));
     let Some(within) = within.filter(|_| after.position() as u64 <= grid_start && grid_start <= end) else {
-        let what = format!("a grid from byte {grid_start} to byte {end} of {}", bytes.len());
+        let length = bytes.len();
+        let what = match end > length as u64 {
+            true => format!("the file is cut off: a grid ends at byte {end}, and the file at {length}"),
+            false => format!("a grid from byte {grid_start} to byte {end} of {length}"),
+        };
         return Err(after.error(what));
     };
     let mut grid = Cursor::new(within);

@@ -7,7 +7,6 @@
 use half::f16;
 
 use super::FORMAT;
-use super::blosc::{FrameError, decode_frame, inflate_into};
 use super::cursor::Cursor;
 use super::layout::{
     COMPRESS_ACTIVE_MASK, COMPRESS_BLOSC, COMPRESS_ZIP, LEAF_LOG2, NODE4_LOG2, NODE4_VOXELS_LOG2, NODE5_LOG2,
@@ -15,6 +14,7 @@ use super::layout::{
 };
 use super::metadata::MetaValue;
 use super::read::Transform;
+use crate::blosc::{FrameError, decode_frame, inflate_into};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 

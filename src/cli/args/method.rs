@@ -149,7 +149,7 @@ pub(in crate::cli) struct MeshArgs {
     )]
     pub(in crate::cli) smooth_normals: Option<u32>,
 
-    /// Write quads to .obj, as dual contouring makes them
+    /// Write quads to .obj, .vtp and .usda, as dual contouring makes them
     #[arg(long)]
     pub(in crate::cli) quads: bool,
 }

@@ -4,9 +4,12 @@
 //! checked, and not as an option called `-1`.
 
 mod ask;
+mod farm;
 mod formats;
+mod manual;
 mod method;
 mod render;
+mod sequence;
 mod sheets;
 mod watch;
 
@@ -14,16 +17,23 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::skin::SLACK_MAX_VOXELS;
+
 use super::frame_selection::FrameSelection;
 use super::quantities::parse_bytes;
 
+use farm::parse_shard;
+
 pub(super) use ask::{StatusArgs, WhyArgs};
+pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use formats::{CompressionChoice, Format, FormatArgs, PreviewChoice, UpChoice};
+pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use method::{
     AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,
     ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs,
 };
 pub(super) use render::{RenderArgs, RunArgs, ViewArgs};
+pub(super) use sequence::{FPS, SequenceArgs, ShotArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
 pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
 
@@ -39,6 +49,12 @@ pub(super) struct Typed {
 pub(super) enum Command {
     /// Turn frames of particles into meshes and level sets.
     Convert(Box<ConvertArgs>),
+    /// Deal the frames of a sequence to many machines: write a plan of which `convert --plan` converts a shard.
+    Plan(Box<PlanArgs>),
+    /// Tell whether all frames of a plan are there: whole, made as planned, certified.
+    Verify(VerifyArgs),
+    /// Gather the frames of a shot into one file that plays.
+    Sequence(SequenceArgs),
     /// Take pictures of frames: of particles that are skinned for it, or of level sets.
     Render(Box<RenderArgs>),
     /// Show a sequence at a glance: its frames on one sheet.
@@ -53,6 +69,10 @@ pub(super) enum Command {
     Status(StatusArgs),
     /// Tell why a frame was converted, or was not.
     Why(WhyArgs),
+    /// Print what a shell needs to complete commands, options and their values.
+    Completions(CompletionsArgs),
+    /// Write the manual: a page for each command.
+    Man(ManArgs),
 }
 
 #[derive(Debug, Args)]
@@ -60,20 +80,21 @@ pub(super) enum Command {
 pub(super) struct ConvertArgs {
     /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
     ///
-    /// PLY, classic BGEO and delimited text, gzipped or not; the content decides, not the name.
+    /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited text, packed by gzip or zstd or
+    /// not; the content decides, not the name. Or level sets in .vdb, of which only the surface is made.
     /// Frames run in natural order; files whose names differ only in the last number are one
     /// sequence, and share their settings.
-    #[arg(required_unless_present = "print_settings", value_name = "INPUT")]
+    #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
     pub(super) inputs: Vec<PathBuf>,
 
     /// Folder for the results; it is made if it is not there
     ///
     /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on. A file appears under its name only when it
     /// is whole. A result that would replace an input is refused.
-    #[arg(long, value_name = "DIR", required_unless_present = "print_settings")]
+    #[arg(long, value_name = "DIR", required_unless_present_any = ["print_settings", "plan"])]
     pub(super) out: Option<PathBuf>,
 
-    /// What to write: a list of glb, gltf, vdb, obj, ply [default: glb,vdb]
+    /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub(super) format: Option<Vec<Format>>,
 
@@ -88,6 +109,30 @@ pub(super) struct ConvertArgs {
     /// Leave frames alone whose results are there, from the same input, settings and version
     #[arg(long)]
     pub(super) skip_done: bool,
+
+    /// By how much the surface of a level set in .vdb may move to become smooth, in voxels, 0 to 3 [default: 0]
+    ///
+    /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
+    /// surface that is nowhere farther from it. Options of particles are refused.
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_slack)]
+    pub(super) band_slack: Option<f64>,
+
+    /// Write the particles as they are, as ply or vtp, and no surface
+    ///
+    /// Every attribute keeps its name and its type, and positions their 64 bits. Options about surfaces are refused.
+    #[arg(long)]
+    pub(super) particles_only: bool,
+
+    /// Convert a shard of this plan, which `meniscus plan` wrote, and leave alone what is done
+    ///
+    /// The plan says what is made of which frames: beside it only --shard, --report and the options under Run may be
+    /// given.
+    #[arg(long, value_name = "FILE", requires = "shard", help_heading = "Farm")]
+    pub(super) plan: Option<PathBuf>,
+
+    /// Which shard of the plan, from 0; or slurm: the number of this task of a job array
+    #[arg(long, value_name = "K", requires = "plan", value_parser = parse_shard, help_heading = "Farm")]
+    pub(super) shard: Option<ShardChoice>,
 
     /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024), help_heading = "Run")]
@@ -116,6 +161,9 @@ pub(super) struct ConvertArgs {
 
     #[command(flatten, next_help_heading = "Formats")]
     pub(super) formats: FormatArgs,
+
+    #[command(flatten, next_help_heading = "Shot")]
+    pub(super) shot: ShotArgs,
 }
 
 #[derive(Debug, Args)]
@@ -135,6 +183,15 @@ pub(super) enum OnErrorChoice {
     Stop,
     /// Go on with the next frame
     Continue,
+}
+
+/// A slack in voxels, within what the band around a surface has room for.
+fn parse_slack(text: &str) -> Result<f64, String> {
+    let slack: f64 = text.parse().map_err(|_| "expected a number of voxels".to_owned())?;
+    match (0.0..=f64::from(SLACK_MAX_VOXELS)).contains(&slack) {
+        true => Ok(slack),
+        false => Err(format!("0 to {SLACK_MAX_VOXELS} voxels")),
+    }
 }
 
 const CHOOSING: &str = "\

@@ -69,7 +69,7 @@ pub(in crate::cli) struct FrameArgs {
     #[arg(long, value_name = "NAME")]
     pub(in crate::cli) sentinel: Option<String>,
 
-    /// What to write: a list of glb, gltf, vdb, obj, ply [default: glb,vdb]
+    /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
     #[arg(long, value_name = "LIST", value_delimiter = ',')]
     pub(in crate::cli) format: Option<Vec<Format>>,
 

@@ -58,6 +58,11 @@ pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
     parse(&Source { path, text: &text })
 }
 
+/// Reads a file that has no place.
+pub(super) fn check(text: &str) -> Result<()> {
+    parse(&Source { path: Path::new("meniscus.toml"), text }).map(drop)
+}
+
 fn parse(source: &Source<'_>) -> Result<ConfigFile> {
     let root = DeTable::parse(source.text).map_err(|error| {
         let message = error.message().replace('\n', ", ");
@@ -84,6 +89,7 @@ fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
             method: method_args(block)?,
             formats: FormatArgs {
                 up: block.choice("up")?,
+                quantize: block.switch("quantize")?,
                 vdb_half: block.switch("vdb_half")?,
                 vdb_compression: block.choice("vdb_compression")?,
                 preview: block.choice("preview")?,
@@ -168,7 +174,7 @@ fn keys_of(block: &str) -> &'static [&'static str] {
 
 const ROOT_KEYS: [&str; 2] = ["watch", "daemon"];
 
-const WATCH_KEYS: [&str; 40] = [
+const WATCH_KEYS: [&str; 41] = [
     "input",
     "output",
     "pattern",
@@ -204,6 +210,7 @@ const WATCH_KEYS: [&str; 40] = [
     "redistance_every",
     "cg_tolerance",
     "up",
+    "quantize",
     "vdb_half",
     "vdb_compression",
     "preview",

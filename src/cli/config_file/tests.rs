@@ -80,7 +80,7 @@ fn wrong_values_are_errors_with_their_line() {
         ("contour = \"cubes\"", &["`contour`: `cubes`", "\"dual\", \"tetrahedra\""]),
         ("formats = \"glb\"", &["a list in brackets"]),
         ("formats = []", &["`formats` is empty"]),
-        ("formats = [\"glb\", \"stl\"]", &["`stl` is not known", "\"gltf\""]),
+        ("formats = [\"glb\", \"fbx\"]", &["`fbx` is not known", "\"gltf\""]),
         ("formats = [1]", &["each one of"]),
         ("output = \"\"", &["`output` is empty"]),
         ("output = 1979-05-27", &["a date"]),

@@ -4,9 +4,10 @@ use std::collections::HashMap;
 use std::fmt;
 
 use glam::DVec3;
-use meniscus_formats::MeshData;
+use meniscus_formats::{Attribute, MeshData, Role};
 use serde::Serialize;
 
+use super::particles::{AttributeInfo, attributes_of, fmt_attributes};
 use super::{Bounds, row};
 
 /// A triangle mesh; larger polygons count as the triangles they are cut into.
@@ -27,6 +28,9 @@ pub(super) struct MeshInfo {
     /// Vertices at one position count as one here: many formats repeat them for their normals.
     boundary_edges: usize,
     non_manifold_edges: usize,
+    /// Of its vertices, where they have more than positions and normals.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    attributes: Vec<AttributeInfo>,
 }
 
 impl MeshInfo {
@@ -61,7 +65,15 @@ impl MeshInfo {
             volume,
             boundary_edges,
             non_manifold_edges,
+            attributes: Vec::new(),
         }
+    }
+
+    /// The same, with the attributes of its vertices.
+    pub(super) fn with_attributes(self, attributes: &[Attribute]) -> MeshInfo {
+        let has_more = attributes.iter().any(|attribute| attribute.role != Some(Role::Normal));
+        let attributes = if has_more { attributes_of(attributes) } else { Vec::new() };
+        MeshInfo { attributes, ..self }
     }
 }
 
@@ -104,7 +116,8 @@ impl fmt::Display for MeshInfo {
         row(f, "area", self.area)?;
         row(f, "volume", self.volume)?;
         row(f, "boundary edges", self.boundary_edges)?;
-        row(f, "non-manifold edges", self.non_manifold_edges)
+        row(f, "non-manifold edges", self.non_manifold_edges)?;
+        fmt_attributes(&self.attributes, f)
     }
 }
 

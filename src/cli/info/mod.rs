@@ -4,25 +4,33 @@
 
 mod mesh;
 mod particles;
+mod shot;
 mod volume;
 
+use std::collections::BTreeMap;
+use std::error::Error;
 use std::fmt;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, bail};
+use meniscus_formats::provenance::{self, read_provenance};
 use meniscus_formats::{
-    Kind, Limits, ParticleFrame, Positions, Probe, Role, gltf, obj, ply, probe, read_particles, vdb,
+    Kind, Limits, Packing, Probe, gltf, obj, ply, probe, read_particles, stl, usda, vdb, vtk,
 };
 use serde::Serialize;
+
+use crate::pipeline::{FrameError, file_of, frames_in, read_file, step_of};
 
 use super::Verdict;
 use super::args::InfoArgs;
 use super::console::Console;
+use super::inputs::find_inputs;
 
 use mesh::MeshInfo;
 use particles::ParticlesInfo;
+use shot::ShotRecord;
 use volume::GridRecord;
 
 /// One file.
@@ -31,11 +39,13 @@ struct FileInfo {
     file: String,
     kind: String,
     gzipped: bool,
+    /// What has been done to it, in words: `gzipped`, `zstd-compressed`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    packed: Option<&'static str>,
     bytes: usize,
     /// What a user should know though the file was read.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     notes: Vec<String>,
-    /// Of a mesh: its vertices, where they have more than positions and normals.
     #[serde(skip_serializing_if = "Option::is_none")]
     particles: Option<ParticlesInfo>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -43,7 +53,22 @@ struct FileInfo {
     #[serde(skip_serializing_if = "Option::is_none")]
     grids: Option<Vec<GridRecord>>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    shot: Option<ShotRecord>,
+    /// Of a .usda of this program that is no shot.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    layer: Option<LayerRecord>,
+    /// What this program says of how it made the file, if it did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    made_by: Option<BTreeMap<String, String>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
+}
+
+/// What a .usda holds.
+#[derive(Debug, Serialize)]
+struct LayerRecord {
+    vertices: u64,
+    faces: u64,
 }
 
 /// Tells what the files hold, each on its own: one that cannot be read is told as such.
@@ -53,7 +78,8 @@ struct FileInfo {
 pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
     let mut infos = Vec::new();
     let mut failed_count = 0;
-    for path in &args.files {
+    let paths: Vec<PathBuf> = args.files.iter().flat_map(|path| files_of(path, console)).collect();
+    for path in &paths {
         let info = file_info(path);
         match &info.error {
             Some(error) => {
@@ -70,9 +96,22 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
     }
     Ok(match failed_count {
         0 => Verdict::Done,
-        failed_count if failed_count < args.files.len() => Verdict::SomeFailed,
+        failed_count if failed_count < paths.len() => Verdict::SomeFailed,
         _ => Verdict::NothingDone,
     })
+}
+
+/// The files that were meant. Of one with several steps each is told by itself; one that cannot be looked through is told as such.
+fn files_of(path: &Path, console: &Console) -> Vec<PathBuf> {
+    if path.symlink_metadata().is_ok() || step_of(path).is_some() {
+        return frames_in(path).unwrap_or_else(|_| vec![path.to_owned()]);
+    }
+    // What matches nothing is told as what is not there.
+    let Ok(found) = find_inputs(&[path.to_owned()]) else { return vec![path.to_owned()] };
+    for warning in &found.warnings {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    found.files.into_iter().map(|file| file.path).collect()
 }
 
 fn file_info(path: &Path) -> FileInfo {
@@ -86,34 +125,66 @@ fn file_info(path: &Path) -> FileInfo {
 
 impl FileInfo {
     fn fill(&mut self, path: &Path) -> Result<()> {
-        let bytes = fs::read(path)?;
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let Probe { kind, gzipped } = probe(&bytes, &name);
+        if path.is_dir() {
+            bail!(
+                "this is a folder: give the files in it, or a pattern such as {}",
+                path.join("*.glb").display()
+            );
+        }
+        let bytes = match step_of(path) {
+            None => {
+                // One that has too many frames is not read whole to be told so.
+                frames_in(path)?;
+                fs::read(path)?
+            }
+            Some(_) => read_file(path).map_err(|error| reason(&error))?,
+        };
+        let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
+        let Probe { kind, packing } = probe(&bytes, &name);
         self.kind = kind.name().to_owned();
-        self.gzipped = gzipped;
+        self.gzipped = packing == Some(Packing::Gzip);
+        self.packed = packing.map(Packing::participle);
         self.bytes = bytes.len();
         let limits = Limits::default();
+        self.made_by = if packing.is_none() { made_by(kind, &bytes) } else { None };
         match kind {
-            Kind::OpenVdb if !gzipped => {
+            Kind::OpenVdb if packing.is_none() => {
                 self.grids = Some(vdb::grids(&bytes, &limits)?.into_iter().map(GridRecord::from).collect());
             }
-            Kind::Glb | Kind::GltfJson if !gzipped => {
-                let mesh = gltf::read_mesh(&bytes, &limits)?;
-                self.mesh = Some(MeshInfo::of(&mesh));
-                let attributes = gltf::read_attributes(&bytes, &limits)?;
-                let vertices = ParticleFrame {
-                    positions: Positions::F64(mesh.positions),
-                    attributes,
-                    notes: Vec::new(),
-                };
-                self.particles = has_more_than_a_mesh(&vertices).then(|| ParticlesInfo::of(vertices));
+            Kind::Glb | Kind::GltfJson if packing.is_none() => match gltf::read_shot_info(&bytes)? {
+                Some(gltf::ShotInfo { frames, vertices, triangles }) => {
+                    self.set_shot(frames, [vertices, triangles]);
+                }
+                None => {
+                    let mesh = MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?);
+                    self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(&bytes, &limits)?));
+                }
+            },
+            Kind::Stl if packing.is_none() => {
+                self.mesh = Some(MeshInfo::of(&stl::read_mesh(&bytes, &limits)?))
             }
-            Kind::Obj if !gzipped => self.mesh = Some(MeshInfo::of(&obj::read_mesh(&bytes)?)),
-            Kind::Ply if !gzipped && holds_mesh(&bytes, &limits)? => {
+            Kind::Usda if packing.is_none() => match usda::read_layer_info(&bytes)? {
+                Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
+                    self.set_shot(frames, [vertices, faces]);
+                }
+                Some(usda::LayerInfo { vertices, faces, frames: None }) => {
+                    self.layer = Some(LayerRecord { vertices, faces });
+                }
+                None => self.notes.push("what another program wrote as USD is not read".to_owned()),
+            },
+            Kind::VtkXml if packing.is_none() && holds_polys(&bytes) => {
+                let mesh = vtk::read_mesh(&bytes, &limits)?;
+                let vertices = read_particles(&bytes, &name, &limits)?;
+                // The polygons are told here.
+                let notes = vertices.notes.iter().filter(|note| *note != vtk::POLYGONS_NOTE);
+                self.notes = notes.cloned().collect();
+                self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
+            }
+            Kind::Obj if packing.is_none() => self.mesh = Some(MeshInfo::of(&obj::read_mesh(&bytes)?)),
+            Kind::Ply if packing.is_none() && holds_mesh(&bytes, &limits)? => {
                 let (mesh, vertices) = ply::read_mesh_and_vertices(&bytes, &limits)?;
                 self.notes.clone_from(&vertices.notes);
-                self.mesh = Some(MeshInfo::of(&mesh));
-                self.particles = has_more_than_a_mesh(&vertices).then(|| ParticlesInfo::of(vertices));
+                self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;
@@ -123,6 +194,16 @@ impl FileInfo {
         }
         Ok(())
     }
+
+    fn set_shot(&mut self, frames: u64, counts: [u64; 2]) {
+        self.kind += ", a shot";
+        self.shot = Some(ShotRecord::new(frames, counts, self.made_by.as_ref()));
+    }
+}
+
+/// Why a step cannot be read, without its name, which is told anyway.
+fn reason(error: &FrameError) -> anyhow::Error {
+    error.source().map_or_else(|| anyhow!("{error}"), |source| anyhow!("{source}"))
 }
 
 /// Whether a PLY file declares faces, of which there are none only where there are no vertices
@@ -138,26 +219,51 @@ fn holds_mesh(bytes: &[u8], limits: &Limits) -> Result<bool> {
     Ok(faces.is_some_and(|faces| faces > 0 || count("vertex") == Some(0)))
 }
 
-/// Whether the vertices of a mesh have anything beside their positions and normals.
-fn has_more_than_a_mesh(vertices: &ParticleFrame) -> bool {
-    vertices.attributes.iter().any(|attribute| attribute.role != Some(Role::Normal))
+/// Whether a file of VTK is one of points and polygons.
+fn holds_polys(bytes: &[u8]) -> bool {
+    const HEAD_BYTES: usize = 1 << 20; // as far as the description of the first piece is looked for
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(HEAD_BYTES)]);
+    let count = head
+        .split("NumberOfPolys=")
+        .nth(1)
+        .and_then(|rest| rest.get(1..)?.split(['"', '\'']).next()?.parse().ok());
+    count.is_some_and(|count: u64| count > 0)
+}
+
+/// What this program wrote of itself into a file; `None` of other programs' files.
+fn made_by(kind: Kind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {
+    let kind = match kind {
+        Kind::Glb => provenance::Kind::Glb,
+        Kind::GltfJson => provenance::Kind::Gltf,
+        Kind::Obj => provenance::Kind::Obj,
+        Kind::Ply => provenance::Kind::Ply,
+        Kind::VtkXml => provenance::Kind::Vtp,
+        Kind::Stl => provenance::Kind::Stl,
+        Kind::Usda => provenance::Kind::Usda,
+        // Its metadata are told with each grid.
+        _ => return None,
+    };
+    // What cannot be read is told by the reader of the file.
+    let pairs: BTreeMap<String, String> = read_provenance(kind, bytes).ok()?.into_iter().collect();
+    (!pairs.is_empty()).then_some(pairs)
 }
 
 impl fmt::Display for FileInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let packed = if self.gzipped { ", gzipped" } else { "" };
+        let packed = self.packed.map(|packed| format!(", {packed}")).unwrap_or_default();
         write!(f, "{}: {}{packed}, {} bytes", self.file, self.kind, self.bytes)?;
-        match (&self.mesh, &self.particles) {
-            (Some(mesh), particles) => {
-                write!(f, "{mesh}")?;
-                // Count and bounds were told with the mesh.
-                particles.iter().try_for_each(|vertices| vertices.fmt_attributes(f))?;
-            }
-            (None, Some(particles)) => write!(f, "{particles}")?,
-            (None, None) => {}
-        }
+        self.shot.iter().try_for_each(|shot| write!(f, "{shot}"))?;
+        self.mesh.iter().try_for_each(|mesh| write!(f, "{mesh}"))?;
+        self.particles.iter().try_for_each(|particles| write!(f, "{particles}"))?;
         for grid in self.grids.iter().flatten() {
             write!(f, "{grid}")?;
+        }
+        if let Some(LayerRecord { vertices, faces }) = &self.layer {
+            row(f, "vertices", vertices)?;
+            row(f, "faces", faces)?;
+        }
+        for (name, value) in self.made_by.iter().flatten() {
+            row(f, "made by", format_args!("{name}: {value}"))?;
         }
         for note in &self.notes {
             row(f, "note", note)?;

@@ -25,9 +25,9 @@ pub(super) struct ParticlesInfo {
     suggested_voxel_size: Option<f64>,
 }
 
-/// An attribute of the particles.
+/// An attribute of particles, or of vertices.
 #[derive(Debug, Serialize)]
-struct AttributeInfo {
+pub(super) struct AttributeInfo {
     name: String,
     #[serde(rename = "type")]
     value_type: &'static str,
@@ -51,7 +51,7 @@ enum Number {
 
 impl ParticlesInfo {
     pub(super) fn of(frame: ParticleFrame) -> ParticlesInfo {
-        let attributes = frame.attributes.iter().map(attribute_info).collect();
+        let attributes = attributes_of(&frame.attributes);
         let particles = particles(frame.positions);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
         let spacing = estimate_spacing(&particles);
@@ -72,11 +72,16 @@ impl ParticlesInfo {
             suggested_voxel_size: spacing.map(|spacing| spacing / VOXELS_PER_SPACING),
         }
     }
+}
 
-    /// The lines that tell of the attributes.
-    pub(super) fn fmt_attributes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.attributes.iter().try_for_each(|attribute| row(f, "attribute", attribute))
-    }
+/// What is told of the attributes.
+pub(super) fn attributes_of(attributes: &[Attribute]) -> Vec<AttributeInfo> {
+    attributes.iter().map(attribute_info).collect()
+}
+
+/// The lines that tell it.
+pub(super) fn fmt_attributes(attributes: &[AttributeInfo], f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    attributes.iter().try_for_each(|attribute| row(f, "attribute", attribute))
 }
 
 fn attribute_info(attribute: &Attribute) -> AttributeInfo {
@@ -153,7 +158,7 @@ impl fmt::Display for ParticlesInfo {
         if let Some(bounds) = self.bounds {
             row(f, "bounds", bounds)?;
         }
-        self.fmt_attributes(f)?;
+        fmt_attributes(&self.attributes, f)?;
         match (self.spacing, self.suggested_voxel_size) {
             (Some(spacing), Some(voxel_size)) => {
                 row(f, "spacing", spacing)?;

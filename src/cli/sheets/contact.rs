@@ -12,7 +12,7 @@ use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::interrupt::clean_up_when_interrupted;
 use crate::cli::studio::{Studio, Subject, caught};
-use crate::cli::wording::{counted, significant};
+use crate::cli::wording::{counted, significant, with_causes};
 use crate::pipeline::{FrameFile, OutputFormat, PictureOptions, SheetPart, Viewpoint, read_picture};
 use crate::preview::{Block, Cell, Picture, Sheet, Shown};
 use crate::settings::Settings;
@@ -154,7 +154,7 @@ impl Contact<'_> {
     fn part(&self, shown: ShownStrip, tally: &mut Tally, console: &mut Console) -> Part {
         let prepared = self.prepared(&shown.strip, console);
         if let Err(error) = &prepared {
-            console.warn(format_args!("error: {error:#}"));
+            console.warn(format_args!("error: {}", with_causes(error)));
         }
         let cells = shown.frames.iter().map(|file| {
             let start = Instant::now();
@@ -162,7 +162,7 @@ impl Contact<'_> {
                 Ok(prepared) => {
                     caught(&file.path, || self.picture(file, shown.strip.kind, prepared, console))
                 }
-                Err(error) => Err(anyhow::anyhow!("{error:#}")),
+                Err(error) => Err(anyhow::anyhow!(with_causes(error))),
             };
             console.advance_bar();
             match &taken {
@@ -170,7 +170,7 @@ impl Contact<'_> {
                 Err(error) => {
                     tally.failed_count += 1;
                     if prepared.is_ok() {
-                        console.warn(format_args!("error: {error:#}"));
+                        console.warn(format_args!("error: {}", with_causes(error)));
                     }
                 }
             }

@@ -27,6 +27,7 @@ use super::Verdict;
 use super::out_folder::OutFolder;
 use super::quantities::PictureSize;
 use super::studio::{Studio, named_picture};
+use super::wording::with_causes;
 
 pub(super) use contact::contact_sheet;
 pub(super) use tune::tune;
@@ -113,7 +114,7 @@ const EXTRA_COLUMNS: usize = 2;
 
 /// Why a frame has no picture, without the name of its file: that is written beside it.
 fn reason(error: &anyhow::Error, path: &Path) -> String {
-    let told = format!("{error:#}");
+    let told = with_causes(error);
     let bare = told.strip_prefix(&format!("{}: ", path.display()));
     format!("failed: {}", bare.unwrap_or(&told))
 }

@@ -24,7 +24,7 @@ use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
 use crate::cli::interrupt::clean_up_when_interrupted;
 use crate::cli::studio::{Studio, caught, picture_of_still};
-use crate::cli::wording::counted;
+use crate::cli::wording::{counted, with_causes};
 use crate::pipeline::{
     self, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
     bounds_of_particles, gist, is_level_set, up_of,
@@ -207,7 +207,7 @@ impl<'a> Tuning<'a> {
                 }
                 Err(error) => {
                     tally.failed_count += 1;
-                    console.warn(format_args!("error: cell {label}: {error:#}"));
+                    console.warn(format_args!("error: cell {label}: {}", with_causes(&error)));
                     (Shown::Words(reason(&error, self.frame.path())), None)
                 }
             };

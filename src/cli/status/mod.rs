@@ -7,15 +7,16 @@
 
 mod text;
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use crate::daemon::Watch;
 use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
 use crate::daemon::lock::{LockError, OutputLock};
-use crate::pipeline::natural_order;
+use crate::pipeline::{FileStamp, file_of, is_missing_step, natural_order};
 
 use super::Verdict;
 use super::args::StatusArgs;
@@ -24,7 +25,9 @@ use super::console::Console;
 /// What there is to tell of a folder of outputs.
 #[derive(Debug, PartialEq, Serialize)]
 struct StatusRecord {
+    #[serde(serialize_with = "path_as_text")]
     output: PathBuf,
+    #[serde(serialize_with = "path_as_text")]
     journal: PathBuf,
     /// Null where none is known.
     daemon: Option<DaemonStatus>,
@@ -58,6 +61,7 @@ struct DaemonStatus {
 
 #[derive(Debug, PartialEq, Serialize)]
 struct WatchStatus {
+    #[serde(serialize_with = "path_as_text")]
     input: PathBuf,
     pattern: Option<String>,
     recursive: bool,
@@ -75,7 +79,9 @@ struct Counts {
 
 #[derive(Debug, PartialEq, Serialize)]
 struct FrameStatus {
+    #[serde(serialize_with = "path_as_text")]
     input: PathBuf,
+    #[serde(serialize_with = "paths_as_text")]
     outputs: Vec<PathBuf>,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<String>,
@@ -85,6 +91,18 @@ struct FrameStatus {
     #[serde(skip_serializing_if = "Option::is_none")]
     seconds: Option<f64>,
     at_ms: u64,
+    /// Whether it failed, and the next start of the daemon tries it again though its file is the same.
+    #[serde(skip)]
+    is_for_next_start: bool,
+}
+
+/// A path as it is shown: JSON has no place for one that is no text.
+fn path_as_text<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_str(&path.to_string_lossy())
+}
+
+fn paths_as_text<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(paths.iter().map(|path| path.to_string_lossy()))
 }
 
 /// So many of the frames that are done are told: enough to see that it goes on, and how fast.
@@ -149,11 +167,12 @@ impl Holder {
 
 impl StatusRecord {
     fn new(output: &Path, journal: &Path, state: &State, holder: Holder) -> StatusRecord {
+        let files = Files::new(state, matches!(holder, Holder::Daemon(_)));
         let in_standing = |standing| {
             let mut frames: Vec<_> = state
                 .frames
                 .iter()
-                .filter(|(input, frame)| frame.standing == standing && !is_gone(input, frame))
+                .filter(|(input, frame)| frame.standing == standing && !files.are_without(input, frame))
                 .collect();
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
@@ -164,6 +183,7 @@ impl StatusRecord {
         let retrying = in_standing(Standing::Retrying);
         let mut failed = in_standing(Standing::Failed);
         failed.extend(in_standing(Standing::Refused));
+        failed.extend(in_standing(Standing::GivenUp));
         let mut done = in_standing(Standing::Done);
         let counts = Counts {
             done: done.len(),
@@ -189,11 +209,38 @@ impl StatusRecord {
     }
 }
 
-/// Whether nothing will come of a frame any more: its file was removed from its folder.
-fn is_gone(input: &Path, frame: &FrameRecord) -> bool {
-    // A folder that is not there may come back with all that was in it.
-    let is_removed = || !input.exists() && input.parent().is_some_and(Path::exists);
-    frame.standing != Standing::Done && is_removed()
+/// The files of the frames, as the journal knows them.
+struct Files<'a> {
+    /// Each as a daemon took it.
+    taken: HashSet<(&'a Path, FileStamp)>,
+    has_daemon: bool,
+}
+
+impl<'a> Files<'a> {
+    fn new(state: &'a State, has_daemon: bool) -> Files<'a> {
+        let taken = state.frames.iter().map(|(input, frame)| (file_of(input), frame.stamp)).collect();
+        Files { taken, has_daemon }
+    }
+
+    /// Whether nothing will come of a frame any more: its file was removed from its folder, or written again without it.
+    fn are_without(&self, input: &Path, frame: &FrameRecord) -> bool {
+        if frame.standing == Standing::Done {
+            return false;
+        }
+        let file = file_of(input);
+        match FileStamp::of_path(file) {
+            Ok(stamp) if file == input || stamp == frame.stamp => false,
+            Ok(stamp) => !self.may_be_growing(file, stamp, frame) && is_missing_step(input).unwrap_or(false),
+            // A folder that is not there may come back with all that was in it.
+            Err(_) => !file.exists() && file.parent().is_some_and(Path::exists),
+        }
+    }
+
+    /// Whether a file is larger, and a daemon is at work that has yet to take it as it is: a simulation may be appending
+    /// to it. Then it has its steps still, and going through it would take minutes each time that somebody asks.
+    fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &FrameRecord) -> bool {
+        self.has_daemon && stamp.size > frame.stamp.size && !self.taken.contains(&(file, stamp))
+    }
 }
 
 impl DaemonStatus {
@@ -250,6 +297,7 @@ impl FrameStatus {
             particles: frame.particle_count,
             seconds: frame.seconds,
             at_ms: frame.at_ms,
+            is_for_next_start: matches!(frame.standing, Standing::Refused | Standing::GivenUp),
         }
     }
 }

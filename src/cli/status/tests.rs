@@ -42,6 +42,8 @@ fn state() -> State {
     let reason = Some("/sim/late.ply: cannot be read: busy".to_owned());
     add("late.ply".into(), FrameRecord { reason, attempt_count: 3, ..frame(Standing::Retrying, 9000) });
     add("next.ply".into(), frame(Standing::Queued, 9000));
+    let reason = Some("/sim/cut.ply: PLY, at byte 9: too short".to_owned());
+    add("cut.ply".into(), FrameRecord { reason, attempt_count: 4, ..frame(Standing::GivenUp, 9000) });
     state
 }
 
@@ -56,6 +58,7 @@ fn plan() -> PlanRecord {
             folder: "/out".into(),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
             up: meniscus_formats::gltf::UpAxis::Y,
+            quantize: false,
             vdb_half: false,
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,
             picture: crate::pipeline::PictureOptions::default(),
@@ -79,7 +82,7 @@ fn record(state: &State, holder: Holder) -> StatusRecord {
 #[test]
 fn frames_are_counted_and_told_in_order() {
     let record = record(&state(), Holder::Daemon("pid 12 on render-04".into()));
-    assert_eq!(record.counts, Counts { done: 30, queued: 1, retrying: 1, failed: 25 });
+    assert_eq!(record.counts, Counts { done: 30, queued: 1, retrying: 1, failed: 26 });
     let names = |frames: &[FrameStatus]| -> Vec<String> {
         frames.iter().map(|frame| frame.input.file_name().expect("a name").to_string_lossy().into()).collect()
     };
@@ -95,15 +98,20 @@ fn text_tells_what_json_tells() {
     let text = record(&state(), Holder::Daemon("pid 12 on render-04".into())).text(64_000);
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "/out: running (pid 12 on render-04)");
-    assert_eq!(lines[1], "30 done, 1 queued, 1 to retry, 25 failed");
+    assert_eq!(lines[1], "30 done, 1 queued, 1 to retry, 26 failed");
     assert_eq!(lines[3], "  /sim/bad.1.ply: PLY, at 12 bytes: no end (59s ago)");
-    assert_eq!(lines[23], "  and 5 more: --json has them all");
+    assert_eq!(lines[23], "  and 6 more: --json has them all");
     assert_eq!(lines[25], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
     assert_eq!(lines[27], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
     let planned = record(&State { plan: Some(plan()), ..state() }, Holder::Nobody).text(64_000);
     let watched: Vec<&str> = planned.lines().skip(2).take(3).collect();
     let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok is there, as glb, vdb";
     assert_eq!(watched, ["watched:", all, "  /sim, as glb, vdb"]);
+    let given_up = record(&state(), Holder::Nobody).failed[25].text(64_000);
+    assert_eq!(
+        given_up,
+        "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, tried again at the next start, 55s ago)"
+    );
     let damaged = State { damaged_line_count: 2, ..state() };
     assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
 }
@@ -153,9 +161,9 @@ fn json_has_the_documented_fields() {
     for key in keys.into_iter().chain(lists.into_iter().chain(frames).flat_map(|object| object.keys())) {
         assert!(help.contains(key.as_str()), "the help does not explain {key}");
     }
-    assert_eq!(json["counts"]["failed"], 25);
+    assert_eq!(json["counts"]["failed"], 26);
     assert_eq!(json["watches"][0]["formats"], serde_json::json!(["glb", "vdb"]));
     assert_eq!(json["watches"][1]["pattern"], serde_json::Value::Null);
-    assert_eq!(json["failed"].as_array().map(Vec::len), Some(25));
+    assert_eq!(json["failed"].as_array().map(Vec::len), Some(26));
     assert_eq!(json["daemon"]["running"], true);
 }

@@ -93,6 +93,9 @@ impl FrameStatus {
         if self.attempts > 1 {
             about.push(format!("{} attempts", self.attempts));
         }
+        if self.is_for_next_start {
+            about.push("tried again at the next start".to_owned());
+        }
         about.push(ago(self.at_ms, now_ms));
         let input = self.input.display().to_string();
         match &self.reason {

@@ -23,14 +23,15 @@ use crossbeam::channel::{Sender, bounded};
 use tracing::{error, info, warn};
 
 use crate::board::Board;
-use crate::daemon::{self, Command, Ended, FailedFrame, Notice, Summary};
+use crate::daemon::{self, Command, Ended, FailedFrame, Notice, Summary, Watch};
 use crate::pipeline::stop_writing;
 use crate::simd::level_warning;
 use crate::window::{Listen, Window};
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
-use super::wording::FRAMES_IN_VIEW;
+use super::studio::level_sets_in;
+use super::wording::{FRAMES_IN_VIEW, counted};
 
 use plan::Plan;
 pub(super) use plan::make_plan;
@@ -82,7 +83,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         match control.next_plan() {
             Some(next) if summary.ended == Ended::Reload => previous = Some(replace(&mut plan, next)),
             _ if summary.ended == Ended::Reload && !control.is_finishing() => {}
-            _ => return Ok(conclude(args.once, &summary)),
+            _ => return Ok(conclude(args.once, &plan.config.watches, &summary)),
         }
     }
 }
@@ -104,7 +105,7 @@ fn give_up_what_is_under_way(once: bool) {
 }
 
 /// Tells how it ended.
-fn conclude(once: bool, summary: &Summary) -> Verdict {
+fn conclude(once: bool, watches: &[Watch], summary: &Summary) -> Verdict {
     let Summary { ended, done_count, failed, left_count } = summary;
     if is_out_of_sight(failed) {
         for failure in failed {
@@ -112,7 +113,7 @@ fn conclude(once: bool, summary: &Summary) -> Verdict {
         }
     }
     if *ended == Ended::Drained && done_count + failed.len() + left_count == 0 {
-        warn!("there are no frames to convert");
+        warn!("there are no frames to convert{}", level_sets_left(watches));
     }
     let why = if *ended == Ended::Drained { "nothing is left to do" } else { "asked to end" };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
@@ -123,6 +124,14 @@ fn conclude(once: bool, summary: &Summary) -> Verdict {
         (0, 1..) => Verdict::Done,
         (_, 0) => Verdict::NothingDone,
         _ => Verdict::SomeFailed,
+    }
+}
+
+/// What lies in the folders and is done by another command.
+fn level_sets_left(watches: &[Watch]) -> String {
+    match watches.iter().map(|watch| level_sets_in(&watch.input).len()).sum() {
+        0 => String::new(),
+        count => format!(": {} left alone, `meniscus convert` does these", counted(count, "level set")),
     }
 }
 

@@ -15,10 +15,10 @@ fn the_exit_status_is_that_of_convert_when_it_runs_once() {
         (0, 1, 0, Verdict::NothingDone),
         (0, 0, 0, Verdict::NothingDone),
     ] {
-        assert_eq!(conclude(true, &summary(Ended::Drained, done, failed, left)), expected);
+        assert_eq!(conclude(true, &[], &summary(Ended::Drained, done, failed, left)), expected);
     }
     // A daemon that was asked to end, and ended, did what it was asked.
-    assert_eq!(conclude(false, &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
+    assert_eq!(conclude(false, &[], &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
 }
 
 #[test]

@@ -99,6 +99,7 @@ enum WireStanding {
     Failed,
     Retrying,
     Refused,
+    GivenUp,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -223,6 +224,7 @@ impl WireStanding {
             Standing::Failed => WireStanding::Failed,
             Standing::Retrying => WireStanding::Retrying,
             Standing::Refused => WireStanding::Refused,
+            Standing::GivenUp => WireStanding::GivenUp,
         }
     }
 
@@ -233,6 +235,7 @@ impl WireStanding {
             WireStanding::Failed => Standing::Failed,
             WireStanding::Retrying => Standing::Retrying,
             WireStanding::Refused => Standing::Refused,
+            WireStanding::GivenUp => Standing::GivenUp,
         }
     }
 }
@@ -371,8 +374,14 @@ mod tests {
 
     #[test]
     fn frames_come_back() {
-        let standings =
-            [Standing::Queued, Standing::Done, Standing::Failed, Standing::Retrying, Standing::Refused];
+        let standings = [
+            Standing::Queued,
+            Standing::Done,
+            Standing::Failed,
+            Standing::Retrying,
+            Standing::Refused,
+            Standing::GivenUp,
+        ];
         for standing in standings {
             comes_back(&frame("/sim/dam.0001.bgeo", standing));
         }

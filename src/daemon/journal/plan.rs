@@ -48,6 +48,8 @@ struct WireOutputs {
     folder: WirePath,
     formats: Vec<WireFormat>,
     up: WireUp,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    quantize: bool,
     vdb_half: bool,
     vdb_compression: WireCompression,
     /// How pictures are taken, if any are.
@@ -88,7 +90,7 @@ macro_rules! wire_enum {
     };
 }
 
-wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply, Png, Exr);
+wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply, Vtp, Stl, Usda, Png, Exr);
 wire_enum!(WireUp of UpAxis: Y, Z);
 wire_enum!(WireCompression of Compression: None, ActiveMask, Blosc);
 
@@ -138,12 +140,13 @@ impl WireWatch {
 
 impl WireOutputs {
     fn of(options: &OutputOptions) -> WireOutputs {
-        let OutputOptions { folder, formats, up, vdb_half, vdb_compression, picture } = options;
+        let OutputOptions { folder, formats, up, quantize, vdb_half, vdb_compression, picture } = options;
         let has_picture = formats.iter().any(|format| format.picture().is_some());
         WireOutputs {
             folder: WirePath::of(folder),
             formats: formats.iter().map(|&format| format.into()).collect(),
             up: (*up).into(),
+            quantize: *quantize,
             vdb_half: *vdb_half,
             vdb_compression: (*vdb_compression).into(),
             picture: has_picture
@@ -156,6 +159,7 @@ impl WireOutputs {
             folder: self.folder.into_path()?,
             formats: self.formats.into_iter().map(Into::into).collect(),
             up: self.up.into(),
+            quantize: self.quantize,
             vdb_half: self.vdb_half,
             vdb_compression: self.vdb_compression.into(),
             picture: match self.picture {
@@ -205,6 +209,7 @@ mod tests {
                 folder: "/out".into(),
                 formats: Vec::new(),
                 up: UpAxis::Y,
+                quantize: false,
                 vdb_half: false,
                 vdb_compression: Compression::None,
                 picture: PictureOptions::default(),
@@ -225,6 +230,7 @@ mod tests {
             outputs: OutputOptions {
                 formats: OutputFormat::ALL.to_vec(),
                 up: UpAxis::Z,
+                quantize: true,
                 vdb_half: true,
                 ..bare().outputs
             },

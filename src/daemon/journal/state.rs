@@ -62,6 +62,9 @@ pub enum Standing {
     /// It cannot be converted on account of other files, which may change without it: it is looked at again
     /// when the daemon starts.
     Refused,
+    /// It failed in a way that may pass, and not for as long as the daemon tried: it is attempted again when the daemon
+    /// starts.
+    GivenUp,
 }
 
 /// One file that was made of a frame.
@@ -157,6 +160,7 @@ impl fmt::Display for Standing {
             Standing::Failed => "failed",
             Standing::Retrying => "retrying",
             Standing::Refused => "refused",
+            Standing::GivenUp => "given up",
         })
     }
 }

@@ -1,4 +1,4 @@
 [
 	"fileversion","19.5.303",
-	"pointcount",0
+	"pointcount",2
 ]

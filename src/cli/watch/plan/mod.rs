@@ -19,7 +19,9 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
-use crate::cli::choices::{choices, ignored, output_options, refuse_stray_rounds, written_formats};
+use crate::cli::choices::{
+    choices, ignored, output_options, refuse_idle_quantize, refuse_stray_rounds, written_formats,
+};
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
@@ -130,11 +132,15 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
         None => Settings::check(&choices)?,
     }
+    refuse_idle_quantize(frames.format.as_deref(), &frames.formats)?;
     let written = written_formats(frames.format.as_deref(), &frames.formats);
     warnings.extend(ignored(&frames.method, &written, &frames.formats));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;
     if let Some(sentinel) = &frames.sentinel {
         check_sentinel(sentinel)?;
+    }
+    if input.exists() && !input.is_dir() {
+        bail!("{}: a folder is watched, and this is a file: `meniscus convert` does files", input.display());
     }
     let folder = absolute(output)?;
     if folder.exists() && !folder.is_dir() {

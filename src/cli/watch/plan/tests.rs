@@ -182,7 +182,7 @@ fn what_makes_no_sense_is_refused_before_the_first_frame() {
         (&["--poll", "1us"], &["--poll", "too short"]),
         (&["--memory", "some"], &["--memory", "no size"]),
         (&["--threads", "0"], &["--threads"]),
-        (&["--format", "stl"], &["stl"]),
+        (&["--format", "fbx"], &["fbx"]),
     ] {
         let options =
             if options.contains(&"--out") { options.to_vec() } else { [options, &["--out", "o"]].concat() };

@@ -1,4 +1,4 @@
-//! Blosc 1 frames: how OpenVDB packs the values of a node.
+//! Blosc 1 frames: how OpenVDB packs the values of a node, and Houdini its geometry.
 //!
 //! Byte k of all elements is put side by side (the shuffle), since sign and exponent bytes repeat
 //! where mantissa bytes do not; each such stream is then compressed with LZ4 by itself.
@@ -18,13 +18,15 @@
 //! This work is based on:
 //! the header description in c-blosc's README_HEADER
 
-use super::cursor::u32_at;
+use crate::blosclz;
+use crate::bytes::u32_at;
 
 const SHUFFLED: u8 = 0x01;
 const STORED: u8 = 0x02;
 const BITS_SHUFFLED: u8 = 0x04;
 const NOT_SPLIT: u8 = 0x10;
 const CODEC_SHIFT: u8 = 5;
+const CODEC_BLOSCLZ: u8 = 0;
 const CODEC_LZ4: u8 = 1;
 const CODEC_ZLIB: u8 = 3;
 
@@ -36,25 +38,25 @@ const SPLIT_TYPESIZE_MAX: usize = 16;
 
 /// Why a frame was not decoded; the caller knows where in the file it lies.
 #[derive(Debug)]
-pub(super) enum FrameError {
+pub(crate) enum FrameError {
     Invalid(String),
     Unsupported(String),
 }
 
 /// Memory that is kept from one frame to the next.
-pub(super) struct Encoder {
+pub(crate) struct Encoder {
     shuffled: Vec<u8>,
     table: lz4_flex::block::CompressTable,
 }
 
 impl Encoder {
-    pub(super) fn new() -> Encoder {
+    pub(crate) fn new() -> Encoder {
         Encoder { shuffled: Vec::new(), table: lz4_flex::block::CompressTable::small() }
     }
 
     /// Appends `bytes`, elements of `typesize` bytes, as one frame of one block. Returns whether
     /// that saves anything; if not, `out` is as before and the bytes are better stored raw.
-    pub(super) fn append_frame(&mut self, bytes: &[u8], typesize: u8, out: &mut Vec<u8>) -> bool {
+    pub(crate) fn append_frame(&mut self, bytes: &[u8], typesize: u8, out: &mut Vec<u8>) -> bool {
         let Ok(byte_count) = u32::try_from(bytes.len()) else { return false };
         if bytes.len() < BYTES_MIN {
             return false;
@@ -108,7 +110,7 @@ impl Encoder {
 }
 
 /// Decodes a frame that must fill `out` exactly.
-pub(super) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameError> {
+pub(crate) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameError> {
     let invalid = |what: String| Err(FrameError::Invalid(what));
     if frame.len() < HEADER_BYTES {
         return invalid(format!("a Blosc frame of {} bytes, shorter than its header", frame.len()));
@@ -151,6 +153,7 @@ pub(super) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
         ));
     }
     let mut block = Vec::new();
+    let mut packed_bytes = 0;
     for (index, part) in out.chunks_mut(block_bytes).enumerate() {
         let start = u32_at(frame, HEADER_BYTES + 4 * index) as usize;
         let split = flags & NOT_SPLIT == 0 && part.len() == block_bytes && is_split(typesize, block_bytes);
@@ -158,7 +161,11 @@ pub(super) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
             return invalid(format!("a Blosc block starting at byte {start} of its frame"));
         };
         block.resize(part.len(), 0);
-        decode_block(bytes, flags >> CODEC_SHIFT, if split { typesize } else { 1 }, &mut block)?;
+        packed_bytes +=
+            decode_block(bytes, flags >> CODEC_SHIFT, if split { typesize } else { 1 }, &mut block)?;
+        if packed_bytes > frame.len() {
+            return invalid("a Blosc frame whose blocks lie over each other".into());
+        }
         if flags & SHUFFLED != 0 && typesize > 1 {
             unshuffle(&block, typesize, part);
         } else {
@@ -168,12 +175,14 @@ pub(super) fn decode_frame(frame: &[u8], out: &mut [u8]) -> Result<(), FrameErro
     Ok(())
 }
 
-fn decode_block(mut bytes: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<(), FrameError> {
+/// Decodes a block that must fill `out`, and returns how many bytes it has.
+fn decode_block(block: &[u8], codec: u8, stream_count: usize, out: &mut [u8]) -> Result<usize, FrameError> {
     let invalid = |what: &str| Err(FrameError::Invalid(what.into()));
     if !out.len().is_multiple_of(stream_count) {
         return invalid("a Blosc block that does not divide into its streams");
     }
     let stream_bytes = out.len() / stream_count;
+    let mut bytes = block;
     for stream in out.chunks_mut(stream_bytes) {
         let Some((size, rest)) = bytes.split_first_chunk::<4>() else {
             return invalid("a Blosc block that ends before the size of a stream");
@@ -190,6 +199,7 @@ fn decode_block(mut bytes: &[u8], codec: u8, stream_count: usize, out: &mut [u8]
         }
         let unpacked = match codec {
             CODEC_LZ4 => lz4_flex::block::decompress_into(packed, stream).ok(),
+            CODEC_BLOSCLZ => blosclz::decompress_into(packed, stream),
             CODEC_ZLIB => inflate_into(packed, stream),
             other => return Err(FrameError::Unsupported(unsupported_codec(other))),
         };
@@ -197,7 +207,7 @@ fn decode_block(mut bytes: &[u8], codec: u8, stream_count: usize, out: &mut [u8]
             return invalid("a Blosc stream that does not decompress to its size");
         }
     }
-    Ok(())
+    Ok(block.len() - bytes.len())
 }
 
 /// Whether a full block is cut into one stream per byte of its elements.
@@ -206,7 +216,7 @@ fn is_split(typesize: usize, block_bytes: usize) -> bool {
 }
 
 /// Decompresses a zlib stream into `out`; the number of bytes, or none if it is broken or larger.
-pub(super) fn inflate_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
+pub(crate) fn inflate_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut inflater = flate2::Decompress::new(true);
     match inflater.decompress(packed, out, flate2::FlushDecompress::Finish) {
         Ok(flate2::Status::StreamEnd) => usize::try_from(inflater.total_out()).ok(),
@@ -216,7 +226,6 @@ pub(super) fn inflate_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
 
 fn unsupported_codec(codec: u8) -> String {
     let name = match codec {
-        0 => "BloscLZ",
         2 => "Snappy",
         4 => "Zstandard",
         _ => "unknown",
@@ -298,6 +307,27 @@ mod tests {
             assert_eq!(frame[2], flags, "{count} floats");
         }
         assert!(!encoder.append_frame(&[1; 124], 4, &mut Vec::new()));
+    }
+
+    /// Many blocks of the same bytes would take time for bytes that are not there.
+    #[test]
+    fn blocks_do_not_lie_over_each_other() {
+        let length = |bytes: &[u8]| u32::try_from(bytes.len()).expect("short");
+        let packed = lz4_flex::block::compress(&distances(64));
+        let stream = [&length(&packed).to_le_bytes(), &packed[..]].concat();
+        let frame = |starts: [u32; 3], body: &[u8]| {
+            let numbers = [3 * 256, 256, 28 + length(body)].into_iter().chain(starts);
+            let head = [2, 1, CODEC_LZ4 << CODEC_SHIFT | NOT_SPLIT, 4].into_iter();
+            head.chain(numbers.flat_map(u32::to_le_bytes)).chain(body.iter().copied()).collect::<Vec<u8>>()
+        };
+        let starts = [0, 1, 2].map(|index| 28 + index * length(&stream));
+        let mut out = vec![0; 3 * 256];
+        decode_frame(&frame(starts, &stream.repeat(3)), &mut out).expect("one after the other");
+        assert_eq!(out, distances(64).repeat(3));
+        let Err(FrameError::Invalid(what)) = decode_frame(&frame([28; 3], &stream), &mut out) else {
+            panic!("blocks of the same bytes");
+        };
+        assert!(what.contains("lie over each other"), "{what}");
     }
 
     #[test]

@@ -1,0 +1,264 @@
+//! The text form of classic geometry, `.geo`: the same in words.
+//!
+//! ```text
+//!   PGEOMETRY V5
+//!   NPoints 5 NPrims 1
+//!   NPointGroups 0 NPrimGroups 0
+//!   NPointAttrib 2 NVertexAttrib 0 NPrimAttrib 1 NAttrib 0
+//!   PointAttrib
+//!   life 2 float 0 0                          name, size, type, defaults; for `index`: how many strings, and these
+//!   id 1 int 0
+//!   0 0.1 0.2 1 (-1.2 10    0)                x y z w, then the values of all attributes in brackets
+//!   ..                                        primitives and the rest: not read
+//! ```
+
+use crate::named_arrays::{NamedArray, frame_of};
+use crate::number::divided;
+use crate::text::line_number;
+use crate::{Error, Limits, ParticleFrame, Place, Positions, Result, Values};
+
+/// The format as users know it, for errors.
+const FORMAT: &str = "classic Houdini GEO (text)";
+
+/// Reads the points of classic geometry as text.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] with the line where a word is not what it should be, [`Error::Short`] where points are missing,
+/// [`Error::Unsupported`] for another version, [`Error::TooLarge`] beyond `limits`.
+pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let mut words = Words { bytes, at: 0 };
+    let head = (words.next("PGEOMETRY")?, words.next("the version")?);
+    if head != (b"PGEOMETRY", b"V5") {
+        let found = [head.0, b" ", head.1].concat();
+        return Err(Error::unsupported(
+            FORMAT,
+            format!("`{}`; only PGEOMETRY V5 is read", found.escape_ascii()),
+        ));
+    }
+    let (mut point_count, mut attribute_count) = (0, 0);
+    for name in COUNTS {
+        let found = words.next(name)?;
+        if found != name.as_bytes() {
+            return Err(words.expected(name, found));
+        }
+        let count: u32 = words.number(name)?;
+        match *name {
+            "NPoints" => point_count = count as usize,
+            "NPointAttrib" => attribute_count = count as usize,
+            _ => {}
+        }
+    }
+    if point_count as u64 > limits.particle_count || attribute_count > limits.attribute_count {
+        return Err(Error::too_large(
+            FORMAT,
+            format!("{point_count} points with {attribute_count} attributes"),
+        ));
+    }
+    let mut columns = dictionary(&mut words, attribute_count, limits)?;
+    let positions = points(&mut words, point_count, &mut columns)?;
+    let arrays = columns.into_iter().map(Column::into_array).collect();
+    // The positions are given, so there is a frame.
+    Ok(frame_of(Some(Positions::F32(positions)), arrays).unwrap_or_default())
+}
+
+/// The counts, in the order of the file.
+const COUNTS: &[&str] = &[
+    "NPoints",
+    "NPrims",
+    "NPointGroups",
+    "NPrimGroups",
+    "NPointAttrib",
+    "NVertexAttrib",
+    "NPrimAttrib",
+    "NAttrib",
+];
+
+/// An attribute on its way.
+struct Column {
+    name: String,
+    arity: usize,
+    table: Vec<String>,
+    values: ColumnValues,
+}
+
+enum ColumnValues {
+    Reals(Vec<f32>),
+    Integers(Vec<i32>),
+    Indices(Vec<i32>),
+}
+
+impl Column {
+    fn into_array(self) -> NamedArray {
+        let values = match self.values {
+            ColumnValues::Reals(values) => Values::F32(values),
+            ColumnValues::Integers(values) => Values::I32(values),
+            ColumnValues::Indices(indices) => Values::Strings { table: self.table, indices },
+        };
+        NamedArray { name: self.name, arity: self.arity, values }
+    }
+}
+
+fn dictionary(words: &mut Words, count: usize, limits: &Limits) -> Result<Vec<Column>> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let title = words.next("PointAttrib")?;
+    if title != b"PointAttrib" {
+        return Err(words.expected("PointAttrib", title));
+    }
+    (0..count).map(|_| column(words, limits)).collect()
+}
+
+fn column(words: &mut Words, limits: &Limits) -> Result<Column> {
+    let name = String::from_utf8_lossy(words.next("the name of an attribute")?).into_owned();
+    let arity: u16 = words.number("the size of an attribute")?;
+    let arity = usize::from(arity);
+    if arity == 0 || arity > limits.attribute_count {
+        return Err(words.invalid(format!("the attribute `{name}` has {arity} values")));
+    }
+    let kind = words.next("the type of an attribute")?;
+    let mut table = Vec::new();
+    let values = match kind {
+        b"float" | b"vector" => ColumnValues::Reals(Vec::new()),
+        b"int" => ColumnValues::Integers(Vec::new()),
+        b"index" => {
+            let count: u32 = words.number("the number of strings")?;
+            // Each takes some dozens of bytes of memory, though it may have two in the file.
+            let most = (1 << 16) + words.bytes.len() / 16;
+            if count as usize > most {
+                return Err(Error::too_large(FORMAT, format!("{count} strings, more than {most}")));
+            }
+            for _ in 0..count {
+                let text = words.next("a string")?;
+                table.push(String::from_utf8_lossy(text.trim_ascii()).trim_matches('"').to_owned());
+            }
+            ColumnValues::Indices(Vec::new())
+        }
+        other => return Err(words.expected("float, int, vector or index", other)),
+    };
+    if kind != b"index" {
+        for _ in 0..arity {
+            words.number::<f64>("a default")?;
+        }
+    }
+    Ok(Column { name, arity, table, values })
+}
+
+fn points(words: &mut Words, count: usize, columns: &mut [Column]) -> Result<Vec<[f32; 3]>> {
+    const POINT_BYTES_MIN: usize = 8; // four numbers, and something between them
+    let remaining = words.bytes.len() - words.at;
+    if count.saturating_mul(POINT_BYTES_MIN) > remaining + 1 {
+        return Err(words.short(format!("expected {count} points, {remaining} bytes remain")));
+    }
+    let mut positions = Vec::with_capacity(count);
+    for _ in 0..count {
+        let mut coordinate = || words.number::<f32>("a coordinate of a point");
+        positions.push(divided([coordinate()?, coordinate()?, coordinate()?, coordinate()?]));
+        for Column { name, arity, values, .. } in &mut *columns {
+            for _ in 0..*arity {
+                match values {
+                    ColumnValues::Reals(values) => values.push(words.number(name)?),
+                    ColumnValues::Integers(values) | ColumnValues::Indices(values) => {
+                        values.push(words.number(name)?);
+                    }
+                }
+            }
+        }
+    }
+    Ok(positions)
+}
+
+/// The words, whatever blanks and brackets are between them.
+struct Words<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Words<'a> {
+    /// The next word; `what` is missing if there is none.
+    fn next(&mut self, what: &str) -> Result<&'a [u8]> {
+        let is_between = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b'(' | b')');
+        let rest = &self.bytes[self.at..];
+        let blanks = rest.iter().take_while(|byte| is_between(byte)).count();
+        let rest = &rest[blanks..];
+        let is_quoted = rest.first() == Some(&b'"');
+        let end = match is_quoted {
+            true => rest[1..].iter().position(|&byte| byte == b'"').map(|length| length + 2),
+            false => rest.iter().position(is_between),
+        };
+        let length = end.unwrap_or(rest.len());
+        self.at += blanks + length;
+        match length {
+            0 => Err(self.short(format!("the file ends before {what}"))),
+            _ => Ok(&rest[..length]),
+        }
+    }
+
+    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T> {
+        let word = self.next(what)?;
+        let number = std::str::from_utf8(word).ok().and_then(|word| word.parse().ok());
+        number.ok_or_else(|| match self.at == self.bytes.len() {
+            true => self.short(format!("the file ends within {what}")),
+            false => self.expected(what, word),
+        })
+    }
+
+    fn expected(&self, what: &str, found: &[u8]) -> Error {
+        self.invalid(format!("expected {what}, found `{}`", found[..found.len().min(24)].escape_ascii()))
+    }
+
+    fn invalid(&self, what: String) -> Error {
+        Error::invalid(FORMAT, Place::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
+    }
+
+    fn short(&self, what: String) -> Error {
+        Error::short(FORMAT, Place::Line(line_number(self.bytes, self.at.saturating_sub(1))), what)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Attribute, Role};
+
+    const TEXT: &str = "PGEOMETRY V5\nNPoints 2 NPrims 1\nNPointGroups 0 NPrimGroups 0\nNPointAttrib 3 NVertexAttrib 0 \
+         NPrimAttrib 1 NAttrib 0\nPointAttrib\n\nlife 2 float 0 0\nid 1 int 0\npart 1 index 2 \"a b\" c\n0 0.1 0.2 1 (-1.2 10\t0\t1)\n\
+         2 4 6 2 (-0.2 10\t1\t0)\nPrimitiveAttrib\n";
+
+    #[test]
+    fn points_are_read() {
+        let frame = read_text(TEXT.as_bytes(), &Limits::default()).unwrap();
+        assert_eq!(frame.positions, Positions::F32(vec![[0.0, 0.1, 0.2], [1.0, 2.0, 3.0]]));
+        let attribute =
+            |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
+        let table = vec!["a b".into(), "c".into()];
+        let expected = [
+            attribute("life", 2, None, Values::F32(vec![-1.2, 10.0, -0.2, 10.0])),
+            attribute("id", 1, Some(Role::Id), Values::I32(vec![0, 1])),
+            attribute("part", 1, None, Values::Strings { table, indices: vec![1, 0] }),
+        ];
+        assert_eq!(frame.attributes, expected);
+    }
+
+    #[test]
+    fn what_is_wrong_is_told() {
+        let table = [
+            (TEXT.replace("V5", "V4"), "only PGEOMETRY V5"),
+            (TEXT.replace("NPoints 2", "NPoints 4000000000"), "expected 4000000000 points"),
+            (
+                TEXT.replace("NPoints 2", "NPoints 3"),
+                "at line 12: expected a coordinate of a point, found `PrimitiveAttrib`",
+            ),
+            (
+                TEXT.replace("life 2 float", "life 2 half"),
+                "at line 7: expected float, int, vector or index, found `half`",
+            ),
+            (TEXT.replace("life 2", "life 0"), "has 0 values"),
+        ];
+        for (text, words) in table {
+            let error = read_text(text.as_bytes(), &Limits::default()).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+}

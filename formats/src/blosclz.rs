@@ -1,0 +1,112 @@
+//! BloscLZ, the codec that is Blosc's own: FastLZ with longer distances.
+//!
+//! ```text
+//!   000nnnnn                    n + 1 bytes follow as they are
+//!   lllddddd [255 ..] d         repeat l + 2 bytes, 7 going on in the bytes that follow, from d + 1 bytes back,
+//!                               13 bits; all of them set: 16 more bits say how much farther
+//! ```
+//!
+//! The first instruction is always a literal one, so the three highest of its bits mean nothing.
+//!
+//! This work is based on:
+//! the description of FastLZ level 2 by A. Hidayat, and streams made by c-blosc 1.21
+
+/// The greatest distance that 13 bits stand for.
+const DISTANCE_MAX: usize = 8191;
+
+/// Decompresses into `out`; the number of bytes, or none if the stream is broken or longer.
+pub(crate) fn decompress_into(packed: &[u8], out: &mut [u8]) -> Option<usize> {
+    let mut input = packed.iter().copied();
+    let mut at = 0;
+    let mut control = input.next()? & 31;
+    loop {
+        if control < 32 {
+            for _ in 0..=control {
+                *out.get_mut(at)? = input.next()?;
+                at += 1;
+            }
+        } else {
+            let mut length = usize::from(control >> 5) + 2;
+            if control >> 5 == 7 {
+                loop {
+                    let more = input.next()?;
+                    length = length.checked_add(more.into())?;
+                    if more != 255 {
+                        break;
+                    }
+                }
+            }
+            let high = usize::from(control & 31) << 8;
+            let low = input.next()?;
+            let mut distance = high + usize::from(low) + 1;
+            if low == 255 && high == 31 << 8 {
+                distance = (usize::from(input.next()?) << 8) + usize::from(input.next()?) + DISTANCE_MAX + 1;
+            }
+            let start = at.checked_sub(distance)?;
+            let end = at.checked_add(length).filter(|&end| end <= out.len())?;
+            // Byte by byte: what is repeated may reach into what it makes.
+            for index in at..end {
+                out[index] = out[start + index - at];
+            }
+            at = end;
+        }
+        match input.next() {
+            Some(next) => control = next,
+            None => return Some(at),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Made by c-blosc 1.21 from ten letters, repeated, around forty times `x`; twice.
+    const PACKED: [u8; 40] = [
+        0x29, 0x61, 0x62, 0x63, 0x64, 0x65, 0x66, 0x67, 0x68, 0x69, 0x6a, 0xe0, 0x0a, 0x09, 0x01, 0x6a, 0x78,
+        0xe0, 0x1d, 0x00, 0x00, 0x78, 0xe0, 0x0a, 0x3b, 0xe0, 0x0b, 0x4f, 0xe0, 0xff, 0x1a, 0x13, 0xe1, 0xff,
+        0x4a, 0x71, 0x02, 0x68, 0x69, 0x6a,
+    ];
+
+    fn unpacked() -> Vec<u8> {
+        let once = [b"abcdefghij".repeat(3), b"x".repeat(40), b"abcdefghij".repeat(30)].concat();
+        once.repeat(2)
+    }
+
+    #[test]
+    fn streams_of_blosc_are_read() {
+        let mut out = vec![0; 740];
+        assert_eq!(decompress_into(&PACKED, &mut out), Some(740));
+        assert_eq!(out, unpacked());
+    }
+
+    #[test]
+    fn far_repeats_are_read() {
+        let mut packed = vec![31];
+        let start: Vec<u8> = (0..32).collect();
+        packed.extend(&start);
+        // 32 letters, and 9000 times the last one; then six from 9010 bytes back, where letters still differ.
+        packed.extend([0xe0].into_iter().chain([255; 35]).chain([66, 0]));
+        let far = u16::try_from(9010 - DISTANCE_MAX - 1).unwrap();
+        packed.extend([0x9f, 255]);
+        packed.extend(far.to_be_bytes());
+        let mut out = vec![0; 10_000];
+        assert_eq!(decompress_into(&packed, &mut out), Some(32 + 9000 + 6));
+        assert_eq!(out[32 + 9000..][..6], start[22..28]);
+    }
+
+    #[test]
+    fn damage_is_survived() {
+        let mut out = vec![0; 740];
+        for length in 0..PACKED.len() {
+            let _ = decompress_into(&PACKED[..length], &mut out);
+            for bit in 0..8 {
+                let mut damaged = PACKED;
+                damaged[length] ^= 1 << bit;
+                let _ = decompress_into(&damaged, &mut out);
+            }
+        }
+        assert_eq!(decompress_into(&PACKED, &mut [0; 739]), None);
+        assert_eq!(decompress_into(&[], &mut out), None);
+    }
+}

@@ -1,0 +1,310 @@
+//! A `.glb` of one frame as this crate writes it, so that frames can be gathered without reading all of them at once: the
+//! document, and where its data are in the file.
+
+use std::io::{Read, Seek, SeekFrom};
+
+use serde_json::{Map, Value};
+
+use super::buffer::invalid;
+use super::write::UpAxis;
+use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
+use crate::error::{Error, Place, Result};
+
+/// A frame of a shot.
+#[derive(Clone, Debug)]
+pub struct FrameFile {
+    /// What is said of the frame; small beside its data.
+    pub(crate) document: Value,
+    /// Where the data begin in the file, and how many bytes there are.
+    pub(crate) bin_at: u64,
+    pub(crate) bin_bytes: u64,
+}
+
+/// More bytes of text than this are no frame of ours.
+const JSON_BYTES_MAX: u64 = 64 << 20;
+
+/// Numbers that belong to the vertices of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Column {
+    component: u32,
+    pub(crate) arity: usize,
+    pub(crate) count: usize,
+    /// From the start of the file.
+    start: u64,
+    stride_bytes: usize,
+}
+
+/// Where a frame lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FramePlace {
+    pub(crate) up: UpAxis,
+    /// The point that positions are relative to, along the axes of the particles.
+    pub(crate) origin: [f64; 3],
+    /// What quantized positions are multiplied by.
+    pub(crate) scale: f64,
+}
+
+impl FrameFile {
+    /// Reads the document of a frame, and checks that the file is a whole one of this program's.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] if reading fails; [`Error::Short`] for a file that lost its end; [`Error::Unsupported`] for a file of
+    /// another program, or one that is a shot itself; [`Error::Invalid`] for a damaged one.
+    pub fn read(file: &mut (impl Read + Seek)) -> Result<FrameFile> {
+        let file_bytes = file.seek(SeekFrom::End(0))?;
+        file.seek(SeekFrom::Start(0))?;
+        let mut head = [0; 20];
+        let head_bytes = file_bytes.min(HEAD_BYTES) as usize;
+        file.read_exact(&mut head[..head_bytes])?;
+        let of_magic = head_bytes.min(GLB_MAGIC.len());
+        if head[..of_magic] != GLB_MAGIC[..of_magic] {
+            return Err(Error::unsupported("", NO_GLB));
+        }
+        if head_bytes < head.len() {
+            return Err(Error::short(FORMAT, Place::File, "no GLB header"));
+        }
+        let word = |at: usize| u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
+        if head[16..] != CHUNK_JSON {
+            return Err(Error::invalid(FORMAT, Place::Offset(0), "no GLB header"));
+        }
+        if u64::from(word(8)) != file_bytes {
+            let what = format!("{file_bytes} bytes, and the header says {}", word(8));
+            return Err(Error::short(FORMAT, Place::File, what));
+        }
+        let json_bytes = u64::from(word(12));
+        if json_bytes > JSON_BYTES_MAX.min(file_bytes) {
+            return Err(Error::unsupported(FORMAT, NOT_OURS));
+        }
+        let mut json = Vec::new();
+        file.take(json_bytes).read_to_end(&mut json)?;
+        let document: Value = serde_json::from_slice(&json).map_err(|error| invalid(error.to_string()))?;
+        let (bin_at, bin_bytes) = match file_bytes - HEAD_BYTES - json_bytes.min(file_bytes - HEAD_BYTES) {
+            0 => (file_bytes, 0),
+            _ => {
+                let mut head = [0; 8];
+                file.read_exact(&mut head).map_err(|_| invalid("a chunk without a head"))?;
+                let [a, b, c, d, kind @ ..] = head;
+                let (at, length) = (HEAD_BYTES + json_bytes + 8, u64::from(u32::from_le_bytes([a, b, c, d])));
+                if kind != CHUNK_BIN || at + length != file_bytes {
+                    return Err(Error::unsupported(FORMAT, NOT_OURS));
+                }
+                (at, length)
+            }
+        };
+        let frame = FrameFile { document, bin_at, bin_bytes };
+        frame.check()?;
+        Ok(frame)
+    }
+
+    fn check(&self) -> Result<()> {
+        let generator = self.document["asset"]["generator"].as_str().unwrap_or_default();
+        let count = |name: &str| self.document[name].as_array().map_or(0, Vec::len);
+        if !generator.starts_with("meniscus ") || count("buffers") > 1 {
+            return Err(Error::unsupported(FORMAT, NOT_OURS));
+        }
+        if count("animations") > 0 || count("nodes") > 1 || count("meshes") > 1 {
+            return Err(Error::unsupported(FORMAT, "this is a shot already, not a frame of one"));
+        }
+        if self.has_mesh() {
+            self.place()?;
+            self.triangle_count()?;
+            let position = self.column("POSITION")?.ok_or_else(|| invalid("a mesh without positions"))?;
+            let normal = self.column("NORMAL")?.ok_or_else(|| invalid("a mesh without normals"))?;
+            if (position.arity, normal.arity) != (3, 3) || position.count != normal.count {
+                return Err(invalid("positions and normals that do not fit"));
+            }
+            let names = self.attributes()?.keys();
+            for name in names {
+                if self.column(name)?.is_some_and(|column| column.count != position.count) {
+                    return Err(invalid(format!("positions and {name} that do not fit")));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether there is anything to see.
+    pub fn has_mesh(&self) -> bool {
+        self.document["meshes"].as_array().is_some_and(|meshes| !meshes.is_empty())
+    }
+
+    /// How many vertices there are.
+    pub fn vertex_count(&self) -> usize {
+        self.column("POSITION").ok().flatten().map_or(0, |column| column.count)
+    }
+
+    /// How many triangles there are.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Invalid`] for a damaged document.
+    pub fn triangle_count(&self) -> Result<usize> {
+        if !self.has_mesh() {
+            return Ok(0);
+        }
+        Ok(self.indices()?.count / 3)
+    }
+
+    pub(crate) fn attributes(&self) -> Result<&Map<String, Value>> {
+        let attributes = self.document["meshes"][0]["primitives"][0]["attributes"].as_object();
+        attributes.ok_or_else(|| invalid("a mesh without attributes"))
+    }
+
+    /// Names of attributes whose values are indices into strings.
+    pub(crate) fn is_of_strings(&self, semantic: &str) -> bool {
+        !self.document["meshes"][0]["extras"]["strings"][semantic].is_null()
+    }
+
+    /// The numbers of this name, if the vertices have such.
+    pub(crate) fn column(&self, semantic: &str) -> Result<Option<Column>> {
+        if !self.has_mesh() {
+            return Ok(None);
+        }
+        let Some(index) = self.attributes()?.get(semantic) else { return Ok(None) };
+        self.accessor(index).map(Some)
+    }
+
+    fn indices(&self) -> Result<Column> {
+        self.accessor(&self.document["meshes"][0]["primitives"][0]["indices"])
+    }
+
+    fn accessor(&self, index: &Value) -> Result<Column> {
+        let missing = || invalid(format!("the accessor {index} is not as it is written"));
+        let at = |array: &'static str, index: &Value| {
+            let index = usize::try_from(index.as_u64()?).ok()?;
+            self.document[array].as_array()?.get(index)
+        };
+        let number = |value: &Value| usize::try_from(value.as_u64()?).ok();
+        let accessor = at("accessors", index).ok_or_else(missing)?;
+        let view = at("bufferViews", &accessor["bufferView"]).ok_or_else(missing)?;
+        let kind = accessor["type"].as_str().unwrap_or_default();
+        let arity = 1 + TYPES.iter().position(|name| *name == kind).ok_or_else(missing)?;
+        let component =
+            accessor["componentType"].as_u64().and_then(|code| u32::try_from(code).ok()).unwrap_or_default();
+        let number_bytes = match component {
+            component::I8 => 1,
+            component::U16 => 2,
+            component::U32 | component::F32 => 4,
+            _ => return Err(missing()),
+        };
+        let stride_bytes = number(&view["byteStride"]).unwrap_or(arity * number_bytes);
+        let (count, offset) = (number(&accessor["count"]), view["byteOffset"].as_u64().unwrap_or_default());
+        let count = count.ok_or_else(missing)?;
+        let (length, needed) = (view["byteLength"].as_u64(), (count as u64).checked_mul(stride_bytes as u64));
+        let (length, needed) = length.zip(needed).ok_or_else(missing)?;
+        let is_there = offset.checked_add(length).is_some_and(|end| end <= self.bin_bytes);
+        if !is_there || needed > length || stride_bytes < arity * number_bytes {
+            return Err(invalid(format!("the accessor {index} exceeds the data")));
+        }
+        Ok(Column { component, arity, count, start: self.bin_at + offset, stride_bytes })
+    }
+
+    /// Where the frame lies.
+    pub(crate) fn place(&self) -> Result<FramePlace> {
+        let node = &self.document["nodes"][0];
+        let vector =
+            |name: &str| -> Option<Vec<f64>> { node[name].as_array()?.iter().map(Value::as_f64).collect() };
+        let up = match vector("rotation").as_deref() {
+            None => UpAxis::Y,
+            Some([x, y, z, w]) if *y == 0.0 && *z == 0.0 && *w > 0.0 && (x + w).abs() < 1e-9 => UpAxis::Z,
+            Some(_) => return Err(invalid("a node that is turned in another way than for its axis up")),
+        };
+        let translation = vector("translation").unwrap_or_else(|| vec![0.0; 3]);
+        let scale = vector("scale").unwrap_or_else(|| vec![1.0; 3]);
+        let (&[x, y, z], &[scale, ..]) = (&*translation, &*scale) else {
+            return Err(invalid("a node that is not as it is written"));
+        };
+        let origin = match up {
+            UpAxis::Y => [x, y, z],
+            UpAxis::Z => [x, 0.0 - z, y],
+        };
+        Ok(FramePlace { up, origin, scale })
+    }
+
+    /// Least and greatest position, integers as 0 to 1; nothing of a frame without a mesh.
+    pub(crate) fn bounds(&self) -> Result<[[f64; 3]; 2]> {
+        let Some(column) = self.column("POSITION")? else { return Ok([[0.0; 3]; 2]) };
+        let greatest = if column.component == component::F32 { 1.0 } else { f64::from(u16::MAX) };
+        let index = self.attributes()?["POSITION"].as_u64().and_then(|index| usize::try_from(index).ok());
+        let accessor = &self.document["accessors"][index.unwrap_or_default()];
+        let corner = |name: &str| -> Option<[f64; 3]> {
+            let numbers: Option<Vec<f64>> = accessor[name].as_array()?.iter().map(Value::as_f64).collect();
+            Some(<[f64; 3]>::try_from(numbers?).ok()?.map(|number| number / greatest))
+        };
+        let corners = corner("min").zip(corner("max"));
+        corners.map(|(min, max)| [min, max]).ok_or_else(|| invalid("positions without their bounds"))
+    }
+
+    /// Reads numbers of the vertices; integers that stand for −1 ..= 1 are converted, and then multiplied by `scale`.
+    pub(crate) fn read_column(
+        &self,
+        column: &Column,
+        scale: f64,
+        file: &mut (impl Read + Seek),
+    ) -> Result<Vec<f32>> {
+        let bytes = self.bytes_of(column, file)?;
+        let records = bytes.chunks_exact(column.stride_bytes);
+        let greatest = match column.component {
+            component::I8 => f64::from(i8::MAX),
+            _ => f64::from(u16::MAX),
+        };
+        #[expect(clippy::cast_possible_truncation, reason = "positions are written in 32 bits")]
+        let real = |part: f64| (part / greatest * scale) as f32;
+        Ok(match column.component {
+            component::F32 => records
+                .flat_map(|record| record[..4 * column.arity].as_chunks::<4>().0)
+                .map(|bytes| f32::from_le_bytes(*bytes))
+                .collect(),
+            component::I8 => records
+                .flat_map(|record| &record[..column.arity])
+                .map(|byte| real(f64::from(i8::from_le_bytes([*byte])).max(-greatest)))
+                .collect(),
+            component::U16 => records
+                .flat_map(|record| record[..2 * column.arity].as_chunks::<2>().0)
+                .map(|bytes| real(f64::from(u16::from_le_bytes(*bytes))))
+                .collect(),
+            _ => return Err(invalid("vertices with 32-bit integers")),
+        })
+    }
+
+    /// Reads the triangles, whose corners are vertices.
+    pub(crate) fn read_triangles(&self, file: &mut (impl Read + Seek)) -> Result<Vec<[u32; 3]>> {
+        let column = self.indices()?;
+        let bytes = self.bytes_of(&column, file)?;
+        let indices: Vec<u32> = match (column.component, column.stride_bytes) {
+            (component::U16, 2) => {
+                bytes.as_chunks().0.iter().map(|bytes| u16::from_le_bytes(*bytes).into()).collect()
+            }
+            (component::U32, 4) => {
+                bytes.as_chunks().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect()
+            }
+            _ => return Err(invalid("indices of another type than are written")),
+        };
+        let vertex_count = self.vertex_count();
+        if let Some(index) = indices.iter().find(|&&index| index as usize >= vertex_count) {
+            return Err(invalid(format!("the vertex {index} of {vertex_count}")));
+        }
+        Ok(indices.as_chunks::<3>().0.to_vec())
+    }
+
+    fn bytes_of(&self, column: &Column, file: &mut (impl Read + Seek)) -> Result<Vec<u8>> {
+        let byte_count = column.count as u64 * column.stride_bytes as u64; // compared with the file
+        let mut bytes = Vec::new();
+        file.seek(SeekFrom::Start(column.start))?;
+        file.take(byte_count).read_to_end(&mut bytes)?;
+        match bytes.len() as u64 == byte_count {
+            true => Ok(bytes),
+            false => Err(Error::short(FORMAT, Place::File, "the file was cut while it was read")),
+        }
+    }
+}
+
+const HEAD_BYTES: u64 = 20;
+
+const NO_GLB: &str = "this is no .glb: a shot is gathered from the .glb files of its frames";
+
+const NOT_OURS: &str = "this is no frame that this program wrote: give the .glb files of its frames";
+
+/// What vectors of one to four components are called.
+const TYPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];

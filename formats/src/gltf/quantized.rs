@@ -1,0 +1,91 @@
+//! Meshes in small integers, by the extension KHR_mesh_quantization.
+//!
+//! ```text
+//!   position   3 × u16, 2 bytes of padding     low + size · q / 65535: low is in the node's translation, size is its scale
+//!   normal     3 × i8, 1 byte of padding       q / 127
+//! ```
+//!
+//! Half the bytes of a vertex. All axes have one step, a 65535th of the largest extent: so normals need no correction for
+//! a scale that differs from axis to axis. A position is off by half a step along each axis, at most. What else is known
+//! of the vertices is left as it is.
+
+use std::io::Write;
+
+use crate::data::MeshView;
+use crate::error::Result;
+use crate::le_bytes::write_pieces;
+
+/// The extension's name.
+pub(super) const EXTENSION: &str = "KHR_mesh_quantization";
+
+/// The greatest integer that a coordinate becomes.
+const STEPS: f64 = u16::MAX as f64;
+
+/// The cube that positions are in.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cube {
+    /// Its least corner.
+    pub(super) low: [f32; 3],
+    /// The length of its edges: positive.
+    pub(super) size: f32,
+}
+
+impl Cube {
+    /// The smallest one around these positions, which are finite.
+    pub(super) fn around(positions: &[[f32; 3]]) -> Cube {
+        let Some(&first) = positions.first() else { return Cube { low: [0.0; 3], size: 1.0 } };
+        let (mut low, mut high) = (first, first);
+        for position in positions {
+            for axis in 0..3 {
+                low[axis] = low[axis].min(position[axis]);
+                high[axis] = high[axis].max(position[axis]);
+            }
+        }
+        let extent = |axis: usize| f64::from(high[axis]) - f64::from(low[axis]);
+        let largest = (0..3).map(extent).fold(0.0, f64::max);
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "rounded up below, where it is rounded down here"
+        )]
+        let size = largest as f32;
+        let size = if f64::from(size) < largest { size.next_up() } else { size };
+        // A point has no extent, and a scale of zero no inverse.
+        Cube { low, size: if size > 0.0 { size } else { 1.0 } }
+    }
+
+    fn quantized(&self, position: [f32; 3]) -> [u16; 3] {
+        std::array::from_fn(|axis| {
+            let part = (f64::from(position[axis]) - f64::from(self.low[axis])) / f64::from(self.size);
+            #[expect(clippy::cast_possible_truncation, reason = "clamped to the range")]
+            let steps = (part * STEPS).round_ties_even().clamp(0.0, STEPS) as u16;
+            steps
+        })
+    }
+
+    pub(super) fn write_positions(&self, positions: &[[f32; 3]], out: &mut impl Write) -> Result<()> {
+        let to_bytes = |position| {
+            let [[a, b], [c, d], [e, f]] = self.quantized(position).map(u16::to_le_bytes);
+            [a, b, c, d, e, f, 0, 0]
+        };
+        write_pieces(positions, to_bytes, out)
+    }
+
+    /// Least and greatest integer of each axis.
+    pub(super) fn bounds(&self, [low, high]: [[f32; 3]; 2]) -> [[u16; 3]; 2] {
+        [self.quantized(low), self.quantized(high)]
+    }
+}
+
+pub(super) fn write_normals(normals: &[[f32; 3]], out: &mut impl Write) -> Result<()> {
+    let to_bytes = |normal: [f32; 3]| {
+        #[expect(clippy::cast_possible_truncation, reason = "clamped to the range")]
+        let [x, y, z] = normal.map(|c| (c * 127.0).round_ties_even().clamp(-127.0, 127.0) as i8);
+        [x, y, z, 0].map(|c| c.to_le_bytes()[0])
+    };
+    write_pieces(normals, to_bytes, out)
+}
+
+/// How far a position of a mesh is moved along an axis by being quantized, at most, in world units.
+pub fn quantization_error(mesh: &MeshView) -> f64 {
+    f64::from(Cube::around(mesh.positions).size) / STEPS / 2.0
+}

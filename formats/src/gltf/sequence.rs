@@ -1,0 +1,311 @@
+//! A whole shot in one `.glb`: a node for each frame, and an animation that shows one after the other.
+//!
+//! ```text
+//!   node      scale          0   t1   t2   t3   end       seconds; STEP: each value holds until the next key
+//!   frame 1   1 → 0          1    0
+//!   frame 2   0 → 1 → 0      0    1    0
+//!   frame 3   0 → 1          0         1          1
+//! ```
+//!
+//! What is scaled by zero is not seen. There are extensions for visibility, but Blender and three.js do not read them
+//! yet, and every program that plays glTF scales. At rest the first frame is shown.
+//!
+//! Frames are copied from their own files, byte for byte, one after the other; only the numbers by which a document refers to
+//! its parts change. So nothing is lost, nothing is computed, and no more than a buffer of data is in memory.
+//!
+//! What made a shot is recorded with how many [frames](SHOT_FRAMES) it has, which tells it from a mesh.
+
+use std::io::{self, Read, Seek, SeekFrom, Write};
+
+use serde_json::{Map, Value, json};
+
+use super::buffer::invalid;
+use super::frame_file::FrameFile;
+use super::read::{chunks, parse};
+use super::read_provenance::read_provenance;
+use super::write::{glb_bytes, write_chunk_head};
+use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
+use crate::data::Provenance;
+use crate::error::{Error, Result};
+use crate::provenance::GENERATOR;
+
+/// The name under which what made a shot says how many frames it has.
+pub const SHOT_FRAMES: &str = "frames";
+
+/// What a shot holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ShotInfo {
+    /// Frames, those without a mesh among them.
+    pub frames: u64,
+    /// Vertices, in all frames.
+    pub vertices: u64,
+    /// Triangles, in all frames.
+    pub triangles: u64,
+}
+
+/// What a `.glb` holds that is a shot of this crate, from the whole file; `None` of any other file.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if it is a damaged one.
+pub fn read_shot_info(bytes: &[u8]) -> Result<Option<ShotInfo>> {
+    if !bytes.starts_with(&GLB_MAGIC) {
+        return Ok(None);
+    }
+    let (json, _) = chunks(bytes)?;
+    let provenance = read_provenance(json)?;
+    let Some((_, frames)) = provenance.iter().find(|(name, _)| name == SHOT_FRAMES) else { return Ok(None) };
+    let frames = frames.parse().map_err(|_| invalid(format!("a shot of `{frames}` frames")))?;
+    let document: Value = parse(json)?;
+    let count = |accessor: &Value| {
+        let index = usize::try_from(accessor.as_u64()?).ok()?;
+        document["accessors"].get(index)?["count"].as_u64()
+    };
+    let mut info = ShotInfo { frames, ..ShotInfo::default() };
+    for mesh in document["meshes"].as_array().into_iter().flatten() {
+        let primitive = &mesh["primitives"][0];
+        let counts = count(&primitive["attributes"]["POSITION"]).zip(count(&primitive["indices"]));
+        let (vertices, corners) = counts.ok_or_else(|| invalid("a frame without its counts"))?;
+        info.vertices = info.vertices.saturating_add(vertices);
+        info.triangles = info.triangles.saturating_add(corners / 3);
+    }
+    Ok(Some(info))
+}
+
+/// A frame, and when it is shown.
+#[derive(Clone, Debug)]
+pub struct ShotFrame {
+    /// What to call it.
+    pub name: String,
+    /// Which frame of the shot it is. The first is at rest; a frame is shown until the next one that there is.
+    pub code: u64,
+    /// Its file.
+    pub file: FrameFile,
+}
+
+/// Writes a shot of frames, whose codes must increase. `open` opens the file of a frame, by its index.
+///
+/// # Errors
+///
+/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::TooLarge`], before anything is written, if the file would
+/// reach 4 GiB; [`Error::Invalid`] for documents that are damaged, and codes that do not increase.
+pub fn write_sequence<R: Read + Seek>(
+    frames: &[ShotFrame],
+    fps: f64,
+    provenance: &Provenance,
+    open: impl Fn(usize) -> io::Result<R>,
+    out: &mut impl Write,
+) -> Result<()> {
+    let mut shot = Shot::default();
+    let keys = keys(frames, fps)?;
+    // The keys come first; the data of each frame, which are a multiple of four bytes, behind them.
+    let key_bytes = keys.iter().map(|keys| keys.len() as u64 * KEY_BYTES).sum();
+    shot.add_animation(frames, &keys, key_bytes)?;
+    let mut bin_bytes: u64 = key_bytes;
+    for (index, frame) in frames.iter().enumerate() {
+        shot.add_frame(frame, &keys[index], bin_bytes)?;
+        bin_bytes += frame.file.bin_bytes.next_multiple_of(4);
+    }
+    let mut json = serde_json::to_vec(&shot.document(provenance, bin_bytes))
+        .map_err(|error| invalid(error.to_string()))?;
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let total = glb_bytes(json.len() as u64, bin_bytes).ok_or_else(|| too_large(frames.len(), bin_bytes))?;
+
+    out.write_all(&GLB_MAGIC)?;
+    for number in [GLB_VERSION, total] {
+        out.write_all(&number.to_le_bytes())?;
+    }
+    write_chunk_head(json.len() as u64, CHUNK_JSON, out)?;
+    out.write_all(&json)?;
+    if bin_bytes == 0 {
+        return Ok(());
+    }
+    write_chunk_head(bin_bytes, CHUNK_BIN, out)?;
+    write_keys(&keys, out)?;
+    for (index, frame) in frames.iter().enumerate().filter(|(_, frame)| frame.file.bin_bytes > 0) {
+        let mut file = open(index)?;
+        file.seek(SeekFrom::Start(frame.file.bin_at))?;
+        let copied = io::copy(&mut file.take(frame.file.bin_bytes), out)?;
+        if copied != frame.file.bin_bytes {
+            return Err(invalid(format!("{} was cut while it was read", frame.name)));
+        }
+        io::copy(&mut io::repeat(0).take(copied.next_multiple_of(4) - copied), out)?;
+    }
+    Ok(())
+}
+
+fn too_large(frame_count: usize, bin_bytes: u64) -> Error {
+    let gibibytes = bin_bytes as f64 / f64::from(1 << 30);
+    let what = format!(
+        "{frame_count} frames take {gibibytes:.1} GiB, and the format holds less than 4: gather fewer frames, write them \
+         with --quantize, --decimate or a larger voxel size, or make a .usda"
+    );
+    Error::too_large(FORMAT, what)
+}
+
+/// When a node has which scale: seconds, and the factor.
+type Key = (f32, f32);
+
+/// A time, and a scale along three axes.
+const KEY_BYTES: u64 = 16;
+
+/// The keys of each frame; none of a frame without a mesh.
+fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
+    let first = frames.first().map_or(0, |frame| frame.code);
+    #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
+    let seconds = |code: u64| ((code.saturating_sub(first)) as f64 / fps) as f32;
+    let mut all = Vec::with_capacity(frames.len());
+    for (index, frame) in frames.iter().enumerate() {
+        let next = frames.get(index + 1).map(|next| seconds(next.code));
+        let end = next.unwrap_or_else(|| seconds(frame.code.saturating_add(1)));
+        let start = seconds(frame.code);
+        if end <= start {
+            return Err(invalid(format!("{} and the next frame are shown at the same time", frame.name)));
+        }
+        if !frame.file.has_mesh() {
+            all.push(Vec::new());
+            continue;
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "scales are written in 32 bits")]
+        let scale = frame.file.place()?.scale as f32;
+        let hidden = (index > 0).then_some((0.0, 0.0));
+        // The last is shown for as long as any.
+        let last = if next.is_some() { (end, 0.0) } else { (end, scale) };
+        all.push(hidden.into_iter().chain([(start, scale), last]).collect());
+    }
+    Ok(all)
+}
+
+/// The times of all, then the scales of all.
+fn write_keys(keys: &[Vec<Key>], out: &mut impl Write) -> Result<()> {
+    for (time, _) in keys.iter().flatten() {
+        out.write_all(&time.to_le_bytes())?;
+    }
+    for (_, scale) in keys.iter().flatten() {
+        out.write_all([scale.to_le_bytes(); 3].as_flattened())?;
+    }
+    Ok(())
+}
+
+/// The document in the making.
+#[derive(Default)]
+struct Shot {
+    extensions: Vec<Value>,
+    nodes: Vec<Value>,
+    meshes: Vec<Value>,
+    accessors: Vec<Value>,
+    buffer_views: Vec<Value>,
+    samplers: Vec<Value>,
+    channels: Vec<Value>,
+}
+
+impl Shot {
+    /// The keys of all frames: two views, and two accessors for each frame.
+    fn add_animation(&mut self, frames: &[ShotFrame], keys: &[Vec<Key>], key_bytes: u64) -> Result<()> {
+        if key_bytes == 0 {
+            return Ok(());
+        }
+        let time_bytes = key_bytes / 4;
+        self.buffer_views.push(json!({"buffer": 0, "byteOffset": 0, "byteLength": time_bytes}));
+        let scale_bytes = key_bytes - time_bytes;
+        self.buffer_views.push(json!({"buffer": 0, "byteOffset": time_bytes, "byteLength": scale_bytes}));
+        let mut start = 0;
+        for (_, keys) in frames.iter().zip(keys).filter(|(_, keys)| !keys.is_empty()) {
+            let times = |key: Option<&Key>| key.map(|(time, _)| [*time]);
+            let (input, count) = (self.accessors.len(), keys.len());
+            self.accessors.push(json!({
+                "bufferView": 0, "byteOffset": 4 * start, "componentType": component::F32, "count": count,
+                "type": "SCALAR", "min": times(keys.first()), "max": times(keys.last()),
+            }));
+            self.accessors.push(json!({
+                "bufferView": 1, "byteOffset": 12 * start, "componentType": component::F32, "count": count,
+                "type": "VEC3",
+            }));
+            let node = self.channels.len();
+            self.channels.push(json!({"sampler": node, "target": {"node": node, "path": "scale"}}));
+            self.samplers.push(json!({"input": input, "interpolation": "STEP", "output": input + 1}));
+            start += count;
+        }
+        Ok(())
+    }
+
+    /// A frame, whose data begin at this byte of the buffer.
+    fn add_frame(&mut self, frame: &ShotFrame, keys: &[Key], data_at: u64) -> Result<()> {
+        let document = &frame.file.document;
+        let list = |name: &str| document[name].as_array().cloned().unwrap_or_default();
+        for extension in list("extensionsRequired") {
+            if !self.extensions.contains(&extension) {
+                self.extensions.push(extension);
+            }
+        }
+        let Some(&(_, rest)) = keys.first() else { return Ok(()) };
+        let (first_view, first_accessor) = (self.buffer_views.len(), self.accessors.len());
+        for mut view in list("bufferViews") {
+            let at = view["byteOffset"].as_u64().unwrap_or_default();
+            object(&mut view)?.insert("byteOffset".into(), (at + data_at).into());
+            self.buffer_views.push(view);
+        }
+        for mut accessor in list("accessors") {
+            shift(accessor.get_mut("bufferView"), first_view)?;
+            self.accessors.push(accessor);
+        }
+        let mut mesh = list("meshes").into_iter().next().ok_or_else(|| invalid("no mesh"))?;
+        let primitive =
+            mesh.pointer_mut("/primitives/0").ok_or_else(|| invalid("a mesh without a primitive"))?;
+        shift(primitive.get_mut("indices"), first_accessor)?;
+        for index in
+            primitive.get_mut("attributes").map(object).transpose()?.into_iter().flat_map(Map::values_mut)
+        {
+            shift(Some(index), first_accessor)?;
+        }
+        object(&mut mesh)?.insert("name".into(), frame.name.as_str().into());
+        let mut node = list("nodes").into_iter().next().ok_or_else(|| invalid("no node"))?;
+        let entries = object(&mut node)?;
+        entries.insert("name".into(), frame.name.as_str().into());
+        entries.insert("mesh".into(), self.meshes.len().into());
+        entries.insert("scale".into(), json!([rest, rest, rest]));
+        self.meshes.push(mesh);
+        self.nodes.push(node);
+        Ok(())
+    }
+
+    fn document(self, provenance: &Provenance, bin_bytes: u64) -> Value {
+        let ours: Map<String, Value> =
+            provenance.iter().map(|(key, value)| (key.clone(), value.as_str().into())).collect();
+        let asset = json!({"version": "2.0", "generator": GENERATOR, "extras": {"meniscus": ours}});
+        let mut document = Map::from_iter([("asset".to_owned(), asset), ("scene".to_owned(), 0.into())]);
+        let mut scene = Map::from_iter([("name".to_owned(), Value::from("shot"))]);
+        if !self.nodes.is_empty() {
+            scene.insert("nodes".into(), (0..self.nodes.len()).collect());
+            let animation = json!({"name": "shot", "channels": self.channels, "samplers": self.samplers});
+            document.insert("animations".into(), json!([animation]));
+            document.insert("buffers".into(), json!([{"byteLength": bin_bytes}]));
+        }
+        document.insert("scenes".into(), json!([scene]));
+        let lists = [
+            ("extensionsUsed", self.extensions.clone()),
+            ("extensionsRequired", self.extensions),
+            ("nodes", self.nodes),
+            ("meshes", self.meshes),
+            ("accessors", self.accessors),
+            ("bufferViews", self.buffer_views),
+        ];
+        // Lists may not be empty.
+        for (name, list) in lists.into_iter().filter(|(_, list)| !list.is_empty()) {
+            document.insert(name.to_owned(), list.into());
+        }
+        Value::Object(document)
+    }
+}
+
+fn object(value: &mut Value) -> Result<&mut Map<String, Value>> {
+    value.as_object_mut().ok_or_else(|| invalid("a part of the document that is no object"))
+}
+
+/// Makes the index of a part that of the same part behind so many others.
+fn shift(index: Option<&mut Value>, by: usize) -> Result<()> {
+    let index = index.ok_or_else(|| invalid("a part of the document without an index"))?;
+    let number = index.as_u64().ok_or_else(|| invalid("an index that is none"))?;
+    *index = (number + by as u64).into();
+    Ok(())
+}

@@ -1,0 +1,145 @@
+//! One point attribute: what it is called, and its values.
+
+use std::borrow::Cow;
+
+use crate::data::{Positions, Values};
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::named_arrays::NamedArray;
+use crate::number::{self, components, divided};
+
+use super::FORMAT;
+use super::tokens::{Token, Walk, text_count_max};
+use super::values::tuples;
+
+/// A point attribute, or why it is none that is read.
+pub(super) enum PointAttribute {
+    Read(NamedArray),
+    LeftOut { name: String, kind: String },
+}
+
+/// Reads the definition and the body of an attribute, the rest of a list that was entered.
+pub(super) fn point_attribute(walk: &mut Walk, count: usize, limits: &Limits) -> Result<PointAttribute> {
+    let (mut name, mut kind) = (String::new(), String::new());
+    walk.object("definition", |walk, key| {
+        match key {
+            "name" => name = short_text(walk)?,
+            "type" => kind = short_text(walk)?,
+            _ => walk.skip()?,
+        }
+        Ok(())
+    })?;
+    let attribute = match kind.as_str() {
+        "numeric" => walk.within(&name.clone(), |walk| numeric(walk, name, count, limits))?,
+        "string" => walk.within(&name.clone(), |walk| strings(walk, name, count, limits))?,
+        _ => {
+            walk.skip()?;
+            PointAttribute::LeftOut { name, kind }
+        }
+    };
+    loop {
+        match walk.next()? {
+            Token::Close => return Ok(attribute),
+            token => walk.skip_rest(&token)?,
+        }
+    }
+}
+
+/// The longest name of an attribute. One word of a file may name any number of them.
+const NAME_BYTES_MAX: usize = 1024;
+
+fn short_text(walk: &mut Walk) -> Result<String> {
+    let text = walk.text()?;
+    match text.len() <= NAME_BYTES_MAX {
+        true => Ok(text.into_owned()),
+        false => Err(Error::too_large(FORMAT, format!("a name of {} bytes", text.len()))),
+    }
+}
+
+fn numeric(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
+    let mut found = None;
+    walk.object("body", |walk, key| match key {
+        "values" => {
+            found = Some(tuples(walk, key, count, limits)?);
+            Ok(())
+        }
+        _ => walk.skip(),
+    })?;
+    let found = found.ok_or_else(|| walk.invalid("the attribute has no values"))?;
+    Ok(PointAttribute::Read(NamedArray { name, arity: found.size, values: found.values }))
+}
+
+fn strings(walk: &mut Walk, name: String, count: usize, limits: &Limits) -> Result<PointAttribute> {
+    let mut table: Vec<String> = Vec::new();
+    let mut found = None;
+    walk.object("body", |walk, key| {
+        match key {
+            "strings" => table = texts(walk)?,
+            "indices" => found = Some(tuples(walk, key, count, limits)?),
+            _ => walk.skip()?,
+        }
+        Ok(())
+    })?;
+    let found = found.ok_or_else(|| walk.invalid("the attribute has no indices"))?;
+    let indices = match found.values {
+        Values::I32(indices) => indices,
+        Values::I64(indices) => indices.into_iter().map(|index| i32::try_from(index).unwrap_or(-1)).collect(),
+        Values::U8(indices) => indices.into_iter().map(i32::from).collect(),
+        _ => return Err(walk.invalid("indices that are no integers")),
+    };
+    Ok(PointAttribute::Read(NamedArray {
+        name,
+        arity: found.size,
+        values: Values::Strings { table, indices },
+    }))
+}
+
+/// The next value, a list of texts.
+fn texts(walk: &mut Walk) -> Result<Vec<String>> {
+    let mut texts = Vec::new();
+    let token = walk.next()?;
+    if let Token::Texts(found) = token {
+        check_texts(walk, &found)?;
+        return Ok(found.into_iter().map(|text| text.into_owned()).collect());
+    }
+    if token != Token::Open {
+        return Err(walk.unexpected("a list of texts", &token));
+    }
+    loop {
+        if texts.len() > text_count_max(walk.file_bytes()) {
+            return Err(Error::too_large(FORMAT, format!("a list of {} texts and more", texts.len())));
+        }
+        match walk.next()? {
+            Token::Close => return Ok(texts),
+            Token::Text(text) => {
+                check_texts(walk, std::slice::from_ref(&text))?;
+                texts.push(text.into_owned());
+            }
+            Token::Texts(found) => {
+                check_texts(walk, &found)?;
+                texts.extend(found.into_iter().map(|text| text.into_owned()));
+            }
+            other => return Err(walk.unexpected("a text", &other)),
+        }
+    }
+}
+
+/// Refuses texts that take too much memory: one word of a file may stand for any number of them.
+fn check_texts(walk: &mut Walk, texts: &[Cow<str>]) -> Result<()> {
+    walk.check_widened(texts.iter().map(|text| size_of::<String>() + text.len()).sum())
+}
+
+/// The attribute `P` as positions: three values, or four of which the last divides the others.
+pub(super) fn positions(array: NamedArray) -> Option<Positions> {
+    match (array.arity, array.values) {
+        (3, values) => number::positions(values),
+        (4, Values::F32(values)) => {
+            Some(Positions::F32(values.as_chunks::<4>().0.iter().copied().map(divided).collect()))
+        }
+        (4, Values::F64(values)) => {
+            Some(Positions::F64(values.as_chunks::<4>().0.iter().copied().map(divided).collect()))
+        }
+        (4, values) => number::positions(components(&values, 4, 0..3)),
+        _ => None,
+    }
+}

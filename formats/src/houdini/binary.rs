@@ -1,0 +1,228 @@
+//! Tokens of the binary form.
+//!
+//! ```text
+//!   7f  4e 53 4a 62                     the signature; the last four in the order of the writer's bytes
+//!   00 null   30 31 false true   10 bool u8   11..14 int8..64   18 19 1a real16..64   21 22 uint8 16
+//!   27 text: length, bytes              5b 5d array   7b 7d map
+//!   2b a word: id, length, bytes        26 the word of an id     2d an id is free again
+//!   40 array in one piece: the type of its items, length, items
+//! ```
+//!
+//! A length or an id is a byte up to 0xf0, or 0xf2, 0xf4, 0xf8 and then 2, 4 or 8 bytes.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+
+use crate::bytes::{Cursor, Endian};
+use crate::data::Values;
+use crate::error::{Error, Place, Result};
+use crate::number::Number;
+
+use super::FORMAT;
+use super::tokens::{Token, text_count_max, widened_bytes_max};
+
+/// What files of little-endian machines begin with, which are nearly all.
+const SIGNATURE: [u8; 5] = *b"\x7fNSJb";
+
+const SIGNATURE_BIG: [u8; 5] = *b"\x7fbJSN";
+
+/// Words that may be defined: geometry has some dozens.
+const WORD_COUNT_MAX: usize = 1 << 16;
+
+/// Truths take eight times the memory that they have in the file: that much is free.
+const BOOL_COUNT_FREE: usize = 1 << 22;
+
+/// Whether these are the tokens of either order.
+pub(super) fn is_binary(bytes: &[u8]) -> bool {
+    bytes.starts_with(&SIGNATURE) || bytes.starts_with(&SIGNATURE_BIG)
+}
+
+/// What makes tokens of the binary form.
+pub(super) struct Binary<'a> {
+    cursor: Cursor<'a>,
+    endian: Endian,
+    file_bytes: usize,
+    words: HashMap<u64, &'a [u8]>,
+}
+
+impl<'a> Binary<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Result<Binary<'a>> {
+        let endian = match bytes.get(..SIGNATURE.len()) {
+            Some(start) if start == SIGNATURE => Endian::Little,
+            Some(start) if start == SIGNATURE_BIG => Endian::Big,
+            Some(_) => return Err(Error::invalid(FORMAT, Place::Offset(0), "expected the signature")),
+            None => return Err(Error::short(FORMAT, Place::Offset(0), "the file ends within its signature")),
+        };
+        let cursor = Cursor::new(FORMAT, endian, bytes, SIGNATURE.len());
+        Ok(Binary { cursor, endian, file_bytes: bytes.len(), words: HashMap::new() })
+    }
+
+    pub(super) fn at(&self) -> usize {
+        self.cursor.at()
+    }
+
+    pub(super) fn file_bytes(&self) -> usize {
+        self.file_bytes
+    }
+
+    pub(super) fn next(&mut self) -> Result<Option<Token<'a>>> {
+        while self.cursor.remaining() != 0 {
+            let [code] = self.cursor.array("a token")?;
+            match code {
+                0x2b => self.define()?,
+                0x2d => {
+                    let id = self.length()?;
+                    self.words.remove(&id);
+                }
+                code => return self.token(code).map(Some),
+            }
+        }
+        Ok(None)
+    }
+
+    fn define(&mut self) -> Result<()> {
+        let id = self.length()?;
+        let word = self.bytes("a word")?;
+        self.words.insert(id, word);
+        match self.words.len() > WORD_COUNT_MAX {
+            true => Err(Error::too_large(FORMAT, format!("more words than the limit of {WORD_COUNT_MAX}"))),
+            false => Ok(()),
+        }
+    }
+
+    fn token(&mut self, code: u8) -> Result<Token<'a>> {
+        Ok(match code {
+            0x00 => Token::Null,
+            0x5b | 0x7b => Token::Open,
+            0x5d | 0x7d => Token::Close,
+            0x10 => Token::Bool(self.cursor.array::<1>("a truth")? != [0]),
+            0x30 => Token::Bool(false),
+            0x31 => Token::Bool(true),
+            0x26 => Token::Text(self.word()?),
+            0x27 => Token::Text(String::from_utf8_lossy(self.bytes("a text")?)),
+            0x40 => self.uniform()?,
+            code => match number_of(code) {
+                Some(number) => self.number(number)?,
+                None => {
+                    let place = Place::Offset(self.cursor.at() as u64 - 1);
+                    return Err(Error::invalid(
+                        FORMAT,
+                        place,
+                        format!("expected a token, found 0x{code:02x}"),
+                    ));
+                }
+            },
+        })
+    }
+
+    fn number(&mut self, number: Number) -> Result<Token<'a>> {
+        let bytes = self.cursor.take(number.size(), "a number")?;
+        Ok(match number.decode(bytes, self.endian) {
+            Values::F32(values) => Token::Real(values.first().copied().unwrap_or_default().into()),
+            Values::F64(values) => Token::Real(values.first().copied().unwrap_or_default()),
+            Values::U8(values) => Token::Integer(values.first().copied().unwrap_or_default().into()),
+            Values::I32(values) => Token::Integer(values.first().copied().unwrap_or_default().into()),
+            Values::I64(values) => Token::Integer(values.first().copied().unwrap_or_default()),
+            Values::Strings { .. } => Token::Null, // no number is one
+        })
+    }
+
+    /// An array in one piece.
+    fn uniform(&mut self) -> Result<Token<'a>> {
+        let [code] = self.cursor.array("the type of an array")?;
+        let at = self.cursor.at();
+        let count = self.length()?;
+        let too_many = |cursor: &Cursor| {
+            cursor.short(format!("expected {count} items of an array, {} bytes remain", cursor.remaining()))
+        };
+        let length = usize::try_from(count).ok().filter(|&count| count / 8 <= self.cursor.remaining());
+        let length = length.ok_or_else(|| too_many(&self.cursor))?;
+        let check_kept = |most: usize, what: &str| match length <= most {
+            true => Ok(()),
+            false => Err(Error::too_large(FORMAT, format!("an array of {length} {what}, more than {most}"))),
+        };
+        match code {
+            0x10 | 0x30 | 0x31 => {
+                check_kept(self.file_bytes.saturating_add(BOOL_COUNT_FREE), "truths")?;
+                let words = self.cursor.take(length.div_ceil(32) * 4, "an array of truths")?;
+                let word = |bytes: &[u8; 4]| match self.endian {
+                    Endian::Little => u32::from_le_bytes(*bytes),
+                    Endian::Big => u32::from_be_bytes(*bytes),
+                };
+                let words: Vec<u32> = words.as_chunks::<4>().0.iter().map(word).collect();
+                let bit = |index: usize| words[index / 32] >> (index % 32) & 1 == 1;
+                Ok(Token::Bools((0..length).map(bit).collect()))
+            }
+            // Each text has a byte at least.
+            0x26 | 0x27 if length <= self.cursor.remaining() => {
+                check_kept(text_count_max(self.file_bytes), "texts")?;
+                let mut texts = Vec::new();
+                let mut text_bytes = 0;
+                for _ in 0..length {
+                    let text = match code {
+                        0x26 => self.word()?,
+                        _ => String::from_utf8_lossy(self.bytes("a text")?),
+                    };
+                    // A word may be in the array any number of times.
+                    text_bytes += text.len();
+                    if text_bytes > widened_bytes_max(self.file_bytes) {
+                        return Err(Error::too_large(
+                            FORMAT,
+                            format!("texts of {text_bytes} bytes and more"),
+                        ));
+                    }
+                    texts.push(text);
+                }
+                Ok(Token::Texts(texts))
+            }
+            code => {
+                let unknown = || {
+                    let what = format!("expected the type of an array, found 0x{code:02x}");
+                    Error::invalid(FORMAT, Place::Offset(at as u64 - 1), what)
+                };
+                let number = number_of(code).ok_or_else(unknown)?;
+                let payload = self.cursor.take(length.saturating_mul(number.size()), "an array")?;
+                Ok(Token::Numbers { number, endian: self.endian, payload })
+            }
+        }
+    }
+
+    fn word(&mut self) -> Result<Cow<'a, str>> {
+        let id = self.length()?;
+        let word = self.words.get(&id).copied();
+        word.map(String::from_utf8_lossy)
+            .ok_or_else(|| self.cursor.invalid(format!("the word {id} is not defined")))
+    }
+
+    fn bytes(&mut self, what: &str) -> Result<&'a [u8]> {
+        let length = self.length()?;
+        self.cursor.take(usize::try_from(length).unwrap_or(usize::MAX), what)
+    }
+
+    fn length(&mut self) -> Result<u64> {
+        let [lead] = self.cursor.array("a length")?;
+        Ok(match lead {
+            0..=0xf0 => lead.into(),
+            0xf2 => u16::from_le_bytes(self.cursor.array("a length")?).into(),
+            0xf4 => u32::from_le_bytes(self.cursor.array("a length")?).into(),
+            0xf8 => u64::from_le_bytes(self.cursor.array("a length")?),
+            _ => return Err(self.cursor.invalid(format!("expected a length, found 0x{lead:02x}"))),
+        })
+    }
+}
+
+/// The number that a token, or the items of an array, are.
+fn number_of(code: u8) -> Option<Number> {
+    Some(match code {
+        0x11 => Number::I8,
+        0x12 => Number::I16,
+        0x13 => Number::I32,
+        0x14 => Number::I64,
+        0x18 => Number::F16,
+        0x19 => Number::F32,
+        0x1a => Number::F64,
+        0x21 => Number::U8,
+        0x22 => Number::U16,
+        _ => return None,
+    })
+}

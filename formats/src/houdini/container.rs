@@ -1,0 +1,118 @@
+//! The container of `.sc` files: Blosc frames with an index, so that readers may seek.
+//!
+//! ```text
+//!   scf1 │ u64 M │ M bytes of metadata │ frame frame frame .. │ index │ u64 its bytes │ 1fcs
+//!
+//!   index   u64 × (frames − 1): where each but the first begins, from the first on
+//!           u64 bytes of a block, unpacked │ u64 bytes of the last one
+//! ```
+//!
+//! Integers are big-endian, those in frames little-endian. The last four bytes prove that the file is whole.
+
+use rayon::prelude::*;
+
+use crate::blosc::{FrameError, decode_frame};
+use crate::bytes::{Cursor, Endian};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+const FORMAT: &str = "Houdini geometry (.sc)";
+const START: &[u8; 4] = b"scf1";
+const END: &[u8; 4] = b"1fcs";
+
+/// Bytes of a frame without any data.
+const FRAME_BYTES_MIN: usize = 16;
+
+/// The content, in one piece.
+///
+/// # Errors
+///
+/// [`Error::Short`] where the end is missing, [`Error::Invalid`] where the index or a frame is wrong,
+/// [`Error::TooLarge`] beyond `limits`.
+pub(super) fn unpack(bytes: &[u8], limits: &Limits) -> Result<Vec<u8>> {
+    if !bytes.ends_with(END) {
+        let place = Place::Offset(bytes.len() as u64);
+        return Err(Error::short(FORMAT, place, "the file ends without its index"));
+    }
+    let Index { frames, block_bytes, bytes: unpacked_bytes } = index(bytes)?;
+    let packed_bytes: usize = frames.iter().map(|(_, frame)| frame.len()).sum();
+    limits.check_unpacked(FORMAT, unpacked_bytes as u64, packed_bytes as u64)?;
+    let mut unpacked = vec![0; unpacked_bytes];
+    let blocks = unpacked.par_chunks_mut(block_bytes.max(1)).zip(&frames);
+    blocks.try_for_each(|(block, &(at, frame))| {
+        decode_frame(frame, block).map_err(|error| match error {
+            FrameError::Invalid(what) => Error::invalid(FORMAT, Place::Offset(at as u64), what),
+            FrameError::Unsupported(what) => Error::unsupported(FORMAT, what),
+        })
+    })?;
+    Ok(unpacked)
+}
+
+/// What the index says.
+struct Index<'a> {
+    /// Where each frame begins, and its bytes.
+    frames: Vec<(usize, &'a [u8])>,
+    block_bytes: usize,
+    /// Bytes of all blocks.
+    bytes: usize,
+}
+
+fn index(bytes: &[u8]) -> Result<Index<'_>> {
+    let invalid = |at: usize, what: String| Error::invalid(FORMAT, Place::Offset(at as u64), what);
+    let mut cursor = Cursor::new(FORMAT, Endian::Big, bytes, 0);
+    if cursor.take(4, "the signature")? != START {
+        return Err(invalid(0, "expected the signature scf1".into()));
+    }
+    let metadata_bytes = length(&mut cursor)?;
+    let metadata_at = cursor.at();
+    let footer_at = bytes.len().checked_sub(12).filter(|&at| at >= metadata_at);
+    let footer_at = footer_at.ok_or_else(|| invalid(metadata_at, "a file without an index".into()))?;
+    let index_bytes = length(&mut Cursor::new(FORMAT, Endian::Big, bytes, footer_at))?;
+    let first = metadata_at.checked_add(metadata_bytes);
+    let index_at = footer_at.checked_sub(index_bytes);
+    let (Some(first), Some(index_at)) =
+        (first, index_at.filter(|at| first.is_some_and(|first| first <= *at)))
+    else {
+        let what = format!(
+            "{metadata_bytes} bytes of metadata and an index of {index_bytes} in a file of {}",
+            bytes.len()
+        );
+        return Err(invalid(footer_at, what));
+    };
+    if index_bytes < 16 || !index_bytes.is_multiple_of(8) {
+        return Err(invalid(footer_at, format!("an index of {index_bytes} bytes")));
+    }
+    let frame_count = index_bytes / 8 - 1;
+    let mut entries = Cursor::new(FORMAT, Endian::Big, bytes, index_at);
+    let mut starts = vec![first];
+    for _ in 1..frame_count {
+        starts.push(length(&mut entries)?.saturating_add(first));
+    }
+    let [block_bytes, last_bytes] = [length(&mut entries)?, length(&mut entries)?];
+    let mut frames = Vec::with_capacity(frame_count);
+    for (index, &start) in starts.iter().enumerate() {
+        let end = starts.get(index + 1).copied().unwrap_or(index_at);
+        match bytes.get(start..end) {
+            Some(frame) if frame.len() >= FRAME_BYTES_MIN && end <= index_at => frames.push((start, frame)),
+            _ => {
+                return Err(invalid(
+                    index_at,
+                    format!("frame {index} of {frame_count} is not among the frames"),
+                ));
+            }
+        }
+    }
+    let before = block_bytes.checked_mul(frame_count - 1);
+    let bytes =
+        before.and_then(|before| before.checked_add(last_bytes)).filter(|_| last_bytes <= block_bytes);
+    let bytes = bytes.ok_or_else(|| {
+        invalid(index_at, format!("blocks of {block_bytes} bytes, the last one of {last_bytes}"))
+    })?;
+    Ok(Index { frames, block_bytes, bytes })
+}
+
+/// A number of bytes. What is more than memory has is as wrong as anything.
+fn length(cursor: &mut Cursor) -> Result<usize> {
+    let length = u64::from_le_bytes(cursor.array("a length")?);
+    Ok(usize::try_from(length).unwrap_or(usize::MAX))
+}

@@ -1,0 +1,152 @@
+//! The document: counts, point attributes, and what the primitives are.
+
+use std::collections::BTreeMap;
+
+use crate::data::{ParticleFrame, Positions};
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, frame_of};
+
+use super::FORMAT;
+use super::attributes::{PointAttribute, point_attribute, positions};
+use super::tokens::{Token, Walk};
+
+/// What was found so far.
+#[derive(Default)]
+struct Found {
+    point_count: Option<usize>,
+    positions: Option<Positions>,
+    arrays: Vec<NamedArray>,
+    notes: Vec<String>,
+    /// How many primitives there are of each type.
+    primitives: BTreeMap<String, u64>,
+}
+
+/// Types of primitives that are told apart; geometry has a few.
+const PRIMITIVE_TYPE_COUNT_MAX: usize = 1024;
+
+/// Reads the points.
+pub(super) fn read(mut walk: Walk, limits: &Limits) -> Result<ParticleFrame> {
+    let mut found = Found::default();
+    walk.object("", |walk, key| match key {
+        "pointcount" if found.point_count.is_some() => Err(walk.invalid("pointcount a second time")),
+        "pointcount" => {
+            found.point_count = Some(point_count(walk, limits)?);
+            Ok(())
+        }
+        "attributes" => walk.object(key, |walk, key| match key {
+            "pointattributes" => point_attributes(walk, &mut found, limits),
+            _ => walk.skip(),
+        }),
+        "primitives" => walk.items(key, |walk, token| primitive(walk, &token, &mut found.primitives)),
+        _ => walk.skip(),
+    })?;
+    walk.finish()?;
+    let count = found.point_count.ok_or_else(|| walk.invalid("no pointcount"))?;
+    check_primitives(&found.primitives, count)?;
+    let positions = match found.positions {
+        Some(positions) => positions,
+        None if count == 0 => Positions::default(),
+        None => return Err(walk.invalid("no point attribute P")),
+    };
+    // The positions are given, so there is a frame.
+    let mut frame = frame_of(Some(positions), found.arrays).unwrap_or_default();
+    frame.notes.append(&mut found.notes);
+    Ok(frame)
+}
+
+fn point_count(walk: &mut Walk, limits: &Limits) -> Result<usize> {
+    let count = walk.count()?;
+    let too_large = || {
+        Error::too_large(FORMAT, format!("{count} points, more than the limit of {}", limits.particle_count))
+    };
+    usize::try_from(count).ok().filter(|_| count <= limits.particle_count).ok_or_else(too_large)
+}
+
+fn point_attributes(walk: &mut Walk, found: &mut Found, limits: &Limits) -> Result<()> {
+    let count = found.point_count.ok_or_else(|| walk.invalid("attributes before the pointcount"))?;
+    walk.items("pointattributes", |walk, token| {
+        if token != Token::Open {
+            return Err(walk.unexpected("an attribute", &token));
+        }
+        if found.arrays.len() + found.notes.len() >= limits.attribute_count {
+            let what = format!("more attributes than the limit of {}", limits.attribute_count);
+            return Err(Error::too_large(FORMAT, what));
+        }
+        match point_attribute(walk, count, limits)? {
+            PointAttribute::Read(array) if array.name == "P" => {
+                let arity = array.arity;
+                let no_positions = || walk.invalid(format!("P has {arity} values for each point"));
+                found.positions = Some(positions(array).ok_or_else(no_positions)?);
+            }
+            PointAttribute::Read(array) if array.arity == 0 => {
+                found
+                    .notes
+                    .push(format!("The point attribute {:?} has no values and was left out.", array.name));
+            }
+            PointAttribute::Read(array) => found.arrays.push(array),
+            PointAttribute::LeftOut { name, kind } => {
+                found.notes.push(format!("The point attribute {name:?} of the type {kind:?} was left out."));
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Counts a primitive, or a run of them, by its type.
+fn primitive(walk: &mut Walk, token: &Token, primitives: &mut BTreeMap<String, u64>) -> Result<()> {
+    if *token != Token::Open {
+        return Err(walk.unexpected("a primitive", token));
+    }
+    let mut kind = String::new();
+    walk.object("primitive", |walk, key| {
+        match key {
+            // A run names what it is a run of.
+            "type" if kind.is_empty() => kind = long_name(&walk.text()?).to_owned(),
+            "runtype" => kind = long_name(&walk.text()?).to_owned(),
+            _ => walk.skip()?,
+        }
+        Ok(())
+    })?;
+    if primitives.len() < PRIMITIVE_TYPE_COUNT_MAX || primitives.contains_key(&kind) {
+        *primitives.entry(kind).or_default() += 1;
+    }
+    loop {
+        match walk.next()? {
+            Token::Close => return Ok(()),
+            token => walk.skip_rest(&token)?,
+        }
+    }
+}
+
+/// What a type is called where it is not cut short.
+fn long_name(kind: &str) -> &str {
+    match kind {
+        "p_r" => "Poly", // a run of polygons
+        other => other,
+    }
+}
+
+/// Refuses points that are no particles.
+fn check_primitives(primitives: &BTreeMap<String, u64>, point_count: usize) -> Result<()> {
+    let is_particles = |kind: &str| matches!(kind, "Part" | "ParticleSystem");
+    let Some(kind) = primitives.keys().find(|kind| !is_particles(kind)) else { return Ok(()) };
+    let lower = kind.to_ascii_lowercase();
+    let what = if lower.contains("packed") || lower.contains("alembic") {
+        format!(
+            "the file contains packed primitives ({kind}): its {point_count} points are their pivots, not particles; \
+             unpack them before saving"
+        )
+    } else if lower.contains("vdb") || lower.contains("volume") {
+        format!(
+            "the file contains volumes ({kind}): its {point_count} points are where they stand, not particles; give \
+             the particles that they were made of"
+        )
+    } else {
+        format!(
+            "the file contains surfaces or curves ({kind}): its {point_count} points belong to them and are not \
+             particles; delete the primitives and keep the points, or give the particles"
+        )
+    };
+    Err(Error::unsupported(FORMAT, what))
+}

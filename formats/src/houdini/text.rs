@@ -1,0 +1,109 @@
+//! Tokens of the text form.
+
+use std::borrow::Cow;
+
+use crate::error::{Error, Place, Result};
+use crate::text::line_number;
+
+use super::FORMAT;
+use super::tokens::Token;
+
+/// What makes tokens of text.
+pub(super) struct Text<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Text<'a> {
+    pub(super) fn new(bytes: &'a [u8]) -> Text<'a> {
+        let at = if bytes.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
+        Text { bytes, at }
+    }
+
+    pub(super) fn at(&self) -> usize {
+        self.at
+    }
+
+    pub(super) fn file_bytes(&self) -> usize {
+        self.bytes.len()
+    }
+
+    pub(super) fn next(&mut self) -> Result<Option<Token<'a>>> {
+        let rest = &self.bytes[self.at..];
+        let is_between = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
+        self.at += rest.iter().take_while(is_between).count();
+        let rest = &self.bytes[self.at..];
+        let Some(&first) = rest.first() else { return Ok(None) };
+        let token = match first {
+            b'[' | b'{' => Token::Open,
+            b']' | b'}' => Token::Close,
+            b'"' => return self.text().map(Some),
+            _ => return self.word().map(Some),
+        };
+        self.at += 1;
+        Ok(Some(token))
+    }
+
+    fn text(&mut self) -> Result<Token<'a>> {
+        let rest = &self.bytes[self.at + 1..];
+        let mut has_escapes = false;
+        let mut length = 0;
+        loop {
+            match rest.get(length) {
+                Some(b'"') => break,
+                Some(b'\\') => {
+                    has_escapes = true;
+                    length += 2;
+                }
+                Some(_) => length += 1,
+                None => return Err(Error::short(FORMAT, self.place(), "the file ends within a text")),
+            }
+        }
+        let start = self.at;
+        self.at += length + 2;
+        if !has_escapes {
+            return Ok(Token::Text(String::from_utf8_lossy(&rest[..length])));
+        }
+        let text: String = serde_json::from_slice(&self.bytes[start..self.at]).map_err(|_| {
+            let what = "a text with an escape that is none of JSON";
+            Error::invalid(FORMAT, Place::Line(line_number(self.bytes, start)), what)
+        })?;
+        Ok(Token::Text(Cow::Owned(text)))
+    }
+
+    /// A number or one of the few words.
+    fn word(&mut self) -> Result<Token<'a>> {
+        let rest = &self.bytes[self.at..];
+        let is_part = |byte: &&u8| byte.is_ascii_alphanumeric() || matches!(byte, b'+' | b'-' | b'.');
+        let length = rest.iter().take_while(is_part).count();
+        let word = &rest[..length];
+        let token = match word {
+            b"null" => Some(Token::Null),
+            b"true" => Some(Token::Bool(true)),
+            b"false" => Some(Token::Bool(false)),
+            _ => number(word),
+        };
+        if let Some(token) = token.filter(|_| length != 0) {
+            self.at += length;
+            return Ok(token);
+        }
+        let found = rest[..length.clamp(1, 24)].escape_ascii();
+        let what = format!("expected a value, found `{found}`");
+        Err(match length == rest.len() {
+            true => Error::short(FORMAT, self.place(), what), // the word may be cut off
+            false => Error::invalid(FORMAT, self.place(), what),
+        })
+    }
+
+    fn place(&self) -> Place {
+        Place::Line(line_number(self.bytes, self.at))
+    }
+}
+
+fn number<'a>(word: &[u8]) -> Option<Token<'a>> {
+    let text = std::str::from_utf8(word).ok()?;
+    match text.parse() {
+        Ok(integer) => Some(Token::Integer(integer)),
+        Err(_) => fast_float2::parse(word).ok().map(Token::Real),
+    }
+}

@@ -1,0 +1,360 @@
+//! The values of an attribute, in one of the three ways in which they are laid out.
+//!
+//! ```text
+//!   "tuples", [[x, y, z], [x, y, z], ..]             point by point
+//!   "arrays", [[a, a, a, ..], ..]                    component by component
+//!   "rawpagedata", [..]                              page by page, see below; the binary form has this only
+//!
+//!   pages of 1024 points, "packing" [3, 1]:          x y z  x y z ..  w w w ..  │  x y z  x y z ..  w w w ..
+//!   of "constantpageflags" [[0, 1], []]:             the second page has its x y z once, for all of its points
+//! ```
+
+use crate::bytes::Endian;
+use crate::data::Values;
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::number::{self, Number, interleaved};
+
+use super::FORMAT;
+use super::tokens::{Token, Walk};
+
+/// How numbers are stored, which tells what they become.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Storage {
+    F32,
+    F64,
+    U8,
+    I32,
+    I64,
+}
+
+impl Storage {
+    pub(super) fn of(name: &str) -> Option<Storage> {
+        Some(match name {
+            "fpreal16" | "fpreal32" => Storage::F32,
+            "fpreal64" => Storage::F64,
+            "uint8" | "bool" => Storage::U8,
+            "int8" | "int16" | "int32" => Storage::I32,
+            "int64" => Storage::I64,
+            _ => return None,
+        })
+    }
+
+    fn empty(self) -> Values {
+        match self {
+            Storage::F32 => Values::F32(Vec::new()),
+            Storage::F64 => Values::F64(Vec::new()),
+            Storage::U8 => Values::U8(Vec::new()),
+            Storage::I32 => Values::I32(Vec::new()),
+            Storage::I64 => Values::I64(Vec::new()),
+        }
+    }
+
+    fn value_bytes(self) -> usize {
+        match self {
+            Storage::U8 => 1,
+            Storage::F32 | Storage::I32 => 4,
+            Storage::F64 | Storage::I64 => 8,
+        }
+    }
+}
+
+/// Values for each point, and how many.
+pub(super) struct Tuples {
+    pub(super) size: usize,
+    pub(super) values: Values,
+}
+
+/// How pages are laid out.
+struct Pages {
+    page_points: usize,
+    packing: Vec<usize>,
+    /// Of each part of the packing, which pages are constant; empty if none is.
+    constant: Vec<Vec<bool>>,
+}
+
+/// Reads the value of the key `values` or `indices`, for `count` points.
+pub(super) fn tuples(walk: &mut Walk, key: &str, count: usize, limits: &Limits) -> Result<Tuples> {
+    let (mut size, mut storage) = (1, Storage::F32);
+    let mut pages = Pages { page_points: 1024, packing: Vec::new(), constant: Vec::new() };
+    let mut values = None;
+    walk.object(key, |walk, key| {
+        if values.is_some() && LAYOUT_KEYS.contains(&key) {
+            return Err(walk.invalid(format!("`{key}` behind the values that it tells of")));
+        }
+        match key {
+            "size" => size = small(walk, limits)?,
+            "storage" => storage = storage_of(walk)?,
+            "pagesize" => pages.page_points = usize::try_from(walk.count()?).unwrap_or(usize::MAX).max(1),
+            "packing" => {
+                let packing = numbers(walk, key, Storage::I64, limits.attribute_count)?;
+                pages.packing = widths(walk, packing, size)?;
+            }
+            "constantpageflags" => {
+                pages.constant = flags(walk, count.div_ceil(pages.page_points), limits)?;
+            }
+            "rawpagedata" => {
+                let raw = numbers(walk, key, storage, count.saturating_mul(size))?;
+                values =
+                    Some(walk.within(key, |walk| unpaged(walk, raw, count, size, &pages, storage, limits))?);
+            }
+            "tuples" => values = Some(numbers(walk, key, storage, count.saturating_mul(size))?),
+            "arrays" => {
+                let all = numbers(walk, key, storage, count.saturating_mul(size))?;
+                values = Some(by_points(all, count, size));
+            }
+            _ => walk.skip()?,
+        }
+        Ok(())
+    })?;
+    let values = values.unwrap_or_else(|| storage.empty());
+    let found = number::length(&values);
+    match count.checked_mul(size) == Some(found) {
+        true => Ok(Tuples { size, values }),
+        false => {
+            Err(walk
+                .invalid(format!("{key}: expected {size} values for each of {count} points, found {found}")))
+        }
+    }
+}
+
+/// Keys that tell how values are laid out.
+const LAYOUT_KEYS: [&str; 5] = ["size", "storage", "pagesize", "packing", "constantpageflags"];
+
+/// The next value, a number of components.
+fn small(walk: &mut Walk, limits: &Limits) -> Result<usize> {
+    let size = walk.count()?;
+    usize::try_from(size).ok().filter(|&size| size <= limits.attribute_count).ok_or_else(|| {
+        Error::too_large(
+            FORMAT,
+            format!("{size} values in a point, more than the limit of {}", limits.attribute_count),
+        )
+    })
+}
+
+fn storage_of(walk: &mut Walk) -> Result<Storage> {
+    let name = walk.text()?;
+    Storage::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage {name:?}")))
+}
+
+/// The next value, an array of numbers or of arrays of them, one after the other: at most `most`.
+fn numbers(walk: &mut Walk, name: &str, storage: Storage, most: usize) -> Result<Values> {
+    walk.within(name, |walk| {
+        // In text, each number has two bytes; in the other form, only those in one piece have fewer.
+        let room = most.min(walk.remaining() / 2);
+        let mut list = List(storage.empty());
+        let mut depth = 0usize;
+        loop {
+            match walk.next()? {
+                Token::Open => {
+                    if depth == 0 {
+                        list.reserve(room);
+                    }
+                    depth += 1;
+                }
+                Token::Close if depth != 0 => depth -= 1,
+                Token::Integer(value) => list.push_integer(value),
+                Token::Real(value) => list.push_real(value),
+                Token::Bool(value) => list.push_integer(value.into()),
+                Token::Numbers { number, endian, payload } => {
+                    let more = payload.len() / number.size();
+                    if most - number::length(&list.0) < more {
+                        return Err(walk.invalid(format!("expected at most {most} numbers, found more")));
+                    }
+                    if storage.value_bytes() > number.size() {
+                        walk.check_widened(more.saturating_mul(storage.value_bytes()))?;
+                    }
+                    list.append(number, endian, payload);
+                }
+                other => return Err(walk.unexpected("numbers", &other)),
+            }
+            if number::length(&list.0) > most {
+                return Err(walk.invalid(format!("expected at most {most} numbers, found more")));
+            }
+            if depth == 0 {
+                return Ok(list.0);
+            }
+        }
+    })
+}
+
+/// Numbers on their way into one type.
+struct List(Values);
+
+#[expect(clippy::cast_possible_truncation, reason = "the storage that the file declares decides")]
+impl List {
+    fn reserve(&mut self, count: usize) {
+        match &mut self.0 {
+            Values::F32(values) => values.reserve(count),
+            Values::F64(values) => values.reserve(count),
+            Values::U8(values) => values.reserve(count),
+            Values::I32(values) => values.reserve(count),
+            Values::I64(values) => values.reserve(count),
+            Values::Strings { .. } => {}
+        }
+    }
+
+    fn push_integer(&mut self, value: i64) {
+        match &mut self.0 {
+            Values::F32(values) => values.push(value as f32),
+            Values::F64(values) => values.push(value as f64),
+            Values::U8(values) => values.push(value as u8),
+            Values::I32(values) => values.push(value as i32),
+            Values::I64(values) => values.push(value),
+            Values::Strings { .. } => {}
+        }
+    }
+
+    fn push_real(&mut self, value: f64) {
+        match &mut self.0 {
+            Values::F32(values) => values.push(value as f32),
+            Values::F64(values) => values.push(value),
+            _ => self.push_integer(value as i64),
+        }
+    }
+
+    /// Appends an array in one piece. What is not of the list's type is changed bit by bit, so that there is never more
+    /// than that beside the list.
+    fn append(&mut self, number: Number, endian: Endian, payload: &[u8]) {
+        const PART_COUNT: usize = 4096;
+        let is_same = std::mem::discriminant(&self.0) == std::mem::discriminant(&number.decode(&[], endian));
+        if number::length(&self.0) == 0 && is_same {
+            self.0 = number.decode(payload, endian);
+            return;
+        }
+        self.reserve(payload.len() / number.size());
+        for part in payload.chunks(PART_COUNT * number.size()) {
+            self.push_all(number.decode(part, endian));
+        }
+    }
+
+    fn push_all(&mut self, more: Values) {
+        match more {
+            Values::F32(more) => more.into_iter().for_each(|value| self.push_real(value.into())),
+            Values::F64(more) => more.into_iter().for_each(|value| self.push_real(value)),
+            Values::U8(more) => more.into_iter().for_each(|value| self.push_integer(value.into())),
+            Values::I32(more) => more.into_iter().for_each(|value| self.push_integer(value.into())),
+            Values::I64(more) => more.into_iter().for_each(|value| self.push_integer(value)),
+            Values::Strings { .. } => {}
+        }
+    }
+}
+
+/// The widths of the parts of a point, which are all of it.
+fn widths(walk: &Walk, packing: Values, size: usize) -> Result<Vec<usize>> {
+    let Values::I64(packing) = packing else { return Ok(Vec::new()) };
+    let widths: Vec<usize> = packing.iter().filter_map(|&width| usize::try_from(width).ok()).collect();
+    let sum = widths.iter().try_fold(0usize, |sum, &width| sum.checked_add(width));
+    // A part of no width would cost time for each page, and hold nothing.
+    let is_wide = size == 0 || widths.iter().all(|&width| width != 0);
+    match sum == Some(size) && widths.len() == packing.len() && is_wide {
+        true => Ok(widths),
+        false => Err(walk.invalid(format!("a packing of {packing:?} for {size} values"))),
+    }
+}
+
+/// Which pages are constant, for each part of the packing.
+fn flags(walk: &mut Walk, page_count: usize, limits: &Limits) -> Result<Vec<Vec<bool>>> {
+    let mut all = Vec::new();
+    let too_many = |walk: &Walk| walk.invalid(format!("more flags than the {page_count} pages"));
+    walk.items("constantpageflags", |walk, token| {
+        if all.len() > limits.attribute_count {
+            return Err(walk.invalid("more flags than any attribute has"));
+        }
+        let mut part = Vec::new();
+        match token {
+            Token::Bools(bools) => part = bools,
+            Token::Numbers { number, endian, payload } if payload.len() / number.size() <= page_count => {
+                let values = number.decode(payload, endian);
+                part = match values {
+                    Values::U8(values) => values.iter().map(|&value| value != 0).collect(),
+                    Values::I32(values) => values.iter().map(|&value| value != 0).collect(),
+                    _ => return Err(walk.invalid("flags that are no truths")),
+                };
+            }
+            Token::Open => loop {
+                match walk.next()? {
+                    Token::Close => break,
+                    _ if part.len() >= page_count => return Err(too_many(walk)),
+                    Token::Bool(flag) => part.push(flag),
+                    Token::Integer(flag) => part.push(flag != 0),
+                    other => return Err(walk.unexpected("a truth", &other)),
+                }
+            },
+            Token::Numbers { .. } => return Err(too_many(walk)),
+            other => return Err(walk.unexpected("an array of truths", &other)),
+        }
+        if part.len() > page_count {
+            return Err(too_many(walk));
+        }
+        walk.check_widened(part.len())?;
+        all.push(part);
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+/// Arrays of each component, as tuples.
+fn by_points(all: Values, count: usize, size: usize) -> Values {
+    if size == 1 || number::length(&all) != count * size {
+        return all;
+    }
+    let columns: Vec<Values> =
+        (0..size).map(|index| number::slice(&all, index * count..(index + 1) * count)).collect();
+    interleaved(&columns.iter().collect::<Vec<_>>()).unwrap_or(all)
+}
+
+/// Pages, as tuples.
+fn unpaged(
+    walk: &mut Walk,
+    raw: Values,
+    count: usize,
+    size: usize,
+    pages: &Pages,
+    storage: Storage,
+    limits: &Limits,
+) -> Result<Values> {
+    let is_plain = pages.packing.len() <= 1 && pages.constant.iter().all(Vec::is_empty);
+    if is_plain {
+        return Ok(raw);
+    }
+    let bytes = (count as u64).saturating_mul(size as u64).saturating_mul(storage.value_bytes() as u64);
+    walk.check_spread(bytes, limits)?;
+    let whole = [size];
+    let packing = if pages.packing.is_empty() { &whole[..] } else { &pages.packing };
+    let spread = match raw {
+        Values::F32(raw) => spread(&raw, count, pages, packing).map(Values::F32),
+        Values::F64(raw) => spread(&raw, count, pages, packing).map(Values::F64),
+        Values::U8(raw) => spread(&raw, count, pages, packing).map(Values::U8),
+        Values::I32(raw) => spread(&raw, count, pages, packing).map(Values::I32),
+        Values::I64(raw) => spread(&raw, count, pages, packing).map(Values::I64),
+        Values::Strings { .. } => None,
+    };
+    spread.ok_or_else(|| walk.invalid("pages that hold more or fewer values than they should"))
+}
+
+/// The values of all points; `None` if there are not exactly as many as the pages need.
+fn spread<T: Copy + Default>(raw: &[T], count: usize, pages: &Pages, packing: &[usize]) -> Option<Vec<T>> {
+    let size: usize = packing.iter().sum();
+    let mut out = vec![T::default(); count * size];
+    let mut rest = raw;
+    if size == 0 {
+        return rest.is_empty().then_some(out);
+    }
+    for (page, points) in out.chunks_mut(pages.page_points.saturating_mul(size)).enumerate() {
+        let mut component = 0;
+        for (part, &width) in packing.iter().enumerate() {
+            let is_constant =
+                pages.constant.get(part).and_then(|flags| flags.get(page)).copied().unwrap_or(false);
+            let point_count = if is_constant { 1 } else { points.len() / size };
+            let (values, after) = rest.split_at_checked(point_count * width)?;
+            rest = after;
+            for (index, point) in points.chunks_exact_mut(size).enumerate() {
+                let at = if is_constant { 0 } else { index * width };
+                point[component..component + width].copy_from_slice(&values[at..at + width]);
+            }
+            component += width;
+        }
+    }
+    rest.is_empty().then_some(out)
+}

@@ -1,0 +1,326 @@
+//! Text dumps of LAMMPS and LIGGGHTS: tables of particles, one for each time step, in one file.
+//!
+//! ```text
+//!   ITEM: TIMESTEP
+//!   1000
+//!   ITEM: NUMBER OF ATOMS
+//!   2
+//!   ITEM: BOX BOUNDS pp pp ff             or  xy xz yz pp pp ff: with the tilts of a box that is not straight,
+//!   0 10                                  or  abc origin pp pp ff: with its three edges and its corner
+//!   0 10
+//!   -0.5 20
+//!   ITEM: ATOMS id type x y z vx vy vz radius
+//!   1 1 0.5 0.25 1 0 0 -1 0.01
+//!   2 1 0.75 0.25 1 0 0 -1 0.01
+//!   ITEM: TIMESTEP                        and so on
+//! ```
+//!
+//! `UNITS` and `TIME` may stand between. Positions are `x y z`, else `xu yu zu`, which were not folded back into the
+//! box, else `xs ys zs` or `xsu ysu zsu`, which are fractions of it. The rows are read as all tables are. Where the last
+//! has no line end, that is told: the last number of a dump that is still being written may lack digits.
+
+use std::ops::Range;
+
+use crate::csv;
+use crate::data::{ParticleFrame, Positions};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+/// The format as users know it, for errors.
+pub(crate) const FORMAT: &str = "LAMMPS dump";
+
+/// One time step of a dump.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// Its number, as the simulation counts.
+    pub timestep: i64,
+    /// Its particles.
+    pub particle_count: u64,
+    /// The simulated time, where the dump tells it, in its units.
+    pub time: Option<f64>,
+    /// What of the dump is this step, bytes.
+    pub range: Range<usize>,
+    /// Where the rows begin.
+    rows_at: usize,
+    /// The line of the first row, from 1.
+    rows_line: u64,
+    /// The line with the names of the columns, bytes of the dump.
+    header: Range<usize>,
+    /// The box, where the dump tells it.
+    space: Option<Space>,
+}
+
+/// From fractions of the box to positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Space {
+    corner: [f64; 3],
+    /// Three edges.
+    edges: [[f64; 3]; 3],
+}
+
+/// Reads the only step of a dump.
+///
+/// # Errors
+///
+/// Those of [`steps`] and [`read_step`]; [`Error::Unsupported`] for a dump of several steps, which are several frames.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    match &steps(bytes, limits)?[..] {
+        [only] => read_step(bytes, only, limits),
+        all => {
+            let [first, last] = [all.first(), all.last()].map(|step| step.map_or(0, |step| step.timestep));
+            let what = format!(
+                "the dump has {} time steps, {first} to {last}, and a frame is one: \
+                 each is to be read by itself",
+                all.len()
+            );
+            Err(Error::unsupported(FORMAT, what))
+        }
+    }
+}
+
+/// The steps of a dump, at least one. Their rows are not looked at.
+///
+/// # Errors
+///
+/// [`Error::Short`] where the dump ends within a step, [`Error::Invalid`] for a line that is not understood,
+/// [`Error::Unsupported`] for dumps of other things than atoms, [`Error::TooLarge`] beyond `limits`.
+pub fn steps(bytes: &[u8], limits: &Limits) -> Result<Vec<Step>> {
+    let mut lines = Lines { bytes, at: 0, number: 0 };
+    let mut steps = Vec::new();
+    // Blanks are looked through once: no step begins with one.
+    while lines.bytes[lines.at..].iter().any(|byte| !byte.is_ascii_whitespace()) {
+        limits.check_step(FORMAT, steps.len())?;
+        steps.push(step(&mut lines, limits)?);
+    }
+    match steps.is_empty() {
+        true => Err(lines.short("expected ITEM: TIMESTEP")),
+        false => Ok(steps),
+    }
+}
+
+/// Reads one step of the dump that it was found in.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] with the line where a row has too many or too few cells or where text stands in a column of
+/// numbers, and for rows without a position.
+pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleFrame> {
+    let header = String::from_utf8_lossy(bytes.get(step.header.clone()).unwrap_or_default());
+    let names = header.split_ascii_whitespace().skip(2); // ITEM: ATOMS
+    let mut names: Vec<String> =
+        names.take(limits.attribute_count.saturating_add(1)).map(String::from).collect();
+    let place = Place::Line(step.rows_line.saturating_sub(1));
+    if names.len() > limits.attribute_count {
+        let what = format!("more columns than the limit of {}", limits.attribute_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let shown: Vec<&str> = names.iter().take(12).map(String::as_str).collect();
+    let shown = shown.join(" ");
+    let no_position =
+        || Error::invalid(FORMAT, place, format!("no position, such as x y z or xs ys zs; found: {shown}"));
+    let (position, is_scaled) = position(&names).ok_or_else(no_position)?;
+    for (name, &column) in ["x", "y", "z"].into_iter().zip(&position) {
+        name.clone_into(&mut names[column]);
+    }
+    let table = bytes.get(..step.range.end).unwrap_or_default();
+    let rows =
+        csv::Rows { names, position, offset: step.rows_at, line: step.rows_line, count: step.particle_count };
+    let mut frame = match step.particle_count {
+        0 => ParticleFrame::default(),
+        _ => csv::read_rows(table, rows, limits)
+            .map_err(|error| error.of_format(FORMAT))?
+            .ok_or_else(no_position)?,
+    };
+    if step.particle_count != 0 {
+        frame.notes.extend(csv::open_end_note(table));
+    }
+    if is_scaled {
+        let no_box =
+            || Error::invalid(FORMAT, place, "positions are fractions of a box, and no ITEM: BOX BOUNDS");
+        frame.positions = unscaled(&frame.positions, step.space.ok_or_else(no_box)?);
+        frame.notes.push("Positions were fractions of the box, and were multiplied by it.".into());
+    }
+    Ok(frame)
+}
+
+/// The columns of the best position there is, and whether they are fractions of the box.
+fn position(names: &[String]) -> Option<([usize; 3], bool)> {
+    const POSITIONS: [([&str; 3], bool); 4] = [
+        (["x", "y", "z"], false),
+        (["xu", "yu", "zu"], false),
+        (["xs", "ys", "zs"], true),
+        (["xsu", "ysu", "zsu"], true),
+    ];
+    let column_of = |name: &str| names.iter().position(|found| found == name);
+    POSITIONS
+        .iter()
+        .find_map(|([x, y, z], is_scaled)| Some(([column_of(x)?, column_of(y)?, column_of(z)?], *is_scaled)))
+}
+
+/// Six digits of a fraction are fewer digits of a position in a large box, so these are kept in 64 bits.
+fn unscaled(fractions: &Positions, space: Space) -> Positions {
+    let position = |fraction: [f64; 3]| {
+        let along = |axis: usize| {
+            let edges = fraction.iter().zip(space.edges).map(|(part, edge)| part * edge[axis]);
+            space.corner[axis] + edges.sum::<f64>()
+        };
+        [along(0), along(1), along(2)]
+    };
+    Positions::F64(match fractions {
+        Positions::F32(fractions) => fractions.iter().map(|f| position(f.map(f64::from))).collect(),
+        Positions::F64(fractions) => fractions.iter().map(|&fraction| position(fraction)).collect(),
+    })
+}
+
+/// The step that begins at the next line.
+fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
+    let start = lines.at;
+    let (mut timestep, mut count, mut time) = (None, None, None);
+    let mut space = None;
+    loop {
+        let item_at = lines.at;
+        let item = lines.telling("an ITEM")?;
+        let item = item.strip_prefix("ITEM:").map(str::trim).ok_or_else(|| lines.expected("ITEM:", item))?;
+        match item {
+            "TIMESTEP" => timestep = Some(lines.number("the number of the time step")?),
+            "TIME" => time = Some(lines.reals::<1>("the time")?[0]),
+            "UNITS" => drop(lines.telling("the units")?),
+            "NUMBER OF ATOMS" => count = Some(lines.number("the number of atoms")?),
+            _ if item.starts_with("BOX BOUNDS") => space = Some(box_bounds(item, lines)?),
+            _ if item.starts_with("ATOMS") => {
+                let missing = |what: &str| lines.invalid(format!("ITEM: ATOMS before {what}"));
+                let timestep = timestep.ok_or_else(|| missing("ITEM: TIMESTEP"))?;
+                let count = count.ok_or_else(|| missing("ITEM: NUMBER OF ATOMS"))?;
+                let count = u64::try_from(count).map_err(|_| lines.invalid(format!("{count} atoms")))?;
+                return rows(
+                    lines,
+                    start,
+                    Step {
+                        timestep,
+                        particle_count: count,
+                        time,
+                        range: 0..0,
+                        rows_at: lines.at,
+                        rows_line: lines.number + 1,
+                        header: item_at..lines.at,
+                        space,
+                    },
+                    limits,
+                );
+            }
+            _ => {
+                let what = format!("a dump of {item:?}, not of atoms: dump atoms or custom columns");
+                return Err(Error::unsupported(FORMAT, what));
+            }
+        }
+    }
+}
+
+/// Goes behind the rows of the step.
+fn rows(lines: &mut Lines, start: usize, step: Step, limits: &Limits) -> Result<Step> {
+    let count = step.particle_count;
+    if count > limits.particle_count {
+        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    for found in 0..count {
+        let line =
+            lines.next().ok_or_else(|| lines.short(format!("expected {count} atoms, found {found}")))?;
+        if line.starts_with(b"ITEM:") {
+            return Err(lines.invalid(format!("expected {count} atoms, found {found}")));
+        }
+    }
+    Ok(Step { range: start..lines.at, ..step })
+}
+
+/// Three lines of bounds, in one of three forms.
+fn box_bounds(item: &str, lines: &mut Lines) -> Result<Space> {
+    let words: Vec<&str> = item.split_ascii_whitespace().skip(2).collect();
+    match words[..] {
+        ["abc", "origin", ..] => {
+            let rows = [(); 3].map(|()| lines.reals::<4>("an edge of the box and its corner"));
+            let [a, b, c] = rows;
+            let [a, b, c] = [a?, b?, c?];
+            let edges = [a, b, c].map(|[x, y, z, _]| [x, y, z]);
+            Ok(Space { corner: [a[3], b[3], c[3]], edges })
+        }
+        ["xy", "xz", "yz", ..] => {
+            let rows = [(); 3].map(|()| lines.reals::<3>("bounds of the box and a tilt"));
+            let [x, y, z] = rows;
+            let ([x_low, x_high, xy], [y_low, y_high, xz], [z_low, z_high, yz]) = (x?, y?, z?);
+            // The bounds are those of a straight box around the tilted one.
+            let x_low = x_low - 0f64.min(xy).min(xz).min(xy + xz);
+            let x_high = x_high - 0f64.max(xy).max(xz).max(xy + xz);
+            let (y_low, y_high) = (y_low - 0f64.min(yz), y_high - 0f64.max(yz));
+            let edges = [[x_high - x_low, 0.0, 0.0], [xy, y_high - y_low, 0.0], [xz, yz, z_high - z_low]];
+            Ok(Space { corner: [x_low, y_low, z_low], edges })
+        }
+        _ => {
+            let rows = [(); 3].map(|()| lines.reals::<2>("bounds of the box"));
+            let [x, y, z] = rows;
+            let [x, y, z] = [x?, y?, z?];
+            let length = |[low, high]: [f64; 2]| high - low;
+            let edges = [[length(x), 0.0, 0.0], [0.0, length(y), 0.0], [0.0, 0.0, length(z)]];
+            Ok(Space { corner: [x[0], y[0], z[0]], edges })
+        }
+    }
+}
+
+/// The lines of the dump.
+struct Lines<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    /// That of the line returned last, from 1.
+    number: u64,
+}
+
+impl<'a> Lines<'a> {
+    /// The next line without its end.
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let rest = self.bytes.get(self.at..).filter(|rest| !rest.is_empty())?;
+        let length = rest.iter().position(|&byte| byte == b'\n');
+        let line = &rest[..length.unwrap_or(rest.len())];
+        self.at += line.len() + usize::from(length.is_some());
+        self.number += 1;
+        Some(line)
+    }
+
+    /// The next line as text; `what` is missing if there is none, or not all of it.
+    fn telling(&mut self, what: &str) -> Result<&'a str> {
+        let Some(line) = self.next() else { return Err(self.short(format!("expected {what}"))) };
+        if !self.bytes[..self.at].ends_with(b"\n") {
+            return Err(self.short(format!("the file ends within {what}: its line end is missing")));
+        }
+        std::str::from_utf8(line).map(str::trim).map_err(|_| self.invalid("expected text, found binary data"))
+    }
+
+    fn number(&mut self, what: &str) -> Result<i64> {
+        let text = self.telling(what)?;
+        text.parse().map_err(|_| self.expected(what, text))
+    }
+
+    /// The first reals of the next line.
+    fn reals<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
+        let text = self.telling(what)?;
+        let mut reals = [0.0; N];
+        let mut words = text.split_ascii_whitespace();
+        for real in &mut reals {
+            let word = words.next().and_then(|word| fast_float2::parse(word).ok());
+            *real = word.ok_or_else(|| self.expected(what, text))?;
+        }
+        Ok(reals)
+    }
+
+    fn expected(&self, what: &str, found: &str) -> Error {
+        let shown: String = found.chars().take(40).collect();
+        self.invalid(format!("expected {what}, found `{shown}`"))
+    }
+
+    fn invalid(&self, what: impl Into<String>) -> Error {
+        Error::invalid(FORMAT, Place::Line(self.number), what)
+    }
+
+    fn short(&self, what: impl Into<String>) -> Error {
+        Error::short(FORMAT, Place::Line(self.number), what)
+    }
+}

@@ -1,0 +1,227 @@
+//! From arrays with names, whatever file they come from, to a frame.
+//!
+//! NumPy's archives, VTK's files and Houdini's geometry all say of each particle a list of named
+//! arrays, of one value or of several. What they mean is decided here, once:
+//!
+//! ```text
+//!   "pos" (N, 3)                    the position, unless the format itself says where it is
+//!   "x" (N), "y" (N), "z" (N)       the same, in three arrays
+//!   "vel" (N, 3)                    Velocity
+//!   "vx" (N), "vy" (N), "vz" (N)    v, arity 3, Velocity
+//!   "width" (N)                     Radius, halved
+//!   "stress" (N, 6)                 an attribute without a role
+//! ```
+
+use crate::data::{Attribute, ParticleFrame, Positions, Role, Values};
+use crate::names::{Group, group_columns, position_rank, radius_scale, roles_of};
+use crate::number::{self, interleaved};
+use crate::scalar::Scalar;
+
+/// One value or several for each particle, particle by particle.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct NamedArray {
+    pub(crate) name: String,
+    /// Values per particle, at least 1.
+    pub(crate) arity: usize,
+    pub(crate) values: Values,
+}
+
+impl NamedArray {
+    /// How many particles it has values of.
+    pub(crate) fn particle_count(&self) -> usize {
+        number::length(&self.values) / self.arity.max(1)
+    }
+}
+
+/// The particles that the arrays tell of. Without `positions`, these are looked for among the arrays: `None` if they
+/// are not there. Arrays that have not a value for each particle are left out, and told.
+pub(crate) fn frame_of(positions: Option<Positions>, mut arrays: Vec<NamedArray>) -> Option<ParticleFrame> {
+    let positions = match positions.or_else(|| take_vector_position(&mut arrays)) {
+        Some(positions) => positions,
+        None => take_column_position(&mut arrays)?,
+    };
+    let mut notes = without_misfits(&mut arrays, positions.len());
+    let mut attributes = joined(arrays);
+    let named: Vec<(&str, usize)> =
+        attributes.iter().map(|array| (array.name.as_str(), array.arity)).collect();
+    let roles = roles_of(&named);
+    let attributes: Vec<Attribute> =
+        attributes.drain(..).zip(roles).map(|(array, role)| attribute(array, role)).collect();
+    notes.extend(attributes.iter().filter_map(note_on_diameter));
+    Some(ParticleFrame { positions, attributes, notes })
+}
+
+/// Removes the arrays that have not a value for each particle, and says which.
+fn without_misfits(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<String> {
+    let fits = |array: &NamedArray| {
+        array.arity != 0 && array.arity.checked_mul(particle_count) == Some(number::length(&array.values))
+    };
+    let note = |array: NamedArray| {
+        format!("`{}` has {} rows, not one for each particle: left out.", array.name, array.particle_count())
+    };
+    arrays.extract_if(.., |array| !fits(array)).map(note).collect()
+}
+
+/// The best named array of three values that is a position.
+fn take_vector_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
+    let is_one = |array: &NamedArray| array.arity == 3 && !matches!(array.values, Values::Strings { .. });
+    let ranked = arrays.iter().enumerate().filter(|(_, array)| is_one(array));
+    let (_, index) = ranked.filter_map(|(index, array)| Some((position_rank(&array.name)?, index))).min()?;
+    number::positions(arrays.remove(index).values)
+}
+
+/// The three arrays of one value that are the best named position.
+fn take_column_position(arrays: &mut Vec<NamedArray>) -> Option<Positions> {
+    let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
+    let columns: Vec<(&str, Scalar)> =
+        singles.iter().map(|&index| (arrays[index].name.as_str(), Scalar::F64)).collect();
+    let position = group_columns(&columns).position?.map(|column| singles[column]);
+    let values = position.map(|index| &arrays[index].values);
+    let positions = match interleaved(&values) {
+        Some(values) => number::positions(values)?,
+        None => {
+            let wide: Vec<Values> = values.into_iter().map(widened).collect::<Option<_>>()?;
+            number::positions(interleaved(&wide.iter().collect::<Vec<_>>())?)?
+        }
+    };
+    let mut index = 0;
+    arrays.retain(|_| {
+        index += 1;
+        !position.contains(&(index - 1))
+    });
+    Some(positions)
+}
+
+fn is_column(array: &NamedArray) -> bool {
+    array.arity == 1 && !matches!(array.values, Values::Strings { .. })
+}
+
+fn widened(values: &Values) -> Option<Values> {
+    Some(Values::F64(match values {
+        Values::F32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::F64(values) => values.clone(),
+        Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I32(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as f64).collect(),
+        Values::Strings { .. } => return None,
+    }))
+}
+
+/// The arrays, those of one value that are spelled as the components of a vector made one.
+fn joined(arrays: Vec<NamedArray>) -> Vec<NamedArray> {
+    let singles: Vec<usize> = (0..arrays.len()).filter(|&index| is_column(&arrays[index])).collect();
+    let columns: Vec<(&str, Scalar)> =
+        singles.iter().map(|&index| (arrays[index].name.as_str(), type_of(&arrays[index].values))).collect();
+    let groups = group_columns(&columns).groups;
+    let mut vector_at: Vec<Option<NamedArray>> = arrays.iter().map(|_| None).collect();
+    let mut is_joined = vec![false; arrays.len()];
+    for Group { name, columns, .. } in groups.into_iter().filter(|group| group.arity() > 1) {
+        let members: Vec<usize> = columns.into_iter().map(|column| singles[column]).collect();
+        let values: Vec<&Values> = members.iter().map(|&index| &arrays[index].values).collect();
+        let (Some(values), Some(&first)) = (interleaved(&values), members.iter().min()) else { continue };
+        for &index in &members {
+            is_joined[index] = true;
+        }
+        vector_at[first] = Some(NamedArray { name, arity: members.len(), values });
+    }
+    let places = arrays.into_iter().zip(vector_at).zip(is_joined);
+    places.filter_map(|((array, vector), is_joined)| if is_joined { vector } else { Some(array) }).collect()
+}
+
+/// Stands for the type in memory: columns of one type make a vector.
+fn type_of(values: &Values) -> Scalar {
+    match values {
+        Values::F32(_) => Scalar::F32,
+        Values::F64(_) => Scalar::F64,
+        Values::U8(_) => Scalar::U8,
+        Values::I32(_) => Scalar::I32,
+        Values::I64(_) => Scalar::U32,
+        Values::Strings { .. } => Scalar::I8,
+    }
+}
+
+fn attribute(array: NamedArray, role: Option<Role>) -> Attribute {
+    // A phase may go by its name; a velocity or a number may not.
+    let is_text = matches!(array.values, Values::Strings { .. });
+    let role = role.filter(|&role| !is_text || role == Role::Kind);
+    let mut attribute = Attribute { name: array.name, arity: array.arity, role, values: array.values };
+    if role == Some(Role::Radius) {
+        attribute.scale(radius_scale(&attribute.name));
+    }
+    attribute
+}
+
+fn note_on_diameter(attribute: &Attribute) -> Option<String> {
+    let is_halved = attribute.role == Some(Role::Radius) && radius_scale(&attribute.name) != 1.0;
+    is_halved.then(|| format!("`{}` is taken for a diameter: the radius is half of it", attribute.name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn array(name: &str, arity: usize) -> NamedArray {
+        let values = Values::F32((0..2 * arity).map(|n| n as f32).collect());
+        NamedArray { name: name.into(), arity, values }
+    }
+
+    /// `name arity role` of each attribute, behind the first position.
+    fn described(arrays: Vec<NamedArray>) -> Option<String> {
+        let frame = frame_of(None, arrays)?;
+        let mut text = match &frame.positions {
+            Positions::F32(positions) => format!("{:?}", positions[0]),
+            Positions::F64(positions) => format!("wide {:?}", positions[0]),
+        };
+        for Attribute { name, arity, role, .. } in &frame.attributes {
+            text += &format!(" | {name} {arity}");
+            text += &role.map_or(String::new(), |role| format!(" {role:?}"));
+        }
+        Some(text)
+    }
+
+    #[test]
+    fn positions_and_vectors_are_found() {
+        let (wide, text) =
+            (Values::F64(vec![5.0; 2]), Values::Strings { table: vec![], indices: vec![0; 2] });
+        let wide = NamedArray { name: "z".into(), arity: 1, values: wide };
+        let text = NamedArray { name: "type".into(), arity: 1, values: text };
+        let table = [
+            (vec![array("vel", 3), array("pos", 3)], Some("[0.0, 1.0, 2.0] | vel 3 Velocity")),
+            (vec![array("x", 1), array("y", 1), array("z", 1)], Some("[0.0, 0.0, 0.0]")),
+            (vec![array("x", 1), array("y", 1), wide, text], Some("wide [0.0, 0.0, 5.0] | type 1 Kind")),
+            (
+                vec![array("vx", 1), array("P", 3), array("vy", 1), array("vz", 1), array("stress", 6)],
+                Some("[0.0, 1.0, 2.0] | v 3 Velocity | stress 6"),
+            ),
+            (vec![array("x", 3)], Some("[0.0, 1.0, 2.0]")),
+            (vec![array("v", 3), array("x", 1), array("y", 1)], None),
+            (vec![], None),
+        ];
+        for (arrays, expected) in table {
+            let names: Vec<String> = arrays.iter().map(|array| array.name.clone()).collect();
+            assert_eq!(described(arrays).as_deref(), expected, "of {names:?}");
+        }
+    }
+
+    #[test]
+    fn arrays_that_do_not_fit_are_left_out() {
+        let positions = Positions::F32(vec![[0.0; 3]; 3]);
+        let fits = NamedArray { name: "id".into(), arity: 1, values: Values::I32(vec![1, 2, 3]) };
+        let none = NamedArray { name: "none".into(), arity: 0, values: Values::I32(vec![]) };
+        let frame = frame_of(Some(positions), vec![array("v", 3), fits, none]).unwrap();
+        let names: Vec<&str> = frame.attributes.iter().map(|array| array.name.as_str()).collect();
+        assert_eq!(names, ["id"]);
+        let expected = [
+            "`v` has 2 rows, not one for each particle: left out.",
+            "`none` has 0 rows, not one for each particle: left out.",
+        ];
+        assert_eq!(frame.notes, expected);
+    }
+
+    #[test]
+    fn diameters_are_halved_and_told() {
+        let frame = frame_of(None, vec![array("pos", 3), array("diameter", 1)]).unwrap();
+        assert_eq!(frame.attributes[0].values, Values::F32(vec![0.0, 0.5]));
+        assert_eq!(frame.notes.len(), 1, "{:?}", frame.notes);
+    }
+}

@@ -1,0 +1,218 @@
+//! The members of a `.npz`, which is a ZIP archive, stored or deflated.
+//!
+//! ```text
+//!   local header, name, bytes   ×  members
+//!   central directory: sizes, checksum and place of each member
+//!   (the same again in 64 bits)
+//!   end of the central directory: where it is
+//! ```
+//!
+//! Only the central directory is believed. Members may overlap in a hostile archive: so what all of them
+//! together have, and what comes out of them, is limited by the bytes of the archive.
+
+use std::borrow::Cow;
+use std::io::Read;
+
+use crate::bytes::{Cursor, Endian};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+use super::ARCHIVE;
+
+const END: &[u8; 4] = b"PK\x05\x06";
+const END_BYTES: usize = 22;
+const END_64_LOCATOR: &[u8; 4] = b"PK\x06\x07";
+const END_64_LOCATOR_BYTES: usize = 20;
+const END_64: &[u8; 4] = b"PK\x06\x06";
+const ENTRY: &[u8; 4] = b"PK\x01\x02";
+const ENTRY_BYTES: u64 = 46;
+const LOCAL: &[u8; 4] = b"PK\x03\x04";
+/// The longest comment behind the end of the central directory.
+const COMMENT_BYTES_MAX: usize = u16::MAX as usize;
+
+const STORED: u16 = 0;
+const DEFLATED: u16 = 8;
+
+/// One file in the archive.
+pub(super) struct Member {
+    pub(super) name: String,
+    method: u16,
+    checksum: u32,
+    packed_bytes: u64,
+    bytes: u64,
+    local_offset: u64,
+}
+
+/// What the members that were unpacked so far have taken.
+#[derive(Default)]
+pub(super) struct Account {
+    packed_bytes: u64,
+    bytes: u64,
+}
+
+/// The members, as the central directory lists them.
+pub(super) fn members(bytes: &[u8], limits: &Limits) -> Result<Vec<Member>> {
+    let (count, offset) = directory(bytes)?;
+    if count > limits.attribute_count as u64 {
+        let what = format!("{count} arrays, more than the limit of {}", limits.attribute_count);
+        return Err(Error::too_large(ARCHIVE, what));
+    }
+    let start = usize::try_from(offset).unwrap_or(usize::MAX).min(bytes.len());
+    let mut cursor = Cursor::new(ARCHIVE, Endian::Little, bytes, start);
+    if (cursor.remaining() as u64) < count * ENTRY_BYTES {
+        return Err(cursor.invalid(format!("expected {count} entries of the central directory")));
+    }
+    (0..count).map(|_| member(&mut cursor)).collect::<Result<_>>().map_err(as_invalid)
+}
+
+/// The number of members, and where the central directory begins.
+fn directory(bytes: &[u8]) -> Result<(u64, u64)> {
+    let at = end_of_directory(bytes)?;
+    let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at + 10);
+    let count = u64::from(u16::from_le_bytes(end.array("the number of members")?));
+    end.take(4, "the size of the central directory")?;
+    let offset = u64::from(u32::from_le_bytes(end.array("the place of the central directory")?));
+    let locator = at.checked_sub(END_64_LOCATOR_BYTES).filter(|&at| bytes[at..].starts_with(END_64_LOCATOR));
+    let Some(locator) = locator else { return Ok((count, offset)) };
+    let mut locator = Cursor::new(ARCHIVE, Endian::Little, bytes, locator + 8);
+    let at = u64::from_le_bytes(locator.array("the place of the end")?);
+    let at = usize::try_from(at).unwrap_or(usize::MAX).min(bytes.len());
+    let mut end = Cursor::new(ARCHIVE, Endian::Little, bytes, at);
+    if end.take(4, "the end of the central directory").map_err(as_invalid)? != END_64 {
+        return Err(end.invalid("expected the end of the central directory"));
+    }
+    end.take(28, "the end of the central directory").map_err(as_invalid)?;
+    let count = u64::from_le_bytes(end.array("the number of members").map_err(as_invalid)?);
+    end.take(8, "the size of the central directory").map_err(as_invalid)?;
+    Ok((count, u64::from_le_bytes(end.array("the place of the central directory").map_err(as_invalid)?)))
+}
+
+/// Where the end of the central directory is: the last thing in the archive but a comment.
+fn end_of_directory(bytes: &[u8]) -> Result<usize> {
+    let tail_start = bytes.len().saturating_sub(END_BYTES + COMMENT_BYTES_MAX);
+    let end_of = |at: usize| {
+        let comment = bytes.get(at + 20..at + END_BYTES)?;
+        Some(at + END_BYTES + usize::from(u16::from_le_bytes([comment[0], comment[1]])))
+    };
+    // The comment may look like another end. The right one is that behind which nothing is.
+    let places = (tail_start..bytes.len()).rev().filter(|&at| bytes[at..].starts_with(END));
+    let exact = places.clone().find(|&at| end_of(at) == Some(bytes.len()));
+    let found = exact.or_else(|| places.clone().find(|&at| end_of(at).is_some_and(|end| end <= bytes.len())));
+    found.ok_or_else(|| {
+        let what = "the archive ends before its central directory does";
+        Error::short(ARCHIVE, Place::Offset(bytes.len() as u64), what)
+    })
+}
+
+/// The archive has its end, so what is missing is not still to come.
+fn as_invalid(error: Error) -> Error {
+    match error {
+        Error::Short { format, place, what } => Error::Invalid { format, place, what },
+        other => other,
+    }
+}
+
+fn member(cursor: &mut Cursor) -> Result<Member> {
+    if cursor.take(4, "an entry of the central directory")? != ENTRY {
+        return Err(cursor.invalid("expected an entry of the central directory"));
+    }
+    cursor.take(4, "the versions")?;
+    let flags = u16::from_le_bytes(cursor.array("the flags")?);
+    let method = u16::from_le_bytes(cursor.array("the method")?);
+    cursor.take(4, "the time")?;
+    let checksum = u32::from_le_bytes(cursor.array("the checksum")?);
+    let packed_bytes = u32::from_le_bytes(cursor.array("the packed size")?);
+    let bytes = u32::from_le_bytes(cursor.array("the size")?);
+    let [name, extra, comment] = [
+        u16::from_le_bytes(cursor.array("the length of the name")?),
+        u16::from_le_bytes(cursor.array("the length of the extra field")?),
+        u16::from_le_bytes(cursor.array("the length of the comment")?),
+    ];
+    cursor.take(8, "the attributes")?;
+    let local_offset = u32::from_le_bytes(cursor.array("the place")?);
+    let name = String::from_utf8_lossy(cursor.take(name.into(), "the name")?).into_owned();
+    let extra = cursor.take(extra.into(), "the extra field")?;
+    cursor.take(comment.into(), "the comment")?;
+    if flags & 1 != 0 {
+        return Err(Error::unsupported(ARCHIVE, format!("`{name}` is encrypted")));
+    }
+    let [bytes, packed_bytes, local_offset] = widened([bytes, packed_bytes, local_offset], extra);
+    Ok(Member { name, method, checksum, packed_bytes, bytes, local_offset })
+}
+
+/// Numbers beyond 32 bits are in the extra field, in this order.
+fn widened(numbers: [u32; 3], mut extra: &[u8]) -> [u64; 3] {
+    let mut wide: &[u8] = &[];
+    while let [a, b, c, d, rest @ ..] = extra {
+        let length = usize::from(u16::from_le_bytes([*c, *d])).min(rest.len());
+        let (field, next) = rest.split_at(length);
+        if u16::from_le_bytes([*a, *b]) == 1 {
+            wide = field;
+        }
+        extra = next;
+    }
+    numbers.map(|number| match (number, wide.split_first_chunk::<8>()) {
+        (u32::MAX, Some((number, rest))) => {
+            wide = rest;
+            u64::from_le_bytes(*number)
+        }
+        _ => number.into(),
+    })
+}
+
+impl Member {
+    /// The bytes of the member, unpacked and verified. `account` counts what came out of the archive so far.
+    pub(super) fn content<'a>(
+        &self,
+        archive: &'a [u8],
+        limits: &Limits,
+        account: &mut Account,
+    ) -> Result<Cow<'a, [u8]>> {
+        let packed = self.packed(archive).map_err(as_invalid)?;
+        account.packed_bytes = account.packed_bytes.saturating_add(self.packed_bytes);
+        account.bytes = account.bytes.saturating_add(self.bytes);
+        if account.packed_bytes > archive.len() as u64 {
+            return Err(Error::invalid(ARCHIVE, Place::File, "the members have more bytes than the archive"));
+        }
+        limits.check_unpacked(ARCHIVE, account.bytes, account.packed_bytes)?;
+        let content = match self.method {
+            STORED => Cow::Borrowed(packed),
+            DEFLATED => Cow::Owned(self.inflated(packed)?),
+            other => {
+                let what = format!("`{}` is packed by method {other}: save it stored or deflated", self.name);
+                return Err(Error::unsupported(ARCHIVE, what));
+            }
+        };
+        let mut checksum = flate2::Crc::new();
+        checksum.update(&content);
+        if content.len() as u64 != self.bytes || checksum.sum() != self.checksum {
+            return Err(self.damaged());
+        }
+        Ok(content)
+    }
+
+    fn packed<'a>(&self, archive: &'a [u8]) -> Result<&'a [u8]> {
+        let offset = usize::try_from(self.local_offset).unwrap_or(usize::MAX);
+        let mut cursor = Cursor::new(ARCHIVE, Endian::Little, archive, offset);
+        if cursor.take(4, "the header of a member")? != LOCAL {
+            return Err(cursor.invalid(format!("expected the header of `{}`", self.name)));
+        }
+        cursor.take(22, "the header of a member")?;
+        let name = u16::from_le_bytes(cursor.array("the length of the name")?);
+        let extra = u16::from_le_bytes(cursor.array("the length of the extra field")?);
+        cursor.take(usize::from(name) + usize::from(extra), "the name of a member")?;
+        cursor.take(usize::try_from(self.packed_bytes).unwrap_or(usize::MAX), "a member")
+    }
+
+    fn inflated(&self, packed: &[u8]) -> Result<Vec<u8>> {
+        let mut content = Vec::new();
+        let mut decoder = flate2::bufread::DeflateDecoder::new(packed).take(self.bytes.saturating_add(1));
+        decoder.read_to_end(&mut content).map_err(|_| self.damaged())?;
+        Ok(content)
+    }
+
+    fn damaged(&self) -> Error {
+        let what = format!("the member `{}` is damaged", self.name);
+        Error::invalid(ARCHIVE, Place::Offset(self.local_offset), what)
+    }
+}

@@ -1,0 +1,238 @@
+//! NumPy's arrays: one in a `.npy`, several with names in a `.npz`.
+//!
+//! ```text
+//!   93 N U M P Y  1 0  u16        signature, version 1.0 to 3.0, length of the header (u32 from 2.0 on)
+//!   {'descr': '<f4', 'fortran_order': False, 'shape': (1000, 3), }     a Python dictionary, padded with blanks
+//!   numbers                       row by row, or column by column in Fortran's order
+//! ```
+//!
+//! An array of (N, 3) is the positions; of more columns, the first three are. A structured array has a name
+//! for each field, and an archive one for each array: these are understood as everywhere, `pos` or `x`, `y`, `z`
+//! for the position, `vel`, `radius` and so on. What has not a value for each particle, such as a time step that
+//! was saved with the rest, is left out and told.
+
+mod archive;
+mod header;
+mod literal;
+
+use crate::data::ParticleFrame;
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, frame_of};
+use crate::names::{group_columns, position_rank};
+use crate::number::{self, components, interleaved};
+use crate::scalar::Scalar;
+
+use header::{Field, Header, Layout};
+
+pub(crate) use header::bytes_claimed;
+
+/// The format as users know it, for errors.
+const FORMAT: &str = "NumPy array";
+const ARCHIVE: &str = "NumPy archive";
+
+/// Reads the particles of a `.npy` file.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] for a malformed header or an array that is no list of positions, [`Error::Short`] where
+/// numbers are missing, [`Error::Unsupported`] for types that are no numbers, [`Error::TooLarge`] beyond `limits`.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let header = header::read(bytes, limits)?;
+    let data = header.data(bytes)?;
+    let (arrays, mut notes) = arrays_of(&header, data, limits)?;
+    let is_structured = matches!(header.layout, Layout::Fields { .. });
+    let mut frame = match is_structured {
+        true => frame_of(None, arrays).ok_or_else(|| no_position(&header))?,
+        false => {
+            let is_list = |array: &NamedArray| array.arity >= 3 && header.shape.len() >= 2;
+            let array = arrays.into_iter().find(is_list);
+            unnamed_frame(array.ok_or_else(|| no_position(&header))?)
+        }
+    };
+    frame.notes.append(&mut notes);
+    Ok(frame)
+}
+
+/// Reads the particles of a `.npz` file.
+///
+/// # Errors
+///
+/// Those of [`read`], for each array, and [`Error::Invalid`] for a damaged archive.
+pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let mut arrays = Vec::new();
+    let mut notes = Vec::new();
+    let mut account = archive::Account::default();
+    for member in archive::members(bytes, limits)? {
+        let Some(name) = member.name.strip_suffix(".npy") else { continue };
+        let content = member.content(bytes, limits, &mut account)?;
+        let within = |error| within_member(error, name);
+        let header = header::read(&content, limits).map_err(within)?;
+        if let Layout::Unread(what) = &header.layout {
+            notes.push(format!("`{name}` holds {what} and was left out."));
+            continue;
+        }
+        let data = header.data(&content).map_err(within)?;
+        let (parts, more) = arrays_of(&header, data, limits).map_err(within)?;
+        notes.extend(more);
+        arrays.extend(parts.into_iter().map(|array| match array.name.is_empty() {
+            true => NamedArray { name: name.into(), ..array },
+            false => array,
+        }));
+    }
+    let mut frame = frame_of_archive(arrays, &mut notes)?;
+    frame.notes.append(&mut notes);
+    Ok(frame)
+}
+
+/// An error in an array of an archive: offsets are those in the array.
+fn within_member(error: Error, name: &str) -> Error {
+    match error {
+        // All of the array is there: the archive's checksum said so.
+        Error::Short { place, what, .. } | Error::Invalid { place, what, .. } => {
+            Error::invalid(ARCHIVE, Place::File, format!("the array `{name}`, {place}: {what}"))
+        }
+        Error::TooLarge { what, .. } => Error::too_large(ARCHIVE, format!("the array `{name}`: {what}")),
+        other => other,
+    }
+}
+
+/// The fields of a structured array, or the one array under no name.
+fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<NamedArray>, Vec<String>)> {
+    let mut notes = Vec::new();
+    match &header.layout {
+        Layout::Plain { number, endian } => {
+            check_count(header.row_count(), limits)?;
+            let columns = header.column_count();
+            if columns > limits.attribute_count {
+                let what = format!("{columns} columns, more than the limit of {}", limits.attribute_count);
+                return Err(Error::too_large(FORMAT, what));
+            }
+            let values = match header.is_fortran && columns > 1 {
+                false => number.decode(data, *endian),
+                true => {
+                    let column = |part| number.decode(part, *endian);
+                    let parts: Vec<_> =
+                        data.chunks_exact((data.len() / columns).max(1)).map(column).collect();
+                    interleaved(&parts.iter().collect::<Vec<_>>()).unwrap_or_else(|| column(&[]))
+                }
+            };
+            Ok((vec![NamedArray { name: String::new(), arity: columns, values }], notes))
+        }
+        Layout::Fields { fields, stride } => {
+            check_count(header.element_count()?, limits)?;
+            let mut arrays = Vec::new();
+            for Field { name, offset, arity, number } in fields {
+                match number {
+                    Some((number, endian)) => arrays.push(NamedArray {
+                        name: name.clone(),
+                        arity: *arity,
+                        values: number.decode_strided(data, *endian, *stride, *offset, *arity),
+                    }),
+                    None => notes.push(format!("The field `{name}` holds no numbers and was left out.")),
+                }
+            }
+            Ok((arrays, notes))
+        }
+        Layout::Unread(what) => {
+            Err(Error::unsupported(FORMAT, format!("the array holds {what}: save numbers, such as float32")))
+        }
+    }
+}
+
+/// Positions, and whatever more columns there are: three at least.
+fn unnamed_frame(array: NamedArray) -> ParticleFrame {
+    let NamedArray { arity, values, .. } = array;
+    if arity == 3 {
+        let positions = number::positions(values).unwrap_or_default();
+        return ParticleFrame { positions, ..ParticleFrame::default() };
+    }
+    let positions = number::positions(components(&values, arity, 0..3)).unwrap_or_default();
+    let column = |index| NamedArray {
+        name: format!("column_{}", index + 1),
+        arity: 1,
+        values: components(&values, arity, index..index + 1),
+    };
+    let mut frame = frame_of(Some(positions), (3..arity).map(column).collect()).unwrap_or_default();
+    frame.notes.push(format!(
+        "The array has no names: the first 3 of {arity} columns were taken for the position, the others are called \
+         column_4 and so on."
+    ));
+    frame
+}
+
+/// The frame of those arrays that have a value for each particle.
+fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
+    let is_vector = |array: &&NamedArray| array.arity == 3 && position_rank(&array.name).is_some();
+    let named = arrays.iter().filter(is_vector).min_by_key(|array| position_rank(&array.name));
+    let count = match named.map(NamedArray::particle_count).or_else(|| columns_count(&arrays)) {
+        Some(count) => count,
+        None => return frame_of_only(arrays, notes),
+    };
+    arrays.retain(|array| {
+        let is_kept = array.particle_count() == count && array.arity != 0;
+        if !is_kept {
+            let found = array.particle_count();
+            notes.push(format!("`{}` has {found} rows, not one for each particle: left out.", array.name));
+        }
+        is_kept
+    });
+    let no_position = no_position_among(&arrays);
+    frame_of(None, arrays).ok_or(no_position)
+}
+
+/// The frame of an archive's only array, which says enough without a name.
+fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result<ParticleFrame> {
+    let array = match arrays.pop() {
+        Some(array) if arrays.is_empty() && array.arity >= 3 => array,
+        last => {
+            arrays.extend(last);
+            return Err(no_position_among(&arrays));
+        }
+    };
+    notes.push(format!("`{}` is the only array: it was taken for the position.", array.name));
+    Ok(unnamed_frame(array))
+}
+
+/// The number of rows of the arrays of one value that are the position.
+fn columns_count(arrays: &[NamedArray]) -> Option<usize> {
+    let singles = arrays.iter().filter(|array| array.arity == 1);
+    let columns: Vec<(&str, Scalar)> =
+        singles.clone().map(|array| (array.name.as_str(), Scalar::F64)).collect();
+    let [x, ..] = group_columns(&columns).position?;
+    singles.clone().nth(x).map(NamedArray::particle_count)
+}
+
+fn check_count(count: u64, limits: &Limits) -> Result<()> {
+    if count > limits.particle_count {
+        let what = format!("{count} particles, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    Ok(())
+}
+
+fn no_position(header: &Header) -> Error {
+    let names: Vec<&str> = match &header.layout {
+        Layout::Fields { fields, .. } => fields.iter().take(12).map(|field| field.name.as_str()).collect(),
+        _ => Vec::new(),
+    };
+    let what = match names.is_empty() {
+        true => {
+            format!("expected positions, an array of shape (N, 3) or more columns, found {}", header.shown())
+        }
+        false => {
+            format!("expected a field `pos` of three numbers, or x, y and z; found: {}", names.join(", "))
+        }
+    };
+    Error::invalid(FORMAT, Place::File, what)
+}
+
+fn no_position_among(arrays: &[NamedArray]) -> Error {
+    let shown = |array: &NamedArray| format!("{} ({}, {})", array.name, array.particle_count(), array.arity);
+    let found: Vec<String> = arrays.iter().take(12).map(shown).collect();
+    let what = format!(
+        "expected an array `pos` of shape (N, 3), or x, y and z of (N); found: {}",
+        if found.is_empty() { "no array of numbers".into() } else { found.join(", ") }
+    );
+    Error::invalid(ARCHIVE, Place::File, what)
+}

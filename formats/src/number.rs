@@ -1,0 +1,266 @@
+//! Raw numbers of any type and byte order, as simulators dump them, and the values that they become.
+//!
+//! [`crate::scalar`] knows the types of PLY; arrays of other formats have more: 64-bit integers, which stay such,
+//! and 16-bit reals, which become 32-bit ones. Unsigned 64-bit integers become 64-bit reals where one of them is
+//! beyond the signed ones.
+
+use crate::bytes::Endian;
+use crate::data::{Positions, Values};
+
+/// A number type as a file stores it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Number {
+    /// A byte that is zero or not.
+    Bool,
+    I8,
+    U8,
+    I16,
+    U16,
+    I32,
+    U32,
+    I64,
+    U64,
+    F16,
+    F32,
+    F64,
+}
+
+impl Number {
+    /// Bytes per number.
+    pub(crate) const fn size(self) -> usize {
+        match self {
+            Number::Bool | Number::I8 | Number::U8 => 1,
+            Number::I16 | Number::U16 | Number::F16 => 2,
+            Number::I32 | Number::U32 | Number::F32 => 4,
+            Number::I64 | Number::U64 | Number::F64 => 8,
+        }
+    }
+
+    /// The numbers that are packed one after the other; bytes behind the last whole one are not looked at.
+    pub(crate) fn decode(self, bytes: &[u8], endian: Endian) -> Values {
+        self.decode_strided(bytes, endian, self.size(), 0, 1)
+    }
+
+    /// The `arity` numbers at `offset` of each record of `stride` bytes. A record must have room for them.
+    pub(crate) fn decode_strided(
+        self,
+        bytes: &[u8],
+        endian: Endian,
+        stride: usize,
+        offset: usize,
+        arity: usize,
+    ) -> Values {
+        let records = Records { bytes, endian, stride, offset, arity };
+        match self {
+            Number::Bool => Values::U8(records.map(|[byte]: [u8; 1]| u8::from(byte != 0))),
+            Number::U8 => Values::U8(records.map(|[byte]: [u8; 1]| byte)),
+            Number::I8 => Values::I32(records.map(|byte| i8::from_le_bytes(byte).into())),
+            Number::I16 => Values::I32(records.map(|bytes| i16::from_le_bytes(bytes).into())),
+            Number::U16 => Values::I32(records.map(|bytes| u16::from_le_bytes(bytes).into())),
+            Number::I32 => Values::I32(records.map(i32::from_le_bytes)),
+            Number::U32 => Values::I64(records.map(|bytes| u32::from_le_bytes(bytes).into())),
+            Number::I64 => Values::I64(records.map(i64::from_le_bytes)),
+            Number::U64 => unsigned(&records),
+            Number::F16 => Values::F32(records.map(|bytes| half::f16::from_le_bytes(bytes).to_f32())),
+            Number::F32 => Values::F32(records.map(f32::from_le_bytes)),
+            Number::F64 => Values::F64(records.map(f64::from_le_bytes)),
+        }
+    }
+}
+
+fn unsigned(records: &Records) -> Values {
+    let is_signed = |value: &i64| *value >= 0;
+    let signed = records.map(i64::from_le_bytes);
+    match signed.iter().all(is_signed) {
+        true => Values::I64(signed),
+        false => Values::F64(records.map(|bytes| u64::from_le_bytes(bytes) as f64)),
+    }
+}
+
+/// Where numbers are.
+struct Records<'a> {
+    bytes: &'a [u8],
+    endian: Endian,
+    stride: usize,
+    offset: usize,
+    arity: usize,
+}
+
+impl Records<'_> {
+    /// What `decode` makes of the bytes of each number, least significant first.
+    fn map<const N: usize, T>(&self, decode: impl Fn([u8; N]) -> T) -> Vec<T> {
+        let decode = |mut number: [u8; N]| {
+            if self.endian == Endian::Big {
+                number.reverse();
+            }
+            decode(number)
+        };
+        if self.stride == N && self.arity == 1 {
+            return self.bytes.as_chunks::<N>().0.iter().map(|&number| decode(number)).collect();
+        }
+        let mut values = Vec::with_capacity(self.bytes.len() / self.stride.max(1) * self.arity);
+        for record in self.bytes.chunks_exact(self.stride) {
+            let numbers = record.get(self.offset..self.offset + self.arity * N).unwrap_or_default();
+            values.extend(numbers.as_chunks::<N>().0.iter().map(|&number| decode(number)));
+        }
+        values
+    }
+}
+
+/// How many values there are.
+pub(crate) fn length(values: &Values) -> usize {
+    match values {
+        Values::F32(values) => values.len(),
+        Values::F64(values) => values.len(),
+        Values::U8(values) => values.len(),
+        Values::I32(values) => values.len(),
+        Values::I64(values) => values.len(),
+        Values::Strings { indices, .. } => indices.len(),
+    }
+}
+
+/// The values as positions, three for each; in 64 bits where 32-bit reals do not hold them. None of strings.
+pub(crate) fn positions(values: Values) -> Option<Positions> {
+    fn thrice<T: Copy, U>(values: &[T], widen: impl Fn(T) -> U) -> Vec<[U; 3]> {
+        values.as_chunks::<3>().0.iter().map(|position| position.map(&widen)).collect()
+    }
+    Some(match values {
+        Values::F32(values) => Positions::F32(thrice(&values, |x| x)),
+        Values::U8(values) => Positions::F32(thrice(&values, f32::from)),
+        Values::F64(values) => Positions::F64(thrice(&values, |x| x)),
+        Values::I32(values) => Positions::F64(thrice(&values, f64::from)),
+        Values::I64(values) => Positions::F64(thrice(&values, |x| x as f64)),
+        Values::Strings { .. } => return None,
+    })
+}
+
+/// The position that a point of four values is. A weight of 0 means nothing, and one of 1 changes nothing.
+pub(crate) fn divided<T>([x, y, z, w]: [T; 4]) -> [T; 3]
+where
+    T: Copy + PartialEq + From<u8> + std::ops::Div<Output = T>,
+{
+    match w == T::from(0) || w == T::from(1) {
+        true => [x, y, z],
+        false => [x / w, y / w, z / w],
+    }
+}
+
+/// Some of the `arity` components of each particle.
+pub(crate) fn components(values: &Values, arity: usize, range: std::ops::Range<usize>) -> Values {
+    fn some<T: Copy>(values: &[T], arity: usize, range: std::ops::Range<usize>) -> Vec<T> {
+        values.chunks_exact(arity).flat_map(|particle| &particle[range.clone()]).copied().collect()
+    }
+    match values {
+        Values::F32(values) => Values::F32(some(values, arity, range)),
+        Values::F64(values) => Values::F64(some(values, arity, range)),
+        Values::U8(values) => Values::U8(some(values, arity, range)),
+        Values::I32(values) => Values::I32(some(values, arity, range)),
+        Values::I64(values) => Values::I64(some(values, arity, range)),
+        Values::Strings { table, indices } => {
+            Values::Strings { table: table.clone(), indices: some(indices, arity, range) }
+        }
+    }
+}
+
+/// Some of the values, which are there.
+pub(crate) fn slice(values: &Values, range: std::ops::Range<usize>) -> Values {
+    match values {
+        Values::F32(values) => Values::F32(values[range].to_vec()),
+        Values::F64(values) => Values::F64(values[range].to_vec()),
+        Values::U8(values) => Values::U8(values[range].to_vec()),
+        Values::I32(values) => Values::I32(values[range].to_vec()),
+        Values::I64(values) => Values::I64(values[range].to_vec()),
+        Values::Strings { table, indices } => {
+            Values::Strings { table: table.clone(), indices: indices[range].to_vec() }
+        }
+    }
+}
+
+/// Columns of one value per particle as one of several, if they are of one type. None of strings, or of no column.
+pub(crate) fn interleaved(columns: &[&Values]) -> Option<Values> {
+    fn gather<T: Copy>(columns: &[&Values], of: impl Fn(&Values) -> Option<&[T]>) -> Option<Vec<T>> {
+        let columns: Vec<&[T]> = columns.iter().map(|column| of(column)).collect::<Option<_>>()?;
+        let rows = 0..columns.iter().map(|column| column.len()).min()?;
+        Some(rows.flat_map(|row| columns.iter().map(move |column| column[row])).collect())
+    }
+    macro_rules! of {
+        ($variant:ident) => {
+            gather(columns, |values| match values {
+                Values::$variant(values) => Some(values),
+                _ => None,
+            })
+            .map(Values::$variant)
+        };
+    }
+    match columns.first()? {
+        Values::F32(_) => of!(F32),
+        Values::F64(_) => of!(F64),
+        Values::U8(_) => of!(U8),
+        Values::I32(_) => of!(I32),
+        Values::I64(_) => of!(I64),
+        Values::Strings { .. } => None,
+    }
+}
+
+/// Appends values of the same type, and says whether they were. Tables of strings must be equal.
+pub(crate) fn append(values: &mut Values, more: Values) -> bool {
+    match (values, more) {
+        (Values::F32(values), Values::F32(more)) => values.extend(more),
+        (Values::F64(values), Values::F64(more)) => values.extend(more),
+        (Values::U8(values), Values::U8(more)) => values.extend(more),
+        (Values::I32(values), Values::I32(more)) => values.extend(more),
+        (Values::I64(values), Values::I64(more)) => values.extend(more),
+        (Values::Strings { table, indices }, Values::Strings { table: other, indices: more })
+            if *table == other =>
+        {
+            indices.extend(more);
+        }
+        _ => return false,
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_of_both_orders_are_decoded() {
+        let bytes = [0x3c, 0x00, 0x80, 0x01];
+        let table = [
+            (Number::F16, Endian::Big, Values::F32(vec![1.0, -5.960_464_5e-8])),
+            (Number::F16, Endian::Little, Values::F32(vec![3.576_278_7e-6, 2.288_818_4e-5])),
+            (Number::U16, Endian::Big, Values::I32(vec![0x3c00, 0x8001])),
+            (Number::I16, Endian::Big, Values::I32(vec![0x3c00, -0x7fff])),
+            (Number::U32, Endian::Little, Values::I64(vec![0x0180_003c])),
+            (Number::Bool, Endian::Little, Values::U8(vec![1, 0, 1, 1])),
+            (Number::I8, Endian::Little, Values::I32(vec![0x3c, 0, -128, 1])),
+            (Number::F64, Endian::Little, Values::F64(vec![])),
+        ];
+        for (number, endian, expected) in table {
+            assert_eq!(number.decode(&bytes, endian), expected, "{number:?} {endian:?}");
+        }
+        let wide = [[0xff; 8], [1, 0, 0, 0, 0, 0, 0, 0]].concat();
+        assert_eq!(
+            Number::U64.decode(&wide, Endian::Little),
+            Values::F64(vec![18_446_744_073_709_551_615.0, 1.0])
+        );
+        assert_eq!(Number::I64.decode(&wide, Endian::Little), Values::I64(vec![-1, 1]));
+        let strided = Number::U8.decode_strided(&bytes, Endian::Little, 2, 1, 1);
+        assert_eq!(strided, Values::U8(vec![0, 1]));
+    }
+
+    #[test]
+    fn values_are_taken_apart_and_put_together() {
+        let (x, y) = (Values::I32(vec![1, 3]), Values::I32(vec![2, 4]));
+        let both = interleaved(&[&x, &y]).unwrap();
+        assert_eq!(both, Values::I32(vec![1, 2, 3, 4]));
+        assert_eq!(components(&both, 2, 1..2), y);
+        assert_eq!(interleaved(&[&x, &Values::F32(vec![0.0; 2])]), None);
+        assert_eq!(interleaved(&[]), None);
+        let mut longer = x;
+        assert!(append(&mut longer, y) && !append(&mut longer, Values::U8(vec![1])));
+        assert_eq!(longer, Values::I32(vec![1, 3, 2, 4]));
+        assert_eq!(positions(Values::U8(vec![1, 2, 3, 4])), Some(Positions::F32(vec![[1.0, 2.0, 3.0]])));
+    }
+}

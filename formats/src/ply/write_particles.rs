@@ -1,0 +1,199 @@
+//! Writes particles as binary little-endian PLY.
+//!
+//! ```text
+//!   positions    x y z                      float, or double where the particles have 64 bits
+//!   scalars      name                       the type they have
+//!   vectors      name_x name_y name_z ..    the same; with more than four values name_0 name_1 ..
+//!   "color"      red green blue [alpha]     what readers call so if the file does
+//!   integers     int, uint, or double where these are too narrow
+//!   strings      int, the index of a string that a comment tells; −1 for none
+//! ```
+
+use std::borrow::Cow;
+use std::io::Write;
+
+use super::vertex_data::{component_names, string_comments};
+use crate::data::{Attribute, ParticleFrame, Positions, Provenance, Role, Values};
+use crate::error::Result;
+use crate::particle_columns::{check, written};
+use crate::provenance::{GENERATOR, comments};
+use crate::vertex_attributes::{NamesTaken, string_index};
+
+const FORMAT: &str = "PLY";
+
+/// Particles whose bytes are made at once.
+const PIECE: usize = 4096;
+
+/// Integers of at most this size are exact as 64-bit reals.
+const EXACT_INTEGER_MAX: u64 = 1 << 53;
+
+/// Writes positions and attributes.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has not its values for each particle.
+pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
+    check(frame, FORMAT)?;
+    let columns = columns_of(frame);
+    out.write_all(header(frame, &columns, provenance).as_bytes())?;
+    let mut bytes = Vec::new();
+    let count = frame.positions.len();
+    for start in (0..count).step_by(PIECE) {
+        bytes.clear();
+        for particle in start..(start + PIECE).min(count) {
+            match &frame.positions {
+                Positions::F32(all) => bytes.extend(all[particle].iter().flat_map(|x| x.to_le_bytes())),
+                Positions::F64(all) => bytes.extend(all[particle].iter().flat_map(|x| x.to_le_bytes())),
+            }
+            columns.iter().for_each(|column| column.append(particle, &mut bytes));
+        }
+        out.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+/// What becomes of attributes that a PLY file does not hold as they are; nothing where all come through.
+pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (attribute, column) in frame.attributes.iter().zip(columns_of(frame)) {
+        let name = &attribute.name;
+        if column.names != names_of(attribute, name) {
+            notes.push(format!("{name} is called {} in the .ply", column.names.join(", ")));
+        }
+        match &*column.values {
+            Values::Strings { .. } => {
+                notes.push(format!(
+                    "{name} is numbers in the .ply: which strings they are is in its comments"
+                ));
+            }
+            Values::I64(values) if column.kind == Kind::Double => {
+                let rounded = values.iter().filter(|value| value.unsigned_abs() > EXACT_INTEGER_MAX).count();
+                if rounded > 0 {
+                    notes
+                        .push(format!("{rounded} values of {name} are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are"));
+                }
+            }
+            _ => {}
+        }
+    }
+    notes
+}
+
+fn header(frame: &ParticleFrame, columns: &[Column], provenance: &Provenance) -> String {
+    let real = match frame.positions {
+        Positions::F32(_) => "float",
+        Positions::F64(_) => "double",
+    };
+    let mut header = format!("ply\nformat binary_little_endian 1.0\ncomment {GENERATOR}\n");
+    header += &comments(provenance, "comment ");
+    for column in columns {
+        if let Values::Strings { table, .. } = &*column.values {
+            header += &string_comments(&column.names[0], table);
+        }
+    }
+    header += &format!("element vertex {}\n", frame.positions.len());
+    for name in ["x", "y", "z"] {
+        header += &format!("property {real} {name}\n");
+    }
+    for Column { names, kind, .. } in columns {
+        names.iter().for_each(|name| header += &format!("property {} {name}\n", kind.name()));
+    }
+    header + "end_header\n"
+}
+
+/// The columns of an attribute.
+struct Column<'a> {
+    names: Vec<String>,
+    values: Cow<'a, Values>,
+    kind: Kind,
+}
+
+/// A type of PLY.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Uchar,
+    Int,
+    Uint,
+    Float,
+    Double,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Kind::Uchar => "uchar",
+            Kind::Int => "int",
+            Kind::Uint => "uint",
+            Kind::Float => "float",
+            Kind::Double => "double",
+        }
+    }
+
+    /// The narrowest that readers take for what the values are.
+    fn of(values: &Values) -> Kind {
+        match values {
+            Values::F32(_) => Kind::Float,
+            Values::F64(_) => Kind::Double,
+            Values::U8(_) => Kind::Uchar,
+            Values::I32(_) | Values::Strings { .. } => Kind::Int,
+            Values::I64(values) if values.iter().all(|&value| u32::try_from(value).is_ok()) => Kind::Uint,
+            Values::I64(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => Kind::Int,
+            Values::I64(_) => Kind::Double,
+        }
+    }
+}
+
+fn columns_of(frame: &ParticleFrame) -> Vec<Column<'_>> {
+    let mut taken = NamesTaken::new(&["x", "y", "z"]);
+    let column = |attribute| {
+        let values = written(attribute);
+        let stem = word(&attribute.name);
+        let names = taken.take(&stem, |stem| names_of(attribute, stem));
+        Column { names, kind: Kind::of(&values), values }
+    };
+    frame.attributes.iter().map(column).collect()
+}
+
+/// A name as a header of words holds it.
+fn word(name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_graphic() { c } else { '_' };
+    let word: String = name.trim().chars().map(plain).collect();
+    if word.is_empty() { "attribute".into() } else { word }
+}
+
+fn names_of(attribute: &Attribute, stem: &str) -> Vec<String> {
+    let is_color = attribute.role == Some(Role::Color) && stem == COLOR;
+    match is_color {
+        true => COLORS.iter().take(attribute.arity).map(|&name| name.to_owned()).collect(),
+        false => component_names(stem, attribute.arity),
+    }
+}
+
+/// What readers call `red green blue`.
+const COLOR: &str = "color";
+const COLORS: [&str; 4] = ["red", "green", "blue", "alpha"];
+
+impl Column<'_> {
+    /// Appends the values of a particle.
+    fn append(&self, particle: usize, bytes: &mut Vec<u8>) {
+        let arity = self.names.len();
+        let range = particle * arity..(particle + 1) * arity;
+        match &*self.values {
+            Values::F32(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
+            Values::F64(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
+            Values::U8(values) => bytes.extend_from_slice(&values[range]),
+            Values::I32(values) => bytes.extend(values[range].iter().flat_map(|value| value.to_le_bytes())),
+            Values::I64(values) if self.kind == Kind::Double => {
+                bytes.extend(values[range].iter().flat_map(|&value| (value as f64).to_le_bytes()));
+            }
+            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            Values::I64(values) => {
+                bytes.extend(values[range].iter().flat_map(|&value| (value as i32).to_le_bytes()));
+            }
+            Values::Strings { table, indices } => {
+                let indices = indices[range].iter().map(|&index| string_index(index, table));
+                bytes.extend(indices.flat_map(i32::to_le_bytes));
+            }
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! STL, binary: triangles and nothing else, for printers and for engineers' programs.
+//!
+//! ```text
+//!   meniscus 0.1.0 i=9f3c.. s=02d1..      80 bytes for anybody, padded with spaces
+//!   count                                  of triangles, 32 bits
+//!   normal, a, b, c, 0                     12 reals of 32 bits, and 16 bits for nobody; 50 bytes for each triangle
+//! ```
+//!
+//! Text begins with the word `solid`, so the head of a binary file must not. There are no units, no axes and no
+//! vertices: corners are repeated. Positions have 32 bits, also of a mesh that is far from the origin.
+
+use std::io::Write;
+
+use crate::data::{MeshData, MeshView, Provenance};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::provenance::GENERATOR;
+
+const FORMAT: &str = "STL";
+
+const TITLE_BYTES: usize = 80;
+const HEAD_BYTES: usize = TITLE_BYTES + 4;
+const TRIANGLE_BYTES: usize = 50;
+
+/// Triangles whose bytes are made at once.
+const PIECE: usize = 4096;
+
+/// Writes triangles, each with the normal of its plane. Of the provenance `input_hash`, `settings` and `obstacles`
+/// are in the title, each if it fits.
+///
+/// # Errors
+///
+/// [`Error::Io`] if `out` fails; [`Error::TooLarge`] for 2³² triangles or more; [`Error::Invalid`] if the mesh is
+/// inconsistent or not finite.
+pub fn write(mesh: &MeshView, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
+    mesh.check(FORMAT)?;
+    let count = count_of(mesh.triangles.len())?;
+    out.write_all(&title(provenance))?;
+    out.write_all(&count.to_le_bytes())?;
+    let mut bytes = Vec::with_capacity(PIECE * TRIANGLE_BYTES);
+    for piece in mesh.triangles.chunks(PIECE) {
+        bytes.clear();
+        for triangle in piece {
+            let corners = triangle.map(|corner| world(mesh, corner));
+            for vector in
+                [normal_of(triangle.map(|corner| mesh.positions[corner as usize]))].iter().chain(&corners)
+            {
+                bytes.extend_from_slice(vector.map(f32::to_le_bytes).as_flattened());
+            }
+            bytes.extend_from_slice(&[0, 0]);
+        }
+        out.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+fn count_of(triangle_count: usize) -> Result<u32> {
+    u32::try_from(triangle_count).map_err(|_| {
+        let what = format!(
+            "{triangle_count} triangles; 2³² − 1 can be counted: write .ply, or choose a larger voxel size"
+        );
+        Error::too_large(FORMAT, what)
+    })
+}
+
+/// A vertex in the world, rounded once.
+#[expect(clippy::cast_possible_truncation, reason = "the format has 32 bits")]
+fn world(mesh: &MeshView, corner: u32) -> [f32; 3] {
+    let position = mesh.positions[corner as usize];
+    match mesh.origin {
+        [0.0, 0.0, 0.0] => position,
+        origin => std::array::from_fn(|axis| (origin[axis] + f64::from(position[axis])) as f32),
+    }
+}
+
+/// The unit normal of a triangle; zero of one without an area, as the format asks for.
+#[expect(clippy::cast_possible_truncation, reason = "directions need no more than 24 bits")]
+fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
+    let [a, b, c] = corners.map(|corner| corner.map(f64::from));
+    let [u, v]: [[f64; 3]; 2] = [b, c].map(|end| std::array::from_fn(|axis| end[axis] - a[axis]));
+    let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if length > 0.0 { normal.map(|x| (x / length) as f32) } else { [0.0; 3] }
+}
+
+/// How far the positions of a mesh are moved by being rounded to 32 bits, along an axis, at most; 0 of a mesh that is
+/// where it is in 32 bits.
+pub fn rounding(mesh: &MeshView) -> f64 {
+    let corner = |position: &[f32; 3]| -> f64 {
+        let moved = (0..3).map(|axis| {
+            let exact = mesh.origin[axis] + f64::from(position[axis]);
+            #[expect(clippy::cast_possible_truncation, reason = "that is what is measured")]
+            let rounded = exact as f32;
+            (exact - f64::from(rounded)).abs()
+        });
+        moved.fold(0.0, f64::max)
+    };
+    if mesh.origin == [0.0; 3] { 0.0 } else { mesh.positions.iter().map(corner).fold(0.0, f64::max) }
+}
+
+/// A name of the provenance that has a letter here, for there is little room; those without one are left out.
+struct Short {
+    name: &'static str,
+    letter: &'static str,
+    /// What every value begins with: it is not written.
+    lead: &'static str,
+}
+
+const SHORT_NAMES: [Short; 3] = [
+    Short { name: "input_hash", letter: "i", lead: "xxh3-128:" },
+    Short { name: "settings", letter: "s", lead: "" },
+    Short { name: "obstacles", letter: "o", lead: "" },
+];
+
+/// What stands before the values: the generator is what the title begins with.
+const GENERATOR_NAME: &str = "generator";
+
+fn title(provenance: &Provenance) -> [u8; TITLE_BYTES] {
+    let mut text = GENERATOR.to_owned();
+    for (name, value) in provenance {
+        let short = SHORT_NAMES.iter().find(|short| short.name == name);
+        let Some((letter, rest)) =
+            short.and_then(|short| Some((short.letter, value.strip_prefix(short.lead)?)))
+        else {
+            continue;
+        };
+        let entry = format!(" {letter}={rest}");
+        if rest.bytes().all(|byte| byte.is_ascii_graphic()) && text.len() + entry.len() <= TITLE_BYTES {
+            text += &entry;
+        }
+    }
+    let mut title = [b' '; TITLE_BYTES];
+    let length = text.len().min(TITLE_BYTES);
+    title[..length].copy_from_slice(&text.as_bytes()[..length]);
+    title
+}
+
+/// What [`write()`] put into the title.
+pub(crate) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+    let title = head.get(..TITLE_BYTES).ok_or_else(|| short(head))?;
+    let text = std::str::from_utf8(title).unwrap_or_default();
+    let mut words = text.split_ascii_whitespace();
+    let (Some("meniscus"), Some(version)) = (words.next(), words.next()) else { return Ok(Vec::new()) };
+    let mut pairs = vec![(GENERATOR_NAME.to_owned(), format!("meniscus {version}"))];
+    for word in words {
+        let entry = word.split_once('=').and_then(|(letter, value)| {
+            let Short { name, lead, .. } = SHORT_NAMES.iter().find(|short| short.letter == letter)?;
+            Some(((*name).to_owned(), format!("{lead}{value}")))
+        });
+        pairs.extend(entry);
+    }
+    Ok(pairs)
+}
+
+fn short(bytes: &[u8]) -> Error {
+    let what = format!("{} bytes, and the head alone has {HEAD_BYTES}", bytes.len());
+    Error::short(FORMAT, Place::File, what)
+}
+
+/// How long a file with this head is.
+pub(crate) fn bytes_claimed(head: &[u8]) -> Option<u64> {
+    Some(bytes_with(triangles_claimed(head)?))
+}
+
+/// How many triangles a file with this head has.
+fn triangles_claimed(head: &[u8]) -> Option<u32> {
+    Some(u32::from_le_bytes(*head.get(TITLE_BYTES..)?.first_chunk()?))
+}
+
+fn bytes_with(triangle_count: u32) -> u64 {
+    HEAD_BYTES as u64 + u64::from(triangle_count) * TRIANGLE_BYTES as u64
+}
+
+/// Reads the triangles of a binary file, as many as its head says; what may follow them is left alone, as some programs
+/// append their own. Each has corners of its own; normals, which are those of the planes, are not kept.
+///
+/// # Errors
+///
+/// [`Error::Short`] for a file without all its triangles, [`Error::TooLarge`] beyond `limits`, [`Error::Unsupported`] for
+/// text.
+pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    let triangle_count = triangles_claimed(bytes).ok_or_else(|| short(bytes))?;
+    let claimed = bytes_with(triangle_count);
+    let is_whole = claimed == bytes.len() as u64;
+    if !is_whole && bytes.starts_with(b"solid") {
+        return Err(Error::unsupported(FORMAT, "this is text: save it as binary STL"));
+    }
+    if claimed > bytes.len() as u64 {
+        let what = format!("expected {claimed} bytes, found {}", bytes.len());
+        return Err(Error::short(FORMAT, Place::Offset(bytes.len() as u64), what));
+    }
+    let corner_count = 3 * u64::from(triangle_count);
+    if corner_count > limits.particle_count.min(u64::from(u32::MAX)) {
+        let what = format!("{corner_count} corners, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(FORMAT, what));
+    }
+    let mut mesh = MeshData::default();
+    mesh.positions.reserve_exact(3 * triangle_count as usize);
+    mesh.triangles.reserve_exact(triangle_count as usize);
+    let records = bytes[HEAD_BYTES..].as_chunks::<TRIANGLE_BYTES>().0.iter().take(triangle_count as usize);
+    for (record, first) in records.zip((0..).step_by(3)) {
+        for corner in record[12..48].as_chunks::<12>().0 {
+            let axis =
+                |at: usize| f32::from_le_bytes([corner[at], corner[at + 1], corner[at + 2], corner[at + 3]]);
+            mesh.positions.push([axis(0), axis(4), axis(8)].map(f64::from));
+        }
+        mesh.triangles.push([first, first + 1, first + 2]);
+    }
+    Ok(mesh)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangles_beyond_32_bits_are_too_many() {
+        assert_eq!(count_of(u32::MAX as usize).ok(), Some(u32::MAX));
+        assert!(matches!(count_of(u32::MAX as usize + 1), Err(Error::TooLarge { .. })));
+    }
+
+    #[test]
+    fn as_many_triangles_are_read_as_the_head_says() {
+        let record = |x: f32| [x.to_le_bytes().repeat(12), vec![0; 2]].concat();
+        let file =
+            |count: u32, records: &[u8]| [&[b' '; TITLE_BYTES][..], &count.to_le_bytes(), records].concat();
+        let records = [record(1.0), record(2.0), record(3.0)].concat();
+        let limits = Limits { particle_count: 6, ..Limits::default() };
+        let mesh = read_mesh(&file(2, &records), &limits).expect("two triangles");
+        assert_eq!(mesh.triangles, [[0, 1, 2], [3, 4, 5]]);
+        assert_eq!(mesh.positions, [[[1.0; 3]; 3], [[2.0; 3]; 3]].concat());
+        assert!(read_mesh(&file(0, &records), &limits).expect("none").positions.is_empty());
+        assert!(matches!(read_mesh(&file(3, &records), &limits), Err(Error::TooLarge { .. })));
+        assert!(matches!(read_mesh(&file(4, &records), &Limits::default()), Err(Error::Short { .. })));
+    }
+
+    #[test]
+    fn titles_hold_what_fits_and_are_never_taken_for_text() {
+        let pair = |name: &str, value: &str| (name.to_owned(), value.to_owned());
+        let all = [
+            pair("generator", GENERATOR),
+            pair("input", "solid.bgeo"),
+            pair("input_hash", &format!("xxh3-128:{}", "9".repeat(32))),
+            pair("settings", &"0".repeat(12)),
+            pair("obstacles", &"f".repeat(8)),
+        ];
+        let title = title(&all);
+        assert!(title.starts_with(GENERATOR.as_bytes()) && title.is_ascii());
+        let kept = [&all[..1], &all[2..]].concat();
+        assert_eq!(read_provenance(&title).expect("a title"), kept);
+        // A value that does not fit is not cut.
+        let long = [all[2].clone(), pair("settings", &"0".repeat(80)), all[4].clone()];
+        let read = read_provenance(&super::title(&long)).expect("a title");
+        assert_eq!(read[1..], [long[0].clone(), long[2].clone()]);
+        assert!(read_provenance(&title[..79]).is_err());
+        assert_eq!(read_provenance(&[b' '; 84]).expect("a title"), []);
+    }
+}

@@ -1,0 +1,172 @@
+//! The head of a file: what made it and what it is, for other programs and for this one.
+
+use crate::data::Provenance;
+use crate::error::{Error, Place, Result};
+use crate::gltf::UpAxis;
+
+use super::FORMAT;
+
+/// What the last line of a file begins with.
+pub(super) const LAST_LINE: &str = "# end: ";
+
+/// What a file of this crate says of what it holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LayerInfo {
+    /// Vertices, in all frames.
+    pub vertices: u64,
+    /// Faces, in all frames.
+    pub faces: u64,
+    /// Frames of a shot; `None` where there are no time samples.
+    pub frames: Option<u64>,
+}
+
+/// The text before the prim. `times` is what is said of the time codes of a shot, lines of it.
+pub(super) fn head(provenance: &Provenance, info: &LayerInfo, up: UpAxis, name: &str, times: &str) -> String {
+    let mut text = "#usda 1.0\n(\n    customLayerData = {\n        dictionary meniscus = {\n".to_owned();
+    for (key, value) in provenance {
+        text += &format!("            string {} = {}\n", key_of(key), quoted(value));
+    }
+    text += "        }\n        dictionary meniscus_mesh = {\n";
+    let LayerInfo { vertices, faces, frames } = *info;
+    text += &format!("            int64 faces = {faces}\n");
+    text += &frames.map(|frames| format!("            int64 frames = {frames}\n")).unwrap_or_default();
+    text += &format!(
+        "            int64 vertices = {vertices}\n        }}\n    }}\n    defaultPrim = \"{name}\"\n"
+    );
+    let up = match up {
+        UpAxis::Y => "Y",
+        UpAxis::Z => "Z",
+    };
+    text + &format!("{times}    metersPerUnit = 1\n    upAxis = \"{up}\"\n)\n\n")
+}
+
+/// What [`head`] said of what made the file.
+pub(crate) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+    let text = head_text(head)?;
+    Ok(entries(&text, "meniscus").filter_map(string_entry).collect())
+}
+
+/// What a file of this crate says of what it holds, from its head; `None` of another program's.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if it is no such text.
+pub fn read_layer_info(head: &[u8]) -> Result<Option<LayerInfo>> {
+    let text = head_text(head)?;
+    let number = |name: &str| {
+        let mut entries = entries(&text, "meniscus_mesh");
+        entries.find_map(|line| {
+            line.strip_prefix("int64 ")?.strip_prefix(name)?.strip_prefix(" = ")?.parse().ok()
+        })
+    };
+    let info = number("vertices").zip(number("faces"));
+    Ok(info.map(|(vertices, faces)| LayerInfo { vertices, faces, frames: number("frames") }))
+}
+
+/// As much of the head as is text.
+fn head_text(head: &[u8]) -> Result<String> {
+    if !head.starts_with(b"#usda 1.0") {
+        return Err(Error::invalid(FORMAT, Place::Offset(0), "no #usda 1.0"));
+    }
+    // The prim, which may be long, begins with `def`; the head may end amid a character.
+    let end = head.windows(5).position(|window| window == b"\ndef ").unwrap_or(head.len());
+    Ok(String::from_utf8_lossy(&head[..end]).into_owned())
+}
+
+/// The lines of a dictionary.
+fn entries<'a>(text: &'a str, name: &str) -> impl Iterator<Item = &'a str> {
+    let open = format!("dictionary {name} = {{");
+    let lines = text.lines().map(str::trim_start);
+    lines.skip_while(move |line| *line != open).skip(1).take_while(|line| *line != "}")
+}
+
+fn string_entry(line: &str) -> Option<(String, String)> {
+    let line = line.strip_prefix("string ")?;
+    let (key, rest) = match line.starts_with('"') {
+        true => unquoted(line)?,
+        false => line.split_once(' ').map(|(key, _)| (key.to_owned(), &line[key.len()..]))?,
+    };
+    let (value, rest) = unquoted(rest.strip_prefix(" = ")?)?;
+    rest.is_empty().then_some((key, value))
+}
+
+/// Whether the last bytes of a file are those of a whole one that this crate wrote.
+pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
+    let Some(lines) = tail.strip_suffix(b"\n") else { return false };
+    let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
+    lines[start..].starts_with(LAST_LINE.as_bytes())
+}
+
+fn key_of(key: &str) -> String {
+    let is_plain =
+        |(place, c): (usize, char)| c == '_' || c.is_ascii_alphabetic() || place > 0 && c.is_ascii_digit();
+    let is_identifier = !key.is_empty() && key.chars().enumerate().all(is_plain);
+    if is_identifier { key.to_owned() } else { quoted(key) }
+}
+
+/// A string as a value: on one line, whatever is in it.
+pub(super) fn quoted(text: &str) -> String {
+    let mut quoted = String::with_capacity(text.len() + 2);
+    quoted.push('"');
+    for c in text.chars() {
+        match c {
+            '"' | '\\' => quoted.extend(['\\', c]),
+            // The format has two digits for a byte.
+            '\0'..='\x1f' | '\x7f' => quoted += &format!("\\x{:02x}", u32::from(c)),
+            _ => quoted.push(c),
+        }
+    }
+    quoted.push('"');
+    quoted
+}
+
+/// The string that a text begins with, as [`quoted`] has it, and the rest of the text.
+fn unquoted(text: &str) -> Option<(String, &str)> {
+    let text = text.strip_prefix('"')?;
+    let (mut string, mut chars) = (String::new(), text.char_indices());
+    while let Some((at, c)) = chars.next() {
+        match c {
+            '"' => return Some((string, &text[at + 1..])),
+            '\\' => match chars.next()?.1 {
+                'x' => {
+                    let code = text.get(at + 2..at + 4)?;
+                    string.push(char::from(u8::from_str_radix(code, 16).ok()?));
+                    chars.nth(1)?;
+                }
+                c => string.push(c),
+            },
+            _ => string.push(c),
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn heads_come_back() {
+        let pair = |key: &str, value: &str| (key.to_owned(), value.to_owned());
+        let provenance = [
+            pair("generator", "meniscus 0.1.0"),
+            pair("note: odd", "a = \"b\" \\ }\r\n\t\0 def Mesh"),
+            pair("größe", "höhe ∞ \u{1F4A7}"),
+            pair("", ""),
+            pair("2", "\\x41"),
+        ];
+        for frames in [None, Some(240)] {
+            let info = LayerInfo { vertices: u64::from(u32::MAX) + 1, faces: 7, frames };
+            let text = head(&provenance, &info, UpAxis::Z, "surface", "") + "def Mesh \"surface\"\n";
+            assert_eq!(read_provenance(text.as_bytes()).expect("a head"), provenance);
+            assert_eq!(read_layer_info(text.as_bytes()).expect("a head"), Some(info));
+            for length in 0..text.len() {
+                let _ = read_provenance(&text.as_bytes()[..length]);
+            }
+        }
+        let foreign = b"#usda 1.0\n(\n    defaultPrim = \"x\"\n)\n";
+        assert_eq!(read_provenance(foreign).expect("a foreign file"), []);
+        assert_eq!(read_layer_info(foreign).expect("a foreign file"), None);
+        assert!(read_provenance(b"PXR-USDC").is_err() && read_layer_info(b"").is_err());
+    }
+}

@@ -1,0 +1,268 @@
+//! A whole shot: one mesh, whose attributes have a sample for each frame.
+//!
+//! ```text
+//!   point3f[] points.timeSamples = {
+//!       1001: [(0.5, 1, 2), ..],
+//!       1002: [..],
+//!   }
+//! ```
+//!
+//! The samples of an attribute stand together, so the frames are gone through once for each attribute; of their files,
+//! `.glb` as this crate writes them, what is asked for is read and nothing else. No more is in memory than one attribute of one
+//! frame, and its text.
+//!
+//! USD takes samples that differ in their number of vertices as they are, and holds each until the next. Programs that ask
+//! for times between frames get blends of those that happen to have as many vertices, so they should not; motion blur
+//! comes of `velocities`.
+
+use std::io::{self, Read, Seek, Write};
+
+use crate::data::Provenance;
+use crate::error::{Error, Place, Result};
+use crate::gltf::{Column, FramePlace, ShotFrame, UpAxis};
+use crate::vertex_attributes::NamesTaken;
+
+use super::FORMAT;
+use super::arrays::Elements;
+use super::head::{LAST_LINE, LayerInfo, head};
+use super::numbers::triple;
+use super::write::{RESERVED, identifier};
+
+const PRIM: &str = "surface";
+
+/// Time codes are reals of 64 bits: no integers beyond this are told apart.
+const CODE_MAX: u64 = 1 << 53;
+
+/// Writes a shot of frames, whose codes must increase: they are the time codes. `open` opens the file of a frame, by its
+/// index. Returns what a user should know of attributes that not all frames have alike, and which are left out.
+///
+/// # Errors
+///
+/// [`Error::Io`] if a file cannot be read or `out` fails; [`Error::Invalid`] for documents that are damaged, codes that do not
+/// increase, and frames that differ in which axis is up; [`Error::Unsupported`] for codes beyond 2⁵³.
+pub fn write_sequence<R: Read + Seek>(
+    frames: &[ShotFrame],
+    fps: f64,
+    provenance: &Provenance,
+    open: impl Fn(usize) -> io::Result<R>,
+    out: &mut impl Write,
+) -> Result<Vec<String>> {
+    let shot = Shot::of(frames)?;
+    let (mut vertices, mut faces) = (0, 0);
+    for frame in frames {
+        vertices += frame.file.vertex_count() as u64;
+        faces += frame.file.triangle_count()? as u64;
+    }
+    let codes = [frames.first(), frames.last()].map(|frame| frame.map_or(0, |frame| frame.code));
+    let info = LayerInfo { vertices, faces, frames: Some(frames.len() as u64) };
+    let (end, start) =
+        (format!("    endTimeCode = {}\n", codes[1]), format!("    startTimeCode = {}\n", codes[0]));
+    let times = format!("{end}    framesPerSecond = {fps}\n{start}    timeCodesPerSecond = {fps}\n");
+    let (attributes, notes) = shot.attributes()?;
+    write!(out, "{}def Mesh \"{PRIM}\"\n{{\n", head(provenance, &info, shot.up, PRIM, &times))?;
+
+    shot.write_extents(out)?;
+    shot.write_samples("int[] faceVertexCounts", "", out, |index, _| {
+        let triangles = vec![[0; 3]; frames[index].file.triangle_count()?];
+        Ok(Elements::FaceCounts { triangles: &triangles, quads: &[] }.texts())
+    })?;
+    shot.write_samples("int[] faceVertexIndices", "", out, |index, _| {
+        let triangles = frames[index].file.read_triangles(&mut open(index)?)?;
+        Ok(Elements::FaceCorners { triangles: &triangles, quads: &[] }.texts())
+    })?;
+    out.write_all(b"    uniform token orientation = \"rightHanded\"\n")?;
+    for attribute in &attributes {
+        let Attribute { semantic, name, first, arity, about } = attribute;
+        shot.write_samples(name, about, out, |index, place| {
+            let frame = &frames[index].file;
+            let Some(column) = frame.column(semantic)? else { return Ok(Vec::new()) };
+            let scale = if semantic == POSITION { place.scale } else { 1.0 };
+            let values = frame.read_column(&column, scale, &mut open(index)?)?;
+            let (stride, first, arity) = (column.arity, *first, *arity);
+            Ok(Elements::Reals { values: &values, stride, first, arity }.texts())
+        })?;
+    }
+    out.write_all(b"    uniform token subdivisionScheme = \"none\"\n")?;
+    shot.write_origins(out)?;
+    let count = frames.len();
+    write!(out, "}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces\n")?;
+    Ok(notes)
+}
+
+const POSITION: &str = "POSITION";
+
+/// The frames, and where each lies; `None` of those without a mesh.
+struct Shot<'a> {
+    frames: &'a [ShotFrame],
+    places: Vec<Option<FramePlace>>,
+    up: UpAxis,
+}
+
+/// What is written of the vertices.
+struct Attribute {
+    /// Its name in the frames.
+    semantic: String,
+    /// Its type and name here.
+    name: String,
+    /// Which of its numbers: so many from this on.
+    first: usize,
+    arity: usize,
+    about: String,
+}
+
+const OF_VERTICES: &str = "        interpolation = \"vertex\"\n";
+
+impl<'a> Shot<'a> {
+    fn of(frames: &'a [ShotFrame]) -> Result<Shot<'a>> {
+        let invalid = |what: String| Error::invalid(FORMAT, Place::File, what);
+        if let Some(pair) = frames.windows(2).find(|pair| pair[1].code <= pair[0].code) {
+            let [a, b] = [0, 1].map(|index| (&pair[index].name, pair[index].code));
+            return Err(invalid(format!("{} and {} have the time codes {} and {}", a.0, b.0, a.1, b.1)));
+        }
+        if let Some(ShotFrame { name, code, .. }) = frames.last().filter(|frame| frame.code > CODE_MAX) {
+            let what = format!("{name} has the number {code}, and time codes end at {CODE_MAX}");
+            return Err(Error::unsupported(FORMAT, what));
+        }
+        let place = |frame: &ShotFrame| frame.file.has_mesh().then(|| frame.file.place()).transpose();
+        let places: Vec<Option<FramePlace>> = frames.iter().map(place).collect::<Result<_>>()?;
+        let mut ups = places.iter().flatten().map(|place| place.up);
+        let up = ups.next().unwrap_or_default();
+        match ups.all(|other| other == up) {
+            true => Ok(Shot { frames, places, up }),
+            false => Err(invalid("frames of which some have y up and some z".to_owned())),
+        }
+    }
+
+    /// What all frames with a mesh have, and what of the rest is left out.
+    fn attributes(&self) -> Result<(Vec<Attribute>, Vec<String>)> {
+        let files = || self.frames.iter().map(|frame| &frame.file).filter(|file| file.has_mesh());
+        let attribute = |semantic: &str, name: &str, first, arity, about: &str| Attribute {
+            semantic: semantic.to_owned(),
+            name: name.to_owned(),
+            first,
+            arity,
+            about: about.to_owned(),
+        };
+        let mut found = vec![
+            attribute("NORMAL", "normal3f[] normals", 0, 3, OF_VERTICES),
+            attribute(POSITION, "point3f[] points", 0, 3, ""),
+        ];
+        let mut names: Vec<&String> = Vec::new();
+        for file in files() {
+            names.extend(file.attributes()?.keys());
+        }
+        names.sort();
+        names.dedup();
+        names.retain(|name| !["NORMAL", POSITION].contains(&name.as_str()));
+        let (mut notes, mut taken) = (Vec::new(), NamesTaken::new(&RESERVED));
+        for name in names {
+            if files().any(|file| file.is_of_strings(name)) {
+                notes.push(format!(
+                    "{name} is not in the shot: its values are strings, of which frames have their own"
+                ));
+                continue;
+            }
+            let columns: Vec<Option<Column>> =
+                files().map(|file| file.column(name)).collect::<Result<_>>()?;
+            let arities: Option<Vec<usize>> = columns.iter().map(|column| Some((*column)?.arity)).collect();
+            let arity =
+                arities.and_then(|arities| arities.iter().all(|a| *a == arities[0]).then_some(arities[0]));
+            let Some(arity) = arity else {
+                notes.push(format!(
+                    "{name} is not in the shot: not all frames have it, with as many numbers to a vertex"
+                ));
+                continue;
+            };
+            match (name.as_str(), arity) {
+                ("_VELOCITY", 3) => found.push(attribute(name, "vector3f[] velocities", 0, 3, "")),
+                ("COLOR_0", 3 | 4) => {
+                    found.push(attribute(name, "color3f[] primvars:displayColor", 0, 3, OF_VERTICES));
+                    let opacity = attribute(name, "float[] primvars:displayOpacity", 3, 1, OF_VERTICES);
+                    found.extend((arity == 4).then_some(opacity));
+                }
+                _ => {
+                    let kind = if arity == 1 { "float".to_owned() } else { format!("float{arity}") };
+                    // In the frames names have an underscore before them and are written large.
+                    let wanted = identifier(name.strip_prefix('_').unwrap_or(name)).to_ascii_lowercase();
+                    let plain = taken.take(&wanted, |stem| vec![stem.to_owned()]).concat();
+                    if plain != wanted {
+                        notes.push(format!("{name} is called primvars:{plain} in the shot"));
+                    }
+                    let property = format!("{kind}[] primvars:{plain}");
+                    found.push(attribute(name, &property, 0, arity, OF_VERTICES));
+                }
+            }
+        }
+        Ok((found, notes))
+    }
+
+    /// An array with a sample for each frame, whose text `texts` makes; nothing of a frame without a mesh.
+    fn write_samples(
+        &self,
+        name: &str,
+        about: &str,
+        out: &mut impl Write,
+        texts: impl Fn(usize, &FramePlace) -> Result<Vec<Vec<u8>>>,
+    ) -> Result<()> {
+        if !about.is_empty() {
+            write!(out, "    {name} (\n{about}    )\n")?;
+        }
+        writeln!(out, "    {name}.timeSamples = {{")?;
+        for (index, frame) in self.frames.iter().enumerate() {
+            write!(out, "        {}: [", frame.code)?;
+            if let Some(place) = &self.places[index] {
+                for text in texts(index, place)? {
+                    out.write_all(&text)?;
+                }
+            }
+            out.write_all(b"],\n")?;
+        }
+        out.write_all(b"    }\n")?;
+        Ok(())
+    }
+
+    /// A line for each frame; and one before the next, where some are missing between them, for USD moves what has the same form
+    /// from one sample to the next.
+    fn write_lines(
+        &self,
+        name: &str,
+        out: &mut impl Write,
+        line: impl Fn(usize) -> Result<String>,
+    ) -> Result<()> {
+        writeln!(out, "    {name}.timeSamples = {{")?;
+        for (index, frame) in self.frames.iter().enumerate() {
+            let line = line(index)?;
+            writeln!(out, "        {}: {line},", frame.code)?;
+            let held = self.frames.get(index + 1).map(|next| next.code - 1).filter(|&held| held > frame.code);
+            held.map(|held| writeln!(out, "        {held}: {line},")).transpose()?;
+        }
+        out.write_all(b"    }\n")?;
+        Ok(())
+    }
+
+    fn write_extents(&self, out: &mut impl Write) -> Result<()> {
+        self.write_lines("float3[] extent", out, |index| {
+            let scale = self.places[index].map_or(0.0, |place| place.scale);
+            let [low, high] = self.frames[index].file.bounds()?.map(|corner| {
+                #[expect(clippy::cast_possible_truncation, reason = "positions have 32 bits")]
+                corner.map(|x| (x * scale) as f32)
+            });
+            Ok(format!("[{}, {}]", triple(low), triple(high)))
+        })
+    }
+
+    /// Where the frames lie, if any lies elsewhere than at the origin.
+    fn write_origins(&self, out: &mut impl Write) -> Result<()> {
+        // A frame without a mesh stays where the one before it was.
+        let origin = |index: usize| {
+            let place = self.places[..=index].iter().rev().flatten().next();
+            place.map_or([0.0; 3], |place| place.origin)
+        };
+        if (0..self.frames.len()).all(|index| origin(index) == [0.0; 3]) {
+            return Ok(());
+        }
+        self.write_lines("double3 xformOp:translate", out, |index| Ok(triple(origin(index))))?;
+        out.write_all(b"    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n")?;
+        Ok(())
+    }
+}

@@ -1,0 +1,299 @@
+//! Writes the mesh of one frame.
+//!
+//! ```text
+//!   batch 0: head │ batch 1: points .. │ batch 2: points .. normals .. │ .. last line
+//!                            └───┴ a task each
+//! ```
+//!
+//! As of other text, any batch can be had by itself, so that whoever writes need not hold the text of all. Where the
+//! mesh lies is said by a translation of 64 bits, and which axis is up by the layer: vertices are written as they are.
+//!
+//! ```text
+//!   velocity   velocities, by which renderers blur motion     colour     primvars:displayColor, displayOpacity
+//!   others     primvars:name, vectors of up to four           integers   int, or int64 where one needs it
+//!   strings    primvars:name, a string for each distinct one, and primvars:name:indices
+//! ```
+
+use std::io::Write;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use crate::data::{MeshView, Provenance};
+use crate::error::Result;
+use crate::gltf::UpAxis;
+use crate::quads::{check_quads, quad_count};
+use crate::vertex_attributes::{NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes};
+
+use super::FORMAT;
+use super::arrays::Elements;
+use super::head::{LAST_LINE, LayerInfo, head, quoted};
+use super::numbers::triple;
+
+/// Tasks whose text is held at once.
+const TASKS_AT_ONCE: usize = 64;
+
+/// The widest vector that has a type.
+const TUPLE_MAX: usize = 4;
+
+/// How to write a mesh.
+#[derive(Clone, Debug)]
+pub struct WriteOptions {
+    /// Which axis of the mesh points up.
+    pub up: UpAxis,
+    /// The name of the prim: letters, digits and underscores.
+    pub name: String,
+    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
+    /// are triangles.
+    pub quads: Arc<[bool]>,
+}
+
+impl Default for WriteOptions {
+    fn default() -> WriteOptions {
+        WriteOptions { up: UpAxis::Y, name: "surface".into(), quads: Arc::default() }
+    }
+}
+
+/// Writes a layer with one mesh.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite, or if what
+/// should be a quad is none.
+pub fn write(
+    mesh: &MeshView,
+    options: &WriteOptions,
+    provenance: &Provenance,
+    out: &mut impl Write,
+) -> Result<()> {
+    for index in 0..batch_count(mesh, options) {
+        for text in encode_batch(mesh, options, provenance, index)? {
+            out.write_all(&text)?;
+        }
+    }
+    Ok(())
+}
+
+/// The batches that the text of a mesh is divided into.
+pub fn batch_count(mesh: &MeshView, options: &WriteOptions) -> usize {
+    1 + tasks(&sections(mesh, options)).len().div_ceil(TASKS_AT_ONCE)
+}
+
+/// The texts of a batch, to be written one after the other: some 20 MB in all. They are made in the pool of the
+/// caller.
+///
+/// # Errors
+///
+/// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
+/// is none; there is no use in the others then.
+pub fn encode_batch(
+    mesh: &MeshView,
+    options: &WriteOptions,
+    provenance: &Provenance,
+    index: usize,
+) -> Result<Vec<Vec<u8>>> {
+    let vertices = mesh.positions.len() as u64;
+    let faces = (mesh.triangles.len() - quad_count(&options.quads).min(mesh.triangles.len())) as u64;
+    let Some(index) = index.checked_sub(1) else {
+        mesh.check(FORMAT)?;
+        check_quads(FORMAT, mesh.triangles, &options.quads)?;
+        let info = LayerInfo { vertices, faces, frames: None };
+        let name = plain_name(&options.name);
+        let head = head(provenance, &info, options.up, &name, "");
+        return Ok(vec![format!("{head}def Mesh \"{name}\"\n{{\n").into_bytes()]);
+    };
+    let sections = sections(mesh, options);
+    let tasks = tasks(&sections);
+    let first = index.saturating_mul(TASKS_AT_ONCE).min(tasks.len());
+    let end = (first + TASKS_AT_ONCE).min(tasks.len());
+    let mut texts: Vec<Vec<u8>> = tasks[first..end].par_iter().map(|task| task.text(&sections)).collect();
+    if end == tasks.len() {
+        texts.push(format!("}}\n\n{LAST_LINE}{vertices} vertices, {faces} faces\n").into_bytes());
+    }
+    Ok(texts)
+}
+
+/// A property of the prim.
+struct Section<'a> {
+    open: String,
+    elements: Option<Elements<'a>>,
+    close: String,
+}
+
+impl<'a> Section<'a> {
+    /// A property that is one line.
+    fn line(text: String) -> Section<'a> {
+        Section { open: format!("    {text}\n"), elements: None, close: String::new() }
+    }
+
+    /// A property with a value for each vertex or face.
+    fn array(name: &str, elements: Elements<'a>, about: &str) -> Section<'a> {
+        let about = if about.is_empty() { String::new() } else { format!(" (\n{about}    )") };
+        Section { open: format!("    {name} = ["), elements: Some(elements), close: format!("]{about}\n") }
+    }
+}
+
+/// A run of elements of a section.
+struct Task {
+    section: usize,
+    run: usize,
+    is_last: bool,
+}
+
+impl Task {
+    fn text(&self, sections: &[Section]) -> Vec<u8> {
+        let Section { open, elements, close } = &sections[self.section];
+        let mut text = if self.run == 0 { open.clone().into_bytes() } else { Vec::new() };
+        if let Some(elements) = elements {
+            text.append(&mut elements.text_of(self.run));
+        }
+        if self.is_last {
+            text.extend_from_slice(close.as_bytes());
+        }
+        text
+    }
+}
+
+fn tasks(sections: &[Section]) -> Vec<Task> {
+    let runs_of = |(section, Section { elements, .. }): (usize, &Section)| {
+        let count = elements.map_or(1, |elements| elements.task_count().max(1));
+        (0..count).map(move |run| Task { section, run, is_last: run + 1 == count })
+    };
+    sections.iter().enumerate().flat_map(runs_of).collect()
+}
+
+const OF_VERTICES: &str = "        interpolation = \"vertex\"\n";
+
+fn sections<'a>(mesh: &MeshView<'a>, options: &'a WriteOptions) -> Vec<Section<'a>> {
+    let (triangles, quads) = (mesh.triangles, &*options.quads);
+    let mut sections = Vec::new();
+    if let Some([low, high]) = extent(mesh) {
+        sections.push(Section::line(format!("float3[] extent = [{}, {}]", triple(low), triple(high))));
+    }
+    sections.extend([
+        Section::array("int[] faceVertexCounts", Elements::FaceCounts { triangles, quads }, ""),
+        Section::array("int[] faceVertexIndices", Elements::FaceCorners { triangles, quads }, ""),
+        Section::array("normal3f[] normals", Elements::reals(mesh.normals.as_flattened(), 3), OF_VERTICES),
+        Section::line("uniform token orientation = \"rightHanded\"".to_owned()),
+        Section::array("point3f[] points", Elements::reals(mesh.positions.as_flattened(), 3), ""),
+    ]);
+    for (attribute, place) in mesh.attributes.iter().zip(places(mesh.attributes)) {
+        sections.extend(of_attribute(attribute, &place));
+    }
+    sections.push(Section::line("uniform token subdivisionScheme = \"none\"".to_owned()));
+    if mesh.origin != [0.0; 3] {
+        sections.push(Section::line(format!("double3 xformOp:translate = {}", triple(mesh.origin))));
+        sections.push(Section::line("uniform token[] xformOpOrder = [\"xformOp:translate\"]".to_owned()));
+    }
+    sections
+}
+
+/// Least and greatest corner; `None` where there are no vertices.
+fn extent(mesh: &MeshView) -> Option<[[f32; 3]; 2]> {
+    let first = *mesh.positions.first()?;
+    Some(mesh.positions.iter().fold([first, first], |[low, high], position| {
+        [
+            std::array::from_fn(|axis| low[axis].min(position[axis])),
+            std::array::from_fn(|axis| high[axis].max(position[axis])),
+        ]
+    }))
+}
+
+/// Where an attribute goes.
+enum Place {
+    Velocities,
+    Color,
+    Primvar(String),
+}
+
+/// Names that mean something to whoever renders.
+pub(super) const RESERVED: [&str; 3] = ["displayColor", "displayOpacity", "normals"];
+
+/// The place of each attribute.
+fn places(attributes: &[VertexAttribute]) -> Vec<Place> {
+    let mut taken = NamesTaken::new(&RESERVED);
+    let place = |(attribute, purpose): (&VertexAttribute, Purpose)| match purpose {
+        Purpose::Velocity => Place::Velocities,
+        Purpose::Color(_) => Place::Color,
+        Purpose::Other => {
+            Place::Primvar(taken.take(&identifier(attribute.name), |stem| vec![stem.to_owned()]).concat())
+        }
+    };
+    attributes.iter().zip(purposes(attributes)).map(place).collect()
+}
+
+/// A name as the format takes it.
+pub(super) fn identifier(name: &str) -> String {
+    let plain = plain_name(name);
+    if plain.starts_with(|c: char| c.is_ascii_digit()) { format!("_{plain}") } else { plain }
+}
+
+/// What becomes of vertex attributes that a .usda does not hold under their own name; nothing where all do.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let renamed = attributes.iter().zip(places(attributes)).filter_map(|(attribute, place)| match place {
+        Place::Primvar(name) if name != attribute.name => {
+            Some(format!("{} is called primvars:{name} in the .usda", attribute.name))
+        }
+        _ => None,
+    });
+    renamed.collect()
+}
+
+fn of_attribute<'a>(attribute: &VertexAttribute<'a>, place: &Place) -> Vec<Section<'a>> {
+    let arity = attribute.arity;
+    match (place, attribute.values) {
+        (Place::Velocities, VertexValues::Numbers(values)) => {
+            vec![Section::array("vector3f[] velocities", Elements::reals(values, 3), "")]
+        }
+        (Place::Color, VertexValues::Numbers(values)) => {
+            let part = |first, arity| Elements::Reals { values, stride: attribute.arity, first, arity };
+            let mut sections =
+                vec![Section::array("color3f[] primvars:displayColor", part(0, 3), OF_VERTICES)];
+            if arity == 4 {
+                sections.push(Section::array("float[] primvars:displayOpacity", part(3, 1), OF_VERTICES));
+            }
+            sections
+        }
+        (Place::Primvar(name), VertexValues::Strings { table, indices }) => {
+            strings(name, arity, table, indices)
+        }
+        (Place::Primvar(name), VertexValues::Integers(values)) => {
+            let is_narrow = values.iter().all(|&value| i32::try_from(value).is_ok());
+            let width = if is_narrow && arity <= TUPLE_MAX { arity } else { 1 };
+            let kind = if is_narrow { vector("int", width) } else { "int64".to_owned() };
+            vec![primvar(&kind, name, Elements::Integers { values, arity: width }, arity / width)]
+        }
+        (Place::Primvar(name), VertexValues::Numbers(values)) => {
+            let width = if arity <= TUPLE_MAX { arity } else { 1 };
+            vec![primvar(&vector("float", width), name, Elements::reals(values, width), arity / width)]
+        }
+        // Velocities and colours are numbers: that is how they are told.
+        (Place::Velocities | Place::Color, _) => Vec::new(),
+    }
+}
+
+fn vector(kind: &str, width: usize) -> String {
+    if width == 1 { kind.to_owned() } else { format!("{kind}{width}") }
+}
+
+/// A value for each vertex that is `element_size` of the array's.
+fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usize) -> Section<'a> {
+    Section::array(&format!("{kind}[] primvars:{name}"), elements, &about(element_size))
+}
+
+fn about(element_size: usize) -> String {
+    match element_size {
+        1 => OF_VERTICES.to_owned(),
+        size => format!("        elementSize = {size}\n{OF_VERTICES}"),
+    }
+}
+
+/// Each distinct string once, the empty one behind them for none; and the index of each value.
+fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]) -> Vec<Section<'a>> {
+    let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
+    let (values, about) = (distinct.join(", "), about(arity));
+    vec![
+        Section::line(format!("string[] primvars:{name} = [{values}] (\n{about}    )")),
+        Section::array(&format!("int[] primvars:{name}:indices"), Elements::Strings { table, indices }, ""),
+    ]
+}

@@ -1,0 +1,239 @@
+//! A `.vtp` as it is written: what stands before the data, and the arrays that are appended, one after the other.
+//!
+//! ```text
+//!   <VTKFile type="PolyData" byte_order="LittleEndian" header_type="UInt64">
+//!     <PolyData>
+//!       <FieldData>  <Array type="String" Name="meniscus_radius" ..> 48 46 .. 0 </Array>    what made it; tables of strings
+//!       <Piece NumberOfPoints="642" ..>
+//!         <PointData> <DataArray Name="v" offset="0"/>      ┐
+//!         <Points>    <DataArray Name="Points" offset=../>  ├ in this order below
+//!         <Polys>     or <Verts>: connectivity, offsets     ┘
+//!     <AppendedData encoding="raw"> _ [bytes] data  [bytes] data ..
+//! ```
+//!
+//! Strings in XML files of VTK are the codes of their bytes, each string with a zero behind it. Whatever is large is
+//! appended as it is in memory.
+
+use std::io::Write;
+
+use crate::data::Provenance;
+use crate::error::Result;
+use crate::provenance::{GENERATOR, prefixed};
+use crate::vertex_attributes::NamesTaken;
+
+/// What the file ends with.
+const END: &str = "\n  </AppendedData>\n</VTKFile>\n";
+
+/// Whether the last bytes of a file are those of a whole one that this crate made.
+pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
+    tail.ends_with(END.as_bytes())
+}
+
+/// What an array holds.
+pub(super) trait Numbers {
+    /// The type of a number.
+    fn kind(&self) -> NumberKind;
+
+    /// All numbers of it.
+    fn count(&self) -> u64;
+
+    /// The strings that the numbers are indices into.
+    fn table(&self) -> Option<&[String]>;
+
+    fn write(&self, out: &mut impl Write) -> Result<()>;
+}
+
+/// What VTK calls a type of numbers, and the bytes that one takes.
+pub(super) struct NumberKind(&'static str, u64);
+
+pub(super) const UINT_8: NumberKind = NumberKind("UInt8", 1);
+pub(super) const INT_32: NumberKind = NumberKind("Int32", 4);
+pub(super) const INT_64: NumberKind = NumberKind("Int64", 8);
+pub(super) const FLOAT_32: NumberKind = NumberKind("Float32", 4);
+pub(super) const FLOAT_64: NumberKind = NumberKind("Float64", 8);
+
+/// An array that is appended.
+pub(super) struct Array<N> {
+    name: String,
+    /// Numbers that belong together.
+    arity: usize,
+    numbers: N,
+}
+
+impl<N: Numbers> Array<N> {
+    pub(super) fn new(name: impl Into<String>, arity: usize, numbers: N) -> Array<N> {
+        Array { name: name.into(), arity, numbers }
+    }
+
+    fn size_bytes(&self) -> u64 {
+        let NumberKind(_, number_bytes) = self.numbers.kind();
+        self.numbers.count() * number_bytes
+    }
+}
+
+/// What cells are made of the points.
+pub(super) enum Cells {
+    Verts,
+    Polys,
+}
+
+/// All that a file holds.
+pub(super) struct Document<N> {
+    /// The array that has the normals, if one has.
+    pub(super) normals: Option<&'static str>,
+    /// Those with values for each point.
+    pub(super) of_points: Vec<Array<N>>,
+    pub(super) point_count: usize,
+    pub(super) points: N,
+    pub(super) cells: Cells,
+    pub(super) cell_count: usize,
+    /// The points of all cells, one cell after the other.
+    pub(super) connectivity: N,
+    /// Where in these each cell ends.
+    pub(super) offsets: N,
+}
+
+/// Bytes of the number before each array.
+const WORD_BYTES: u64 = 8;
+
+impl<N: Numbers> Document<N> {
+    pub(super) fn write(self, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
+        let parts = self.into_parts();
+        out.write_all(parts.head(provenance).as_bytes())?;
+        for array in &parts.arrays {
+            out.write_all(&array.size_bytes().to_le_bytes())?;
+            array.numbers.write(out)?;
+        }
+        out.write_all(END.as_bytes())?;
+        Ok(())
+    }
+
+    fn into_parts(self) -> Parts<N> {
+        let mut arrays = self.of_points;
+        let normals = self.normals.map(|name| format!(" Normals=\"{name}\"")).unwrap_or_default();
+        let (cells, vert_count, poly_count) = match self.cells {
+            Cells::Verts => ("Verts", self.cell_count, 0),
+            Cells::Polys => ("Polys", 0, self.cell_count),
+        };
+        let sections = [
+            Section { name: "PointData", about: normals, array_count: arrays.len() },
+            Section { name: "Points", about: String::new(), array_count: 1 },
+            Section { name: cells, about: String::new(), array_count: 2 },
+        ];
+        arrays.extend([
+            Array::new("Points", 3, self.points),
+            Array::new("connectivity", 1, self.connectivity),
+            Array::new("offsets", 1, self.offsets),
+        ]);
+        Parts { counts: [self.point_count, vert_count, poly_count], sections, arrays }
+    }
+}
+
+/// A file as it is laid out.
+struct Parts<N> {
+    /// Points, vertices that are cells, and polygons.
+    counts: [usize; 3],
+    /// Each with the next of the arrays.
+    sections: [Section; 3],
+    arrays: Vec<Array<N>>,
+}
+
+struct Section {
+    name: &'static str,
+    /// More of its tag.
+    about: String,
+    array_count: usize,
+}
+
+impl<N: Numbers> Parts<N> {
+    /// All that stands before the data.
+    fn head(&self, provenance: &Provenance) -> String {
+        let [points, verts, polys] = self.counts;
+        let mut text = format!(
+            "<?xml version=\"1.0\"?>\n<!-- {GENERATOR} -->\n<VTKFile type=\"PolyData\" version=\"1.0\" \
+             byte_order=\"LittleEndian\" header_type=\"UInt64\">\n  <PolyData>\n    <FieldData>\n{}    </FieldData>\n    \
+             <Piece NumberOfPoints=\"{points}\" NumberOfVerts=\"{verts}\" NumberOfLines=\"0\" NumberOfStrips=\"0\" \
+             NumberOfPolys=\"{polys}\">\n",
+            self.field_data(provenance)
+        );
+        let (mut offset, mut arrays) = (0, self.arrays.iter());
+        for Section { name, about, array_count } in &self.sections {
+            text += &format!("      <{name}{about}>\n");
+            for array in arrays.by_ref().take(*array_count) {
+                let (NumberKind(kind, _), of, arity) =
+                    (array.numbers.kind(), escaped(&array.name), array.arity);
+                text += &format!(
+                    "        <DataArray type=\"{kind}\" Name=\"{of}\" NumberOfComponents=\"{arity}\" \
+                     format=\"appended\" offset=\"{offset}\"/>\n"
+                );
+                offset += WORD_BYTES + array.size_bytes();
+            }
+            text += &format!("      </{name}>\n");
+        }
+        text + "    </Piece>\n  </PolyData>\n  <AppendedData encoding=\"raw\">\n   _"
+    }
+
+    /// What made the file, and the strings that values are indices into.
+    fn field_data(&self, provenance: &Provenance) -> String {
+        let pairs = provenance.iter().map(|(key, value)| string_array(&prefixed(key), &[value]));
+        let table = |array: &Array<N>| {
+            let table = array.numbers.table()?;
+            Some(string_array(&format!("{} strings", array.name), table))
+        };
+        pairs.chain(self.arrays.iter().filter_map(table)).collect()
+    }
+}
+
+/// An array of strings, in the form that VTK has for them.
+fn string_array(name: &str, strings: &[impl AsRef<str>]) -> String {
+    let mut text = format!(
+        "      <Array type=\"String\" Name=\"{}\" NumberOfTuples=\"{}\" format=\"ascii\">\n       ",
+        escaped(&allowed(name)),
+        strings.len()
+    );
+    for string in strings {
+        // A zero within would be taken for the end.
+        for byte in string.as_ref().bytes().filter(|&byte| byte != 0).chain([0]) {
+            text += &format!(" {byte}");
+        }
+    }
+    text + "\n      </Array>\n"
+}
+
+/// The name of each array in the file: its own, unless XML has no such characters or another one, or one of those reserved,
+/// is called so.
+pub(super) fn names_of<'a>(names: impl Iterator<Item = &'a str>, reserved: &[&str]) -> Vec<String> {
+    let mut taken = NamesTaken::new(reserved);
+    names.map(|name| taken.take(&allowed(name), |stem| vec![stem.to_owned()]).concat()).collect()
+}
+
+/// A name with an underscore for each character that XML 1.0 does not allow, not even escaped, and for the others that control
+/// something.
+fn allowed(name: &str) -> String {
+    name.replace(|c: char| c.is_control() || matches!(c, '\u{fffe}' | '\u{ffff}'), "_")
+}
+
+/// Text as the value of an attribute of XML.
+fn escaped(text: &str) -> String {
+    quick_xml::escape::escape(text).into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_have_characters_of_xml_only() {
+        let cases = [
+            ("heat", "heat"),
+            ("a\u{fffe}b\u{ffff}", "a_b_"),
+            ("\0\t\n\u{1f}\u{7f}\u{85}", "______"),
+            ("größe <\u{fffd}\u{e000}\u{10ffff}>", "größe <\u{fffd}\u{e000}\u{10ffff}>"),
+        ];
+        for (name, expected) in cases {
+            assert_eq!(names_of([name].into_iter(), &[]), [expected]);
+            assert!(string_array(name, &[""]).contains(&format!("Name=\"{}\"", escaped(expected))));
+        }
+        assert_eq!(names_of(["a", "b", "A", "B"].into_iter(), &["b"]), ["a", "b_2", "A_2", "B_3"]);
+    }
+}

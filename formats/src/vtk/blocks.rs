@@ -1,0 +1,237 @@
+//! The bytes of an array: behind a header that says how many there are, in blocks that may be packed, and perhaps
+//! in the letters of base64.
+//!
+//! ```text
+//!   not packed   [bytes] data
+//!   packed       [blocks] [block size] [size of the last, or 0] [packed size] × blocks   block block ..
+//!
+//!   base64       not packed: header and data in one run of letters; packed: a run for the header, one for the data
+//! ```
+//!
+//! Numbers in the header have 32 or 64 bits. A block is a zlib stream, an LZ4 block without a frame, or an .xz file.
+
+use std::borrow::Cow;
+use std::io::Read;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
+use crate::bytes::{Cursor, Endian};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+
+use super::XML;
+
+/// How all arrays of a file are encoded.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Encoding {
+    pub(super) endian: Endian,
+    /// Bytes of the numbers in headers.
+    pub(super) header_word_bytes: usize,
+    pub(super) packing: Option<Packing>,
+}
+
+/// What blocks are packed with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Packing {
+    Zlib,
+    Lz4,
+    Lzma,
+}
+
+/// Where the bytes of an array begin, and what is there.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Encoded<'a> {
+    /// All that follows, of this array and of others.
+    pub(super) bytes: &'a [u8],
+    pub(super) is_base64: bool,
+    /// Where that is in the file.
+    pub(super) offset: u64,
+}
+
+/// What all arrays of a file have taken so far. Arrays that lie over each other would make much of little.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Account {
+    encoded_bytes: u64,
+    bytes: u64,
+    file_bytes: u64,
+}
+
+impl Account {
+    /// Nothing yet, of a file of so many bytes.
+    pub(super) fn of(file_bytes: u64) -> Account {
+        Account { encoded_bytes: 0, bytes: 0, file_bytes }
+    }
+
+    /// Adds an array, before it is decoded.
+    fn take(&mut self, encoded_bytes: u64, bytes: u64, name: &str, limits: &Limits) -> Result<()> {
+        self.encoded_bytes = self.encoded_bytes.saturating_add(encoded_bytes);
+        self.bytes = self.bytes.saturating_add(bytes);
+        if self.encoded_bytes > self.file_bytes {
+            let what = format!("`{name}`: the arrays up to this one have more bytes than the file");
+            return Err(Error::invalid(XML, Place::File, what));
+        }
+        limits.check_unpacked(XML, self.bytes, self.encoded_bytes)
+    }
+}
+
+/// Kilobytes that a decoder of LZMA may take: the largest window that its levels have.
+const LZMA_MEMORY_KB: u32 = (64 << 10) + 256;
+
+/// A byte of LZ4 makes no more of these.
+const LZ4_RATIO_MAX: u64 = 255;
+
+/// The bytes of the array called `name`.
+pub(super) fn decode<'a>(
+    encoded: Encoded<'a>,
+    encoding: Encoding,
+    name: &str,
+    account: &mut Account,
+    limits: &Limits,
+) -> Result<Cow<'a, [u8]>> {
+    match encoding.packing {
+        None => decode_plain(encoded, encoding, name, account, limits),
+        Some(packing) => decode_blocks(encoded, encoding, packing, name, account, limits).map(Cow::Owned),
+    }
+}
+
+fn decode_plain<'a>(
+    encoded: Encoded<'a>,
+    encoding: Encoding,
+    name: &str,
+    account: &mut Account,
+    limits: &Limits,
+) -> Result<Cow<'a, [u8]>> {
+    let word_bytes = encoding.header_word_bytes;
+    let header = encoded.take(0, word_bytes, name)?;
+    let length = words(&header, encoding)[0];
+    account.take(length, length, name, limits)?;
+    if !encoded.is_base64 {
+        let data = usize::try_from(length).ok().and_then(|length| encoded.bytes[word_bytes..].get(..length));
+        let remain = encoded.bytes.len() - word_bytes;
+        return data.map(Cow::Borrowed).ok_or_else(|| encoded.too_few(length, remain, name));
+    }
+    let length = usize::try_from(length).unwrap_or(usize::MAX);
+    let header_letters = letters_of(word_bytes);
+    // Some writers encode the header by itself: then its run is padded.
+    let padding = &b"=="[..header_letters / 4 * 3 - word_bytes];
+    if length != 0 && encoded.bytes.get(..header_letters).is_some_and(|run| run.ends_with(padding)) {
+        return encoded.take(header_letters, length, name);
+    }
+    let mut all = encoded.take(0, length.saturating_add(word_bytes), name)?.into_owned();
+    all.drain(..word_bytes);
+    Ok(Cow::Owned(all))
+}
+
+fn decode_blocks(
+    encoded: Encoded,
+    encoding: Encoding,
+    packing: Packing,
+    name: &str,
+    account: &mut Account,
+    limits: &Limits,
+) -> Result<Vec<u8>> {
+    let word_bytes = encoding.header_word_bytes;
+    let first = words(&encoded.take(0, 3 * word_bytes, name)?, encoding);
+    let (block_count, block_bytes, last_bytes) = (first[0], first[1], first[2]);
+    if last_bytes > block_bytes {
+        let what = format!("`{name}`: the last block has {last_bytes} bytes, all others {block_bytes}");
+        return Err(Error::invalid(XML, Place::Offset(encoded.offset), what));
+    }
+    let header_bytes = usize::try_from(block_count)
+        .ok()
+        .and_then(|count| count.checked_add(3)?.checked_mul(word_bytes))
+        .filter(|&bytes| bytes <= encoded.bytes.len())
+        .ok_or_else(|| encoded.too_few(block_count, encoded.bytes.len(), name))?;
+    let packed_sizes = words(&encoded.take(0, header_bytes, name)?, encoding).split_off(3);
+
+    let packed_bytes = packed_sizes.iter().fold(0u64, |sum, &size| sum.saturating_add(size));
+    let data_at = if encoded.is_base64 { letters_of(header_bytes) } else { header_bytes };
+    let data = encoded.take(data_at, usize::try_from(packed_bytes).unwrap_or(usize::MAX), name)?;
+    let missing_bytes = if last_bytes == 0 { 0 } else { block_bytes.saturating_sub(last_bytes) };
+    let bytes = block_count.saturating_mul(block_bytes).saturating_sub(missing_bytes);
+    account.take(packed_bytes, bytes, name, limits)?;
+
+    let mut unpacked = Vec::new();
+    let mut rest = &data[..];
+    for (index, &size) in packed_sizes.iter().enumerate() {
+        let is_last = index + 1 == packed_sizes.len() && last_bytes != 0;
+        let length = if is_last { last_bytes } else { block_bytes };
+        let (block, after) =
+            rest.split_at_checked(usize::try_from(size).unwrap_or(usize::MAX)).unwrap_or_default();
+        rest = after;
+        let before = unpacked.len();
+        let is_good = unpack(packing, block, length, &mut unpacked);
+        if !is_good || (unpacked.len() - before) as u64 != length {
+            let what = format!("`{name}`: block {index} of {block_count} does not unpack to {length} bytes");
+            return Err(Error::invalid(XML, Place::Offset(encoded.offset), what));
+        }
+    }
+    Ok(unpacked)
+}
+
+/// Appends the `length` bytes of a block, and says whether it was good. Memory grows as bytes come.
+fn unpack(packing: Packing, block: &[u8], length: u64, out: &mut Vec<u8>) -> bool {
+    match packing {
+        Packing::Zlib => flate2::bufread::ZlibDecoder::new(block).take(length).read_to_end(out).is_ok(),
+        Packing::Lzma => lzma_rust2::XzReader::new_mem_limit(block, true, LZMA_MEMORY_KB)
+            .take(length)
+            .read_to_end(out)
+            .is_ok(),
+        Packing::Lz4 => {
+            let most = (block.len() as u64).saturating_mul(LZ4_RATIO_MAX).saturating_add(64);
+            let Some(length) = usize::try_from(length).ok().filter(|_| length <= most) else { return false };
+            let start = out.len();
+            out.resize(start + length, 0);
+            lz4_flex::block::decompress_into(block, &mut out[start..]).ok() == Some(length)
+        }
+    }
+}
+
+impl<'a> Encoded<'a> {
+    /// The `length` bytes that are encoded from byte or letter `at` on.
+    fn take(&self, at: usize, length: usize, name: &str) -> Result<Cow<'a, [u8]>> {
+        let rest = self.bytes.get(at..).unwrap_or_default();
+        if !self.is_base64 {
+            let taken = rest.get(..length).map(Cow::Borrowed);
+            return taken.ok_or_else(|| self.too_few(length as u64, rest.len(), name));
+        }
+        let letter_count = length.div_ceil(3).saturating_mul(4);
+        let letters =
+            rest.get(..letter_count).ok_or_else(|| self.too_few(length as u64, rest.len() / 4 * 3, name))?;
+        let mut decoded = base64_decoded(letters).ok_or_else(|| {
+            let place = Place::Offset(self.offset + at as u64);
+            Error::invalid(XML, place, format!("`{name}` is no base64"))
+        })?;
+        if decoded.len() < length {
+            return Err(self.too_few(length as u64, decoded.len(), name));
+        }
+        decoded.truncate(length);
+        Ok(Cow::Owned(decoded))
+    }
+
+    fn too_few(&self, expected: u64, found: usize, name: &str) -> Error {
+        let what = format!("expected {expected} bytes or more of `{name}`, {found} remain");
+        Error::invalid(XML, Place::Offset(self.offset), what)
+    }
+}
+
+/// A run may end in the middle of what is asked for: after it comes padding.
+fn base64_decoded(letters: &[u8]) -> Option<Vec<u8>> {
+    STANDARD.decode(letters).ok()
+}
+
+/// Letters of base64 for so many bytes.
+fn letters_of(bytes: usize) -> usize {
+    bytes.div_ceil(3) * 4
+}
+
+/// The numbers of a header.
+fn words(header: &[u8], encoding: Encoding) -> Vec<u64> {
+    let mut cursor = Cursor::new(XML, encoding.endian, header, 0);
+    let word = || match encoding.header_word_bytes {
+        8 => cursor.array("a header").ok().map(u64::from_le_bytes),
+        _ => cursor.array("a header").ok().map(|word| u32::from_le_bytes(word).into()),
+    };
+    std::iter::from_fn(word).collect()
+}

@@ -1,0 +1,503 @@
+//! VTK's old format, 3.0 to 5.1: lines of words, and data behind some of them, as decimals or as big-endian bytes.
+//!
+//! ```text
+//!   # vtk DataFile Version 5.1
+//!   a title
+//!   BINARY                            or ASCII
+//!   DATASET POLYDATA                  or UNSTRUCTURED_GRID
+//!   POINTS 64 float                   768 bytes, or 192 decimals
+//!   VERTICES 64 128                   128 integers of 32 bits, up to version 4.2
+//!   VERTICES 65 64                    from 5.0 on: 65 and 64 integers behind lines of their own,
+//!   OFFSETS vtktypeint64 ..           OFFSETS and CONNECTIVITY
+//!   POINT_DATA 64                     what follows has a value for each point
+//!   SCALARS id unsigned_int 1         (LOOKUP_TABLE default)
+//!   FIELD FieldData 2                 arrays, each behind a line: name, components, values, type
+//!   METADATA ..                       up to a blank line: passed over
+//!   CELL_DATA 64                      what follows is passed over
+//! ```
+//!
+//! Nothing tells that the file has ended, other than that nothing is missing.
+
+use crate::bytes::Endian;
+use crate::data::{ParticleFrame, Positions, Values};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::named_arrays::NamedArray;
+use crate::number::Number;
+
+use super::LEGACY;
+use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
+use super::xml_arrays::decimals;
+
+/// The longest line that is no data.
+const LINE_BYTES_MAX: usize = 64 << 10;
+
+/// Reads the points.
+///
+/// # Errors
+///
+/// [`Error::Short`] where data is missing, [`Error::Invalid`] for a line that is not understood,
+/// [`Error::Unsupported`] for data sets that are no lists of points, [`Error::TooLarge`] beyond `limits`.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let mut file = File { bytes, at: 0, is_binary: false, limits };
+    file.head()?;
+    let mut found = Found::default();
+    while let Some(line) = file.line()? {
+        file.section(&line, &mut found)?;
+    }
+    if found.has_polygons {
+        found.notes.push(POLYGONS_NOTE.into());
+    }
+    let positions = found.positions.ok_or_else(|| file.short("the file ends before any POINTS"))?;
+    Ok(joined(vec![Piece { positions, arrays: found.arrays }], found.notes))
+}
+
+/// What was read so far.
+#[derive(Default)]
+struct Found {
+    positions: Option<Positions>,
+    arrays: Vec<NamedArray>,
+    notes: Vec<String>,
+    /// Whether the arrays that follow have values for points.
+    is_of_points: bool,
+    has_polygons: bool,
+}
+
+/// The walk through the file.
+struct File<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    is_binary: bool,
+    limits: &'a Limits,
+}
+
+/// The words of a line, and where it begins.
+struct Line<'a> {
+    words: Vec<&'a str>,
+    at: usize,
+}
+
+impl<'a> Line<'a> {
+    /// The word at `index`; nothing if there are fewer.
+    fn word(&self, index: usize) -> &'a str {
+        self.words.get(index).copied().unwrap_or_default()
+    }
+
+    /// The first word as a keyword.
+    fn keyword(&self) -> String {
+        self.word(0).to_ascii_uppercase()
+    }
+
+    fn count(&self, index: usize, what: &str) -> Result<u64> {
+        let word = self.word(index);
+        word.parse().map_err(|_| self.invalid(&format!("expected {what}, found `{word}`")))
+    }
+
+    fn invalid(&self, what: &str) -> Error {
+        Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
+    }
+}
+
+/// The type of an array as its line names it.
+#[derive(Clone, Copy)]
+enum Type {
+    Of(Number),
+    /// Eight values in a byte.
+    Bits,
+}
+
+impl<'a> File<'a> {
+    fn head(&mut self) -> Result<()> {
+        let missing = |file: &File| file.short("the file ends within its first lines");
+        let version = self.raw_line()?.ok_or_else(|| missing(self))?;
+        let version = version.strip_prefix(b"# vtk DataFile Version ").unwrap_or_default().trim_ascii();
+        if !matches!(version.first(), Some(b'1'..=b'5')) {
+            let what = format!("version {:?}; 1.0 to 5.1 are read", String::from_utf8_lossy(version));
+            return Err(Error::unsupported(LEGACY, what));
+        }
+        self.raw_line()?.ok_or_else(|| missing(self))?;
+        let line = self.line()?.ok_or_else(|| missing(self))?;
+        self.is_binary = match line.keyword().as_str() {
+            "BINARY" => true,
+            "ASCII" => false,
+            other => return Err(line.invalid(&format!("expected ASCII or BINARY, found `{other}`"))),
+        };
+        Ok(())
+    }
+
+    /// What the line announces.
+    fn section(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+        let three = |name_at: usize| (line.word(name_at).to_string(), line.word(name_at + 1));
+        match line.keyword().as_str() {
+            "DATASET" => check_data_set(line),
+            "POINTS" => self.points(line, found),
+            "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" | "CELLS" => self.pass_cells(line, found),
+            "CELL_TYPES" => self.pass(line, Number::I32, line.count(1, "the number of cells")?),
+            "POINT_DATA" => {
+                let count = line.count(1, "the number of points")?;
+                found.is_of_points = true;
+                match found.positions.as_ref().map(|positions| positions.len() as u64) {
+                    Some(expected) if expected == count => Ok(()),
+                    Some(expected) => Err(line.invalid(&format!("data of {count} points for {expected}"))),
+                    None => Err(line.invalid("POINT_DATA before any POINTS")),
+                }
+            }
+            "CELL_DATA" => {
+                found.is_of_points = false;
+                self.cells(line)
+            }
+            "SCALARS" => {
+                let (name, kind) = three(1);
+                let arity = if line.words.len() > 3 { line.count(3, "the number of components")? } else { 1 };
+                self.pass_table_name()?;
+                self.array(line, name, kind, arity, found)
+            }
+            "VECTORS" | "NORMALS" => self.array_of(line, 3, found),
+            "TENSORS" => self.array_of(line, 9, found),
+            "TENSORS6" => self.array_of(line, 6, found),
+            "GLOBAL_IDS" | "PEDIGREE_IDS" | "EDGE_FLAGS" => self.array_of(line, 1, found),
+            "TEXTURE_COORDINATES" => {
+                let arity = line.count(2, "the number of components")?;
+                self.array(line, line.word(1).to_string(), line.word(3), arity, found)
+            }
+            "COLOR_SCALARS" => {
+                let kind = if self.is_binary { "unsigned_char" } else { "float" };
+                let arity = line.count(2, "the number of components")?;
+                self.array(line, line.word(1).to_string(), kind, arity, found)
+            }
+            "LOOKUP_TABLE" => {
+                let number = if self.is_binary { Number::U8 } else { Number::F32 };
+                let count = line.count(2, "the size of a table")?;
+                self.pass(line, number, count.saturating_mul(4))
+            }
+            "FIELD" => self.field(line, found),
+            "METADATA" => self.pass_metadata(),
+            other => {
+                let shown: String = other.chars().take(24).collect();
+                Err(line.invalid(&format!("expected a keyword such as POINT_DATA, found `{shown}`")))
+            }
+        }
+    }
+
+    fn points(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+        if found.positions.is_some() {
+            return Err(line.invalid("POINTS a second time"));
+        }
+        let count = checked_count(LEGACY, line.count(1, "the number of points")?, self.limits)?;
+        let number = match type_of(line.word(2)) {
+            Some(Type::Of(number)) => number,
+            _ => return Err(line.invalid(&format!("points of the type `{}`", line.word(2)))),
+        };
+        let values = self.values(line, number, (count as u64).saturating_mul(3))?;
+        found.positions = Some(positions_of(LEGACY, values)?);
+        Ok(())
+    }
+
+    /// The numbers of cells, of which nothing is kept.
+    fn pass_cells(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+        let (count, size) = (line.count(1, "the number of cells")?, line.count(2, "the size of the cells")?);
+        // Where offsets follow, there is one more than there are cells.
+        let has_offsets = self.bytes[self.at..].trim_ascii_start().starts_with(b"OFFSETS");
+        let cell_count = count.saturating_sub(has_offsets.into());
+        found.has_polygons |=
+            matches!(line.keyword().as_str(), "POLYGONS" | "TRIANGLE_STRIPS") && cell_count > 0;
+        if !has_offsets {
+            return self.pass(line, Number::I32, size);
+        }
+        let offsets = self.line()?.ok_or_else(|| self.short("the file ends before OFFSETS"))?;
+        self.pass_typed(&offsets, count)?;
+        match self.line()? {
+            Some(connectivity) if connectivity.keyword() == "CONNECTIVITY" => {
+                self.pass_typed(&connectivity, size)
+            }
+            Some(other) => Err(other.invalid("expected CONNECTIVITY")),
+            None => Err(self.short("the file ends before CONNECTIVITY")),
+        }
+    }
+
+    fn pass_typed(&mut self, line: &Line, count: u64) -> Result<()> {
+        match type_of(line.word(1)) {
+            Some(Type::Of(number)) => self.pass(line, number, count),
+            _ => Err(line.invalid(&format!("cells of the type `{}`", line.word(1)))),
+        }
+    }
+
+    /// Data of cells: what follows the points, so what is after it may be left alone.
+    fn cells(&mut self, line: &Line) -> Result<()> {
+        line.count(1, "the number of cells")?;
+        let rest = &self.bytes[self.at..];
+        // Points may still have data after cells had theirs.
+        let next = find_line(rest, b"POINT_DATA");
+        self.at = next.map_or(self.bytes.len(), |at| self.at + at);
+        Ok(())
+    }
+
+    /// `VECTORS name type` and its like.
+    fn array_of(&mut self, line: &Line, arity: u64, found: &mut Found) -> Result<()> {
+        self.array(line, line.word(1).to_string(), line.word(2), arity, found)
+    }
+
+    /// An array with values for each point.
+    fn array(&mut self, line: &Line, name: String, kind: &str, arity: u64, found: &mut Found) -> Result<()> {
+        let points = found.positions.as_ref().filter(|_| found.is_of_points);
+        let count = points.ok_or_else(|| line.invalid("an array of points outside POINT_DATA"))?.len() as u64;
+        self.take_array(line, &name, kind, arity, count, Some(found))
+    }
+
+    /// Arrays that tell their own sizes.
+    fn field(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+        let count = line.count(2, "the number of arrays")?;
+        for index in 0..count {
+            let mut next = self.line()?;
+            // An array may be called so, too.
+            while next.as_ref().is_some_and(|next| next.words.len() == 1 && next.keyword() == "METADATA") {
+                self.pass_metadata()?;
+                next = self.line()?;
+            }
+            let what =
+                || format!("the file ends before array {index} of {count} in the field `{}`", line.word(1));
+            let next = next.ok_or_else(|| self.short(what()))?;
+            let [arity, tuples] =
+                [next.count(1, "the number of components")?, next.count(2, "the number of values")?];
+            let expected = found.positions.as_ref().map(|positions| positions.len() as u64);
+            let is_kept = found.is_of_points && expected == Some(tuples);
+            if found.is_of_points && !is_kept {
+                self.check_array_count(found)?;
+                found
+                    .notes
+                    .push(format!("The array `{}` has not a value for each point: left out.", next.word(0)));
+            }
+            let into = if is_kept { Some(&mut *found) } else { None };
+            self.take_array(&next, next.word(0), next.word(3), arity, tuples, into)?;
+        }
+        Ok(())
+    }
+
+    /// Reads an array, and keeps it if there is where.
+    fn take_array(
+        &mut self,
+        line: &Line,
+        name: &str,
+        kind: &str,
+        arity: u64,
+        count: u64,
+        found: Option<&mut Found>,
+    ) -> Result<()> {
+        let size = arity.checked_mul(count).ok_or_else(|| line.invalid("more values than any file has"))?;
+        let name = percent_decoded(name);
+        match (type_of(kind), found) {
+            (Some(Type::Of(number)), Some(found)) if arity != 0 => {
+                self.check_array_count(found)?;
+                let arity = usize::try_from(arity).unwrap_or(usize::MAX);
+                let values = self.values(line, number, size)?;
+                found.arrays.push(NamedArray { name, arity, values });
+                Ok(())
+            }
+            (Some(Type::Of(number)), _) => self.pass(line, number, size),
+            (Some(Type::Bits), found) => {
+                if let Some(found) = found {
+                    self.check_array_count(found)?;
+                    found.notes.push(format!("The array `{name}` of bits was left out."));
+                }
+                let size = if self.is_binary { size.div_ceil(8) } else { size };
+                self.pass(line, Number::U8, size)
+            }
+            (None, _) => {
+                let what =
+                    format!("the array `{name}` is of the type `{kind}`, whose size is not known: remove it");
+                Err(Error::unsupported(LEGACY, what))
+            }
+        }
+    }
+
+    /// That there may be one more array, which is read or, with a note, left out.
+    fn check_array_count(&self, found: &Found) -> Result<()> {
+        if found.arrays.len() + found.notes.len() >= self.limits.attribute_count {
+            let what = format!("more arrays than the limit of {}", self.limits.attribute_count);
+            return Err(Error::too_large(LEGACY, what));
+        }
+        Ok(())
+    }
+
+    /// The next `count` numbers.
+    fn values(&mut self, line: &Line, number: Number, count: u64) -> Result<Values> {
+        if self.is_binary {
+            let data = self.data(line, number, count)?;
+            return Ok(number.decode(data, Endian::Big));
+        }
+        let rest = &self.bytes[self.at..];
+        let count = self.fitting(line, count, rest.len().div_ceil(2))?;
+        let mut end = 0;
+        let words =
+            Words { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
+        let values = decimals(words, number, count).map_err(|word| {
+            let what = format!("expected a number of {}, found `{}`", line.word(0), word.escape_ascii());
+            Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
+        })?;
+        let found = crate::number::length(&values);
+        self.at += end;
+        match found == count {
+            true => Ok(values),
+            false => Err(self.short(format!("expected {count} numbers of {}, found {found}", line.word(0)))),
+        }
+    }
+
+    /// Goes behind the next `count` numbers.
+    fn pass(&mut self, line: &Line, number: Number, count: u64) -> Result<()> {
+        if self.is_binary {
+            return self.data(line, number, count).map(drop);
+        }
+        let rest = &self.bytes[self.at..];
+        let count = self.fitting(line, count, rest.len().div_ceil(2))?;
+        let mut words = Words { bytes: rest, at: 0 };
+        let found = words.by_ref().take(count).count();
+        let end = words.at;
+        self.at += end;
+        match found == count {
+            true => Ok(()),
+            false => Err(self.short(format!("expected {count} numbers of {}, found {found}", line.word(0)))),
+        }
+    }
+
+    /// The bytes of the next `count` numbers.
+    fn data(&mut self, line: &Line, number: Number, count: u64) -> Result<&'a [u8]> {
+        let rest = &self.bytes[self.at..];
+        let count = self.fitting(line, count, rest.len() / number.size())?;
+        let data = &rest[..count * number.size()];
+        self.at += data.len();
+        Ok(data)
+    }
+
+    /// The count as a length, if no more than `most` are there.
+    fn fitting(&self, line: &Line, count: u64, most: usize) -> Result<usize> {
+        usize::try_from(count).ok().filter(|&count| count <= most).ok_or_else(|| {
+            self.short(format!("expected {count} numbers of {}, no more than {most} remain", line.word(0)))
+        })
+    }
+
+    /// `LOOKUP_TABLE default`, which may stand before the values of `SCALARS`.
+    fn pass_table_name(&mut self) -> Result<()> {
+        let before = self.at;
+        if !self.bytes[self.at..].trim_ascii_start().starts_with(b"LOOKUP_TABLE") {
+            return Ok(());
+        }
+        match self.line()? {
+            Some(line) if line.keyword() == "LOOKUP_TABLE" => {}
+            _ => self.at = before,
+        }
+        Ok(())
+    }
+
+    fn pass_metadata(&mut self) -> Result<()> {
+        while let Some(line) = self.raw_line()? {
+            if line.trim_ascii().is_empty() {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// The next line that is not blank.
+    fn line(&mut self) -> Result<Option<Line<'a>>> {
+        loop {
+            let at = self.at;
+            let Some(line) = self.raw_line()? else { return Ok(None) };
+            let is_text = |byte: &u8| *byte >= b' ' || byte.is_ascii_whitespace();
+            let text = std::str::from_utf8(line).ok().filter(|_| line.iter().all(is_text));
+            let text = text.ok_or_else(|| {
+                Error::invalid(LEGACY, Place::Offset(at as u64), "expected a line of text, found binary data")
+            })?;
+            let words: Vec<&str> = text.split_ascii_whitespace().collect();
+            if !words.is_empty() {
+                return Ok(Some(Line { words, at }));
+            }
+        }
+    }
+
+    /// The next line, which must have its end, unless only blanks are left.
+    fn raw_line(&mut self) -> Result<Option<&'a [u8]>> {
+        let rest = &self.bytes[self.at..];
+        let searched = &rest[..rest.len().min(LINE_BYTES_MAX)];
+        match searched.iter().position(|&byte| byte == b'\n') {
+            Some(length) => {
+                self.at += length + 1;
+                Ok(Some(&rest[..length]))
+            }
+            None if rest.trim_ascii().is_empty() => {
+                self.at = self.bytes.len();
+                Ok(None)
+            }
+            None if searched.len() == rest.len() => Err(self.short("the file ends within a line")),
+            None => Err(Error::invalid(LEGACY, Place::Offset(self.at as u64), "expected a line of text")),
+        }
+    }
+
+    fn short(&self, what: impl Into<String>) -> Error {
+        Error::short(LEGACY, Place::Offset(self.at as u64), what)
+    }
+}
+
+/// The words of a text, each with where it ends.
+struct Words<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Iterator for Words<'a> {
+    type Item = (&'a [u8], usize);
+
+    fn next(&mut self) -> Option<(&'a [u8], usize)> {
+        let rest = self.bytes.get(self.at..)?;
+        let start = self.at + rest.iter().position(|byte| !byte.is_ascii_whitespace())?;
+        let word = &self.bytes[start..];
+        let length = word.iter().position(u8::is_ascii_whitespace).unwrap_or(word.len());
+        self.at = start + length;
+        Some((&word[..length], self.at))
+    }
+}
+
+fn check_data_set(line: &Line) -> Result<()> {
+    match line.word(1).to_ascii_uppercase().as_str() {
+        "POLYDATA" | "UNSTRUCTURED_GRID" => Ok(()),
+        other => {
+            let what = format!("a data set of the type {other} is no list of points: save POLYDATA");
+            Err(Error::unsupported(LEGACY, what))
+        }
+    }
+}
+
+fn type_of(word: &str) -> Option<Type> {
+    Some(Type::Of(match word.to_ascii_lowercase().as_str() {
+        "bit" => return Some(Type::Bits),
+        "char" | "signed_char" => Number::I8,
+        "unsigned_char" => Number::U8,
+        "short" => Number::I16,
+        "unsigned_short" => Number::U16,
+        "int" | "vtktypeint32" | "vtkidtype" => Number::I32, // identities are written in 32 bits
+        "unsigned_int" | "vtktypeuint32" => Number::U32,
+        "long" | "vtktypeint64" | "long_long" => Number::I64,
+        "unsigned_long" | "vtktypeuint64" | "unsigned_long_long" => Number::U64,
+        "float" => Number::F32,
+        "double" => Number::F64,
+        _ => return None,
+    }))
+}
+
+/// Names have `%20` for a blank.
+fn percent_decoded(name: &str) -> String {
+    let mut bytes = Vec::with_capacity(name.len());
+    let mut rest = name.as_bytes();
+    while let Some((&byte, after)) = rest.split_first() {
+        let digits = after.get(..2).and_then(|digits| std::str::from_utf8(digits).ok());
+        let code = digits.filter(|_| byte == b'%').and_then(|digits| u8::from_str_radix(digits, 16).ok());
+        bytes.push(code.unwrap_or(byte));
+        rest = if code.is_some() { &after[2..] } else { after };
+    }
+    String::from_utf8_lossy(&bytes).into_owned()
+}
+
+/// Where a line begins with the word.
+fn find_line(bytes: &[u8], word: &[u8]) -> Option<usize> {
+    let is_there = |&at: &usize| (at == 0 || bytes[at - 1] == b'\n') && bytes[at..].starts_with(word);
+    (0..bytes.len()).find(is_there)
+}

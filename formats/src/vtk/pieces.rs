@@ -1,0 +1,71 @@
+//! Pieces of one data set, made one frame.
+
+use crate::data::{ParticleFrame, Positions, Values};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::named_arrays::{NamedArray, frame_of};
+use crate::number::{self, append};
+
+/// What is said of files that are meshes as well.
+pub const POLYGONS_NOTE: &str = "The file also has polygons: only its points are read.";
+
+/// The points of a piece, and the arrays that have a value for each.
+#[derive(Debug, Default)]
+pub(super) struct Piece {
+    pub(super) positions: Positions,
+    pub(super) arrays: Vec<NamedArray>,
+}
+
+/// The number of points as a length, within the limits.
+pub(super) fn checked_count(format: &'static str, count: u64, limits: &Limits) -> Result<usize> {
+    if count > limits.particle_count {
+        let what = format!("{count} points, more than the limit of {}", limits.particle_count);
+        return Err(Error::too_large(format, what));
+    }
+    usize::try_from(count).map_err(|_| Error::too_large(format, format!("{count} points")))
+}
+
+/// Values as positions.
+pub(super) fn positions_of(format: &'static str, values: Values) -> Result<Positions> {
+    let no_numbers = || Error::invalid(format, Place::File, "the coordinates of the points are no numbers");
+    number::positions(values).ok_or_else(no_numbers)
+}
+
+/// All points one after the other. Arrays that not every piece has are left out, and told.
+pub(super) fn joined(pieces: Vec<Piece>, mut notes: Vec<String>) -> ParticleFrame {
+    let mut pieces = pieces.into_iter().filter(|piece| !piece.positions.is_empty());
+    let mut all = pieces.next().unwrap_or_default();
+    for piece in pieces {
+        append_positions(&mut all.positions, piece.positions);
+        let mut more = piece.arrays;
+        all.arrays.retain_mut(|array| {
+            let same = |other: &NamedArray| other.name == array.name && other.arity == array.arity;
+            let found = more.iter().position(same).map(|index| more.swap_remove(index));
+            let is_kept = found.is_some_and(|found| append(&mut array.values, found.values));
+            if !is_kept {
+                notes.push(format!("The array `{}` is not alike in all pieces: left out.", array.name));
+            }
+            is_kept
+        });
+    }
+    // The positions are given, so there is a frame.
+    let mut frame = frame_of(Some(all.positions), all.arrays).unwrap_or_default();
+    frame.notes.append(&mut notes);
+    frame
+}
+
+fn append_positions(positions: &mut Positions, more: Positions) {
+    match (&mut *positions, more) {
+        (Positions::F32(positions), Positions::F32(more)) => positions.extend(more),
+        (Positions::F64(positions), Positions::F64(more)) => positions.extend(more),
+        (Positions::F64(positions), Positions::F32(more)) => positions.extend(more.into_iter().map(wide)),
+        (Positions::F32(narrow), Positions::F64(more)) => {
+            let first = std::mem::take(narrow).into_iter().map(wide);
+            *positions = Positions::F64(first.chain(more).collect());
+        }
+    }
+}
+
+fn wide(position: [f32; 3]) -> [f64; 3] {
+    position.map(f64::from)
+}

@@ -1,0 +1,214 @@
+//! Writes a mesh as VTK's XML PolyData, `.vtp`: what ParaView opens.
+//!
+//! ```text
+//!   <PointData> Normals, and all that is known of the vertices, under its own name
+//!   <Points>
+//!   <Polys>     connectivity and offsets: triangles, or quads where the mesh has them
+//! ```
+//!
+//! Reals have 32 bits; integers 32 where all fit and else 64. Positions are reals of 64 bits if the mesh has an origin. Axes
+//! are left as they are, for VTK has no word for up. The document around that is [`super::appended`].
+
+use std::io::Write;
+use std::sync::Arc;
+
+use crate::data::{MeshView, Provenance};
+use crate::error::Result;
+use crate::le_bytes::{write_f32s, write_pieces};
+use crate::quads::{Face, check_quads, faces, quad_count};
+use crate::vertex_attributes::{VertexAttribute, VertexValues, string_index};
+
+use super::XML;
+use super::appended::{
+    Array, Cells, Document, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, Numbers, names_of,
+};
+
+/// How to write a mesh.
+#[derive(Clone, Debug, Default)]
+pub struct WriteOptions {
+    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
+    /// are triangles.
+    pub quads: Arc<[bool]>,
+}
+
+/// Writes positions, normals, attributes and faces.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite, or if what
+/// should be a quad is none.
+pub fn write_mesh(
+    mesh: &MeshView,
+    options: &WriteOptions,
+    provenance: &Provenance,
+    out: &mut impl Write,
+) -> Result<()> {
+    mesh.check(XML)?;
+    check_quads(XML, mesh.triangles, &options.quads)?;
+    document(mesh, &options.quads).write(provenance, out)
+}
+
+/// What becomes of vertex attributes that a .vtp does not hold as they are; nothing where all come through.
+pub fn attribute_notes(attributes: &[VertexAttribute]) -> Vec<String> {
+    let renamed =
+        attributes.iter().zip(names_in_file(attributes)).filter(|(attribute, name)| attribute.name != *name);
+    renamed.map(|(attribute, name)| format!("{} is called {name} in the .vtp", attribute.name)).collect()
+}
+
+fn names_in_file(attributes: &[VertexAttribute]) -> Vec<String> {
+    names_of(attributes.iter().map(|attribute| attribute.name), &[NORMALS])
+}
+
+const NORMALS: &str = "Normals";
+
+fn document<'a>(mesh: &MeshView<'a>, quads: &'a [bool]) -> Document<Values<'a>> {
+    let MeshView { positions, normals, triangles, origin, attributes } = *mesh;
+    let mut of_points = vec![Array::new(NORMALS, 3, Values::Floats(normals.as_flattened()))];
+    for (attribute, name) in attributes.iter().zip(names_in_file(attributes)) {
+        of_points.push(Array::new(name, attribute.arity, values_of(attribute)));
+    }
+    // Each quad has six corners as two triangles, and four as one face.
+    let quad_count = quad_count(quads);
+    let (face_count, corner_count) = (triangles.len() - quad_count, 3 * triangles.len() - 2 * quad_count);
+    // Either all of it has 32 bits or nothing: VTK takes no mixture.
+    let is_wide = i32::try_from(corner_count.max(positions.len())).is_err();
+    let of_faces = |what, count| Values::Faces { what, count, triangles, quads, is_wide };
+    Document {
+        normals: Some(NORMALS),
+        of_points,
+        point_count: positions.len(),
+        points: match origin {
+            [0.0, 0.0, 0.0] => Values::Floats(positions.as_flattened()),
+            origin => Values::FarPositions { positions, origin },
+        },
+        cells: Cells::Polys,
+        cell_count: face_count,
+        connectivity: of_faces(OfFaces::Corners, corner_count),
+        offsets: of_faces(OfFaces::Ends, face_count),
+    }
+}
+
+/// What is written, and where it comes from.
+enum Values<'a> {
+    FarPositions {
+        positions: &'a [[f32; 3]],
+        origin: [f64; 3],
+    },
+    Floats(&'a [f32]),
+    Ints(&'a [i64]),
+    Longs(&'a [i64]),
+    Strings(&'a [String], &'a [i32]),
+    Faces {
+        what: OfFaces,
+        /// So many numbers.
+        count: usize,
+        triangles: &'a [[u32; 3]],
+        quads: &'a [bool],
+        is_wide: bool,
+    },
+}
+
+/// What is written of faces.
+#[derive(Clone, Copy)]
+enum OfFaces {
+    Corners,
+    /// How many corners there are, up to the end of each.
+    Ends,
+}
+
+fn values_of<'a>(attribute: &VertexAttribute<'a>) -> Values<'a> {
+    match attribute.values {
+        VertexValues::Numbers(values) => Values::Floats(values),
+        VertexValues::Integers(values) if values.iter().all(|&value| i32::try_from(value).is_ok()) => {
+            Values::Ints(values)
+        }
+        VertexValues::Integers(values) => Values::Longs(values),
+        VertexValues::Strings { table, indices } => Values::Strings(table, indices),
+    }
+}
+
+impl Numbers for Values<'_> {
+    fn kind(&self) -> NumberKind {
+        match self {
+            Values::Floats(_) => FLOAT_32,
+            Values::FarPositions { .. } => FLOAT_64,
+            Values::Ints(_) | Values::Strings(..) | Values::Faces { is_wide: false, .. } => INT_32,
+            Values::Longs(_) | Values::Faces { is_wide: true, .. } => INT_64,
+        }
+    }
+
+    fn count(&self) -> u64 {
+        let count = match self {
+            Values::FarPositions { positions, .. } => positions.as_flattened().len(),
+            Values::Floats(values) => values.len(),
+            Values::Ints(values) | Values::Longs(values) => values.len(),
+            Values::Strings(_, indices) => indices.len(),
+            Values::Faces { count, .. } => *count,
+        };
+        count as u64
+    }
+
+    fn table(&self) -> Option<&[String]> {
+        match self {
+            Values::Strings(table, _) => Some(table),
+            _ => None,
+        }
+    }
+
+    fn write(&self, out: &mut impl Write) -> Result<()> {
+        match *self {
+            Values::FarPositions { positions, origin } => positions.chunks(PIECE).try_for_each(|piece| {
+                let world = |p: &[f32; 3]| -> [f64; 3] {
+                    std::array::from_fn(|axis| origin[axis] + f64::from(p[axis]))
+                };
+                let piece: Vec<[f64; 3]> = piece.iter().map(world).collect();
+                write_pieces(piece.as_flattened(), f64::to_le_bytes, out)
+            }),
+            Values::Floats(values) => write_f32s(values, out),
+            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            Values::Ints(values) => write_pieces(values, |value| (value as i32).to_le_bytes(), out),
+            Values::Longs(values) => write_pieces(values, i64::to_le_bytes, out),
+            Values::Strings(table, indices) => {
+                write_pieces(indices, |index| string_index(index, table).to_le_bytes(), out)
+            }
+            Values::Faces { what, triangles, quads, is_wide, .. } => {
+                let mut end = 0;
+                let append = |face: Face, numbers: &mut Vec<u64>| match what {
+                    OfFaces::Corners => {
+                        numbers.extend(face.corners().iter().map(|&corner| u64::from(corner)))
+                    }
+                    OfFaces::Ends => {
+                        end += face.corners().len() as u64;
+                        numbers.push(end);
+                    }
+                };
+                write_faces(triangles, quads, is_wide, out, append)
+            }
+        }
+    }
+}
+
+/// Elements that are made at once.
+const PIECE: usize = 4096;
+
+/// Writes the numbers that `append` makes of each face.
+fn write_faces(
+    triangles: &[[u32; 3]],
+    quads: &[bool],
+    is_wide: bool,
+    out: &mut impl Write,
+    mut append: impl FnMut(Face, &mut Vec<u64>),
+) -> Result<()> {
+    let mut numbers = Vec::new();
+    for start in (0..triangles.len()).step_by(PIECE) {
+        let range = start..(start + PIECE).min(triangles.len());
+        numbers.clear();
+        faces(triangles, quads, range).for_each(|face| append(face, &mut numbers));
+        match is_wide {
+            true => write_pieces(&numbers, u64::to_le_bytes, out)?,
+            #[expect(clippy::cast_possible_truncation, reason = "all of them were seen to fit")]
+            false => write_pieces(&numbers, |number| (number as u32).to_le_bytes(), out)?,
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,140 @@
+//! Writes particles as VTK's XML PolyData, `.vtp`: points, each of them a cell by itself, so that ParaView shows them.
+//!
+//! ```text
+//!   <PointData> every attribute under its own name, in its own type
+//!   <Points>    reals of 32 or 64 bits, as the particles have them
+//!   <Verts>     connectivity 0 1 2 .., offsets 1 2 3 ..
+//! ```
+//!
+//! The document around that is [`super::appended`].
+
+use std::borrow::Cow;
+use std::io::Write;
+
+use crate::data::{ParticleFrame, Positions, Provenance, Values};
+use crate::error::Result;
+use crate::le_bytes::{write_f32s, write_pieces};
+use crate::particle_columns::{check, written};
+use crate::vertex_attributes::string_index;
+
+use super::XML;
+use super::appended::{
+    Array, Cells, Document, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, Numbers, UINT_8, names_of,
+};
+
+/// Writes positions and attributes.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if an attribute has not its values for each particle.
+pub fn write_particles(frame: &ParticleFrame, provenance: &Provenance, out: &mut impl Write) -> Result<()> {
+    check(frame, XML)?;
+    document(frame).write(provenance, out)
+}
+
+/// What becomes of attributes that a .vtp does not hold as they are; nothing where all come through.
+pub fn particle_notes(frame: &ParticleFrame) -> Vec<String> {
+    let mut notes = Vec::new();
+    for (attribute, name) in frame.attributes.iter().zip(names_in_file(frame)) {
+        if attribute.name != name {
+            notes.push(format!("{} is called {name} in the .vtp", attribute.name));
+        }
+        if matches!(attribute.values, Values::Strings { .. }) {
+            notes.push(format!("{name} is numbers in the .vtp: which strings they are is in its field data"));
+        }
+    }
+    notes
+}
+
+fn names_in_file(frame: &ParticleFrame) -> Vec<String> {
+    names_of(frame.attributes.iter().map(|attribute| &*attribute.name), &[])
+}
+
+fn document(frame: &ParticleFrame) -> Document<Data<'_>> {
+    let point_count = frame.positions.len();
+    let attributes = frame.attributes.iter().zip(names_in_file(frame));
+    Document {
+        normals: None,
+        of_points: attributes
+            .map(|(attribute, name)| Array::new(name, attribute.arity, Data::Values(written(attribute))))
+            .collect(),
+        point_count,
+        points: Data::Positions(&frame.positions),
+        cells: Cells::Verts,
+        cell_count: point_count,
+        connectivity: Data::Counted(0, point_count),
+        offsets: Data::Counted(1, point_count),
+    }
+}
+
+/// What is written.
+enum Data<'a> {
+    Values(Cow<'a, Values>),
+    Positions(&'a Positions),
+    /// So many numbers, from this one on.
+    Counted(i64, usize),
+}
+
+impl Numbers for Data<'_> {
+    fn kind(&self) -> NumberKind {
+        match self {
+            Data::Positions(Positions::F32(_)) => FLOAT_32,
+            Data::Positions(Positions::F64(_)) => FLOAT_64,
+            Data::Counted(..) => INT_64,
+            Data::Values(values) => match &**values {
+                Values::F32(_) => FLOAT_32,
+                Values::F64(_) => FLOAT_64,
+                Values::U8(_) => UINT_8,
+                Values::I32(_) | Values::Strings { .. } => INT_32,
+                Values::I64(_) => INT_64,
+            },
+        }
+    }
+
+    fn count(&self) -> u64 {
+        let count = match self {
+            Data::Positions(positions) => 3 * positions.len(),
+            Data::Counted(_, count) => *count,
+            Data::Values(values) => crate::number::length(values),
+        };
+        count as u64
+    }
+
+    fn table(&self) -> Option<&[String]> {
+        let Data::Values(values) = self else { return None };
+        let Values::Strings { table, .. } = &**values else { return None };
+        Some(table)
+    }
+
+    fn write(&self, out: &mut impl Write) -> Result<()> {
+        match self {
+            Data::Positions(Positions::F32(positions)) => write_f32s(positions.as_flattened(), out),
+            Data::Positions(Positions::F64(positions)) => {
+                write_pieces(positions.as_flattened(), f64::to_le_bytes, out)
+            }
+            Data::Counted(from, count) => {
+                let mut next = *from;
+                for piece in (0..*count).step_by(PIECE) {
+                    let length = PIECE.min(count - piece) as i64;
+                    let numbers: Vec<i64> = (next..next + length).collect();
+                    write_pieces(&numbers, i64::to_le_bytes, out)?;
+                    next += length;
+                }
+                Ok(())
+            }
+            Data::Values(values) => match &**values {
+                Values::F32(values) => write_f32s(values, out),
+                Values::F64(values) => write_pieces(values, f64::to_le_bytes, out),
+                Values::U8(values) => Ok(out.write_all(values)?),
+                Values::I32(values) => write_pieces(values, i32::to_le_bytes, out),
+                Values::I64(values) => write_pieces(values, i64::to_le_bytes, out),
+                Values::Strings { table, indices } => {
+                    write_pieces(indices, |index| string_index(index, table).to_le_bytes(), out)
+                }
+            },
+        }
+    }
+}
+
+/// Numbers that are made at once.
+const PIECE: usize = 4096;

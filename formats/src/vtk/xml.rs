@@ -1,0 +1,363 @@
+//! VTK's XML files of points: `.vtp` (PolyData) and `.vtu` (UnstructuredGrid).
+//!
+//! ```text
+//!   <VTKFile type="PolyData" byte_order="LittleEndian" header_type="UInt64" compressor="vtkZLibDataCompressor">
+//!    <PolyData>
+//!     <Piece NumberOfPoints="64" ..>                                 again and again
+//!      <PointData> <DataArray type="Float32" Name="velocity" NumberOfComponents="3" format="appended" offset="0"/>
+//!      <Points>    <DataArray type="Float32" NumberOfComponents="3" format="ascii"> 0.5 0.25 1 .. </DataArray>
+//!      <Verts> ..                                                    passed over, like all other cells
+//!    <AppendedData encoding="raw"> _.............................    bytes, which are no XML
+//!   </VTKFile>
+//! ```
+//!
+//! The text is cut before the appended data, so that the parser never sees it. Whether the file is whole is told by
+//! its last tag.
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+
+use crate::bytes::Endian;
+use crate::data::{ParticleFrame, Positions, Values};
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::named_arrays::NamedArray;
+use crate::number::Number;
+
+use super::XML;
+use super::blocks::{Account, Encoding, Packing};
+use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
+use super::xml_arrays::{Appended, DataArray, Form};
+
+/// Reads the points of all pieces.
+///
+/// # Errors
+///
+/// [`Error::Short`] for a file without its last tag, [`Error::Invalid`] for malformed XML and for arrays that do not
+/// fit, [`Error::Unsupported`] for data sets that are no lists of points, [`Error::TooLarge`] beyond `limits`.
+pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
+    let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
+    if pieces.iter().any(|piece| piece.poly_count != 0) {
+        notes.push(POLYGONS_NOTE.into());
+    }
+    let pieces: Vec<Piece> =
+        pieces.iter().map(|described| piece(described, &mut decoder, &mut notes)).collect::<Result<_>>()?;
+    // A limit for each piece is none for all of them.
+    checked_count(XML, pieces.iter().map(|piece| piece.positions.len() as u64).sum(), limits)?;
+    Ok(joined(pieces, notes))
+}
+
+/// What the pieces of a file are, what decodes them, and notes.
+pub(super) fn open<'a>(
+    bytes: &'a [u8],
+    limits: &'a Limits,
+) -> Result<(Decoder<'a>, Vec<Described<'a>>, Vec<String>)> {
+    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") {
+        let place = Place::Offset(bytes.len() as u64);
+        return Err(Error::short(XML, place, "the file ends without </VTKFile>"));
+    }
+    let (text, appended) = split_appended(bytes)?;
+    let text = std::str::from_utf8(text).map_err(|error| {
+        Error::invalid(XML, Place::Offset(error.valid_up_to() as u64), "expected UTF-8 text")
+    })?;
+    let document = document(text, limits)?;
+    let account = Account::of(bytes.len() as u64);
+    let decoder = Decoder { encoding: document.encoding, appended, account, limits };
+    Ok((decoder, document.pieces, document.notes))
+}
+
+/// The text, and the data that is appended to it.
+fn split_appended(bytes: &[u8]) -> Result<(&[u8], Option<Appended<'_>>)> {
+    const TAG: &[u8] = b"<AppendedData";
+    let Some(at) = bytes.windows(TAG.len()).position(|window| window == TAG) else {
+        return Ok((bytes, None));
+    };
+    let invalid = |what: &str| Error::invalid(XML, Place::Offset(at as u64), what);
+    let tag_end = bytes[at..].iter().position(|&byte| byte == b'>').map(|length| at + length);
+    let tag_end = tag_end.ok_or_else(|| invalid("expected `>` at the end of <AppendedData"))?;
+    let tag = &bytes[at..tag_end];
+    let mut start = tag_end + 1;
+    start += bytes[start..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+    if bytes.get(start) != Some(&b'_') {
+        return Err(invalid("expected `_` before the appended data"));
+    }
+    let is_base64 = tag.windows(6).any(|window| window == b"base64");
+    let data = Appended { bytes: &bytes[start + 1..], is_base64, offset: start as u64 + 1 };
+    Ok((&bytes[..at], Some(data)))
+}
+
+/// Pieces of a file, and arrays of all of them: a few bytes of text describe one, which takes more to remember.
+const PART_COUNT_MAX: usize = 1 << 16;
+
+/// What the elements say.
+struct Document<'a> {
+    encoding: Encoding,
+    pieces: Vec<Described<'a>>,
+    /// Of all pieces.
+    array_count: usize,
+    notes: Vec<String>,
+}
+
+/// A piece, its data not yet looked at.
+#[derive(Default)]
+pub(super) struct Described<'a> {
+    pub(super) point_count: usize,
+    pub(super) points: Option<DataArray<'a>>,
+    arrays: Vec<DataArray<'a>>,
+    pub(super) poly_count: usize,
+    pub(super) polys: Vec<DataArray<'a>>,
+}
+
+/// The part of a piece that an array stands in.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Section {
+    Points,
+    PointData,
+    Polys,
+    Other,
+}
+
+fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
+    let mut reader = Reader::from_str(text);
+    // The names of all open elements would be kept; none of them is asked for.
+    reader.config_mut().check_end_names = false;
+    let mut document: Option<Document<'a>> = None;
+    let mut section = Section::Other;
+    let mut is_in_array = false;
+    loop {
+        let at = reader.buffer_position();
+        let event =
+            reader.read_event().map_err(|error| malformed(reader.error_position(), &error.to_string()))?;
+        let is_empty = matches!(event, Event::Empty(_));
+        match event {
+            Event::Start(tag) | Event::Empty(tag) => match (tag.local_name().as_ref(), &mut document) {
+                ("VTKFile", _) => document = Some(opened(&tag, at)?),
+                (_, None) => return Err(malformed(at, "expected <VTKFile>")),
+                ("Piece", Some(document)) if document.pieces.len() >= PART_COUNT_MAX => {
+                    let what = format!("{} pieces and more", document.pieces.len());
+                    return Err(Error::too_large(XML, what));
+                }
+                ("Piece", Some(document)) => document.pieces.push(described(&tag, at, limits)?),
+                ("Points", _) if !is_empty => section = Section::Points,
+                ("PointData", _) if !is_empty => section = Section::PointData,
+                ("Polys", _) if !is_empty => section = Section::Polys,
+                ("DataArray", Some(document)) if section != Section::Other => {
+                    take_array(&tag, at, section, document, limits)?;
+                    is_in_array = !is_empty;
+                }
+                _ => {}
+            },
+            Event::Text(text) if is_in_array && section != Section::Other => {
+                if let (Some(document), std::borrow::Cow::Borrowed(text)) = (&mut document, text.into_inner())
+                {
+                    set_content(document, section, text.as_bytes(), at);
+                }
+            }
+            Event::End(tag) => match tag.local_name().as_ref() {
+                "Points" | "PointData" | "Polys" => section = Section::Other,
+                "DataArray" => is_in_array = false,
+                _ => {}
+            },
+            Event::Eof => break,
+            _ => {}
+        }
+    }
+    let document = document.ok_or_else(|| malformed(0, "expected <VTKFile>"))?;
+    match document.pieces.is_empty() {
+        true => Err(Error::invalid(XML, Place::File, "the file has no <Piece>")),
+        false => Ok(document),
+    }
+}
+
+pub(super) fn malformed(at: u64, what: &str) -> Error {
+    Error::invalid(XML, Place::Offset(at), what)
+}
+
+/// What the first element says of all data.
+fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
+    let kind = attribute(tag, "type", at)?.unwrap_or_default();
+    match kind.as_str() {
+        "PolyData" | "UnstructuredGrid" => {}
+        "PPolyData" | "PUnstructuredGrid" => {
+            let what = "this only names the files that the pieces are in: give those (.vtp or .vtu)";
+            return Err(Error::unsupported(XML, what));
+        }
+        other => {
+            let what = format!("a data set of the type {other:?} is no list of points: save PolyData (.vtp)");
+            return Err(Error::unsupported(XML, what));
+        }
+    }
+    let endian = match attribute(tag, "byte_order", at)?.as_deref() {
+        None | Some("LittleEndian") => Endian::Little,
+        Some("BigEndian") => Endian::Big,
+        Some(other) => return Err(malformed(at, &format!("unknown byte order {other:?}"))),
+    };
+    let header_word_bytes = match attribute(tag, "header_type", at)?.as_deref() {
+        None | Some("UInt32") => 4,
+        Some("UInt64") => 8,
+        Some(other) => return Err(malformed(at, &format!("unknown type of headers {other:?}"))),
+    };
+    let packing = match attribute(tag, "compressor", at)?.as_deref() {
+        None | Some("") => None,
+        Some("vtkZLibDataCompressor") => Some(Packing::Zlib),
+        Some("vtkLZ4DataCompressor") => Some(Packing::Lz4),
+        Some("vtkLZMADataCompressor") => Some(Packing::Lzma),
+        Some(other) => {
+            let what = format!("packed by {other}: save it with zlib, LZ4 or LZMA, or not packed");
+            return Err(Error::unsupported(XML, what));
+        }
+    };
+    let encoding = Encoding { endian, header_word_bytes, packing };
+    Ok(Document { encoding, pieces: Vec::new(), array_count: 0, notes: Vec::new() })
+}
+
+fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described<'a>> {
+    let count = |name: &str, what: &str, text: String| {
+        let count = text.trim().parse();
+        let count = count
+            .map_err(|_| malformed(at, &format!("{name}: expected a number of {what}, found {text:?}")))?;
+        checked_count(XML, count, limits)
+    };
+    let points = attribute(tag, "NumberOfPoints", at)?.unwrap_or_default();
+    // Only PolyData has polygons.
+    let polys = attribute(tag, "NumberOfPolys", at)?.unwrap_or_else(|| "0".to_owned());
+    Ok(Described {
+        point_count: count("NumberOfPoints", "points", points)?,
+        poly_count: count("NumberOfPolys", "polygons", polys)?,
+        ..Described::default()
+    })
+}
+
+fn take_array<'a>(
+    tag: &BytesStart<'a>,
+    at: u64,
+    section: Section,
+    document: &mut Document<'a>,
+    limits: &Limits,
+) -> Result<()> {
+    let Some(piece) = document.pieces.last_mut() else {
+        return Err(malformed(at, "an array of points outside any piece"));
+    };
+    document.array_count += 1;
+    if piece.arrays.len().max(piece.polys.len()) >= limits.attribute_count
+        || document.array_count > PART_COUNT_MAX
+    {
+        let what = format!("more arrays than the limit of {}", limits.attribute_count.min(PART_COUNT_MAX));
+        return Err(Error::too_large(XML, what));
+    }
+    let array = data_array(tag, at)?;
+    match section {
+        Section::Points => piece.points = Some(array),
+        Section::Polys => piece.polys.push(array),
+        _ => piece.arrays.push(array),
+    }
+    Ok(())
+}
+
+fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
+    let name = attribute(tag, "Name", at)?.unwrap_or_default();
+    let arity = match attribute(tag, "NumberOfComponents", at)? {
+        None => 1,
+        Some(text) => text.trim().parse().map_err(|_| {
+            malformed(at, &format!("the array `{name}` has {text:?} components, which is no number"))
+        })?,
+    };
+    let form = match attribute(tag, "format", at)?.as_deref() {
+        None | Some("ascii") => Form::Ascii,
+        Some("binary") => Form::Binary,
+        Some("appended") => {
+            let offset = attribute(tag, "offset", at)?.unwrap_or_default();
+            Form::Appended(offset.trim().parse().map_err(|_| {
+                malformed(at, &format!("the array `{name}` has the offset {offset:?}, which is no number"))
+            })?)
+        }
+        Some(other) => {
+            return Err(malformed(at, &format!("the array `{name}` has the unknown format {other:?}")));
+        }
+    };
+    let number = number_of(&attribute(tag, "type", at)?.unwrap_or_default());
+    Ok(DataArray { name, number, arity, form, content: &[], offset: at })
+}
+
+fn number_of(kind: &str) -> Option<Number> {
+    Some(match kind {
+        "Int8" => Number::I8,
+        "UInt8" => Number::U8,
+        "Int16" => Number::I16,
+        "UInt16" => Number::U16,
+        "Int32" => Number::I32,
+        "UInt32" => Number::U32,
+        "Int64" => Number::I64,
+        "UInt64" => Number::U64,
+        "Float32" => Number::F32,
+        "Float64" => Number::F64,
+        _ => return None,
+    })
+}
+
+/// The text of an array; what stands between its other children is blank.
+fn set_content<'a>(document: &mut Document<'a>, section: Section, text: &'a [u8], at: u64) {
+    let Some(piece) = document.pieces.last_mut() else { return };
+    let array = match section {
+        Section::Points => piece.points.as_mut(),
+        Section::Polys => piece.polys.last_mut(),
+        _ => piece.arrays.last_mut(),
+    };
+    if let Some(array) =
+        array.filter(|array| array.content.is_empty()).filter(|_| !text.trim_ascii().is_empty())
+    {
+        array.content = text;
+        array.offset = at;
+    }
+}
+
+/// The value of an attribute of a tag.
+fn attribute(tag: &BytesStart, name: &str, at: u64) -> Result<Option<String>> {
+    let wrong = |error: &dyn std::fmt::Display| malformed(at, &format!("the attribute `{name}`: {error}"));
+    let Some(found) = tag.try_get_attribute(name).map_err(|error| wrong(&error))? else { return Ok(None) };
+    let value = quick_xml::escape::unescape(&found.value).map_err(|error| wrong(&error))?;
+    Ok(Some(value.into_owned()))
+}
+
+/// What turns described arrays into values.
+pub(super) struct Decoder<'a> {
+    encoding: Encoding,
+    appended: Option<Appended<'a>>,
+    account: Account,
+    limits: &'a Limits,
+}
+
+impl Decoder<'_> {
+    pub(super) fn values(&mut self, array: &DataArray, number: Number, count: usize) -> Result<Values> {
+        array.values(number, count, self.encoding, self.appended, &mut self.account, self.limits)
+    }
+}
+
+fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) -> Result<Piece> {
+    let count = described.point_count;
+    if count == 0 {
+        return Ok(Piece::default());
+    }
+    let positions = points_of(described, decoder)?;
+    let mut arrays = Vec::new();
+    for array in &described.arrays {
+        let (Some(number), 1..) = (array.number, array.arity) else {
+            notes.push(format!("The array `{}` holds no numbers and was left out.", array.name));
+            continue;
+        };
+        let values = decoder.values(array, number, count)?;
+        arrays.push(NamedArray { name: array.name.clone(), arity: array.arity, values });
+    }
+    Ok(Piece { positions, arrays })
+}
+
+/// Where the points of a piece are.
+pub(super) fn points_of(described: &Described, decoder: &mut Decoder) -> Result<Positions> {
+    let no_points = || Error::invalid(XML, Place::File, "a piece has no array of its points");
+    let points = described.points.as_ref().ok_or_else(no_points)?;
+    let number = points
+        .number
+        .filter(|_| points.arity == 3)
+        .ok_or_else(|| malformed(points.offset, "the points are not three numbers each"))?;
+    positions_of(XML, decoder.values(points, number, described.point_count)?)
+}

@@ -1,0 +1,152 @@
+//! From a `DataArray` element to values.
+
+use crate::bytes::Endian;
+use crate::data::Values;
+use crate::error::{Error, Place, Result};
+use crate::limits::Limits;
+use crate::number::{self, Number};
+use crate::text::parse_number;
+
+use super::XML;
+use super::blocks::{Account, Encoded, Encoding, decode};
+
+/// An array as its element describes it.
+#[derive(Debug)]
+pub(super) struct DataArray<'a> {
+    pub(super) name: String,
+    /// `None` of what is no number.
+    pub(super) number: Option<Number>,
+    pub(super) arity: usize,
+    pub(super) form: Form,
+    /// What is between the tags, and where: nothing of appended data.
+    pub(super) content: &'a [u8],
+    pub(super) offset: u64,
+}
+
+/// Where the values are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Form {
+    /// Decimals between the tags.
+    Ascii,
+    /// Base64 between the tags.
+    Binary,
+    /// So many bytes from the start of the appended data.
+    Appended(u64),
+}
+
+/// The data behind all elements.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Appended<'a> {
+    pub(super) bytes: &'a [u8],
+    pub(super) is_base64: bool,
+    pub(super) offset: u64,
+}
+
+impl DataArray<'_> {
+    /// The values, `arity` for each of `count` points.
+    pub(super) fn values(
+        &self,
+        number: Number,
+        count: usize,
+        encoding: Encoding,
+        appended: Option<Appended>,
+        account: &mut Account,
+        limits: &Limits,
+    ) -> Result<Values> {
+        let expected = count.checked_mul(self.arity).ok_or_else(|| self.invalid("too many values"))?;
+        let encoded = match self.form {
+            Form::Ascii => return self.decimals(number, expected),
+            Form::Binary => {
+                let start = self.content.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+                let bytes = self.content[start..].trim_ascii_end();
+                Encoded { bytes, is_base64: true, offset: self.offset + start as u64 }
+            }
+            Form::Appended(start) => self.appended(start, appended)?,
+        };
+        // Lines may be broken.
+        let unbroken: Vec<u8>;
+        let is_broken = self.form == Form::Binary && encoded.bytes.iter().any(u8::is_ascii_whitespace);
+        let encoded = if is_broken {
+            unbroken = encoded.bytes.iter().copied().filter(|byte| !byte.is_ascii_whitespace()).collect();
+            Encoded { bytes: &unbroken, ..encoded }
+        } else {
+            encoded
+        };
+        let bytes = decode(encoded, encoding, &self.name, account, limits)?;
+        if bytes.len() != expected.saturating_mul(number.size()) {
+            let what =
+                format!("expected {expected} values of {} bytes, found {} bytes", number.size(), bytes.len());
+            return Err(self.invalid(&what));
+        }
+        Ok(number.decode(&bytes, encoding.endian))
+    }
+
+    fn appended<'a>(&self, start: u64, appended: Option<Appended<'a>>) -> Result<Encoded<'a>> {
+        let Some(Appended { bytes, is_base64, offset }) = appended else {
+            return Err(self.invalid("its data is said to be appended, but none is"));
+        };
+        let rest = usize::try_from(start).ok().and_then(|start| bytes.get(start..));
+        let bytes = rest.ok_or_else(|| {
+            self.invalid(&format!("its data begins at byte {start} of the {} that are appended", bytes.len()))
+        })?;
+        Ok(Encoded { bytes, is_base64, offset: offset + start })
+    }
+
+    fn decimals(&self, number: Number, expected: usize) -> Result<Values> {
+        let words = self.content.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        // Each number has a digit and something behind it.
+        if expected > self.content.len().div_ceil(2) {
+            let what = format!("expected {expected} values, found {} bytes of text", self.content.len());
+            return Err(self.invalid(&what));
+        }
+        let values = decimals(words.clone(), number, expected).map_err(|word| {
+            self.invalid(&format!("expected a value of the type, found `{}`", word.escape_ascii()))
+        })?;
+        let found = number::length(&values) + words.skip(expected).count();
+        if found != expected {
+            return Err(self.invalid(&format!("expected {expected} values, found {found}")));
+        }
+        Ok(values)
+    }
+
+    fn invalid(&self, what: &str) -> Error {
+        Error::invalid(XML, Place::Offset(self.offset), format!("the array `{}`: {what}", self.name))
+    }
+}
+
+/// The first `count` words as values of the type that [`Number::decode`] gives; a word that is none as the error.
+pub(super) fn decimals<'a>(
+    words: impl Iterator<Item = &'a [u8]>,
+    number: Number,
+    count: usize,
+) -> std::result::Result<Values, Vec<u8>> {
+    fn parse<'a, T>(
+        words: impl Iterator<Item = &'a [u8]>,
+        count: usize,
+        parse: impl Fn(&'a [u8]) -> Option<T>,
+    ) -> std::result::Result<Vec<T>, Vec<u8>> {
+        let mut values = Vec::with_capacity(count);
+        for word in words.take(count) {
+            values.push(parse(word).ok_or_else(|| word[..word.len().min(24)].to_vec())?);
+        }
+        Ok(values)
+    }
+    fn real<T: fast_float2::FastFloat>(word: &[u8]) -> Option<T> {
+        parse_number(word).filter(|(_, length)| *length == word.len()).map(|(value, _)| value)
+    }
+    fn integer<T: std::str::FromStr>(word: &[u8]) -> Option<T> {
+        std::str::from_utf8(word).ok()?.parse().ok()
+    }
+    Ok(match number {
+        Number::F16 | Number::F32 => Values::F32(parse(words, count, real)?),
+        Number::F64 => Values::F64(parse(words, count, real)?),
+        Number::Bool | Number::U8 => Values::U8(parse(words, count, integer)?),
+        Number::I8 | Number::I16 | Number::U16 | Number::I32 => Values::I32(parse(words, count, integer)?),
+        Number::U32 | Number::I64 => Values::I64(parse(words, count, integer)?),
+        Number::U64 => {
+            let integers: Vec<u64> = parse(words, count, integer)?;
+            let bytes: Vec<u8> = integers.iter().flat_map(|value| value.to_le_bytes()).collect();
+            Number::U64.decode(&bytes, Endian::Little)
+        }
+    })
+}

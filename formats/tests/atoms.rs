@@ -1,0 +1,109 @@
+//! The `.xyz` of chemists.
+
+use meniscus_formats::{Kind, Limits, ParticleFrame, Positions, Role, Values, probe, read_particles};
+
+fn read(text: &str) -> ParticleFrame {
+    assert_eq!(probe(text.as_bytes(), "a.xyz").kind, Kind::XyzAtoms, "{text}");
+    read_particles(text.as_bytes(), "a.xyz", &Limits::default())
+        .unwrap_or_else(|error| panic!("{text}: {error}"))
+}
+
+#[test]
+fn atoms_have_elements_and_positions() {
+    let frame = read("3\nwater\nO 0.0 0.0 0.5\n H  0.75 0.5 0\r\nH\t-0.75 0.5 0\n");
+    assert_eq!(frame.positions, Positions::F32(vec![[0.0, 0.0, 0.5], [0.75, 0.5, 0.0], [-0.75, 0.5, 0.0]]));
+    assert_eq!(frame.attributes.len(), 1);
+    assert_eq!(frame.attributes[0].name, "element");
+    assert!(matches!(&frame.attributes[0].values, Values::Strings { table, .. } if table.len() == 2));
+}
+
+#[test]
+fn atomic_numbers_stand_for_elements() {
+    let frame = read("2\n\n8 0.5 0.25 1\n 1 1 2 3\n");
+    assert_eq!(frame.positions, Positions::F32(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));
+    assert_eq!(frame.attributes[0].name, "element");
+    assert_eq!(frame.attributes[0].values, Values::I32(vec![8, 1]));
+}
+
+/// Its head may end anywhere, in its last atom as well.
+#[test]
+fn a_frame_is_known_by_its_head() {
+    for (count, row) in [(2, "8 0.5 0.25 1\n"), (700, "1 0.5 0.25 1\n"), (3, "O 0.5 0.25 1\n")] {
+        let frame = format!("{count}\n\n{}", row.repeat(count));
+        let text = frame.repeat(2);
+        let least = frame.find("\n\n").expect("a comment") + 2 + 2 * row.len();
+        for cut in least..=text.len().min(least + 8192) {
+            let head = &text.as_bytes()[..cut];
+            assert_eq!(probe(head, "a.xyz").kind, Kind::XyzAtoms, "{count} atoms, cut at {cut}");
+        }
+    }
+}
+
+/// What stands where the comment would is a row like the others.
+#[test]
+fn a_count_above_a_table_makes_no_atoms_of_it() {
+    let tables = ["1\n1 2 3 4\n5 6 7 8\n", "1\n1 2 3 4\n5 6 7 8", "4\n1 0 0 1\n2 1 0 0\n3 0 1 0\n4 1 1 0\n"];
+    for text in tables {
+        assert_ne!(probe(text.as_bytes(), "a.xyz").kind, Kind::XyzAtoms, "{text}");
+    }
+}
+
+#[test]
+fn columns_behind_the_position_are_kept() {
+    let frame = read("1\n\nO 0 0 0.5 1 2\n");
+    let names: Vec<_> = frame.attributes.iter().map(|attribute| attribute.name.as_str()).collect();
+    assert_eq!(names, ["element", "column_5", "column_6"]);
+    let comment =
+        "Lattice=\"1 0 0 0 1 0 0 0 1\" Properties=species:S:1:id:I:1:pos:R:3:velo:R:3:q:R:2 Time=0.5";
+    let frame = read(&format!("1\n{comment}\nO 7 0 0 0.5 1 2.5 3 0.25 0.5\n"));
+    let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
+    assert_eq!(found, [("species", 1, None), ("id", 1, Some(Role::Id)), ("velo", 3, None), ("q", 2, None)]);
+    assert_eq!(frame.attributes[2].values, Values::F32(vec![1.0, 2.5, 3.0]));
+}
+
+/// As `"\n".join` writes them; but so ends a file as well that is still being written.
+#[test]
+fn the_last_line_needs_no_end_but_that_is_told() {
+    let ended = read("2\nwater\nO 0 0 0\nH 1 0 0.25\n");
+    assert!(ended.notes.is_empty(), "{:?}", ended.notes);
+    let frame = read("2\nwater\nO 0 0 0\nH 1 0 0.25");
+    assert_eq!((&frame.positions, &frame.attributes), (&ended.positions, &ended.attributes));
+    assert!(matches!(&frame.notes[..], [note] if note.contains("without a line end")), "{:?}", frame.notes);
+    for blanks in ["\r\n", "\n\n", "\n ", " ", "\r"] {
+        let text = format!("2\nwater\nO 0 0 0\nH 1 0 0.25{blanks}");
+        assert_eq!(read(&text), ended, "{blanks:?}");
+    }
+}
+
+#[test]
+fn more_frames_than_there_may_be_are_told() {
+    let limits = Limits { step_count: 3, ..Limits::default() };
+    let error = |count: usize| {
+        let text = "1\n\nO 0 0 0\n".repeat(count);
+        read_particles(text.as_bytes(), "a.xyz", &limits).expect_err("several").to_string()
+    };
+    assert!(error(3).contains("several frames"), "{}", error(3));
+    assert!(error(4).contains("more steps than the limit of 3"), "{}", error(4));
+}
+
+#[test]
+fn what_is_wrong_is_told_with_its_line() {
+    let table = [
+        ("3\nwater\nO 0 0 0\nH 1 0 0\n", "XYZ atoms, at line 4: expected 3 atoms, found 2"),
+        ("2\nwater\nO 0 0 0\n\n", "at line 4: expected an atom, found an empty line"),
+        ("2\nwater\nO 0 0 0\nH 1 0\n", "XYZ atoms, at line 4"),
+        ("2\nwater\nO 0 0 0\nH 1 0 x\n", "XYZ atoms, at line 4"),
+        ("1\nProperties=species:S:1:r:R:3\nO 0 0 0\n", "no pos:R:3"),
+        ("2\nwater\nO 0 0 0\nH 1 0", "at line 4: expected 4 cells"),
+        ("2\nwater\nO 0 0 0\nH 1 0", "found 3; the file ends there, without a line end"),
+        ("99999999999\n\nO 0 0 0\n", "more than the limit"),
+        ("1\n\nO 0 0 0\n1\n\nO 0 0 0\n", "several frames"),
+        ("2\nwater\nO 0 0 0\nH 1 0 -", "found \"-\"; the file ends there, without a line end"),
+        ("3\nwater\n8 0 0 0\n1 1 0 0\n", "XYZ atoms, at line 4: expected 3 atoms, found 2"),
+    ];
+    for (text, words) in table {
+        let error =
+            read_particles(text.as_bytes(), "a.xyz", &Limits::default()).expect_err(words).to_string();
+        assert!(error.contains(words), "expected `{words}` in: {error}");
+    }
+}

@@ -1,0 +1,145 @@
+//! Houdini's geometry: the same document in all its forms, and what is refused.
+
+mod fixtures;
+
+use fixtures::{PAGES, TUPLES, binary, container};
+use meniscus_formats::{
+    Attribute, Error, Limits, ParticleFrame, Positions, Role, Values, houdini, read_particles,
+};
+
+fn read(bytes: &[u8], name: &str) -> ParticleFrame {
+    read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// The document as text, as binary in both orders, and in the container.
+fn forms(text: &str) -> Vec<(&'static str, Vec<u8>)> {
+    vec![
+        ("a.geo", text.into()),
+        ("a.bgeo", binary(text, false)),
+        ("big-endian.bgeo", binary(text, true)),
+        ("a.bgeo.sc", container(&binary(text, false), 100)),
+        ("large.bgeo.sc", container(&binary(text, false), 1 << 20)),
+        ("big-endian.bgeo.sc", container(&binary(text, true), 100)),
+        ("a.geo.sc", container(text.as_bytes(), 128)),
+    ]
+}
+
+#[test]
+fn every_form_says_the_same() {
+    let attribute = |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
+    let table = ["a", "bé"].map(String::from).to_vec();
+    for (name, bytes) in forms(TUPLES) {
+        let frame = read(&bytes, name);
+        let positions = vec![[0.5, 1.0, 2.0], [0.25, -1.0, 0.2], [3.0, 4.0, 5.0]];
+        assert_eq!(frame.positions, Positions::F32(positions), "{name}");
+        let velocities = [1.0, 4.0, 7.0, 2.0, 5.0, 8.0, 3.0, 6.0, 9.0];
+        let expected = [
+            attribute("v", 3, Some(Role::Velocity), Values::F64(velocities.to_vec())),
+            attribute("id", 1, Some(Role::Id), Values::I64(vec![7, 8, 5_000_000_000])),
+            attribute("pscale", 1, Some(Role::Radius), Values::F32(vec![0.125; 3])),
+            attribute("part", 1, None, Values::Strings { table: table.clone(), indices: vec![1, 0, -1] }),
+        ];
+        assert_eq!(frame.attributes, expected, "{name}");
+        assert_eq!(
+            frame.notes,
+            ["The point attribute \"neighbours\" of the type \"arraydata\" was left out."]
+        );
+    }
+}
+
+#[test]
+fn pages_are_laid_out() {
+    for (name, bytes) in forms(PAGES) {
+        let page = [7.0, 8.0, 9.0];
+        let positions = vec![[1.0, 2.0, 3.0], [2.0, 2.5, 3.0], page, page, [10.0, 11.0, 12.0]];
+        assert_eq!(read(&bytes, name).positions, Positions::F32(positions), "{name}");
+    }
+}
+
+#[test]
+fn points_of_other_things_are_refused() {
+    let table = [
+        ("PackedGeometry", "packed primitives (PackedGeometry): its 3 points are their pivots"),
+        ("VDB", "volumes (VDB): its 3 points are where they stand"),
+        ("Volume", "volumes (Volume)"),
+        ("PolySoup", "surfaces or curves (PolySoup): its 3 points belong to them"),
+        ("p_r", "surfaces or curves (Poly)"),
+        ("run\",\"runtype\",\"NURBCurve", "surfaces or curves (NURBCurve)"),
+    ];
+    for (kind, words) in table {
+        for (name, bytes) in forms(&TUPLES.replace("Part", kind)) {
+            let error = read_particles(&bytes, name, &Limits::default()).expect_err(name);
+            assert!(
+                matches!(error, Error::Unsupported { .. }) && error.to_string().contains(words),
+                "{error}"
+            );
+        }
+    }
+}
+
+#[test]
+fn what_is_wrong_is_told_with_its_place() {
+    let table = [
+        (TUPLES.replace("[3,4,5]", "[3,4]"), "expected 3 values for each of 3 points, found 8"),
+        (
+            TUPLES.replace("[3,4,5]", "[3,4,5,6]"),
+            "attributes/pointattributes/P/body/values/tuples: expected at most 9",
+        ),
+        (TUPLES.replace("[3,4,5]", "[3,4,\"a\"]"), "expected numbers, found \"a\""),
+        (
+            TUPLES.replace("\"pointcount\",3", "\"pointcount\",4000000000"),
+            "for each of 4000000000 points, found 9",
+        ),
+        (TUPLES.replace("\"pointcount\",3", "\"pointcount\",-3"), "expected a count, found -3"),
+        (TUPLES.replace("\"pointcount\"", "\"points\""), "attributes before the pointcount"),
+        (TUPLES.replace("\"P\"", "\"Q\""), "no point attribute P"),
+        (TUPLES.replace("fpreal32", "fpreal8"), "unknown storage \"fpreal8\""),
+        (TUPLES.replace("[0.125]", "[0.125,1]"), "pages that hold more or fewer values"),
+        (PAGES.replace("[3,1]", "[3,2]"), "a packing of [3, 2] for 4 values"),
+        (PAGES.replace("[3,1]", "[3,0,1]"), "a packing of [3, 0, 1] for 4 values"),
+        (PAGES.replace("true,false]", "true,false,true]"), "more flags than the 3 pages"),
+        (PAGES.replace("12, 1]", "12, 1],\"packing\",[1,3]"), "`packing` behind the values that it tells of"),
+        (TUPLES.replace("\"vertexcount\",0", "\"pointcount\",2"), "pointcount a second time"),
+        (PAGES.replace("1,0,", "1,"), "pages that hold more or fewer values"),
+        (PAGES.replace("\"pointcount\",5", "\"pointcount\",5000000000"), "more than the limit"),
+    ];
+    for (text, words) in &table {
+        for (name, bytes) in forms(text) {
+            let error = read_particles(&bytes, name, &Limits::default()).expect_err(words).to_string();
+            assert!(error.contains(words), "{name}: expected `{words}` in: {error}");
+        }
+    }
+    let garbage = houdini::read_text(b"[\"a\",\n @]", &Limits::default()).unwrap_err().to_string();
+    assert!(garbage.contains("at line 2: expected a value, found `@`"), "{garbage}");
+    let more = [TUPLES, "[]"].concat();
+    let error = houdini::read_text(more.as_bytes(), &Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("expected the end of the file"), "{error}");
+}
+
+/// Constant pages are a compression, so they can be a bomb.
+#[test]
+fn constant_pages_are_limited() {
+    let pages = "1,".repeat(100_000);
+    let text = format!(
+        "[\"pointcount\",102400000,\"attributes\",[\"pointattributes\",[[[\"type\",\"numeric\",\"name\",\"P\"],\
+         [\"values\",[\"size\",3,\"storage\",\"fpreal32\",\"pagesize\",1024,\"constantpageflags\",[[{pages}]],\
+         \"rawpagedata\",[{pages}{pages}{pages}]]]]]]]"
+    );
+    let error = houdini::read_text(text.as_bytes(), &Limits::default()).unwrap_err();
+    assert!(matches!(error, Error::TooLarge { .. }), "{error}");
+}
+
+/// Arrays within arrays cost no stack and no memory.
+#[test]
+fn depth_is_no_matter() {
+    let deep = |bytes: &[u8], signature: &[u8]| [signature, &b"[".repeat(4 << 20), bytes].concat();
+    for (bytes, name) in [(deep(b"", b""), "a.geo"), (deep(b"", b"\x7fNSJb"), "a.bgeo")] {
+        let error = read_particles(&bytes, name, &Limits::default()).unwrap_err();
+        assert!(error.to_string().contains("expected a key"), "{error}");
+    }
+    let inside = TUPLES.replace(
+        "\"whatever\",[[]]",
+        &format!("\"whatever\",{}{}", "[".repeat(1 << 20), "]".repeat(1 << 20)),
+    );
+    assert_eq!(read(inside.as_bytes(), "a.geo").positions.len(), 3);
+}

@@ -1,0 +1,492 @@
+//! Meshes written as .vtp, .stl, .usda and quantized .glb: what our own and other readers find in them, to the last bit
+//! where the format has room for it.
+
+#![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
+
+use std::io::Cursor;
+
+use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::wholeness::is_whole;
+use meniscus_formats::{
+    Error, Limits, MeshData, MeshView, Role, Values, VertexAttribute, VertexValues, gltf, read_particles,
+    stl, usda, vtk,
+};
+
+const FAR: [f64; 3] = [1e6 + 0.1, -2e6, 0.3];
+
+fn provenance() -> Vec<(String, String)> {
+    [
+        ("generator", "meniscus 0.1.0"),
+        ("radius", "0.025"),
+        ("input", "größe: \"a\\b\" <x>\nend_header\n"),
+        ("a", ""),
+    ]
+    .map(|(key, value)| (key.to_string(), value.to_string()))
+    .to_vec()
+}
+
+/// A torus of quads, each written as two triangles, the first vertex of the one being the last of the other; and after
+/// them a triangle by itself.
+struct Mesh {
+    positions: Vec<[f32; 3]>,
+    normals: Vec<[f32; 3]>,
+    triangles: Vec<[u32; 3]>,
+    quads: Vec<bool>,
+    origin: [f64; 3],
+    heat: Vec<f32>,
+    velocity: Vec<f32>,
+    color: Vec<f32>,
+    ids: Vec<i64>,
+    table: Vec<String>,
+    names: Vec<i32>,
+}
+
+fn torus(around: u32, across: u32, origin: [f64; 3]) -> Mesh {
+    let (mut positions, mut normals, mut triangles) = (Vec::new(), Vec::new(), Vec::new());
+    for i in 0..around {
+        for j in 0..across {
+            let turn = |index, count| f64::from(index) / f64::from(count) * std::f64::consts::TAU;
+            let ((sin_u, cos_u), (sin_v, cos_v)) = (turn(i, around).sin_cos(), turn(j, across).sin_cos());
+            normals.push([cos_v * cos_u, cos_v * sin_u, sin_v].map(|c| c as f32));
+            let reach = 1.0 + 0.3 * cos_v;
+            positions.push([reach * cos_u, reach * sin_u, 0.3 * sin_v].map(|c| c as f32));
+            let at = |i: u32, j: u32| (i % around) * across + j % across;
+            let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+            triangles.extend([[a, b, d], [b, c, d]]);
+        }
+    }
+    let mut quads: Vec<bool> = (0..triangles.len()).map(|index| index % 2 == 0).collect();
+    triangles.push([0, across, 1]);
+    quads.push(false);
+    let count = positions.len();
+    let color = (0..count).flat_map(|i| [i as f32 / count as f32, 0.5, 1.0, 0.25]).collect();
+    Mesh {
+        heat: (0..count).map(|i| 0.1 * i as f32 - 3.0).collect(),
+        velocity: positions.iter().flat_map(|[x, y, z]| [-y, *x, 1e-9 * z]).collect(),
+        color,
+        ids: (0..count as i64).map(|i| (1 << 40) + i).collect(),
+        table: vec!["a \"b\" <c>".into(), "d".into()],
+        names: (0..count as i32).map(|i| i % 3 - 1).collect(),
+        positions,
+        normals,
+        triangles,
+        quads,
+        origin,
+    }
+}
+
+fn nothing() -> Mesh {
+    let mesh = torus(3, 3, FAR);
+    let (positions, normals, triangles, quads) = Default::default();
+    let [heat, velocity, color] = Default::default();
+    let (ids, names) = Default::default();
+    Mesh { positions, normals, triangles, quads, heat, velocity, color, ids, names, ..mesh }
+}
+
+impl Mesh {
+    fn attributes(&self) -> Vec<VertexAttribute<'_>> {
+        let numbers = |name, role, arity, values| VertexAttribute {
+            name,
+            role,
+            arity,
+            values: VertexValues::Numbers(values),
+        };
+        vec![
+            numbers("heat \u{1}2", None, 1, &*self.heat),
+            numbers("v", Some(Role::Velocity), 3, &*self.velocity),
+            numbers("Cd", Some(Role::Color), 4, &*self.color),
+            VertexAttribute {
+                name: "id",
+                role: Some(Role::Id),
+                arity: 1,
+                values: VertexValues::Integers(&self.ids),
+            },
+            VertexAttribute {
+                name: "2nd",
+                role: None,
+                arity: 1,
+                values: VertexValues::Strings { table: &self.table, indices: &self.names },
+            },
+        ]
+    }
+
+    fn view<'a>(&'a self, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
+        MeshView {
+            positions: &self.positions,
+            normals: &self.normals,
+            triangles: &self.triangles,
+            origin: self.origin,
+            attributes,
+        }
+    }
+
+    fn world(&self) -> Vec<[f64; 3]> {
+        let world = |p: &[f32; 3]| std::array::from_fn(|axis| self.origin[axis] + f64::from(p[axis]));
+        self.positions.iter().map(world).collect()
+    }
+}
+
+fn vtp(mesh: &Mesh, has_quads: bool) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let options = vtk::WriteOptions { quads: if has_quads { mesh.quads.clone().into() } else { [].into() } };
+    vtk::write_mesh(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
+        .expect("writing to memory");
+    bytes
+}
+
+fn stl_bytes(mesh: &Mesh) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    stl::write(&mesh.view(&mesh.attributes()), &provenance(), &mut bytes).expect("writing to memory");
+    bytes
+}
+
+fn usda_text(mesh: &Mesh, has_quads: bool, up: gltf::UpAxis) -> String {
+    let mut bytes = Vec::new();
+    let quads = if has_quads { mesh.quads.clone().into() } else { [].into() };
+    let options = usda::WriteOptions { up, quads, ..usda::WriteOptions::default() };
+    usda::write(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
+        .expect("writing to memory");
+    String::from_utf8(bytes).expect("UTF-8")
+}
+
+fn quantized_glb(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let options = gltf::WriteOptions { up, quantize: true, ..gltf::WriteOptions::default() };
+    gltf::write_glb(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
+        .expect("writing to memory");
+    bytes
+}
+
+/// The triangles that fans of the faces are.
+fn fans(mesh: &Mesh) -> Vec<[u32; 3]> {
+    let quads = mesh.triangles[..mesh.triangles.len().saturating_sub(1)].as_chunks::<2>().0;
+    // A quad begins at the corner from which its diagonal is seen first: (a b d) (b c d) is the quad b c d a.
+    let fan = |&[[a, b, d], [_, c, _]]: &[[u32; 3]; 2]| [[b, c, d], [b, d, a]];
+    quads.iter().flat_map(fan).chain(mesh.triangles.last().copied()).collect()
+}
+
+#[test]
+fn vtp_comes_back_exactly() {
+    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), nothing()] {
+        for has_quads in [false, true] {
+            let bytes = vtp(&mesh, has_quads);
+            let limits = Limits::default();
+            let found = vtk::read_mesh(&bytes, &limits).expect("our own file");
+            assert_eq!(found.positions, mesh.world());
+            match has_quads {
+                false => assert_eq!(found.triangles, mesh.triangles),
+                true => assert_eq!(found.triangles, fans(&mesh)),
+            }
+            let frame = read_particles(&bytes, "a.vtp", &limits).expect("our own file");
+            let values = |name: &str| {
+                let found = frame.attributes.iter().find(|attribute| attribute.name == name);
+                found.unwrap_or_else(|| panic!("{name} is not in {:?}", frame.attributes)).values.clone()
+            };
+            if mesh.positions.is_empty() {
+                continue;
+            }
+            assert_eq!(values("Normals"), Values::F32(mesh.normals.as_flattened().to_vec()));
+            assert_eq!(values("heat _2"), Values::F32(mesh.heat.clone()));
+            assert_eq!(values("v"), Values::F32(mesh.velocity.clone()));
+            assert_eq!(values("Cd"), Values::F32(mesh.color.clone()));
+            assert_eq!(values("id"), Values::I64(mesh.ids.clone()));
+            assert_eq!(values("2nd"), Values::I32(mesh.names.clone()));
+        }
+    }
+    let attributes = torus(3, 3, FAR);
+    assert_eq!(vtk::attribute_notes(&attributes.attributes()), ["heat \u{1}2 is called heat _2 in the .vtp"]);
+}
+
+#[test]
+fn quads_of_vtp_are_polygons_of_four() {
+    let mesh = torus(20, 12, [0.0; 3]);
+    let text = String::from_utf8_lossy(&vtp(&mesh, true)).into_owned();
+    assert!(text.contains(&format!("NumberOfPolys=\"{}\"", mesh.triangles.len() / 2 + 1)), "{text:.900}");
+}
+
+#[test]
+fn stl_comes_back_in_32_bits() {
+    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), nothing()] {
+        let bytes = stl_bytes(&mesh);
+        assert!(bytes.len() == 84 + 50 * mesh.triangles.len() && !bytes.starts_with(b"solid"));
+        let found = stl::read_mesh(&bytes, &Limits::default()).expect("our own file");
+        let narrow = |p: &[f64; 3]| p.map(|c| f64::from(c as f32));
+        let world: Vec<[f64; 3]> = mesh.world().iter().map(narrow).collect();
+        let corners: Vec<[f64; 3]> =
+            mesh.triangles.as_flattened().iter().map(|&i| world[i as usize]).collect();
+        assert_eq!(found.positions, corners);
+        // The normal of each is that of its plane, and outward.
+        for (record, triangle) in bytes[84..].as_chunks::<50>().0.iter().zip(&mesh.triangles) {
+            let normal =
+                |at: usize| f32::from_le_bytes(record[4 * at..4 * at + 4].try_into().expect("four bytes"));
+            let normal = [normal(0), normal(1), normal(2)];
+            assert!((normal.iter().map(|c| c * c).sum::<f32>() - 1.0).abs() < 1e-6);
+            let along: f32 = (0..3).map(|axis| normal[axis] * mesh.normals[triangle[0] as usize][axis]).sum();
+            assert!(along > 0.5, "{along}");
+            assert_eq!(record[48..], [0, 0]);
+        }
+        let moved = |exact: &[f64; 3], rounded: &[f64; 3]| {
+            (0..3).map(|i| (exact[i] - rounded[i]).abs()).fold(0.0, f64::max)
+        };
+        let most = mesh.world().iter().zip(&world).map(|(a, b)| moved(a, b)).fold(0.0, f64::max);
+        assert_eq!(stl::rounding(&mesh.view(&[])), most);
+        assert_eq!(most == 0.0, mesh.origin == [0.0; 3] || mesh.positions.is_empty());
+    }
+}
+
+#[test]
+fn a_triangle_without_an_area_has_no_normal_in_stl() {
+    let view = MeshView {
+        positions: &[[1.0, 2.0, 3.0]; 3],
+        normals: &[[1.0, 0.0, 0.0]; 3],
+        triangles: &[[0, 1, 2]],
+        origin: [0.0; 3],
+        attributes: &[],
+    };
+    let mut bytes = Vec::new();
+    stl::write(&view, &[], &mut bytes).expect("written");
+    assert_eq!(bytes[84..96], [0; 12]);
+}
+
+/// The text of a property between its brackets.
+fn array<'a>(text: &'a str, name: &str) -> &'a str {
+    let start =
+        text.find(&format!(" {name} = [")).unwrap_or_else(|| panic!("{name} is not there")) + name.len() + 5;
+    &text[start..start + text[start..].find(']').expect("an end")]
+}
+
+fn numbers<T: std::str::FromStr>(text: &str) -> Vec<T> {
+    let words = text.split([',', ' ', '(', ')']).filter(|word| !word.is_empty());
+    words.map(|word| word.parse().ok().unwrap_or_else(|| panic!("{word} is no number"))).collect()
+}
+
+#[test]
+fn usda_says_what_the_mesh_is() {
+    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(130, 70, [0.0; 3]), nothing()] {
+        for has_quads in [false, true] {
+            let text = usda_text(&mesh, has_quads, gltf::UpAxis::Z);
+            assert!(text.starts_with("#usda 1.0\n(\n") && text.contains("    upAxis = \"Z\"\n"));
+            assert_eq!(numbers::<f32>(array(&text, "points")), mesh.positions.as_flattened());
+            assert_eq!(numbers::<f32>(array(&text, "normals")), mesh.normals.as_flattened());
+            assert_eq!(numbers::<f32>(array(&text, "velocities")), mesh.velocity);
+            assert_eq!(numbers::<f32>(array(&text, "primvars:heat__2")), mesh.heat);
+            assert_eq!(numbers::<i64>(array(&text, "primvars:id")), mesh.ids);
+            let [mut colors, mut opacities] = [Vec::new(), Vec::new()];
+            for [rgb @ .., alpha] in mesh.color.as_chunks::<4>().0 {
+                colors.extend(rgb);
+                opacities.push(*alpha);
+            }
+            assert_eq!(numbers::<f32>(array(&text, "primvars:displayColor")), colors);
+            assert_eq!(numbers::<f32>(array(&text, "primvars:displayOpacity")), opacities);
+            assert_eq!(array(&text, "primvars:_2nd"), "\"a \\\"b\\\" <c>\", \"d\", \"\"");
+            let indices =
+                mesh.names.iter().map(|&index| if index < 0 { 2 } else { index }).collect::<Vec<_>>();
+            assert_eq!(numbers::<i32>(array(&text, "primvars:_2nd:indices")), indices);
+
+            let counts = numbers::<usize>(array(&text, "faceVertexCounts"));
+            let mut corners = numbers::<u32>(array(&text, "faceVertexIndices")).into_iter();
+            let mut found = Vec::new();
+            for &count in &counts {
+                let face: Vec<u32> = corners.by_ref().take(count).collect();
+                found.extend((2..count).map(|last| [face[0], face[last - 1], face[last]]));
+            }
+            assert_eq!(found, if has_quads { fans(&mesh) } else { mesh.triangles.clone() });
+            assert!(
+                corners.next().is_none() && counts.iter().all(|&count| count == 3 || has_quads && count == 4)
+            );
+            let far = format!("double3 xformOp:translate = ({}, {}, {})", FAR[0], FAR[1], FAR[2]);
+            assert_eq!(text.contains(&far), mesh.origin == FAR);
+            let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
+            assert_eq!((info.vertices, info.faces), (mesh.positions.len() as u64, counts.len() as u64));
+            if !mesh.positions.is_empty() {
+                let extent = numbers::<f32>(array(&text, "extent"));
+                assert!((0..3).all(|axis| {
+                    mesh.positions.iter().all(|p| (extent[axis]..=extent[axis + 3]).contains(&p[axis]))
+                }));
+            }
+        }
+    }
+}
+
+#[test]
+fn usda_is_the_same_on_any_number_of_threads() {
+    let mesh = torus(300, 200, FAR);
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| usda_text(&mesh, true, gltf::UpAxis::Y))
+    };
+    assert!(on(1) == on(4));
+}
+
+#[test]
+fn quantized_meshes_are_off_by_half_a_step() {
+    for mesh in [torus(20, 12, [0.0; 3]), torus(20, 12, FAR), torus(300, 250, [0.0; 3])] {
+        for up in [gltf::UpAxis::Y, gltf::UpAxis::Z] {
+            let bytes = quantized_glb(&mesh, up);
+            let found = gltf::read_mesh(&bytes, &Limits::default()).expect("our own file");
+            assert_eq!(found.triangles, mesh.triangles);
+            let error = gltf::quantization_error(&mesh.view(&[]));
+            assert!((error / (2.6 / 65535.0 / 2.0) - 1.0).abs() < 0.01, "{error}");
+            let turn = |[x, y, z]: [f64; 3]| if up == gltf::UpAxis::Z { [x, z, -y] } else { [x, y, z] };
+            for (found, expected) in found.positions.iter().zip(mesh.world()) {
+                let expected = turn(expected);
+                // Beyond half a step there is the rounding of far coordinates to 64 bits.
+                assert!(
+                    (0..3).all(|axis| (found[axis] - expected[axis]).abs() <= error * 1.0001 + 1e-9),
+                    "{found:?}"
+                );
+            }
+            for (found, expected) in found.normals.iter().zip(&mesh.normals) {
+                let expected = turn(expected.map(f64::from));
+                assert!((0..3).all(|axis| (f64::from(found[axis]) - expected[axis]).abs() < 0.008));
+            }
+        }
+    }
+    let empty = quantized_glb(&nothing(), gltf::UpAxis::Y);
+    assert_eq!(gltf::read_mesh(&empty, &Limits::default()).expect("an empty scene"), MeshData::default());
+    assert!(!String::from_utf8_lossy(&empty).contains("KHR"));
+}
+
+#[test]
+fn the_gltf_crate_reads_quantized_meshes() {
+    let mesh = torus(20, 12, FAR);
+    let bytes = quantized_glb(&mesh, gltf::UpAxis::Z);
+    let plain = {
+        let mut bytes = Vec::new();
+        gltf::write_glb(&mesh.view(&[]), &gltf::WriteOptions::default(), &[], &mut bytes).expect("written");
+        bytes
+    };
+    let bare = {
+        let mut bytes = Vec::new();
+        let options = gltf::WriteOptions { quantize: true, ..gltf::WriteOptions::default() };
+        gltf::write_glb(&mesh.view(&[]), &options, &[], &mut bytes).expect("written");
+        bytes
+    };
+    assert!(plain.len() - bare.len() > 10 * mesh.positions.len(), "{} and {}", plain.len(), bare.len());
+    let other = ::gltf::Gltf::from_slice_without_validation(&bytes).expect("a document");
+    let required: Vec<&str> = other.extensions_required().collect();
+    assert_eq!(
+        (other.extensions_used().collect::<Vec<_>>(), &*required),
+        (required.clone(), &["KHR_mesh_quantization"][..])
+    );
+    let primitive = other.meshes().next().and_then(|mesh| mesh.primitives().next()).expect("a primitive");
+    let positions = primitive.get(&::gltf::Semantic::Positions).expect("positions");
+    assert!(positions.normalized() && positions.data_type() == ::gltf::accessor::DataType::U16);
+    let blob = other.blob.as_ref().expect("a binary chunk");
+    let values = ::gltf::accessor::Iter::<[u16; 3]>::new(positions, |_| Some(blob)).expect("values");
+    let values: Vec<[u16; 3]> = values.collect();
+    let bounds = primitive.bounding_box();
+    for axis in 0..3 {
+        let on = || values.iter().map(|value| f32::from(value[axis]));
+        assert_eq!(bounds.min[axis], on().fold(f32::MAX, f32::min));
+        assert_eq!(bounds.max[axis], on().fold(f32::MIN, f32::max));
+    }
+    // The longest axis takes the whole range; the scale is the same for all.
+    assert_eq!((bounds.min[0], bounds.max[0]), (0.0, 65535.0));
+    let (_, _, scale) = other.nodes().next().expect("a node").transform().decomposed();
+    assert!(scale[0] == scale[1] && scale[1] == scale[2] && (scale[0] - 2.6).abs() < 0.02, "{scale:?}");
+    assert!(other.accessors().filter(|a| a.data_type() == ::gltf::accessor::DataType::F32).count() > 2);
+}
+
+fn files() -> [(Kind, Vec<u8>); 3] {
+    let mesh = torus(9, 7, FAR);
+    [
+        (Kind::Vtp, vtp(&mesh, true)),
+        (Kind::Stl, stl_bytes(&mesh)),
+        (Kind::Usda, usda_text(&mesh, true, gltf::UpAxis::Y).into_bytes()),
+    ]
+}
+
+#[test]
+fn what_made_a_file_comes_back_from_its_head() {
+    for (kind, bytes) in files() {
+        // A title of 80 bytes has room for what made it, and for names that are known to be short.
+        let expected = if kind == Kind::Stl { provenance()[..1].to_vec() } else { provenance() };
+        assert_eq!(read_provenance(kind, &bytes[..]).expect("our own file"), expected, "{kind:?}");
+        assert_eq!(read_provenance(kind, &bytes[..2500]).expect("a head"), expected, "{kind:?}");
+        for length in 0..2500 {
+            let _ = read_provenance(kind, &bytes[..length]);
+        }
+    }
+    let foreign: [(Kind, &[u8]); 2] = [
+        (Kind::Vtp, b"<VTKFile type=\"PolyData\"><PolyData><FieldData><Array Name=\"TimeValue\">1 0</Array>"),
+        (Kind::Stl, &[b'x'; 84]),
+    ];
+    for (kind, bytes) in foreign {
+        assert_eq!(read_provenance(kind, bytes).expect("a foreign file"), [], "{kind:?}");
+    }
+    assert!(read_provenance(Kind::Vtp, &b"<html>"[..]).is_err());
+}
+
+#[test]
+fn a_file_that_lost_its_end_or_grew_is_not_whole() {
+    for (kind, bytes) in files() {
+        let whole = |bytes: &[u8]| is_whole(kind, &mut Cursor::new(bytes)).unwrap_or(false);
+        assert!(whole(&bytes), "{kind:?}");
+        for length in (0..bytes.len()).rev().step_by(7).chain(bytes.len() - 40..bytes.len()) {
+            assert!(!whole(&bytes[..length]), "{kind:?} at {length} of {}", bytes.len());
+        }
+        assert!(!whole(&[&bytes[..], b"\nmore\n"].concat()), "{kind:?}");
+    }
+}
+
+#[test]
+fn what_no_file_can_hold_is_refused() {
+    let refused = |mesh: &Mesh| {
+        let view = mesh.view(&[]);
+        let quads = || mesh.quads.clone().into();
+        let options = usda::WriteOptions { quads: quads(), ..usda::WriteOptions::default() };
+        let vtp = vtk::write_mesh(&view, &vtk::WriteOptions { quads: quads() }, &[], &mut Vec::new());
+        assert!(matches!(vtp, Err(Error::Invalid { .. })), "{vtp:?}");
+        let usda = usda::write(&view, &options, &[], &mut Vec::new());
+        assert!(matches!(usda, Err(Error::Invalid { .. })), "{usda:?}");
+        stl::write(&view, &[], &mut Vec::new())
+    };
+    let mut mesh = torus(5, 4, [0.0; 3]);
+    mesh.triangles[2][1] = 99;
+    assert!(refused(&mesh).is_err());
+    let mut mesh = torus(5, 4, [0.0; 3]);
+    mesh.positions[1][2] = f32::NAN;
+    assert!(refused(&mesh).is_err());
+    // Quads that are none concern those formats only that have quads.
+    let mut mesh = torus(5, 4, [0.0; 3]);
+    mesh.quads.fill(true);
+    assert!(refused(&mesh).is_ok());
+}
+
+#[test]
+fn damaged_meshes_are_errors_and_never_panics() {
+    let mut state = 1u64;
+    let mut below = |end: usize| {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) as usize % end
+    };
+    let mesh = torus(5, 4, FAR);
+    for (bytes, is_vtp) in [(vtp(&mesh, true), true), (stl_bytes(&mesh), false)] {
+        let read = |bytes: &[u8]| match is_vtp {
+            true => vtk::read_mesh(bytes, &Limits::default()).is_ok(),
+            false => stl::read_mesh(bytes, &Limits::default()).is_ok(),
+        };
+        assert!(read(&bytes));
+        for length in 0..bytes.len() - 1 {
+            assert!(!read(&bytes[..length]), "{length}");
+        }
+        for _ in 0..5_000 {
+            let mut broken = bytes.clone();
+            for _ in 0..1 + below(3) {
+                let at = below(broken.len());
+                broken[at] = if below(2) == 0 {
+                    broken[at] ^ 1 << below(8)
+                } else {
+                    b"0123456789-e. <>\"="[below(18)]
+                };
+            }
+            read(&broken);
+        }
+    }
+    let text = stl::read_mesh(
+        b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\n",
+        &Limits::default(),
+    );
+    assert!(matches!(text, Err(Error::Unsupported { .. })), "{text:?}");
+}

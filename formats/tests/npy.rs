@@ -1,0 +1,188 @@
+//! NumPy arrays: headers as NumPy writes them, built here byte by byte, against what they must mean.
+
+mod fixtures;
+
+use fixtures::{archive, array, f32s, six};
+use meniscus_formats::{Attribute, Limits, ParticleFrame, Positions, Role, Values, npy, read_particles};
+
+fn read(bytes: &[u8]) -> ParticleFrame {
+    read_particles(bytes, "a.npy", &Limits::default()).unwrap_or_else(|error| panic!("{error}"))
+}
+
+const TWO: [[f32; 3]; 2] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]];
+
+#[test]
+fn positions_of_every_type_and_order_are_read() {
+    let columns = f32s(&[1.0, 4.0, 2.0, 5.0, 3.0, 6.0]);
+    let halves: Vec<u8> = [0x3c00u16, 0x4000, 0x4200, 0x4400, 0x4500, 0x4600]
+        .iter()
+        .flat_map(|half| half.to_le_bytes())
+        .collect();
+    let wide: Vec<u8> = (1..=6).flat_map(|n| f64::from(n).to_be_bytes()).collect();
+    let integers: Vec<u8> = (1..=6i16).flat_map(i16::to_be_bytes).collect();
+    let table = [
+        ("version 1", array(1, "'<f4'", false, "(2, 3)", &six()), false),
+        ("version 2", array(2, "'<f4'", false, "(2, 3)", &six()), false),
+        ("version 3", array(3, "'<f4'", false, "(2, 3)", &six()), false),
+        ("Fortran", array(1, "'<f4'", true, "(2, 3)", &columns), false),
+        ("three lengths", array(1, "'<f4'", false, "(2, 1, 3)", &six()), false),
+        ("halves", array(1, "'<f2'", false, "(2, 3)", &halves), false),
+        ("big-endian doubles", array(1, "'>f8'", false, "(2, 3)", &wide), true),
+        ("integers", array(1, "'>i2'", false, "(2, 3)", &integers), true),
+    ];
+    for (case, bytes, is_wide) in table {
+        let frame = read(&bytes);
+        let expected = match is_wide {
+            false => Positions::F32(TWO.to_vec()),
+            true => Positions::F64(TWO.map(|position| position.map(f64::from)).to_vec()),
+        };
+        assert_eq!(frame, ParticleFrame { positions: expected, ..ParticleFrame::default() }, "{case}");
+    }
+}
+
+#[test]
+fn more_columns_are_attributes() {
+    let frame = read(&array(1, "'<f4'", false, "(1, 6)", &six()));
+    assert_eq!(frame.positions, Positions::F32(vec![TWO[0]]));
+    let names: Vec<&str> = frame.attributes.iter().map(|a| a.name.as_str()).collect();
+    assert_eq!((names.join(" "), frame.notes.len()), ("column_4 column_5 column_6".into(), 1));
+}
+
+#[test]
+fn structured_arrays_have_fields() {
+    let descr = "[('id', '<u2'), ('', '|V2'), ('pos', '<f4', (3,)), ('v', [('x', '>f4'), ('y', '>f4'), ('z', '>f4')]), \
+                 ('name', '|S4'), (('a radius', 'radius'), '<f4')]";
+    let mut record = vec![7, 0, 9, 9];
+    record.extend(f32s(&TWO[0]));
+    record.extend([4.0f32, 5.0, 6.0].iter().flat_map(|v| v.to_be_bytes()));
+    record.extend(b"ab\0\0");
+    record.extend(f32s(&[0.5]));
+    let frame = read(&array(1, descr, false, "(2,)", &[record.clone(), record].concat()));
+    let attribute = |name: &str, arity, role, values| Attribute { name: name.into(), arity, role, values };
+    assert_eq!(frame.positions, Positions::F32(vec![TWO[0]; 2]));
+    assert_eq!(
+        frame.attributes,
+        [
+            attribute("id", 1, Some(Role::Id), Values::I32(vec![7, 7])),
+            attribute("v", 3, Some(Role::Velocity), Values::F32(TWO[1].repeat(2))),
+            attribute("radius", 1, Some(Role::Radius), Values::F32(vec![0.5; 2])),
+        ]
+    );
+    assert!(frame.notes[0].contains("`name` holds no numbers"), "{:?}", frame.notes);
+}
+
+#[test]
+fn archives_are_read_stored_and_deflated() {
+    let members = [
+        ("positions.npy", array(1, "'<f4'", false, "(2, 3)", &six())),
+        ("vel.npy", array(1, "'<f4'", false, "(2, 3)", &six())),
+        ("id.npy", array(1, "'<i8'", false, "(2,)", &[5i64.to_le_bytes(), 6i64.to_le_bytes()].concat())),
+        ("dt.npy", array(1, "'<f8'", false, "()", &0.5f64.to_le_bytes())),
+        ("what.npy", array(1, "'|O'", false, "(1,)", b"\x80")),
+        ("readme.txt", b"no array".to_vec()),
+    ];
+    for deflated in [false, true] {
+        let bytes = archive(&members, deflated);
+        let frame = read_particles(&bytes, "a", &Limits::default()).unwrap();
+        assert_eq!(frame.positions, Positions::F32(TWO.to_vec()));
+        let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.role)).collect();
+        assert_eq!(found, [("vel", Some(Role::Velocity)), ("id", Some(Role::Id))]);
+        assert_eq!(frame.notes.len(), 2, "{:?}", frame.notes);
+        let with_comment = [&bytes[..bytes.len() - 2], &[3, 0], b"abc"].concat();
+        assert_eq!(npy::read_archive(&with_comment, &Limits::default()).unwrap(), frame);
+        let comment = [&b"PK\x05\x06"[..], &[0; 40]].concat();
+        let with_comment = [&bytes[..bytes.len() - 2], &[44, 0], &comment].concat();
+        assert_eq!(npy::read_archive(&with_comment, &Limits::default()).unwrap(), frame);
+    }
+    let columns = ["x", "y", "z"].map(|axis| (axis, array(1, "'<f4'", false, "(2,)", &f32s(&[1.0, 2.0]))));
+    let columns: Vec<(String, Vec<u8>)> = columns.map(|(axis, bytes)| (format!("{axis}.npy"), bytes)).into();
+    let columns: Vec<(&str, Vec<u8>)> =
+        columns.iter().map(|(name, bytes)| (&name[..], bytes.clone())).collect();
+    let frame = npy::read_archive(&archive(&columns, true), &Limits::default()).unwrap();
+    assert_eq!(frame.positions, Positions::F32(vec![[1.0; 3], [2.0; 3]]));
+    let alone = archive(&[("arr_0.npy", array(1, "'<f4'", false, "(2, 3)", &six()))], false);
+    let frame = npy::read_archive(&alone, &Limits::default()).unwrap();
+    assert_eq!((frame.positions, frame.notes.len()), (Positions::F32(TWO.to_vec()), 1));
+    let wide = array(1, "'<f4'", false, "(1, 6)", &six());
+    let archived =
+        npy::read_archive(&archive(&[("arr_0.npy", wide.clone())], false), &Limits::default()).unwrap();
+    let plain = npy::read(&wide, &Limits::default()).unwrap();
+    assert_eq!((&archived.positions, &archived.attributes), (&plain.positions, &plain.attributes));
+    assert_eq!((archived.attributes.len(), archived.notes.len()), (3, 2), "{:?}", archived.notes);
+}
+
+#[test]
+fn what_is_wrong_is_told() {
+    let table = [
+        (
+            "too few numbers",
+            array(1, "'<f4'", false, "(3, 3)", &six()),
+            "expected 36 bytes for the shape (3, 3), 24 remain",
+        ),
+        ("flat", array(1, "'<f4'", false, "(3, 2)", &six()), "found the shape (3, 2)"),
+        ("a list", array(1, "'<f4'", false, "(6,)", &six()), "found the shape (6,)"),
+        ("transposed", array(1, "'<f4'", false, "(3, 0)", &[]), "found the shape (3, 0)"),
+        (
+            "absurd",
+            array(1, "'<f4'", false, "(4000000000, 4000000000, 3)", &six()),
+            "more elements than any file",
+        ),
+        ("many", array(1, "'<f4'", false, "(5000000000, 3)", &six()), "expected 60000000000 bytes"),
+        ("objects", array(1, "'|O'", false, "(2, 3)", b"\x80\x04"), "elements of the type \"|O\""),
+        ("letters", array(1, "'<q7'", false, "(2, 3)", &six()), "the type \"<q7\" is none that is known"),
+        (
+            "nothing",
+            array(1, "[('a', '<f4')]", false, "(6,)", &six()),
+            "expected a field `pos` of three numbers",
+        ),
+        (
+            "no record",
+            array(1, "[('a', [('pos', '<f4', 3)], 0)]", false, "(6,)", &six()),
+            "expected positions",
+        ),
+        (
+            "columns without end",
+            array(1, "'|u1'", false, "(1, 5000)", &[0; 5000]),
+            "5000 columns, more than the limit of 4096",
+        ),
+        (
+            "columns of Fortran without end",
+            array(1, "'|u1'", true, "(1, 5000)", &[0; 5000]),
+            "5000 columns, more than the limit of 4096",
+        ),
+        (
+            "columns of nothing",
+            array(1, "'<f4'", false, "(0, 5000)", &[]),
+            "5000 columns, more than the limit of 4096",
+        ),
+        (
+            "letters without end",
+            array(1, "'<U18446744073709551615'", false, "(2, 3)", &six()),
+            "none that is known",
+        ),
+        ("version", array(4, "'<f4'", false, "(2, 3)", &six()), "version 4.0 of the format"),
+    ];
+    for (case, bytes, words) in table {
+        let error = read_particles(&bytes, "a.npy", &Limits::default()).expect_err(case).to_string();
+        assert!(error.contains(words), "{case}: {error}");
+    }
+    let damaged = |at_end: usize, deflated| {
+        let mut bytes = archive(&[("pos.npy", array(1, "'<f4'", false, "(2, 3)", &six()))], deflated);
+        let at = bytes.len() - at_end;
+        bytes[at] ^= 0x10;
+        npy::read_archive(&bytes, &Limits::default()).expect_err("damaged").to_string()
+    };
+    assert!(damaged(100, false).contains("`pos.npy` is damaged"), "{}", damaged(100, false));
+    assert!(damaged(100, true).contains("`pos.npy` is damaged"), "{}", damaged(100, true));
+    let other = archive(&[("a.npy", array(1, "'<f4'", false, "(6,)", &six()))], true);
+    let error = npy::read_archive(&other, &Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("found: a (6, 1)"), "{error}");
+}
+
+#[test]
+fn bombs_are_refused() {
+    let zeros = vec![0; 64 << 20];
+    let bomb = archive(&[("pos.npy", array(1, "'<f4'", false, "(5592405, 3)", &zeros))], true);
+    let error = npy::read_archive(&bomb, &Limits::default()).unwrap_err().to_string();
+    assert!(error.contains("more than 200 bytes out of each compressed byte"), "{error}");
+}

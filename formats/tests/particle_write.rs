@@ -1,0 +1,184 @@
+//! Particles of every format, written as .ply and .vtp: what is read back is what was read.
+
+mod fixtures;
+
+use std::io::Cursor;
+use std::path::Path;
+
+use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::wholeness::is_whole;
+use meniscus_formats::{
+    Attribute, Limits, ParticleFrame, Positions, Provenance, Result, Role, Values, ply, read_particles, vtk,
+};
+
+type Writer = fn(&ParticleFrame, &Provenance, &mut Vec<u8>) -> Result<()>;
+
+const WRITERS: [(&str, Kind, Writer); 2] =
+    [("a.ply", Kind::Ply, ply::write_particles), ("a.vtp", Kind::Vtp, vtk::write_particles)];
+
+fn read(bytes: &[u8], name: &str) -> ParticleFrame {
+    read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// The files of the corpus and of the other tests that are read.
+fn frames() -> Vec<(String, ParticleFrame)> {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/corpus");
+    let mut files: Vec<(String, Vec<u8>)> = fixtures::all();
+    for folder in ["valid", "delimited/valid"] {
+        for entry in std::fs::read_dir(corpus.join(folder)).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            files.push((name, std::fs::read(path).unwrap()));
+        }
+    }
+    files.sort();
+    let frames = files.into_iter().filter_map(|(name, bytes)| {
+        let frame = read_particles(&bytes, &name, &Limits::default()).ok()?;
+        Some((name, frame))
+    });
+    frames.collect()
+}
+
+/// What becomes of an attribute for want of a type: strings become their indices, wide integers reals.
+fn narrowed(attribute: &Attribute, is_ply: bool) -> Values {
+    match &attribute.values {
+        Values::Strings { table, indices } => Values::I32(
+            indices
+                .iter()
+                .map(|&index| if usize::try_from(index).is_ok_and(|i| i < table.len()) { index } else { -1 })
+                .collect(),
+        ),
+        Values::I64(values) if is_ply && values.iter().all(|&value| u32::try_from(value).is_ok()) => {
+            Values::I64(values.clone())
+        }
+        Values::I64(values) if is_ply && values.iter().all(|&value| i32::try_from(value).is_ok()) => {
+            Values::I32(values.iter().map(|&value| value.try_into().unwrap()).collect())
+        }
+        Values::I64(values) if is_ply => Values::F64(values.iter().map(|&value| value as f64).collect()),
+        values => values.clone(),
+    }
+}
+
+/// Equal to the last bit, also where there are numbers that are none.
+fn bits(values: &Values) -> Vec<u64> {
+    match values {
+        Values::F32(values) => values.iter().map(|value| u64::from(value.to_bits())).collect(),
+        Values::F64(values) => values.iter().map(|value| value.to_bits()).collect(),
+        Values::U8(values) => values.iter().map(|&value| u64::from(value)).collect(),
+        Values::I32(values) => values.iter().map(|&value| value as u64).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as u64).collect(),
+        Values::Strings { indices, .. } => indices.iter().map(|&index| index as u64).collect(),
+    }
+}
+
+fn position_bits(positions: &Positions) -> Vec<u64> {
+    match positions {
+        Positions::F32(all) => all.as_flattened().iter().map(|x| u64::from(x.to_bits())).collect(),
+        Positions::F64(all) => all.as_flattened().iter().map(|x| x.to_bits()).collect(),
+    }
+}
+
+#[test]
+fn what_is_read_back_is_what_was_read() {
+    let frames = frames();
+    assert!(frames.len() > 40, "{}", frames.len());
+    let provenance = [("generator".to_string(), "meniscus x".to_string()), ("a".into(), "b: c".into())];
+    for (name, frame) in &frames {
+        for (written_name, kind, write) in WRITERS {
+            let mut bytes = Vec::new();
+            write(frame, &provenance, &mut bytes).unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(read_provenance(kind, &*bytes).unwrap(), provenance, "{name} as {written_name}");
+            assert!(is_whole(kind, &mut Cursor::new(&bytes)).unwrap(), "{name} as {written_name}");
+            let cut = &bytes[..bytes.len() - 1];
+            assert!(!is_whole(kind, &mut Cursor::new(cut)).unwrap(), "{name} as {written_name}");
+            let found = read(&bytes, written_name);
+            let shown = format!("{name} as {written_name}");
+            let is_wide = |positions: &Positions| matches!(positions, Positions::F64(_));
+            assert_eq!(position_bits(&found.positions), position_bits(&frame.positions), "{shown}");
+            if !frame.positions.is_empty() {
+                assert_eq!(is_wide(&found.positions), is_wide(&frame.positions), "{shown}");
+                check_attributes(frame, &found, kind == Kind::Ply, &shown);
+            }
+        }
+    }
+}
+
+fn check_attributes(frame: &ParticleFrame, found: &ParticleFrame, is_ply: bool, shown: &str) {
+    let named = |frame: &ParticleFrame| -> Vec<(String, usize, Option<Role>)> {
+        frame.attributes.iter().map(|a| (a.name.clone(), a.arity, a.role)).collect()
+    };
+    let mut expected = named(frame);
+    if is_ply {
+        // Blanks end names there.
+        expected.iter_mut().for_each(|(name, ..)| *name = name.replace(' ', "_"));
+    }
+    assert_eq!(named(found), expected, "{shown}");
+    for (found, attribute) in found.attributes.iter().zip(&frame.attributes) {
+        let expected = narrowed(attribute, is_ply);
+        assert_eq!(
+            std::mem::discriminant(&found.values),
+            std::mem::discriminant(&expected),
+            "{} of {shown}",
+            attribute.name
+        );
+        assert_eq!(bits(&found.values), bits(&expected), "{} of {shown}", attribute.name);
+    }
+}
+
+fn attribute(name: &str, arity: usize, role: Option<Role>, values: Values) -> Attribute {
+    Attribute { name: name.into(), arity, role, values }
+}
+
+#[test]
+fn odd_attributes_come_through_or_are_told() {
+    let attributes = vec![
+        attribute("Cd", 4, Some(Role::Color), Values::U8((0..8).collect())),
+        attribute("width", 1, Some(Role::Radius), Values::F32(vec![0.125, 0.25])),
+        attribute("id", 1, Some(Role::Id), Values::I64(vec![-5, 1 << 60])),
+        attribute("a b", 1, None, Values::F64(vec![0.1, -0.0])),
+        attribute("x", 1, None, Values::I32(vec![1, -1])),
+        attribute(
+            "part",
+            1,
+            None,
+            Values::Strings { table: vec!["a\"<".into(), "ü".into()], indices: vec![1, 7] },
+        ),
+    ];
+    let positions = Positions::F64(vec![[0.1, 2e10, -3.5], [f64::NAN, 0.0, 1.0]]);
+    let frame = ParticleFrame { positions, attributes, notes: Vec::new() };
+    let expected: [(&str, &[&str], Writer); 2] = [
+        (
+            "a.vtp",
+            &["part is numbers in the .vtp: which strings they are is in its field data"],
+            vtk::write_particles,
+        ),
+        (
+            "a.ply",
+            &[
+                "1 values of id are beyond ±2⁵³, and rounded in the .ply; a .vtp has them as they are",
+                "a b is called a_b in the .ply",
+                "x is called x_2 in the .ply",
+                "part is numbers in the .ply: which strings they are is in its comments",
+            ],
+            ply::write_particles,
+        ),
+    ];
+    for (name, notes, write) in expected {
+        let found = if name == "a.vtp" { vtk::particle_notes(&frame) } else { ply::particle_notes(&frame) };
+        assert_eq!(found, notes);
+        let mut bytes = Vec::new();
+        write(&frame, &[], &mut bytes).unwrap();
+        let back = read(&bytes, name);
+        assert_eq!(position_bits(&back.positions), position_bits(&frame.positions));
+        assert_eq!(back.attributes[1], frame.attributes[1], "diameters are halved by readers");
+        assert_eq!(back.attributes[0], frame.attributes[0]);
+        let roles: Vec<_> = back.attributes.iter().map(|attribute| attribute.role).collect();
+        assert_eq!(roles[..3], [Some(Role::Color), Some(Role::Radius), Some(Role::Id)]);
+    }
+    let short =
+        ParticleFrame { attributes: vec![attribute("v", 3, None, Values::F32(vec![0.0; 5]))], ..frame };
+    for (_, _, write) in WRITERS {
+        let error = write(&short, &[], &mut Vec::new()).unwrap_err().to_string();
+        assert!(error.contains("5 values of v for 2 particles of 3 each"), "{error}");
+    }
+}

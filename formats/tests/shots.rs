@@ -1,0 +1,373 @@
+//! Shots gathered from the .glb of their frames: what other readers find in them, and what is refused.
+
+#![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
+
+use std::io::{self, Cursor};
+
+use meniscus_formats::gltf::{self, FrameFile, ShotFrame, UpAxis};
+use meniscus_formats::{Error, MeshView, Role, VertexAttribute, VertexValues, usda};
+
+/// A pyramid over a polygon, and how it is written.
+struct Frame {
+    code: u64,
+    sides: u32,
+    origin: [f64; 3],
+    quantize: bool,
+}
+
+const FAR: [f64; 3] = [1e6 + 0.5, -2e6, 0.25];
+
+fn frames() -> Vec<Frame> {
+    let frame = |code, sides, origin, quantize| Frame { code, sides, origin, quantize };
+    vec![
+        frame(5, 3, [0.0; 3], false),
+        frame(6, 5, FAR, true),
+        frame(9, 0, FAR, false),
+        frame(10, 70_000, FAR, false),
+    ]
+}
+
+type Triangles = Vec<[u32; 3]>;
+
+impl Frame {
+    /// Positions, normals, triangles.
+    fn mesh(&self) -> (Vec<[f32; 3]>, Vec<[f32; 3]>, Triangles) {
+        let rim = |i: u32| {
+            let (sin, cos) = (f64::from(i) / f64::from(self.sides) * std::f64::consts::TAU).sin_cos();
+            [cos as f32, sin as f32, 0.0]
+        };
+        let positions: Vec<[f32; 3]> =
+            (0..self.sides).map(rim).chain((self.sides > 0).then_some([0.0, 0.0, 2.0])).collect();
+        let triangles = (0..self.sides).map(|i| [i, (i + 1) % self.sides, self.sides]).collect();
+        let normals = positions.iter().map(|p| if p[2] > 0.0 { [0.0, 0.0, 1.0] } else { *p }).collect();
+        (positions, normals, triangles)
+    }
+
+    fn glb(&self, up: UpAxis) -> Vec<u8> {
+        let (positions, normals, triangles) = self.mesh();
+        let velocity: Vec<f32> = positions.iter().flat_map(|p| [p[0], 2.0, 0.0]).collect();
+        let heat: Vec<f32> = positions.iter().map(|p| p[2]).collect();
+        let numbers = |name, role, arity, values| VertexAttribute {
+            name,
+            role,
+            arity,
+            values: VertexValues::Numbers(values),
+        };
+        let attributes =
+            [numbers("v", Some(Role::Velocity), 3, &*velocity), numbers("Heat", None, 1, &*heat)];
+        // Of one frame less is known.
+        let attributes = &attributes[..if self.code == 6 { 1 } else { 2 }];
+        let mesh = MeshView {
+            positions: &positions,
+            normals: &normals,
+            triangles: &triangles,
+            origin: self.origin,
+            attributes,
+        };
+        let options = gltf::WriteOptions { up, quantize: self.quantize, ..gltf::WriteOptions::default() };
+        let mut bytes = Vec::new();
+        gltf::write_glb(&mesh, &options, &[("input".into(), format!("{}", self.code))], &mut bytes)
+            .expect("written");
+        bytes
+    }
+}
+
+/// The frames as they are gathered, and their files.
+fn gathered(up: UpAxis) -> (Vec<ShotFrame>, Vec<Vec<u8>>) {
+    let files: Vec<Vec<u8>> = frames().iter().map(|frame| frame.glb(up)).collect();
+    let shot = |(frame, bytes): (&Frame, &Vec<u8>)| ShotFrame {
+        name: format!("dam.{}", frame.code),
+        code: frame.code,
+        file: FrameFile::read(&mut Cursor::new(bytes)).expect("our own file"),
+    };
+    (frames().iter().zip(&files).map(shot).collect(), files)
+}
+
+fn provenance() -> Vec<(String, String)> {
+    vec![("generator".into(), "meniscus 0.1.0".into()), ("frames".into(), "4".into())]
+}
+
+fn glb_shot(up: UpAxis) -> Vec<u8> {
+    let (shot, files) = gathered(up);
+    let mut bytes = Vec::new();
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    gltf::write_sequence(&shot, 25.0, &provenance(), open, &mut bytes).expect("written");
+    bytes
+}
+
+fn usda_shot(up: UpAxis) -> (String, Vec<String>) {
+    let (shot, files) = gathered(up);
+    let mut bytes = Vec::new();
+    let open = |index: usize| Ok(Cursor::new(&files[index]));
+    let notes = usda::write_sequence(&shot, 25.0, &provenance(), open, &mut bytes).expect("written");
+    (String::from_utf8(bytes).expect("UTF-8"), notes)
+}
+
+#[test]
+fn every_frame_is_in_a_glb_as_it_is_in_its_own_file() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let bytes = glb_shot(up);
+        let shot = ::gltf::Gltf::from_slice_without_validation(&bytes).expect("a document");
+        let blob = shot.blob.as_ref().expect("data");
+        let nodes: Vec<_> = shot.nodes().collect();
+        let names: Vec<&str> = nodes.iter().filter_map(|node| node.name()).collect();
+        assert_eq!(names, ["dam.5", "dam.6", "dam.10"]);
+        let whole: Vec<Frame> = frames().into_iter().filter(|frame| frame.sides > 0).collect();
+        for (node, frame) in nodes.iter().zip(whole) {
+            let own = frame.glb(up);
+            let own = ::gltf::Gltf::from_slice_without_validation(&own).expect("a document");
+            let own_node = own.nodes().next().expect("a node");
+            let ((there, turned, _), (own_there, own_turned, _)) =
+                (node.transform().decomposed(), own_node.transform().decomposed());
+            assert_eq!((there, turned), (own_there, own_turned));
+            let primitives = [(&shot, node.mesh()), (&own, own_node.mesh())].map(|(file, mesh)| {
+                (file, mesh.and_then(|mesh| mesh.primitives().next()).expect("a primitive"))
+            });
+            let data = primitives.map(|(file, primitive)| -> Vec<(String, Vec<u8>)> {
+                let bytes = |accessor: ::gltf::Accessor| {
+                    let view = accessor.view().expect("a view");
+                    file.blob.as_ref().expect("data")[view.offset()..view.offset() + view.length()].to_vec()
+                };
+                let attributes = primitive
+                    .attributes()
+                    .map(|(semantic, accessor)| (semantic.to_string(), bytes(accessor)));
+                attributes
+                    .chain(primitive.indices().map(|accessor| ("indices".into(), bytes(accessor))))
+                    .collect()
+            });
+            assert!(data[0] == data[1] && data[0].len() >= 4, "{}", frame.code);
+        }
+        // Each is shown from its time to that of the next, the last for as long as one frame.
+        let animation = shot.animations().next().expect("an animation");
+        let keys: Vec<(usize, Vec<f32>, Vec<f32>)> = animation
+            .channels()
+            .map(|channel| {
+                assert_eq!(channel.sampler().interpolation(), ::gltf::animation::Interpolation::Step);
+                let reader = channel.reader(|_| Some(blob));
+                let times = reader.read_inputs().expect("times").collect();
+                let Some(::gltf::animation::util::ReadOutputs::Scales(scales)) = reader.read_outputs() else {
+                    panic!("no scales");
+                };
+                (channel.target().node().index(), times, scales.map(|[x, ..]| x).collect())
+            })
+            .collect();
+        let scale = 2.0;
+        let expected = [
+            (0, vec![0.0, 0.04], vec![1.0, 0.0]),
+            (1, vec![0.0, 0.04, 0.16], vec![0.0, scale, 0.0]),
+            (2, vec![0.0, 0.2, 0.24], vec![0.0, 1.0, 1.0]),
+        ];
+        assert_eq!(keys, expected);
+        let at_rest: Vec<f32> = nodes.iter().map(|node| node.transform().decomposed().2[0]).collect();
+        assert_eq!(at_rest, [1.0, 0.0, 0.0]);
+        assert_eq!(shot.extensions_required().collect::<Vec<_>>(), ["KHR_mesh_quantization"]);
+    }
+}
+
+fn samples<'a>(text: &'a str, name: &str) -> Vec<(&'a str, &'a str)> {
+    let start = text.split(&format!(" {name}.timeSamples = {{\n")).nth(1).unwrap_or_else(|| panic!("{name}"));
+    let lines = start.split("\n    }\n").next().expect("an end").lines();
+    lines.map(|line| line.trim().trim_end_matches(',').split_once(": ").expect("a time")).collect()
+}
+
+fn numbers(text: &str) -> Vec<f64> {
+    let words = text.split([',', ' ', '(', ')', '[', ']']).filter(|word| !word.is_empty());
+    words.map(|word| word.parse().unwrap_or_else(|_| panic!("{word} is no number"))).collect()
+}
+
+#[test]
+fn a_usda_has_a_sample_of_each_frame() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let (text, notes) = usda_shot(up);
+        assert!(text.contains(if up == UpAxis::Z { "upAxis = \"Z\"" } else { "upAxis = \"Y\"" }));
+        assert!(text.contains("    startTimeCode = 5\n    timeCodesPerSecond = 25\n"));
+        let [points, corners, origins, extents] =
+            ["points", "faceVertexIndices", "xformOp:translate", "extent"].map(|name| samples(&text, name));
+        let velocities = samples(&text, "velocities");
+        for (index, frame) in frames().iter().enumerate() {
+            let (positions, _, triangles) = frame.mesh();
+            let code = frame.code.to_string();
+            assert!([&points, &corners].iter().all(|samples| samples[index].0 == code));
+            let at = |samples: &[(&str, &str)], code: &str| {
+                let found = samples.iter().find(|(other, _)| *other == code);
+                numbers(found.unwrap_or_else(|| panic!("no sample at {code}")).1)
+            };
+            let (found, origin) = (numbers(points[index].1), at(&origins, &code));
+            // Where frames are missing it stays where it is until the next: 7 and 8 are.
+            assert_eq!(at(&origins, "8"), at(&origins, "6"));
+            assert_eq!(origins.len(), frames().len() + 1);
+            // A quantized frame lies in a cube from −1, −1, 0 on, 2 wide; the others are as they were.
+            let tolerance = if frame.quantize { 2.0 / 65535.0 / 2.0 * 1.001 + 1e-6 } else { 0.0 };
+            assert_eq!(found.len(), 3 * positions.len());
+            for (found, expected) in found.as_chunks::<3>().0.iter().zip(&positions) {
+                for axis in 0..3 {
+                    let (found, expected) =
+                        (found[axis] + origin[axis], f64::from(expected[axis]) + frame.origin[axis]);
+                    assert!(
+                        (found - expected).abs() <= tolerance + 1e-7 + 1e-9 * frame.origin[axis].abs(),
+                        "{found} {expected}"
+                    );
+                }
+            }
+            assert_eq!(numbers(corners[index].1).len(), 3 * triangles.len());
+            assert_eq!(numbers(velocities[index].1).len(), found.len());
+            let extent = at(&extents, &code);
+            for point in found.as_chunks::<3>().0 {
+                assert!((0..3).all(|axis| extent[axis] <= point[axis] && point[axis] <= extent[axis + 3]));
+            }
+        }
+        // What not every frame has.
+        assert!(notes.len() == 1 && notes[0].starts_with("_HEAT is not in the shot"), "{notes:?}");
+        let info = usda::read_layer_info(text.as_bytes()).expect("our own file").expect("figures");
+        assert_eq!((info.frames, info.faces), (Some(4), 70_008));
+    }
+}
+
+#[test]
+fn shots_that_cannot_be_are_refused() {
+    let (mut shot, files) = gathered(UpAxis::Y);
+    let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
+    let both = |shot: &[ShotFrame]| {
+        let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
+        (glb, usda::write_sequence(shot, 24.0, &[], open, &mut Vec::new()).map(|_| ()))
+    };
+    // Frames at one time, frames that differ in what is up.
+    shot[1].code = 5;
+    assert!(matches!(both(&shot), (Err(Error::Invalid { .. }), Err(Error::Invalid { .. }))));
+    shot[1].code = 6;
+    let turned = frames()[1].glb(UpAxis::Z);
+    shot[1].file = FrameFile::read(&mut Cursor::new(&turned)).expect("our own file");
+    assert!(matches!(both(&shot), (_, Err(Error::Invalid { .. }))));
+    // A file that changed since it was looked at.
+    let (shot, mut files) = gathered(UpAxis::Y);
+    files[3].truncate(2000);
+    let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
+    assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
+    assert!(usda::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
+    // Nothing but empty frames is a scene without anything.
+    let (shot, files) = gathered(UpAxis::Y);
+    let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
+    let mut bytes = Vec::new();
+    gltf::write_sequence(&shot[2..3], 24.0, &[], open, &mut bytes).expect("written");
+    assert_eq!(gltf::read_mesh(&bytes, &Default::default()).expect("a scene").positions.len(), 0);
+}
+
+#[test]
+fn what_is_no_frame_is_told() {
+    let read = |bytes: &[u8]| FrameFile::read(&mut Cursor::new(bytes));
+    assert!(matches!(read(&glb_shot(UpAxis::Y)), Err(Error::Unsupported { .. })));
+    assert!(read(b"").is_err() && read(b"ply\n").is_err());
+    let whole = frames()[1].glb(UpAxis::Z);
+    for length in 0..whole.len() {
+        assert!(read(&whole[..length]).is_err(), "{length}");
+    }
+    let mut state = 1u64;
+    let mut below = |end: usize| {
+        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+        (state >> 33) as usize % end
+    };
+    for _ in 0..20_000 {
+        let mut broken = whole.clone();
+        for _ in 0..1 + below(3) {
+            let at = below(broken.len());
+            broken[at] =
+                if below(2) == 0 { broken[at] ^ 1 << below(8) } else { b"0123456789-e. [{\"]}"[below(19)] };
+        }
+        // Whatever is taken for a frame can be gathered, or not: neither may panic.
+        if let Ok(file) = read(&broken) {
+            let shot = [ShotFrame { name: "a".into(), code: 1, file }];
+            let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
+            let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
+            let _ = usda::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
+        }
+    }
+}
+
+/// A triangle of which this is known.
+fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
+    let mesh = MeshView {
+        positions: &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        normals: &[[0.0, 0.0, 1.0]; 3],
+        triangles: &[[0, 1, 2]],
+        origin: [0.0; 3],
+        attributes,
+    };
+    let mut bytes = Vec::new();
+    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).expect("written");
+    bytes
+}
+
+/// The shot of one frame, and what a user should know of it.
+fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
+    let file = FrameFile::read(&mut Cursor::new(bytes))?;
+    let shot = [ShotFrame { name: "a".into(), code: 1, file }];
+    let mut text = Vec::new();
+    let notes = usda::write_sequence(&shot, 24.0, &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
+    Ok((String::from_utf8(text).expect("UTF-8"), notes))
+}
+
+#[test]
+fn no_property_of_a_usda_is_there_twice() {
+    let values = [1.0, 2.0, 3.0];
+    let names = ["_heat", "heat", "__heat", "2nd", "_2nd", "normals", "displayColor", "x"];
+    let attributes = names.map(|name| VertexAttribute {
+        name,
+        role: None,
+        arity: 1,
+        values: VertexValues::Numbers(&values),
+    });
+    let (text, notes) = usda_of(&triangle(&attributes)).expect("a shot");
+    let properties: Vec<&str> =
+        text.lines().filter_map(|line| line.trim().strip_suffix(".timeSamples = {")).collect();
+    let mut names: Vec<&str> = properties.iter().filter_map(|name| name.split(' ').nth(1)).collect();
+    names.sort_unstable();
+    let primvars: Vec<&str> = names.iter().filter_map(|name| name.strip_prefix("primvars:")).collect();
+    assert_eq!(
+        primvars,
+        ["_2nd", "_2nd_2", "__heat", "_heat", "displaycolor_2", "heat", "normals_2", "x"],
+        "{notes:?}"
+    );
+    names.dedup();
+    assert_eq!(names.len(), properties.len());
+    for told in ["primvars:_2nd_2 ", "primvars:displaycolor_2 ", "primvars:normals_2 "] {
+        assert!(notes.iter().any(|note| note.contains(told)), "{told}: {notes:?}");
+    }
+    assert_eq!(notes.len(), 3, "{notes:?}");
+}
+
+#[test]
+fn strings_that_are_not_in_a_usda_are_told_as_such() {
+    let table = ["a".to_owned()];
+    let values = VertexValues::Strings { table: &table, indices: &[0, 0, -1] };
+    let (text, notes) = usda_of(&triangle(&[VertexAttribute { name: "kind", role: None, arity: 1, values }]))
+        .expect("a shot");
+    assert!(!text.contains("primvars:"), "{text}");
+    assert!(
+        notes.len() == 1 && notes[0].starts_with("_KIND is not in the shot: its values are strings"),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn corners_that_are_no_vertices_are_refused() {
+    let whole = triangle(&[]);
+    assert!(usda_of(&whole).is_ok());
+    // The indices are the last of the data, which are filled up to four bytes.
+    let corners = [0u16, 1, 2].map(u16::to_le_bytes).concat();
+    let at = whole.windows(6).rposition(|window| window == corners).expect("the corners");
+    for (corner, place) in [(3u16, 0), (u16::MAX, 4)] {
+        let mut broken = whole.clone();
+        broken[at + place..][..2].copy_from_slice(&corner.to_le_bytes());
+        let error = usda_of(&broken).expect_err("no such vertex");
+        assert!(error.to_string().contains(&format!("the vertex {corner} of 3")), "{error}");
+    }
+    // Fewer vertices of an attribute than there are.
+    let values = VertexValues::Numbers(&[1.0, 2.0, 3.0]);
+    let whole = triangle(&[VertexAttribute { name: "heat", role: None, arity: 1, values }]);
+    let scalar =
+        |count: u32| format!("\"componentType\":5126,\"count\":{count},\"type\":\"SCALAR\"").into_bytes();
+    let at = whole.windows(scalar(3).len()).position(|window| window == scalar(3)).expect("the accessor");
+    let broken = [&whole[..at], &scalar(2), &whole[at + scalar(2).len()..]].concat();
+    let error = usda_of(&broken).expect_err("a value missing");
+    assert!(error.to_string().contains("positions and _HEAT that do not fit"), "{error}");
+}

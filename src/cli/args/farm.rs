@@ -1,0 +1,102 @@
+//! The options of farms: a plan, its shards, and what became of them.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::cli::frame_selection::FrameSelection;
+use crate::farm::SHARDS_MAX;
+
+use super::{Format, FormatArgs, MethodArgs};
+
+#[derive(Debug, Args)]
+pub(in crate::cli) struct PlanArgs {
+    /// Files, folders, globs, or numbered patterns, as for convert
+    #[arg(required = true, value_name = "INPUT")]
+    pub(in crate::cli) inputs: Vec<PathBuf>,
+
+    /// Folder for the results of all shards: each must see it, and the inputs, under the same path
+    #[arg(long, value_name = "DIR")]
+    pub(in crate::cli) out: PathBuf,
+
+    /// Deal the frames into so many chunks, 1 to 100000: neighbours stay together
+    #[arg(long, value_name = "N", value_parser = parse_shard_count)]
+    pub(in crate::cli) shards: usize,
+
+    /// The plan
+    #[arg(short, long, value_name = "FILE")]
+    pub(in crate::cli) output: PathBuf,
+
+    /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub(in crate::cli) format: Option<Vec<Format>>,
+
+    /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
+    #[arg(long, value_name = "NUMBERS")]
+    pub(in crate::cli) frames: Option<FrameSelection>,
+
+    #[command(flatten)]
+    pub(in crate::cli) method: MethodArgs,
+
+    #[command(flatten, next_help_heading = "Formats")]
+    pub(in crate::cli) formats: FormatArgs,
+}
+
+#[derive(Debug, Args)]
+#[command(after_long_help = VERDICTS)]
+pub(in crate::cli) struct VerifyArgs {
+    /// The folder of the results, wherever it lies now
+    #[arg(value_name = "DIR")]
+    pub(in crate::cli) folder: PathBuf,
+
+    /// The plan that they were made by
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) plan: PathBuf,
+
+    /// Write what there is of each frame to this file, as JSON
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) report: Option<PathBuf>,
+
+    /// Threads to read on, 1 to 1024; all there are by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(in crate::cli) threads: Option<u16>,
+}
+
+/// Which shard to convert.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::cli) enum ShardChoice {
+    /// This one, from 0.
+    Number(u64),
+    /// The one that Slurm says.
+    Slurm,
+}
+
+/// The number of a shard, or who tells it.
+pub(in crate::cli) fn parse_shard(text: &str) -> Result<ShardChoice, String> {
+    if text == "slurm" {
+        return Ok(ShardChoice::Slurm);
+    }
+    let number = text.parse().ok().filter(|_| text.bytes().all(|byte| byte.is_ascii_digit()));
+    number.map(ShardChoice::Number).ok_or_else(|| format!("`{text}` is no shard: a number from 0, or slurm"))
+}
+
+fn parse_shard_count(text: &str) -> Result<usize, String> {
+    let count = text.parse().ok().filter(|count| (1..=SHARDS_MAX).contains(count));
+    count.ok_or_else(|| format!("`{text}` is no number of shards: 1 to {SHARDS_MAX}"))
+}
+
+const VERDICTS: &str = "\
+What there may be of a frame:
+  done         all files are there and whole, made from the input as it is by the plan's settings, with the bytes that
+               were certified
+  missing      a file is not there
+  damaged      a file has lost its end, or has other bytes than were written
+  stale        made from another state of the input, by other settings or another version
+  uncertified  all is there, and what was checked of the surface did not hold: made again it would be the same
+
+Shards with missing, damaged or stale frames are named: run them again, and they make those and no others.
+
+Exit status:
+  0    every frame is done
+  1    some are not
+  2    none is, or the command cannot be carried out";

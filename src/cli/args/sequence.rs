@@ -1,0 +1,60 @@
+//! The options of what gathers a shot into one file.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+#[derive(Debug, Args)]
+#[command(after_long_help = PLAYING)]
+pub(in crate::cli) struct SequenceArgs {
+    /// The .glb of the frames, as convert wrote them: files, a folder, globs, or numbered patterns such as dam.####.glb
+    #[arg(required = true, value_name = "INPUT")]
+    pub(in crate::cli) inputs: Vec<PathBuf>,
+
+    /// The shot: a .glb that plays, or a .usda with time samples
+    #[arg(short, long, value_name = "FILE")]
+    pub(in crate::cli) output: PathBuf,
+
+    /// Frames per second, more than 0 and at most 1000
+    #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
+    pub(in crate::cli) fps: f64,
+}
+
+/// The same, where the frames are converted.
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct ShotArgs {
+    /// In the end, gather the frames into one .glb that plays, as `meniscus sequence` does; for one sequence, with glb in --format
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) sequence_glb: Option<PathBuf>,
+
+    /// In the end, gather the frames into one .usda with time samples; for one sequence, with glb in --format
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) sequence_usda: Option<PathBuf>,
+
+    /// Frames per second of the shot, more than 0 and at most 1000 [default: 24]
+    #[arg(long, value_name = "N", value_parser = parse_fps)]
+    pub(in crate::cli) fps: Option<f64>,
+}
+
+/// Frames per second, unless others are asked for.
+pub(in crate::cli) const FPS: f64 = 24.0;
+
+fn parse_fps(text: &str) -> Result<f64, String> {
+    let fps = text.parse().ok().filter(|fps| (f64::MIN_POSITIVE..=1000.0).contains(fps));
+    fps.ok_or_else(|| format!("`{text}` is no number of frames per second: more than 0, at most 1000"))
+}
+
+const PLAYING: &str = "\
+When a frame is shown is told by its number; a frame that is missing leaves its time to the one before it. In a .usda the numbers are
+the time codes. In a .glb one frame of the shot is the greatest step that divides all differences of the numbers: 0, 100 and 300
+are shown as 0, 1 and 3 would be. Where some have no number, or they do not grow, frames are counted from 1.
+
+The shot may replace an older shot, and no frame.
+
+A .glb shows one node after the other by an animation of their scales, in steps; it must stay below 4 GiB. A .usda has no
+such limit: it is one mesh, whose samples should not be blended between frames.
+
+Exit status:
+  0    all frames are in the shot
+  1    some could not be read, and are left out; each is named, with why
+  2    there is no shot";

@@ -1,0 +1,48 @@
+//! What a shot is like. Its frames are not measured: the area of all of them together is that of nothing.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::Serialize;
+
+use super::row;
+
+/// All frames in one file, as this program gathers them.
+#[derive(Debug, Serialize)]
+pub(super) struct ShotRecord {
+    pub(super) frames: u64,
+    /// The number of the first frame, and of the last.
+    first: Option<u64>,
+    last: Option<u64>,
+    /// Frames per second.
+    fps: Option<f64>,
+    /// In all frames.
+    vertices: u64,
+    /// In all frames.
+    triangles: u64,
+}
+
+impl ShotRecord {
+    /// A shot with so many frames, and in all of them so many vertices and triangles; the rest is in what made it.
+    pub(super) fn new(
+        frames: u64,
+        [vertices, triangles]: [u64; 2],
+        made_by: Option<&BTreeMap<String, String>>,
+    ) -> ShotRecord {
+        let number = |name: &str| made_by?.get(name)?.parse().ok();
+        let fps = made_by.and_then(|made_by| made_by.get("fps")?.parse().ok());
+        ShotRecord { frames, first: number("first"), last: number("last"), fps, vertices, triangles }
+    }
+}
+
+impl fmt::Display for ShotRecord {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        row(f, "frames", self.frames)?;
+        for (label, number) in [("first frame", self.first), ("last frame", self.last)] {
+            number.iter().try_for_each(|number| row(f, label, number))?;
+        }
+        self.fps.iter().try_for_each(|fps| row(f, "frames per second", fps))?;
+        row(f, "vertices", format_args!("{}, in all frames", self.vertices))?;
+        row(f, "triangles", format_args!("{}, in all frames", self.triangles))
+    }
+}

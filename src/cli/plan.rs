@@ -1,0 +1,125 @@
+//! `meniscus plan`: what many machines are to make of a sequence, found out once.
+
+use std::path::{Path, PathBuf, absolute};
+use std::sync::Arc;
+
+use anyhow::{Context, Result, anyhow, bail};
+
+use crate::farm::{Plan, PlannedFrame, PlannedSequence, deal};
+use crate::pipeline::{FrameFile, file_of, size_bytes};
+use crate::simd::level_warning;
+
+use super::Verdict;
+use super::args::PlanArgs;
+use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
+use super::console::Console;
+use super::convert::thread_pool;
+use super::frame_selection::gaps;
+use super::interrupt::clean_up_when_interrupted;
+use super::out_folder::OutFolder;
+use super::resolving::{Resolved, resolve_settings};
+use super::selecting::{Selection, refuse_conflicts, refuse_level_sets, select_frames};
+use super::wording::{counted, counted_are};
+
+/// Writes the plan that the arguments ask for.
+///
+/// # Errors
+/// When there is none: a sequence has no settings, results would replace inputs, the file cannot be written.
+pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
+    clean_up_when_interrupted();
+    refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
+    let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
+    refuse_level_sets(&selection, "`meniscus plan`")?;
+    let Selection { sequences, found } = selection;
+    warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
+    if let Some(warning) = level_warning() {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    let obstacles = obstacle_files(&args.method)?;
+    let folder = absolute(&args.out).with_context(|| format!("`{}` is no path", args.out.display()))?;
+    let outputs = output_options(folder, args.format.as_deref(), &args.formats);
+    // It stays, and shards do not make it: one that finds none knows that something is not mounted.
+    let out_folder = OutFolder::make(&outputs.folder)
+        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    refuse_conflicts(&sequences, &found, &obstacles, &outputs, Some(("the plan", &args.output)))?;
+
+    let pool = thread_pool(None)?;
+    let mut plan = Plan {
+        sequences: Vec::new(),
+        frames: Vec::new(),
+        shards: Vec::new(),
+        obstacles: args.method.obstacles.obstacle.iter().map(|path| whole(path)).collect::<Result<_>>()?,
+    };
+    for selected in &sequences {
+        let name = &selected.sequence.name;
+        let resolved = resolve_settings(selected, &args.method, &outputs, &pool, console)?;
+        let Resolved { settings, automatic, outputs } = resolved.map_err(|why| anyhow!("{name}: {why}"))?;
+        let automatic = automatic.map(|mut automatic| {
+            automatic.measured_on = whole(&automatic.measured_on)?;
+            Ok::<_, anyhow::Error>(automatic)
+        });
+        let sequence = plan.sequences.len();
+        // Of numbers that were asked for it is told which are not there.
+        if let Some((gaps, count)) = gaps(selected.selected.iter().filter_map(FrameFile::number))
+            && args.frames.is_none()
+        {
+            console.warn(format_args!("warning: {name}: {gaps}: {} not there", counted_are(count)));
+        }
+        for file in &selected.selected {
+            plan.frames.push(planned(file, sequence)?);
+        }
+        plan.sequences.push(PlannedSequence {
+            name: name.clone(),
+            settings,
+            automatic: automatic.transpose()?,
+            outputs: Arc::clone(&outputs),
+        });
+    }
+    plan.shards = deal(plan.frames.len(), args.shards);
+    plan.write(&args.output).with_context(|| args.output.display().to_string())?;
+    out_folder.keep();
+    say(&plan, args, console);
+    Ok(Verdict::Done)
+}
+
+fn planned(file: &FrameFile, sequence: usize) -> Result<PlannedFrame> {
+    let name = || file.path.display().to_string();
+    // A pipe is read once; a shard may be run again.
+    if !file_of(&file.path).metadata().with_context(name)?.is_file() {
+        bail!("{}: a plan is of files, and this is none", name());
+    }
+    let stem = file.stem();
+    if stem.len() > STEM_BYTES {
+        bail!("{}: the name is too long by {} bytes for its results", name(), stem.len() - STEM_BYTES);
+    }
+    Ok(PlannedFrame {
+        input: whole(&file.path)?,
+        stem,
+        number: file.number(),
+        size_bytes: size_bytes(&file.path).with_context(name)?,
+        sequence,
+    })
+}
+
+/// What a name may have before `.certificate.json`, written under another name first, on common file systems.
+const STEM_BYTES: usize = 200;
+
+/// A path that means the same from any folder.
+fn whole(path: &Path) -> Result<PathBuf> {
+    absolute(path).with_context(|| format!("`{}` is no path", path.display()))
+}
+
+fn say(plan: &Plan, args: &PlanArgs, console: &mut Console) {
+    let (frames, shards) = (counted(plan.frames.len(), "frame"), counted(plan.shards.len(), "shard"));
+    let most = plan.shards.iter().map(ExactSizeIterator::len).max().unwrap_or(0);
+    let empty_count = plan.shards.iter().filter(|shard| shard.is_empty()).count();
+    console.say(format_args!("{}: {frames} in {shards}, {most} at most in each", args.output.display()));
+    if empty_count > 0 {
+        console
+            .warn(format_args!("warning: {} no frame: there are more shards than frames", have(empty_count)));
+    }
+}
+
+fn have(count: usize) -> String {
+    if count == 1 { "1 shard has".into() } else { format!("{count} shards have") }
+}

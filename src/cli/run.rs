@@ -1,0 +1,274 @@
+//! Frames through the pipeline: what is told of each, in the order of the inputs, and what came of all.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::Result;
+use rayon::ThreadPool;
+
+use crate::pipeline::{
+    self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
+    ShotSource, StepsFoundBy, default_in_flight, gist, output_path,
+};
+
+use super::Verdict;
+use super::console::Console;
+use super::wording::{FRAMES_IN_VIEW, counted, described, notes, standing_notes};
+
+/// A frame that was asked for.
+struct AskedFrame {
+    input: PathBuf,
+    /// Its sequence's index in the record.
+    sequence_index: usize,
+    work: Work,
+}
+
+/// What to do with a frame.
+enum Work {
+    Convert(Frame),
+    /// Nothing: it is done, and cannot be compared with what it was made from.
+    IsDone(Frame),
+    /// Nothing, for its sequence has no settings, and why.
+    Impossible(String),
+}
+
+/// How frames are converted.
+pub(super) struct Way<'a> {
+    /// Leave alone what is done.
+    pub(super) skip_done: bool,
+    /// Write certificates beside the outputs.
+    pub(super) certificates: bool,
+    /// What frames under way may take together.
+    pub(super) memory_bytes: u64,
+    /// Where all computing happens.
+    pub(super) pool: &'a ThreadPool,
+}
+
+/// The frames on their way, and what became of them.
+pub(super) struct Run {
+    /// In the order of the inputs.
+    planned: Vec<AskedFrame>,
+    /// As many of them, from the first, have an outcome.
+    noted_count: usize,
+    sequence_names: Vec<String>,
+    on_error: OnError,
+    record: RunRecord,
+    done_count: usize,
+    not_started_count: usize,
+    failures: Vec<String>,
+    /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
+    told: HashSet<(usize, String)>,
+    untold_count: usize,
+    /// The .glb of each frame that is done, where there is one.
+    shot_frames: Vec<ShotSource>,
+    /// How many frames were noted before the first of these.
+    failed_first: Option<usize>,
+}
+
+impl Run {
+    /// A run that has not begun.
+    pub(super) fn new(thread_count: usize, on_error: OnError) -> Run {
+        Run {
+            planned: Vec::new(),
+            noted_count: 0,
+            sequence_names: Vec::new(),
+            on_error,
+            record: RunRecord::new(thread_count),
+            done_count: 0,
+            not_started_count: 0,
+            failures: Vec::new(),
+            told: HashSet::new(),
+            untold_count: 0,
+            shot_frames: Vec::new(),
+            failed_first: None,
+        }
+    }
+
+    /// Adds a sequence; its index is what frames refer to.
+    pub(super) fn add_sequence(&mut self, name: &str, record: SequenceRecord) -> usize {
+        self.sequence_names.push(name.to_owned());
+        self.record.add_sequence(record)
+    }
+
+    /// Adds a frame of a sequence, or why it cannot be converted.
+    pub(super) fn add_frame(&mut self, input: &Path, sequence_index: usize, work: Result<Frame, String>) {
+        let work = work.map_or_else(Work::Impossible, Work::Convert);
+        self.planned.push(AskedFrame { input: input.to_owned(), sequence_index, work });
+    }
+
+    /// Adds a frame that is done, and cannot be compared with what it was made from.
+    pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize) {
+        self.planned.push(AskedFrame {
+            input: frame.input.clone(),
+            sequence_index,
+            work: Work::IsDone(frame),
+        });
+    }
+
+    /// Converts all frames that were added.
+    pub(super) fn convert(&mut self, way: &Way<'_>, console: &mut Console) {
+        let &Way { skip_done, certificates, memory_bytes, pool } = way;
+        let planned = std::mem::take(&mut self.planned);
+        let begin_count = match self.on_error {
+            OnError::Continue => planned.len(),
+            // Nothing behind a frame that is known to fail is begun.
+            OnError::Stop => {
+                let is_impossible = |asked: &AskedFrame| matches!(asked.work, Work::Impossible(_));
+                planned.iter().position(is_impossible).unwrap_or(planned.len())
+            }
+        };
+        let (places, frames): (Vec<usize>, Vec<Frame>) = planned[..begin_count]
+            .iter()
+            .enumerate()
+            .filter_map(|(place, planned)| match &planned.work {
+                Work::Convert(frame) => Some((place, frame.clone())),
+                Work::IsDone(_) | Work::Impossible(_) => None,
+            })
+            .unzip();
+        let conduct = Conduct {
+            pool,
+            on_error: self.on_error,
+            skip_done,
+            certificates,
+            in_flight: default_in_flight(pool.current_num_threads()),
+            memory_bytes,
+            steps_found_by: StepsFoundBy::Reader,
+        };
+        let has_bar = console.show_bar(frames.len());
+        pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
+            // The record and what is told have the order of the inputs.
+            self.note_without_outcome(&planned[self.noted_count..places[index]], console);
+            self.note(&frames[index], planned[places[index]].sequence_index, &outcome, has_bar, console);
+        });
+        console.hide_bar();
+        self.note_without_outcome(&planned[self.noted_count..], console);
+    }
+
+    /// Notes frames that never went into the pipeline.
+    fn note_without_outcome(&mut self, planned: &[AskedFrame], console: &Console) {
+        let mut told = None;
+        for AskedFrame { input, sequence_index, work } in planned {
+            let is_stopped = self.on_error == OnError::Stop && !self.failures.is_empty();
+            match work {
+                Work::IsDone(frame) => {
+                    self.record.add_done(frame, *sequence_index);
+                    self.done_count += 1;
+                }
+                Work::Impossible(why) if !is_stopped => {
+                    // It is the same for all frames of a sequence.
+                    if told.replace(*sequence_index) != Some(*sequence_index) {
+                        let name = &self.sequence_names[*sequence_index];
+                        // What cannot be read is named by its path already.
+                        let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };
+                        console.warn(format_args!("error: {of}{why}"));
+                    }
+                    self.record.add_failed(input, *sequence_index, why);
+                    self.fail(format!("{}: {why}", input.display()));
+                }
+                Work::Convert(_) | Work::Impossible(_) => {
+                    self.record.add_not_started(input, *sequence_index);
+                    self.not_started_count += 1;
+                }
+            }
+        }
+        self.noted_count += planned.len();
+    }
+
+    fn note(
+        &mut self,
+        frame: &Frame,
+        sequence_index: usize,
+        outcome: &Outcome,
+        has_bar: bool,
+        console: &mut Console,
+    ) {
+        self.noted_count += 1;
+        self.record.add_frame(frame, sequence_index, outcome);
+        let name = frame.input.display();
+        if matches!(outcome, Outcome::Converted(_) | Outcome::AlreadyDone(_))
+            && frame.outputs.formats.contains(&OutputFormat::Glb)
+        {
+            let path = output_path(&frame.outputs.folder, &frame.stem, OutputFormat::Glb);
+            self.shot_frames.push(ShotSource { path, number: frame.number });
+        }
+        match outcome {
+            Outcome::Converted(report) => {
+                self.done_count += 1;
+                let standing = standing_notes(report).into_iter();
+                let is_new = |note: &String| self.told.insert((sequence_index, gist(note)));
+                let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
+                self.untold_count += known.len();
+                for note in new.into_iter().chain(notes(report)) {
+                    console.warn(format_args!("warning: {name}: {note}"));
+                }
+                if !has_bar {
+                    console.say(format_args!("{name}: {}", described(report)));
+                }
+            }
+            Outcome::AlreadyDone(_) => {
+                self.done_count += 1;
+                if !has_bar {
+                    console.say(format_args!("{name}: done already"));
+                }
+            }
+            Outcome::Changed => {
+                let failure = format!("{name}: the file was written while it was read");
+                console.warn(format_args!("error: {failure}"));
+                self.fail(failure);
+            }
+            Outcome::Failed(error) => {
+                console.warn(format_args!("error: {error}"));
+                self.fail(error.to_string());
+            }
+            Outcome::NotStarted => self.not_started_count += 1,
+        }
+        console.advance_bar();
+    }
+
+    /// The .glb of each frame that is done, in the order of the inputs.
+    pub(super) fn shot_frames(&self) -> &[ShotSource] {
+        &self.shot_frames
+    }
+
+    fn fail(&mut self, failure: String) {
+        self.failed_first.get_or_insert(self.noted_count);
+        self.failures.push(failure);
+    }
+
+    /// The summary, the report and the verdict. A report that cannot be written is told.
+    pub(super) fn finish(self, report: Option<&Path>, seconds: f64, console: &mut Console) -> Verdict {
+        let failed_count = self.failures.len();
+        let frames = counted(self.noted_count, "frame");
+        let mut summary = format!("{frames}: {} done", self.done_count);
+        if failed_count > 0 {
+            summary += &format!(", {failed_count} failed");
+        }
+        if self.not_started_count > 0 {
+            summary += &format!(", {} not started", self.not_started_count);
+        }
+        console.say(format_args!("{summary}, in {seconds:.2} s"));
+        // An error that was just told is not told again; one of long ago has scrolled away.
+        if self.failed_first.is_some_and(|first| self.noted_count - first > FRAMES_IN_VIEW) {
+            for failure in &self.failures {
+                console.warn(format_args!("failed: {failure}"));
+            }
+        }
+        if self.untold_count > 0 {
+            let more = counted(self.untold_count, "more warning");
+            console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
+        }
+        if let Some(path) = report
+            // Through a link, what it names is replaced and not the link.
+            && let Err(error) =
+                self.record.write(&path.canonicalize().unwrap_or_else(|_| path.to_owned()), seconds)
+        {
+            console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
+            return if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone };
+        }
+        match (failed_count, self.done_count) {
+            (0, _) => Verdict::Done,
+            (_, 0) => Verdict::NothingDone,
+            _ => Verdict::SomeFailed,
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! From inputs to the frames that were meant, sequence by sequence.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+
+use crate::farm::Plan;
+use crate::pipeline::{
+    self, FrameFile, ObstacleFiles, OutputOptions, Sequence, are_one_file, check_outputs, is_level_set,
+};
+
+use super::args::MethodArgs;
+use super::choices::refuse_stray_rounds;
+use super::console::Console;
+use super::frame_selection::FrameSelection;
+use super::inputs::find_inputs;
+use super::wording::{counted, counted_are};
+
+/// What to convert.
+pub(super) struct Selection {
+    /// At least one.
+    pub(super) sequences: Vec<SelectedSequence>,
+    /// Every file that the inputs stand for, selected or not.
+    pub(super) found: Vec<PathBuf>,
+}
+
+/// A sequence, and which of its frames to convert.
+pub(super) struct SelectedSequence {
+    pub(super) sequence: Sequence,
+    /// At least one.
+    pub(super) selected: Vec<FrameFile>,
+}
+
+/// Finds the frames that the inputs stand for, and those of them with numbers that are asked for.
+///
+/// # Errors
+/// When an input stands for no frame, or none is selected.
+pub(super) fn select_frames(
+    inputs: &[PathBuf],
+    numbers: Option<&FrameSelection>,
+    method: &MethodArgs,
+    console: &mut Console,
+) -> Result<Selection> {
+    refuse_stray_rounds(method, inputs)?;
+    let found = find_inputs(inputs)?;
+    for warning in &found.warnings {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    if found.passed_over_count > 0 {
+        let passed_over = counted(found.passed_over_count, "other file");
+        console.say(format_args!("passed over {passed_over}: no frames of particles"));
+    }
+    let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
+    let sequences: Vec<SelectedSequence> = pipeline::sequences(found.files)
+        .into_iter()
+        .map(|sequence| {
+            let is_selected = |file: &&FrameFile| FrameSelection::takes(numbers, file);
+            let selected = sequence.frames.iter().filter(is_selected).cloned().collect();
+            SelectedSequence { sequence, selected }
+        })
+        .filter(|sequence: &SelectedSequence| !sequence.selected.is_empty())
+        .collect();
+    if sequences.is_empty() {
+        bail!("--frames selects none of the {} frames", paths.len());
+    }
+    if let Some(selection) = numbers {
+        let there = sequences.iter().flat_map(|s| &s.selected).filter_map(FrameFile::number).collect();
+        for (range, count) in selection.missing(&there) {
+            console.warn(format_args!("warning: --frames {range}: {} not there", counted_are(count)));
+        }
+    }
+    Ok(Selection { sequences, found: paths })
+}
+
+/// Refuses level sets where there must be particles, for a command that is called so.
+///
+/// # Errors
+/// Which, and what does them.
+pub(super) fn refuse_level_sets(selection: &Selection, command: &str) -> Result<()> {
+    let mut files = selection.sequences.iter().flat_map(|sequence| &sequence.selected);
+    match files.find(|file| is_level_set(&file.path)) {
+        Some(file) => bail!(
+            "{}: a level set, and {command} is for particles: `meniscus convert` does level sets, by themselves",
+            file.path.display()
+        ),
+        None => Ok(()),
+    }
+}
+
+/// Makes sure that nothing written to the folder of the outputs, which exists, or to the report is
+/// lost or loses something else: also what was found but not selected must stay.
+///
+/// # Errors
+/// Why it must not begin.
+pub(super) fn refuse_conflicts(
+    sequences: &[SelectedSequence],
+    found: &[PathBuf],
+    obstacles: &ObstacleFiles,
+    outputs: &OutputOptions,
+    written: Option<(&'static str, &Path)>,
+) -> Result<()> {
+    if let Some((what, path)) = written {
+        refuse_odd_place(what, path)?;
+    }
+    let planned: Vec<(PathBuf, String)> =
+        sequences.iter().flat_map(|s| &s.selected).map(|file| (file.path.clone(), file.stem())).collect();
+    Ok(check_outputs(&planned, found, obstacles, outputs, written)?)
+}
+
+/// Refuses a report that could not be written, or would replace the plan or a file that is named in it.
+///
+/// # Errors
+/// Why.
+pub(super) fn refuse_report_of_plan(report: Option<&Path>, plan: &Plan, plan_path: &Path) -> Result<()> {
+    let Some(report) = report else { return Ok(()) };
+    refuse_odd_place("the report", report)?;
+    if are_one_file(report, plan_path) {
+        bail!("{}: the report would replace the plan", report.display());
+    }
+    if plan.names(report) {
+        bail!("{}: the report would replace a file of the plan", report.display());
+    }
+    Ok(())
+}
+
+/// Refuses to write something, such as a report, where it could not be, or would replace what is no file.
+fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
+    if let Some(folder) = path.parent()
+        && !folder.as_os_str().is_empty()
+        && !folder.is_dir()
+    {
+        bail!("{}: there is no such folder for {what}", folder.display());
+    }
+    if let Ok(there) = path.metadata()
+        && !there.is_file()
+    {
+        bail!("{}: {what} would replace what is there, which is no ordinary file", path.display());
+    }
+    Ok(())
+}

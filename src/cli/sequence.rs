@@ -1,0 +1,210 @@
+//! `meniscus sequence`: the frames of a shot in one file; and the same at the end of `meniscus convert`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::pipeline::{
+    FrameFile, OutputFormat, OutputOptions, ShotFormat, ShotReport, ShotSource, are_one_file, files_in,
+    is_shot, sequences, write_shot,
+};
+
+use super::Verdict;
+use super::args::{FPS, SequenceArgs, ShotArgs};
+use super::console::Console;
+use super::convert::thread_pool;
+use super::frame_selection::gaps;
+use super::inputs::find_inputs;
+use super::interrupt::clean_up_when_interrupted;
+use super::wording::{counted, counted_are};
+
+/// More sequences than that are not named where there should be one.
+const SEQUENCES_NAMED: usize = 3;
+
+/// Gathers the frames that the arguments name.
+///
+/// # Errors
+/// When there is no shot.
+pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Verdict> {
+    clean_up_when_interrupted();
+    let format = ShotFormat::of(&args.output)
+        .with_context(|| format!("{}: a shot is a .glb or a .usda", args.output.display()))?;
+    refuse_folder(&args.output)?;
+    let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
+    for warning in &found.warnings {
+        console.warn(format_args!("warning: {warning}"));
+    }
+    let frames = without_old_shot(found.files, &args.output)?;
+    let sequences = sequences(frames);
+    let [sequence] = &sequences[..] else {
+        let mut names: Vec<&str> = sequences.iter().map(|sequence| &*sequence.name).collect();
+        names.truncate(SEQUENCES_NAMED);
+        let others = if names.len() < sequences.len() { ", .." } else { "" };
+        bail!(
+            "these are frames of {} sequences, and a shot is of one: {}{others}; give those of one, such as dam.####.glb",
+            sequences.len(),
+            names.join(", ")
+        );
+    };
+    let source = |file: &FrameFile| ShotSource { path: file.path.clone(), number: file.number() };
+    let sources: Vec<ShotSource> = sequence.frames.iter().map(source).collect();
+    let shot = thread_pool(None)?.install(|| write_shot(&args.output, format, &sources, args.fps))?;
+    tell_gaps(&args.output, &sources, console);
+    told(&args.output, &shot, console);
+    Ok(if shot.left_out.is_empty() { Verdict::Done } else { Verdict::SomeFailed })
+}
+
+/// The inputs with the .glb files of a folder in its place, of which those that are shots are no frames.
+fn frames_of_folders(inputs: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut frames = Vec::new();
+    for input in inputs {
+        if !input.is_dir() {
+            frames.push(input.clone());
+            continue;
+        }
+        let is_frame = |path: &PathBuf| ShotFormat::of(path) == Some(ShotFormat::Glb) && !is_shot(path);
+        let files: Vec<PathBuf> = files_in(input)
+            .with_context(|| input.display().to_string())?
+            .into_iter()
+            .filter(is_frame)
+            .collect();
+        if files.is_empty() {
+            bail!("{}: no .glb of a frame in this folder", input.display());
+        }
+        frames.extend(files);
+    }
+    Ok(frames)
+}
+
+/// The frames among these files. A pattern may find the shot that was made of them before, which is to be replaced; anything
+/// else that the new one would replace is an input.
+fn without_old_shot(files: Vec<FrameFile>, output: &Path) -> Result<Vec<FrameFile>> {
+    let (old, frames): (Vec<_>, Vec<_>) =
+        files.into_iter().partition(|file| are_one_file(&file.path, output));
+    if let Some(input) = old.iter().find(|file| !is_shot(&file.path)) {
+        bail!(
+            "{}: the shot would replace the input {}: choose another name",
+            output.display(),
+            input.path.display()
+        );
+    }
+    if frames.is_empty() {
+        bail!("{}: this is a shot already, not a frame of one", output.display());
+    }
+    Ok(frames)
+}
+
+fn tell_gaps(path: &Path, frames: &[ShotSource], console: &mut Console) {
+    if let Some((gaps, count)) = gaps(frames.iter().filter_map(|frame| frame.number)) {
+        let are = counted_are(count);
+        console.warn(format_args!("warning: {}: {gaps}: {are} not there", path.display()));
+    }
+}
+
+fn told(path: &Path, shot: &ShotReport, console: &mut Console) {
+    for (frame, why) in &shot.left_out {
+        console.warn(format_args!("error: {}: left out of the shot: {why}", frame.display()));
+    }
+    for note in &shot.notes {
+        console.warn(format_args!("warning: {}: {note}", path.display()));
+    }
+    let frames = counted(shot.frame_count, "frame");
+    console.say(format_args!("{}: a shot of {frames}, {} bytes", path.display(), shot.size_bytes));
+}
+
+fn refuse_folder(path: &Path) -> Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        bail!("{}: there is no such folder for the shot", folder.display());
+    }
+    if path.is_dir() {
+        bail!("{}: the shot would replace a folder", path.display());
+    }
+    Ok(())
+}
+
+/// The shots that are asked for beside frames.
+pub(super) struct Shots {
+    files: Vec<(PathBuf, ShotFormat)>,
+    fps: f64,
+    /// Whether some of the frames were asked for: then others need not be there.
+    are_picked: bool,
+}
+
+impl Shots {
+    /// Nothing, or what is asked for; refused where it could not be made.
+    ///
+    /// # Errors
+    /// Why there would be no shot.
+    pub(super) fn asked_for(
+        args: &ShotArgs,
+        outputs: &OutputOptions,
+        sequence_count: usize,
+        are_picked: bool,
+    ) -> Result<Shots> {
+        let ShotArgs { sequence_glb, sequence_usda, fps } = args;
+        let typed = [
+            ("--sequence-glb", sequence_glb, ShotFormat::Glb),
+            ("--sequence-usda", sequence_usda, ShotFormat::Usda),
+        ];
+        let mut files = Vec::new();
+        for (option, path, format) in typed {
+            let Some(path) = path else { continue };
+            if ShotFormat::of(path) != Some(format) {
+                let extension = option.trim_start_matches("--sequence-");
+                bail!("{option} {}: the name of this file must end in .{extension}", path.display());
+            }
+            if !outputs.formats.contains(&OutputFormat::Glb) {
+                bail!("{option}: a shot is gathered from the .glb of its frames: add glb to --format");
+            }
+            if sequence_count > 1 {
+                bail!(
+                    "{option}: a shot is of one sequence, and these are {sequence_count}: convert them one by one"
+                );
+            }
+            files.push((path.clone(), format));
+        }
+        if files.is_empty() && fps.is_some() {
+            bail!("--fps is for a shot: give --sequence-glb or --sequence-usda as well");
+        }
+        Ok(Shots { files, fps: fps.unwrap_or(FPS), are_picked })
+    }
+
+    /// The files.
+    pub(super) fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(|(path, _)| &**path)
+    }
+
+    /// Refuses files that have no place. The folder of the frames is there by now.
+    ///
+    /// # Errors
+    /// Why.
+    pub(super) fn refuse_places(&self) -> Result<()> {
+        self.paths().try_for_each(refuse_folder)
+    }
+
+    /// Gathers the frames that are done.
+    pub(super) fn write(&self, frames: &[ShotSource], verdict: Verdict, console: &mut Console) -> Verdict {
+        let mut verdict = verdict;
+        for (path, format) in &self.files {
+            match write_shot(path, *format, frames, self.fps) {
+                Ok(shot) => {
+                    if !self.are_picked {
+                        tell_gaps(path, frames, console);
+                    }
+                    told(path, &shot, console);
+                    if !shot.left_out.is_empty() {
+                        verdict = Verdict::SomeFailed;
+                    }
+                }
+                Err(error) => {
+                    console.warn(format_args!("error: {error}"));
+                    if verdict == Verdict::Done {
+                        verdict = Verdict::SomeFailed;
+                    }
+                }
+            }
+        }
+        verdict
+    }
+}

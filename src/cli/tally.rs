@@ -1,0 +1,87 @@
+//! What became of frames that have no sequence: each is told, and all are counted.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use crate::pipeline::{FrameReport, Outcome, gist};
+
+use super::Verdict;
+use super::console::Console;
+use super::wording::counted;
+
+/// What became of the frames.
+#[derive(Default)]
+pub(super) struct Tally {
+    done_count: usize,
+    failed_count: usize,
+    /// The gist of what was told of frames, and how often it was not told again.
+    told: HashSet<String>,
+    untold_count: usize,
+}
+
+impl Tally {
+    /// Tells what became of a frame; `described` says of one that was made how it is.
+    pub(super) fn note(
+        &mut self,
+        input: &Path,
+        outcome: &Outcome,
+        described: impl Fn(&FrameReport) -> String,
+        (has_bar, console): (bool, &mut Console),
+    ) {
+        let name = input.display();
+        match outcome {
+            Outcome::Converted(report) => {
+                self.done_count += 1;
+                for note in &report.notes {
+                    if self.told.insert(gist(note)) {
+                        console.warn(format_args!("warning: {name}: {note}"));
+                    } else {
+                        self.untold_count += 1;
+                    }
+                }
+                if !has_bar {
+                    console.say(format_args!("{name}: {}", described(report)));
+                }
+            }
+            Outcome::AlreadyDone(_) => {
+                self.done_count += 1;
+                if !has_bar {
+                    console.say(format_args!("{name}: done already"));
+                }
+            }
+            Outcome::Changed => {
+                self.failed_count += 1;
+                console.warn(format_args!("error: {name}: the file was written while it was read"));
+            }
+            Outcome::Failed(error) => {
+                self.failed_count += 1;
+                console.warn(format_args!("error: {error}"));
+            }
+            Outcome::NotStarted => {}
+        }
+        console.advance_bar();
+    }
+
+    /// The summary, and the verdict.
+    pub(super) fn finish(&self, frame_count: usize, seconds: f64, console: &mut Console) -> Verdict {
+        let &Tally { done_count, failed_count, untold_count, .. } = self;
+        let mut summary = format!("{}: {done_count} done", counted(frame_count, "frame"));
+        if failed_count > 0 {
+            summary += &format!(", {failed_count} failed");
+        }
+        let not_started_count = frame_count - done_count - failed_count;
+        if not_started_count > 0 {
+            summary += &format!(", {not_started_count} not started");
+        }
+        console.say(format_args!("{summary}, in {seconds:.2} s"));
+        if untold_count > 0 {
+            let more = counted(untold_count, "more warning");
+            console.warn(format_args!("{more} like those of earlier frames"));
+        }
+        match (failed_count, done_count) {
+            (0, _) => Verdict::Done,
+            (_, 0) => Verdict::NothingDone,
+            _ => Verdict::SomeFailed,
+        }
+    }
+}

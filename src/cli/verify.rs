@@ -1,0 +1,125 @@
+//! `meniscus verify`: whether what was planned is there.
+
+use std::path::absolute;
+use std::time::Instant;
+
+use anyhow::{Context, Result, bail};
+
+use crate::farm::{FrameVerdict, Plan, PlannedFrame, VerdictRecord, Verdicts, verify as verify_plan};
+use crate::pipeline::FrameState;
+
+use super::Verdict;
+use super::args::VerifyArgs;
+use super::console::Console;
+use super::convert::thread_pool;
+use super::selecting::refuse_report_of_plan;
+use super::wording::counted;
+
+/// Looks at the outputs of a plan.
+///
+/// # Errors
+/// When nothing can be looked at.
+pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict> {
+    let start = Instant::now();
+    let folder = absolute(&args.folder).with_context(|| format!("`{}` is no path", args.folder.display()))?;
+    if !folder.is_dir() {
+        bail!("{}: there is no such folder", args.folder.display());
+    }
+    // Its own name leads into it, which is all that looking at files takes.
+    folder
+        .join(".")
+        .metadata()
+        .with_context(|| format!("{}: what is in this folder cannot be looked at", args.folder.display()))?;
+    let plan = Plan::read(&args.plan).with_context(|| args.plan.display().to_string())?.with_out(&folder);
+    refuse_report_of_plan(args.report.as_deref(), &plan, &args.plan)?;
+    let verdicts = thread_pool(args.threads)?.install(|| verify_plan(&plan));
+    let frames: Vec<(&PlannedFrame, &FrameVerdict)> = plan.frames.iter().zip(&verdicts.frames).collect();
+    for shard in frames.chunk_by(|(_, one), (_, other)| one.shard == other.shard) {
+        for line in told(shard) {
+            console.warn(line);
+        }
+    }
+    summarize(&verdicts, start.elapsed().as_secs_f64(), console);
+    if let Some(path) = &args.report {
+        let record = VerdictRecord::new(&plan, &verdicts, &args.plan, &folder);
+        // Through a link, what it names is replaced and not the link.
+        let path = path.canonicalize().unwrap_or_else(|_| path.clone());
+        record.write(&path).with_context(|| format!("{}: cannot write the report", path.display()))?;
+    }
+    Ok(match verdicts.done_count() {
+        count if count == verdicts.frames.len() => Verdict::Done,
+        0 => Verdict::NothingDone,
+        _ => Verdict::SomeFailed,
+    })
+}
+
+/// What is wanting of a shard: a line for each frame, or one for all where it has not run.
+fn told(shard: &[(&PlannedFrame, &FrameVerdict)]) -> Vec<String> {
+    let is_missing = |(_, verdict): &(_, &FrameVerdict)| {
+        matches!(verdict.state, FrameState::Missing { are_all: true, .. })
+    };
+    if let [(first, verdict), .., (last, _)] = shard
+        && shard.iter().all(is_missing)
+    {
+        let (number, count, first, last) = (verdict.shard, shard.len(), &first.stem, &last.stem);
+        return vec![format!("shard {number}: missing: all of its {count} frames, {first} to {last}")];
+    }
+    let line = |(planned, verdict): &(&PlannedFrame, &FrameVerdict)| {
+        let why = verdict.why()?;
+        Some(format!("{} (shard {}): {}: {why}", planned.stem, verdict.shard, verdict.status()))
+    };
+    shard.iter().filter_map(line).collect()
+}
+
+fn summarize(verdicts: &Verdicts, seconds: f64, console: &mut Console) {
+    let [(_, done), others @ ..] = verdicts.counts();
+    let mut summary = format!("{}: {done} done", counted(verdicts.frames.len(), "frame"));
+    for (status, count) in others.into_iter().filter(|&(_, count)| count > 0) {
+        summary += &format!(", {count} {status}");
+    }
+    console.say(format_args!("{summary}, in {seconds:.2} s"));
+    for (gone, what) in
+        [(verdicts.input_missing_count(), "input"), (verdicts.obstacle_missing_count(), "frame's obstacle")]
+    {
+        if gone > 0 {
+            let gone = counted(gone, what);
+            console.warn(format_args!(
+                "warning: {gone} not to be read: whether the results were made from them as they are is not known"
+            ));
+        }
+    }
+    let shards = verdicts.shards_to_run();
+    if !shards.is_empty() {
+        console.say(format_args!("shards to run again: {}", in_ranges(&shards)));
+    }
+}
+
+/// Ascending numbers as schedulers take them: `0-3,7`.
+fn in_ranges(numbers: &[usize]) -> String {
+    let mut ranges: Vec<(usize, usize)> = Vec::new();
+    for &number in numbers {
+        match ranges.last_mut() {
+            Some((_, last)) if *last + 1 == number => *last = number,
+            _ => ranges.push((number, number)),
+        }
+    }
+    let text = |(first, last): (usize, usize)| match first == last {
+        true => first.to_string(),
+        false => format!("{first}-{last}"),
+    };
+    ranges.into_iter().map(text).collect::<Vec<_>>().join(",")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_in_a_row_are_a_range() {
+        for (numbers, text) in
+            [(&[][..], ""), (&[4], "4"), (&[0, 1], "0-1"), (&[0, 1, 2, 7, 9, 10], "0-2,7,9-10")]
+        {
+            assert_eq!(in_ranges(numbers), text);
+        }
+    }
+}

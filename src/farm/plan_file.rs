@@ -1,0 +1,477 @@
+//! A plan as a file: JSON, as `docs/farm.md` tells it.
+//!
+//! The structs here are the file's own. Numbers that results depend on are text, in the shortest form that reads back as the
+//! same number: many a program that reads JSON and writes it again has another idea of their last digits.
+//!
+//! Nothing is taken on trust. What is not understood is an error that names the line, or the place as a JSON pointer; nothing
+//! that is missing has a default; and as every output is called by a plain name in one folder, a plan cannot have a
+//! file written elsewhere.
+
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use meniscus_formats::gltf::UpAxis;
+use meniscus_formats::vdb::Compression;
+use serde::{Deserialize, Serialize};
+
+use crate::pipeline::{
+    AutomaticVoxelSize, CameraChoice, GENERATOR_AND_VERSION, OutputFormat, OutputOptions, PictureOptions,
+    compression_name, file_of, up_name, write_whole,
+};
+use crate::settings::{Choices, Settings};
+
+use super::dealing::SHARDS_MAX;
+use super::plan::{Plan, PlannedFrame, PlannedSequence};
+
+/// Another number, another form of the file.
+const VERSION: u64 = 1;
+
+/// A file with more bytes is no plan: a million frames take a third of it.
+const SIZE_MAX_BYTES: u64 = 1 << 30;
+
+/// Edges of pictures, pixels.
+const PICTURE_EDGES: std::ops::RangeInclusive<usize> = 16..=8192;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PlanFile {
+    meniscus_plan: u64,
+    generator: String,
+    out: String,
+    outputs: Outputs,
+    obstacles: Vec<String>,
+    sequences: Vec<SequenceEntry>,
+    shards: Vec<ShardEntry>,
+    frames: Vec<FrameEntry>,
+}
+
+/// What tells a plan from other files, and which form it has.
+#[derive(Deserialize)]
+struct Head {
+    meniscus_plan: Option<u64>,
+    generator: Option<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Outputs {
+    formats: Vec<String>,
+    up: String,
+    quantize: bool,
+    vdb_half: bool,
+    vdb_compression: String,
+    picture_size: [usize; 2],
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SequenceEntry {
+    name: String,
+    voxel_size: String,
+    /// By name, as text: see [`Choices::to_pairs`].
+    settings: BTreeMap<String, String>,
+    /// Where pictures are written.
+    camera: Option<String>,
+    /// Where the voxel size was measured.
+    measured: Option<Measured>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Measured {
+    on: String,
+    spacing: String,
+    radius_median: Option<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ShardEntry {
+    first: usize,
+    count: usize,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FrameEntry {
+    input: String,
+    stem: String,
+    number: Option<u64>,
+    size_bytes: u64,
+    sequence: usize,
+}
+
+/// What is wrong with a plan.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PlanError {
+    /// Where: a JSON pointer, empty for the whole file; errors of the form have their line in the sentence.
+    pub place: String,
+    /// A sentence.
+    pub what: String,
+}
+
+impl PlanError {
+    fn at(place: impl Into<String>, what: impl Into<String>) -> PlanError {
+        PlanError { place: place.into(), what: what.into() }
+    }
+}
+
+impl fmt::Display for PlanError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.place.as_str() {
+            "" => f.write_str(&self.what),
+            place => write!(f, "{place}: {}", self.what),
+        }
+    }
+}
+
+impl std::error::Error for PlanError {}
+
+impl Plan {
+    /// Reads the plan in a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is no plan of this version of the program.
+    pub fn read(path: &Path) -> Result<Plan, PlanError> {
+        let cannot = |error: io::Error| PlanError::at("", format!("cannot be read: {error}"));
+        // A pipe would wait for somebody to open its other end.
+        if !path.metadata().map_err(cannot)?.is_file() {
+            return Err(PlanError::at("", "no regular file"));
+        }
+        let mut bytes = Vec::new();
+        File::open(path)
+            .and_then(|file| file.take(SIZE_MAX_BYTES + 1).read_to_end(&mut bytes))
+            .map_err(cannot)?;
+        if bytes.len() as u64 > SIZE_MAX_BYTES {
+            return Err(PlanError::at("", "more than 1 GiB: this is no plan"));
+        }
+        parse(&bytes)
+    }
+
+    /// Writes the plan, whole or not at all.
+    ///
+    /// # Errors
+    /// When a path is not Unicode, or the system refuses.
+    pub fn write(&self, path: &Path) -> Result<(), PlanError> {
+        let file = PlanFile::of(self)?;
+        let written = write_whole(path, |out| {
+            serde_json::to_writer_pretty(&mut *out, &file).map_err(io::Error::from)?;
+            Ok(out.write_all(b"\n")?)
+        });
+        written.map_err(|error| PlanError::at("", format!("cannot be written: {error}")))
+    }
+}
+
+/// The plan in the bytes of a file.
+///
+/// # Errors
+/// What is wrong with it, and where.
+pub fn parse(bytes: &[u8]) -> Result<Plan, PlanError> {
+    let of_form = |error: serde_json::Error| PlanError::at("", error.to_string());
+    if !bytes.trim_ascii_start().starts_with(b"{") {
+        return Err(PlanError::at("", "this is no plan of meniscus, which is a JSON object"));
+    }
+    let head: Head = serde_json::from_slice(bytes).map_err(of_form)?;
+    match head.meniscus_plan {
+        None => return Err(PlanError::at("/meniscus_plan", "missing: this is no plan of meniscus")),
+        Some(VERSION) => {}
+        Some(other) => {
+            return Err(PlanError::at(
+                "/meniscus_plan",
+                format!("the form of this plan is number {other}, and only {VERSION} is known here"),
+            ));
+        }
+    }
+    // Another version may make other bytes, and shards of one plan must make the same.
+    let generator = head.generator.unwrap_or_default();
+    if generator != GENERATOR_AND_VERSION {
+        return Err(PlanError::at(
+            "/generator",
+            format!("this is a plan of `{generator}`, and this is {GENERATOR_AND_VERSION}: plan again"),
+        ));
+    }
+    serde_json::from_slice::<PlanFile>(bytes).map_err(of_form)?.into_plan()
+}
+
+impl PlanFile {
+    fn of(plan: &Plan) -> Result<PlanFile, PlanError> {
+        let first = plan.sequences.first().ok_or_else(|| PlanError::at("/sequences", "there are none"))?;
+        Ok(PlanFile {
+            meniscus_plan: VERSION,
+            generator: GENERATOR_AND_VERSION.to_owned(),
+            out: text(&first.outputs.folder)?,
+            outputs: Outputs::of(&first.outputs),
+            obstacles: plan.obstacles.iter().map(|path| text(path)).collect::<Result<_, _>>()?,
+            sequences: plan.sequences.iter().map(SequenceEntry::of).collect::<Result<_, _>>()?,
+            shards: plan.shards.iter().map(|s| ShardEntry { first: s.start, count: s.len() }).collect(),
+            frames: plan.frames.iter().map(FrameEntry::of).collect::<Result<_, _>>()?,
+        })
+    }
+
+    fn into_plan(self) -> Result<Plan, PlanError> {
+        let folder = absolute("/out", &self.out)?;
+        let obstacles = self.obstacles.iter().enumerate();
+        let obstacles = obstacles.map(|(index, path)| absolute(&format!("/obstacles/{index}"), path));
+        let outputs = self.outputs.into_options(folder)?;
+        let sequences = self.sequences.into_iter().enumerate();
+        let sequences = sequences
+            .map(|(index, entry)| entry.into_sequence(&format!("/sequences/{index}"), &outputs))
+            .collect::<Result<Vec<_>, _>>()?;
+        if sequences.is_empty() {
+            return Err(PlanError::at("/sequences", "there are none"));
+        }
+        let plan = Plan {
+            shards: shards(&self.shards, self.frames.len())?,
+            frames: frames(self.frames, sequences.len())?,
+            sequences,
+            obstacles: obstacles.collect::<Result<_, _>>()?,
+        };
+        match replaced_input(&plan) {
+            Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is an output, too")),
+            None => Ok(plan),
+        }
+    }
+}
+
+/// The index of a frame whose input would be replaced by an output of the plan.
+fn replaced_input(plan: &Plan) -> Option<usize> {
+    let outputs: HashSet<PathBuf> = plan.frames.iter().flat_map(|planned| plan.outputs(planned)).collect();
+    plan.frames.iter().position(|planned| outputs.contains(file_of(&planned.input)))
+}
+
+impl Outputs {
+    fn of(options: &OutputOptions) -> Outputs {
+        Outputs {
+            formats: options.formats.iter().map(|format| format.extension().to_owned()).collect(),
+            up: up_name(options.up).to_owned(),
+            quantize: options.quantize,
+            vdb_half: options.vdb_half,
+            vdb_compression: compression_name(options.vdb_compression).to_owned(),
+            picture_size: options.picture.size,
+        }
+    }
+
+    fn into_options(self, folder: PathBuf) -> Result<OutputOptions, PlanError> {
+        let mut formats = Vec::new();
+        for (index, name) in self.formats.iter().enumerate() {
+            let found = OutputFormat::ALL.into_iter().find(|format| format.extension() == name);
+            let place = format!("/outputs/formats/{index}");
+            match found {
+                None => return Err(PlanError::at(place, format!("`{name}` is no format"))),
+                Some(format) if formats.contains(&format) => {
+                    return Err(PlanError::at(place, format!("`{name}` is there already")));
+                }
+                Some(format) => formats.push(format),
+            }
+        }
+        if formats.is_empty() {
+            return Err(PlanError::at("/outputs/formats", "there are none"));
+        }
+        let up = [UpAxis::Y, UpAxis::Z].into_iter().find(|&up| up_name(up) == self.up);
+        let compressions = [Compression::None, Compression::ActiveMask, Compression::Blosc];
+        let compression = compressions.into_iter().find(|&way| compression_name(way) == self.vdb_compression);
+        if !self.picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
+            return Err(PlanError::at("/outputs/picture_size", "each must be 16 to 8192"));
+        }
+        let unknown = |place: &str, name: &str| PlanError::at(place, format!("`{name}` is not known"));
+        Ok(OutputOptions {
+            folder,
+            formats,
+            up: up.ok_or_else(|| unknown("/outputs/up", &self.up))?,
+            quantize: self.quantize,
+            vdb_half: self.vdb_half,
+            vdb_compression: compression
+                .ok_or_else(|| unknown("/outputs/vdb_compression", &self.vdb_compression))?,
+            picture: PictureOptions { size: self.picture_size, camera: CameraChoice::default() },
+        })
+    }
+}
+
+impl SequenceEntry {
+    fn of(sequence: &PlannedSequence) -> Result<SequenceEntry, PlanError> {
+        let PlannedSequence { name, settings, automatic, outputs } = sequence;
+        let measured = automatic.as_ref().map(|automatic| {
+            Ok(Measured {
+                on: text(&automatic.measured_on)?,
+                spacing: automatic.spacing.to_string(),
+                radius_median: automatic.radius_median.map(|radius| radius.to_string()),
+            })
+        });
+        let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
+        let pairs = settings.to_choices().to_pairs();
+        Ok(SequenceEntry {
+            name: name.clone(),
+            voxel_size: settings.voxel_size.to_string(),
+            settings: pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+            camera: has_pictures.then(|| outputs.picture.camera.to_string()),
+            measured: measured.transpose()?,
+        })
+    }
+
+    fn into_sequence(self, place: &str, outputs: &OutputOptions) -> Result<PlannedSequence, PlanError> {
+        let settings = self.settings(place)?;
+        let measured = self.measured.map(|measured| measured.into_automatic(place, settings.voxel_size));
+        let outputs = with_camera(outputs, self.camera.as_deref(), place)?;
+        Ok(PlannedSequence {
+            name: self.name,
+            settings: Arc::new(settings),
+            automatic: measured.transpose()?,
+            outputs: Arc::new(outputs),
+        })
+    }
+
+    fn settings(&self, place: &str) -> Result<Settings, PlanError> {
+        let mut choices = Choices::default();
+        for (name, value) in &self.settings {
+            let choice = Choices::from_pairs([(name.as_str(), value.as_str())]).ok_or_else(|| {
+                let place = format!("{place}/settings/{}", escaped(name));
+                PlanError::at(place, format!("`{value}` is no value for it, or there is no such setting"))
+            })?;
+            choices = choice.over(choices);
+        }
+        let voxel_size = number(&format!("{place}/voxel_size"), &self.voxel_size)?;
+        let settings = Settings::resolve(voxel_size, &choices)
+            .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
+        // Whatever a default would fill in may be another one for another shard.
+        let needed = settings.to_choices().to_pairs();
+        let place = |name: &str| format!("{place}/settings/{}", escaped(name));
+        if let Some((name, _)) = needed.iter().find(|(name, _)| !self.settings.contains_key(*name)) {
+            return Err(PlanError::at(place(name), "missing: a plan has every setting"));
+        }
+        match self.settings.keys().find(|key| needed.iter().all(|(name, _)| name != key)) {
+            Some(name) => Err(PlanError::at(place(name), "it has no use beside the other settings")),
+            None => Ok(settings),
+        }
+    }
+}
+
+impl Measured {
+    fn into_automatic(self, place: &str, voxel_size: f64) -> Result<AutomaticVoxelSize, PlanError> {
+        let median = self.radius_median.as_deref();
+        let median = median.map(|text| number(&format!("{place}/measured/radius_median"), text));
+        Ok(AutomaticVoxelSize {
+            voxel_size,
+            spacing: number(&format!("{place}/measured/spacing"), &self.spacing)?,
+            radius_median: median.transpose()?,
+            measured_on: absolute(&format!("{place}/measured/on"), &self.on)?,
+        })
+    }
+}
+
+impl FrameEntry {
+    fn of(frame: &PlannedFrame) -> Result<FrameEntry, PlanError> {
+        let PlannedFrame { input, stem, number, size_bytes, sequence } = frame;
+        let (input, stem) = (text(input)?, stem.clone());
+        Ok(FrameEntry { input, stem, number: *number, size_bytes: *size_bytes, sequence: *sequence })
+    }
+}
+
+/// The same outputs with the camera of a sequence.
+fn with_camera(
+    outputs: &OutputOptions,
+    camera: Option<&str>,
+    place: &str,
+) -> Result<OutputOptions, PlanError> {
+    let place = format!("{place}/camera");
+    let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
+    let camera = match (camera, has_pictures) {
+        (None, false) => return Ok(outputs.clone()),
+        (None, true) => return Err(PlanError::at(place, "missing, and there are pictures to take")),
+        (Some(_), false) => return Err(PlanError::at(place, "there are no pictures to take")),
+        (Some(camera), true) => camera,
+    };
+    let camera: CameraChoice = camera.parse().map_err(|why: String| PlanError::at(&*place, why))?;
+    if camera.needs_bounds() {
+        return Err(PlanError::at(place, "it must be fixed, or each frame has another"));
+    }
+    let picture = PictureOptions { camera, ..outputs.picture };
+    Ok(OutputOptions { picture, ..outputs.clone() })
+}
+
+/// Chunks that follow each other and have all frames.
+fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>>, PlanError> {
+    if !(1..=SHARDS_MAX).contains(&entries.len()) {
+        return Err(PlanError::at(
+            "/shards",
+            format!("there are {}: 1 to {SHARDS_MAX} may be", entries.len()),
+        ));
+    }
+    let mut next = 0;
+    let mut shards = Vec::with_capacity(entries.len());
+    for (index, ShardEntry { first, count }) in entries.iter().enumerate() {
+        let end = first.checked_add(*count).filter(|&end| end <= frame_count);
+        let end = end.filter(|_| *first == next).ok_or_else(|| {
+            PlanError::at(
+                format!("/shards/{index}"),
+                format!(
+                    "{count} frames from {first}: it must begin at {next} and end within {frame_count} frames"
+                ),
+            )
+        })?;
+        shards.push(*first..end);
+        next = end;
+    }
+    match next == frame_count {
+        true => Ok(shards),
+        false => Err(PlanError::at("/shards", format!("frames from {next} on are in no shard"))),
+    }
+}
+
+fn frames(entries: Vec<FrameEntry>, sequence_count: usize) -> Result<Vec<PlannedFrame>, PlanError> {
+    if entries.is_empty() {
+        return Err(PlanError::at("/frames", "there are none"));
+    }
+    let mut index_of: HashMap<String, usize> = HashMap::with_capacity(entries.len());
+    let mut frames = Vec::with_capacity(entries.len());
+    for (index, FrameEntry { input, stem, number, size_bytes, sequence }) in entries.into_iter().enumerate() {
+        let place = |name: &str| format!("/frames/{index}/{name}");
+        if sequence >= sequence_count {
+            let what = format!("there is no sequence {sequence}: there are {sequence_count}");
+            return Err(PlanError::at(place("sequence"), what));
+        }
+        if !is_plain_name(&stem) {
+            return Err(PlanError::at(place("stem"), format!("`{stem}` is no plain name of a file")));
+        }
+        if let Some(other) = index_of.insert(stem.clone(), index) {
+            let what = format!("`{stem}` is what the outputs of frame {other} are called");
+            return Err(PlanError::at(place("stem"), what));
+        }
+        let input = absolute(&place("input"), &input)?;
+        frames.push(PlannedFrame { input, stem, number, size_bytes, sequence });
+    }
+    Ok(frames)
+}
+
+/// A name that stays in its folder, on any system.
+fn is_plain_name(stem: &str) -> bool {
+    !stem.is_empty() && !stem.contains(['/', '\\', ':', '\0']) && stem != "." && stem != ".."
+}
+
+fn absolute(place: &str, text: &str) -> Result<PathBuf, PlanError> {
+    let path = PathBuf::from(text);
+    // Relative to what, each shard would see in its own way.
+    match path.is_absolute() && !text.contains('\0') {
+        true => Ok(path),
+        false => Err(PlanError::at(place, format!("`{text}` is no absolute path"))),
+    }
+}
+
+fn number(place: &str, text: &str) -> Result<f64, PlanError> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| PlanError::at(place, format!("`{text}` is no positive number")))
+}
+
+fn text(path: &Path) -> Result<String, PlanError> {
+    let text = path.to_str().map(str::to_owned);
+    text.ok_or_else(|| PlanError::at("", format!("{}: a plan can name only what is Unicode", path.display())))
+}
+
+/// A key as it stands in a JSON pointer.
+fn escaped(key: &str) -> String {
+    key.replace('~', "~0").replace('/', "~1")
+}

@@ -1,0 +1,188 @@
+//! Whether what was planned is there.
+
+use std::io::{self, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::pipeline::{FrameState, Inspection, ObstacleFiles, inspect, write_whole};
+
+use super::plan::Plan;
+
+/// What there is of each frame of a plan.
+#[derive(Clone, Debug)]
+pub struct Verdicts {
+    /// In the order of the plan.
+    pub frames: Vec<FrameVerdict>,
+}
+
+/// What there is of a frame.
+#[derive(Clone, Debug)]
+pub struct FrameVerdict {
+    /// Which shard has it.
+    pub shard: usize,
+    /// What there is.
+    pub state: FrameState,
+    /// Whether its input was there, and could be compared with what the outputs were made from.
+    pub input_is_there: bool,
+    /// The same of its obstacles.
+    pub obstacles_are_there: bool,
+}
+
+/// Looks at every output of a plan: from its first byte to its last, and at the inputs that are there. Nothing is written.
+pub fn verify(plan: &Plan) -> Verdicts {
+    let obstacles = Arc::new(ObstacleFiles::new(plan.obstacles.clone()));
+    let shards = plan.shards.par_iter().enumerate();
+    let verdicts = shards.flat_map(|(shard, frames)| {
+        let obstacles = Arc::clone(&obstacles);
+        plan.frames[frames.clone()].par_iter().map(move |planned| {
+            let Inspection { state, input_is_there, obstacles_are_there } =
+                inspect(&plan.frame(planned, &obstacles));
+            FrameVerdict { shard, state, input_is_there, obstacles_are_there }
+        })
+    });
+    Verdicts { frames: verdicts.collect() }
+}
+
+impl FrameVerdict {
+    /// What became of the frame, in a word.
+    pub fn status(&self) -> &'static str {
+        match self.state {
+            FrameState::Done => "done",
+            FrameState::Missing { .. } => "missing",
+            FrameState::Damaged(_) => "damaged",
+            FrameState::Stale(_) => "stale",
+            FrameState::Uncertified(_) => "uncertified",
+        }
+    }
+
+    /// Why it is not done; nothing of one that is.
+    pub fn why(&self) -> Option<&str> {
+        match &self.state {
+            FrameState::Done => None,
+            FrameState::Missing { why, .. }
+            | FrameState::Damaged(why)
+            | FrameState::Stale(why)
+            | FrameState::Uncertified(why) => Some(why),
+        }
+    }
+
+    /// Whether its shard would make it again.
+    pub fn is_to_be_made(&self) -> bool {
+        !matches!(self.state, FrameState::Done | FrameState::Uncertified(_))
+    }
+}
+
+/// All words for what becomes of a frame.
+const STATUSES: [&str; 5] = ["done", "missing", "damaged", "stale", "uncertified"];
+
+impl Verdicts {
+    /// How many frames became what, in a fixed order.
+    pub fn counts(&self) -> [(&'static str, usize); 5] {
+        let count = |status| self.frames.iter().filter(|frame| frame.status() == status).count();
+        STATUSES.map(|status| (status, count(status)))
+    }
+
+    /// Frames that are as they were to be.
+    pub fn done_count(&self) -> usize {
+        self.frames.iter().filter(|frame| frame.state == FrameState::Done).count()
+    }
+
+    /// The shards that have something to do, in order.
+    pub fn shards_to_run(&self) -> Vec<usize> {
+        let open = self.frames.iter().filter(|frame| frame.is_to_be_made());
+        let mut shards: Vec<usize> = open.map(|frame| frame.shard).collect();
+        shards.dedup();
+        shards
+    }
+
+    /// Frames whose input is not there any more.
+    pub fn input_missing_count(&self) -> usize {
+        self.frames.iter().filter(|frame| !frame.input_is_there).count()
+    }
+
+    /// Frames of whose obstacles one is not there any more.
+    pub fn obstacle_missing_count(&self) -> usize {
+        self.frames.iter().filter(|frame| !frame.obstacles_are_there).count()
+    }
+}
+
+/// The verdicts as a file.
+#[derive(Debug, Serialize)]
+pub struct VerdictRecord<'a> {
+    version: &'static str,
+    plan: String,
+    folder: String,
+    summary: Summary,
+    shards_to_run: Vec<usize>,
+    frames: Vec<FrameRecord<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct Summary {
+    frames: usize,
+    done: usize,
+    missing: usize,
+    damaged: usize,
+    stale: usize,
+    uncertified: usize,
+    inputs_missing: usize,
+    obstacles_missing: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct FrameRecord<'a> {
+    input: String,
+    stem: &'a str,
+    shard: usize,
+    status: &'static str,
+    why: Option<&'a str>,
+    input_is_there: bool,
+    obstacles_are_there: bool,
+}
+
+impl<'a> VerdictRecord<'a> {
+    /// The verdicts on the plan in the file at `path`, of the outputs in `folder`.
+    pub fn new(plan: &'a Plan, verdicts: &'a Verdicts, path: &Path, folder: &Path) -> VerdictRecord<'a> {
+        let [done, missing, damaged, stale, uncertified] = verdicts.counts().map(|(_, count)| count);
+        let frames = plan.frames.iter().zip(&verdicts.frames).map(|(planned, verdict)| FrameRecord {
+            input: planned.input.to_string_lossy().into_owned(),
+            stem: &planned.stem,
+            shard: verdict.shard,
+            status: verdict.status(),
+            why: verdict.why(),
+            input_is_there: verdict.input_is_there,
+            obstacles_are_there: verdict.obstacles_are_there,
+        });
+        VerdictRecord {
+            version: env!("CARGO_PKG_VERSION"),
+            plan: path.to_string_lossy().into_owned(),
+            folder: folder.to_string_lossy().into_owned(),
+            summary: Summary {
+                frames: plan.frames.len(),
+                done,
+                missing,
+                damaged,
+                stale,
+                uncertified,
+                inputs_missing: verdicts.input_missing_count(),
+                obstacles_missing: verdicts.obstacle_missing_count(),
+            },
+            shards_to_run: verdicts.shards_to_run(),
+            frames: frames.collect(),
+        }
+    }
+
+    /// Writes the record, whole or not at all.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn write(&self, path: &Path) -> meniscus_formats::Result<()> {
+        write_whole(path, |out| {
+            serde_json::to_writer_pretty(&mut *out, self).map_err(io::Error::from)?;
+            Ok(out.write_all(b"\n")?)
+        })
+    }
+}

@@ -1,0 +1,193 @@
+//! What is recorded beside the outputs of a frame: that what was made was checked, and which bytes that is said of.
+//!
+//! ```text
+//!   dam.0012.glb                 says what it was made from, and how
+//!   dam.0012.vdb                 the same
+//!   dam.0012.certificate.json    says what was checked of them, and has the hash of each
+//! ```
+//!
+//! An output cannot tell whether its certificate held without other bytes than it has, and a log of a run may be lost, or be
+//! that of another run. A hash binds the certificate to the very bytes that it is about; whoever comes later needs neither the run
+//! nor its machine to trust it. It appears in a row with the outputs, and after them: where it is, they are.
+//!
+//! Like all outputs it depends on nothing but the input, the settings and the version of this program.
+
+use std::borrow::Cow;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::certify::Certificate;
+use crate::report::SkinReport;
+
+use super::names::name_of_text;
+use super::provenance::GENERATOR_AND_VERSION;
+use super::reading::{InputFile, read_start_unchanged};
+use super::record::{CertificateRecord, certificate_record};
+use super::sink::{Unseen, write_unseen};
+use super::steps::frame_name;
+
+/// Another number, another form of the file.
+const VERSION: u32 = 1;
+
+/// One with more bytes is none.
+const SIZE_MAX_BYTES: u64 = 1 << 20;
+
+/// The certificate of a frame, as it was read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct CertifiedFrame {
+    /// The hash of the input, as it stands in provenance.
+    pub(super) input_hash: String,
+    /// What of it did not hold, in words; `None` where all that was checked did.
+    pub(super) fault: Option<String>,
+    /// What it is about.
+    pub(super) outputs: Vec<CertifiedOutput>,
+}
+
+/// A file that a certificate is about.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct CertifiedOutput {
+    /// Its name, without folder.
+    pub(super) file: String,
+    /// Its size.
+    pub(super) size_bytes: u64,
+    /// Its hash, as it stands in provenance.
+    pub(super) hash: String,
+}
+
+/// The file, as it is written.
+#[derive(Serialize)]
+struct Written<'a> {
+    meniscus_certificate: u32,
+    generator: &'a str,
+    input: String,
+    input_hash: String,
+    certificate: CertificateRecord,
+    outputs: Vec<CertifiedOutput>,
+}
+
+/// The file, as it is read: most of what was measured is for people.
+#[derive(Deserialize)]
+struct Read {
+    meniscus_certificate: u32,
+    input_hash: String,
+    certificate: Verdict,
+    outputs: Vec<CertifiedOutput>,
+}
+
+#[derive(Deserialize)]
+struct Verdict {
+    holds: bool,
+    bound_violations: usize,
+    vertices_inside_min: usize,
+    vertices_outside_max: usize,
+    particles_outside: usize,
+    closed_manifold: bool,
+}
+
+impl Verdict {
+    /// What did not hold; `None` where all did.
+    fn fault(&self) -> Option<String> {
+        let certificate = Certificate {
+            bound_violation_count: self.bound_violations,
+            vertices_inside_min: self.vertices_inside_min,
+            vertices_outside_max: self.vertices_outside_max,
+            particles_outside: self.particles_outside,
+            mesh_is_closed_manifold: self.closed_manifold,
+            ..Certificate::default()
+        };
+        (!self.holds).then(|| certificate.fault())
+    }
+}
+
+/// Where the certificate of the frame called `stem` goes.
+pub fn certificate_path(folder: &Path, stem: &str) -> PathBuf {
+    folder.join(name_of_text(&format!("{stem}.certificate.json")))
+}
+
+/// A hash as provenance has it.
+pub(super) fn hash_text(hash: u128) -> String {
+    format!("xxh3-128:{hash:032x}")
+}
+
+/// Writes the certificate of a frame whose outputs are on the disk and not yet to be seen.
+///
+/// # Errors
+/// When an output cannot be read back, or the system refuses.
+pub(super) fn write_certificate(
+    path: &Path,
+    (input, input_hash): (&Path, u128),
+    report: &SkinReport,
+    outputs: &[Unseen],
+) -> meniscus_formats::Result<Unseen> {
+    let written = Written {
+        meniscus_certificate: VERSION,
+        generator: GENERATOR_AND_VERSION,
+        input: frame_name(input),
+        input_hash: hash_text(input_hash),
+        certificate: certificate_record(report),
+        outputs: outputs.iter().map(certified).collect::<io::Result<_>>()?,
+    };
+    write_unseen(path, |out| {
+        serde_json::to_writer_pretty(&mut *out, &written).map_err(io::Error::from)?;
+        Ok(out.write_all(b"\n")?)
+    })
+}
+
+/// What is said of an output: of its bytes as they can be read, not as they were meant to be.
+fn certified(output: &Unseen) -> io::Result<CertifiedOutput> {
+    let file = name_of(output.path()).into_owned();
+    let hash = hash_text(InputFile::open(output.written_path())?.hash()?);
+    Ok(CertifiedOutput { file, size_bytes: output.size_bytes(), hash })
+}
+
+/// Reads a certificate.
+///
+/// # Errors
+/// Why it is none that this program wrote.
+pub(super) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
+    let bytes = read_start_unchanged(path, SIZE_MAX_BYTES).map_err(|error| error.to_string())?;
+    let (bytes, _) = bytes.ok_or("written while it was read")?;
+    let Read { meniscus_certificate, input_hash, certificate, outputs } =
+        serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+    if meniscus_certificate != VERSION {
+        return Err(format!("its form is number {meniscus_certificate}, and only {VERSION} is known"));
+    }
+    Ok(CertifiedFrame { input_hash, fault: certificate.fault(), outputs })
+}
+
+impl CertifiedFrame {
+    /// Whether it is about files of these names, and no others.
+    pub(super) fn is_about(&self, paths: &[PathBuf]) -> bool {
+        let is_named = |path: &PathBuf| self.outputs.iter().any(|output| *output.file == *name_of(path));
+        self.outputs.len() == paths.len() && paths.iter().all(is_named)
+    }
+
+    /// Whether these files are there to the last byte.
+    ///
+    /// # Errors
+    /// What is wrong with the first that is not, in a sentence.
+    pub(super) fn check_bytes(&self, paths: &[PathBuf]) -> Result<(), String> {
+        for path in paths {
+            let name = name_of(path);
+            let output = self.outputs.iter().find(|output| output.file == name);
+            let output = output.ok_or_else(|| format!("the certificate is not about {name}"))?;
+            let size_bytes = fs::metadata(path).map_err(|error| format!("{name}: {error}"))?.len();
+            if size_bytes != output.size_bytes {
+                return Err(format!("{name} has {size_bytes} bytes, and {} were written", output.size_bytes));
+            }
+            let hash = InputFile::open(path).and_then(|file| file.hash());
+            if hash_text(hash.map_err(|error| format!("{name}: {error}"))?) != output.hash {
+                return Err(format!("{name} has other bytes than were written"));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn name_of(path: &Path) -> Cow<'_, str> {
+    path.file_name().unwrap_or_default().to_string_lossy()
+}

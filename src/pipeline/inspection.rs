@@ -1,0 +1,184 @@
+//! What there is of a frame: whether its outputs are there, whole, made as they were to be, and certified.
+//!
+//! ```text
+//!   a file is missing             ─▶ Missing      ┐
+//!   the end of one is missing,                    │
+//!   or its bytes are not those                    ├ to be made again
+//!   that were certified           ─▶ Damaged      │
+//!   made from another input, or                   │
+//!   by other settings             ─▶ Stale        ┘
+//!   the certificate did not hold  ─▶ Uncertified    made again it would be the same
+//!   else                          ─▶ Done
+//! ```
+//!
+//! A shard asks this before it converts a frame, and the whole is asked the same once all shards are through: so what is found
+//! wanting in the end is what a shard that runs again makes again, and nothing else.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use meniscus_formats::provenance::read_provenance;
+use meniscus_formats::wholeness::is_whole;
+use twox_hash::XxHash3_128;
+
+use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
+use super::frame::Frame;
+use super::outputs::{OutputFormat, output_path};
+use super::provenance::{provenance, provenance_kind};
+use super::reading::InputFile;
+use super::steps::{StepsFoundBy, read_step, step_of};
+
+/// What there is of a frame; a sentence where it is not all there should be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum FrameState {
+    /// All of it, as it was to be.
+    Done,
+    /// Not all files; and whether none of them is there.
+    Missing {
+        /// Which.
+        why: String,
+        /// As though it had never been made.
+        are_all: bool,
+    },
+    /// A file has lost bytes, or has others.
+    Damaged(String),
+    /// A file was made from another state of the input, by other settings, or by another version.
+    Stale(String),
+    /// All of it; and what was checked did not hold.
+    Uncertified(String),
+}
+
+/// What is known of the input of a frame; `None` is not known, and not compared.
+#[derive(Clone, Debug, Default)]
+pub(super) struct MadeFrom {
+    /// The hash of the file.
+    pub(super) input_hash: Option<u128>,
+    /// What is recorded of obstacles.
+    pub(super) obstacles: Option<String>,
+}
+
+/// What there is of a frame, and of what it is made from.
+#[derive(Clone, Debug)]
+pub struct Inspection {
+    /// What there is of its outputs.
+    pub state: FrameState,
+    /// Whether its input can be read, so that it could be compared.
+    pub input_is_there: bool,
+    /// The same of all its obstacles.
+    pub obstacles_are_there: bool,
+}
+
+/// Looks at the outputs of a frame, and at its input and obstacles as far as they are there.
+pub fn inspect(frame: &Frame) -> Inspection {
+    let input_hash = match step_of(&frame.input) {
+        None => {
+            let file = InputFile::open(&frame.input).ok().filter(InputFile::is_regular);
+            file.and_then(|file| file.hash().ok())
+        }
+        Some(step) => read_step(step, StepsFoundBy::Reader)
+            .ok()
+            .flatten()
+            .map(|(bytes, _)| XxHash3_128::oneshot(&bytes)),
+    };
+    let obstacles = frame.obstacles.find(frame.number).ok().map(|found| found.recorded());
+    let (input_is_there, obstacles_are_there) = (input_hash.is_some(), obstacles.is_some());
+    let state = inspect_made_from(frame, &MadeFrom { input_hash, obstacles });
+    Inspection { state, input_is_there, obstacles_are_there }
+}
+
+/// The same, of a frame of whose input all is known: whether nothing is to be made again.
+pub(super) fn is_certified(frame: &Frame, input_hash: u128, obstacles: &str) -> bool {
+    let made_from = MadeFrom { input_hash: Some(input_hash), obstacles: Some(obstacles.to_owned()) };
+    matches!(inspect_made_from(frame, &made_from), FrameState::Done | FrameState::Uncertified(_))
+}
+
+fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
+    let options = &*frame.outputs;
+    let outputs: Vec<(OutputFormat, PathBuf)> = options
+        .formats
+        .iter()
+        .map(|&format| (format, output_path(&options.folder, &frame.stem, format)))
+        .collect();
+    let certificate_path = certificate_path(&options.folder, &frame.stem);
+    let paths: Vec<PathBuf> = outputs.iter().map(|(_, path)| path.clone()).collect();
+    // Opening a pipe would wait for its other end.
+    let is_missing = |path: &&PathBuf| !path.metadata().is_ok_and(|metadata| metadata.is_file());
+    let missing: Vec<String> =
+        paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
+    if !missing.is_empty() {
+        let are = if missing.len() == 1 { "is" } else { "are" };
+        let are_all = missing.len() == paths.len() + 1;
+        return FrameState::Missing { why: format!("{} {are} not there", missing.join(", ")), are_all };
+    }
+    let certified = read_certificate(&certificate_path)
+        .map_err(|why| FrameState::Damaged(format!("{}: {why}", name_of(&certificate_path))));
+    let state = outputs
+        .iter()
+        .try_for_each(|(format, path)| look_at(frame, made_from, *format, path))
+        .and_then(|()| certified.and_then(|certified| agrees(&certified, made_from, &paths)));
+    state.err().unwrap_or(FrameState::Done)
+}
+
+/// Looks at a file by itself: its end, and what it says of itself.
+fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Path) -> Result<(), FrameState> {
+    let damaged = |why: String| FrameState::Damaged(format!("{}: {why}", name_of(path)));
+    let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
+    let kind = provenance_kind(format);
+    let mut file = File::open(path).map_err(|error| damaged(error.to_string()))?;
+    let recorded = read_provenance(kind, &file).map_err(unreadable)?;
+    if !is_whole(kind, &mut file).map_err(unreadable)? {
+        return Err(damaged("its end is missing, or something follows it".to_owned()));
+    }
+    let hash = made_from.input_hash.unwrap_or_default();
+    let obstacles = made_from.obstacles.as_deref().unwrap_or_default();
+    let wanted = provenance(frame, (hash, obstacles), format);
+    match difference(&recorded, &wanted, made_from) {
+        None => Ok(()),
+        Some(difference) => Err(FrameState::Stale(format!("{}: {difference}", name_of(path)))),
+    }
+}
+
+/// The first thing that a file says of itself other than it was to be.
+fn difference(
+    recorded: &[(String, String)],
+    wanted: &[(String, String)],
+    made_from: &MadeFrom,
+) -> Option<String> {
+    let is_compared = |name: &str| match name {
+        "input_hash" => made_from.input_hash.is_some(),
+        "obstacles" | "void_threshold" => made_from.obstacles.is_some(),
+        _ => true,
+    };
+    let value_in = |pairs: &[(String, String)], name: &str| {
+        pairs.iter().find(|(other, _)| other == name).map(|(_, value)| value.clone())
+    };
+    let all = wanted.iter().chain(recorded).map(|(name, _)| name.as_str());
+    let differs = |name: &&str| value_in(recorded, name) != value_in(wanted, name);
+    let name = all.filter(|name| is_compared(name)).find(differs)?;
+    Some(match (name, value_in(recorded, name), value_in(wanted, name)) {
+        ("input_hash", Some(_), Some(_)) => "made from another state of the input".to_owned(),
+        ("obstacles", Some(_), Some(_)) => "made among another state of the obstacles".to_owned(),
+        (_, Some(was), Some(wanted)) => format!("{name} is {was}, and was to be {wanted}"),
+        (_, None, Some(wanted)) => format!("{name} is not recorded, and was to be {wanted}"),
+        (_, was, _) => format!("{name} is {}, and was not asked for", was.unwrap_or_default()),
+    })
+}
+
+/// Whether a certificate is of these files and this input, and holds.
+fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -> Result<(), FrameState> {
+    if !certified.is_about(paths) {
+        return Err(FrameState::Stale("the certificate is of other files".to_owned()));
+    }
+    certified.check_bytes(paths).map_err(FrameState::Damaged)?;
+    if made_from.input_hash.is_some_and(|hash| hash_text(hash) != certified.input_hash) {
+        return Err(FrameState::Stale("the certificate is of another state of the input".to_owned()));
+    }
+    match &certified.fault {
+        None => Ok(()),
+        Some(fault) => Err(FrameState::Uncertified(format!("the certificate does not hold: {fault}"))),
+    }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}

@@ -1,0 +1,97 @@
+//! Names of files as text, and back: also those that are no text.
+//!
+//! ```text
+//!   gr\xf6\xdfe.1.ply     bytes, as disks from before UTF-8 have them
+//!   gr··e.1               the stem: each byte that is no text is a character for private use, U+F700 and the byte
+//!   gr\xf6\xdfe.1.obj     the name of the output: the same bytes
+//! ```
+//!
+//! So two names that differ differ as text, and names can be cut and joined as text. A character of that range which
+//! a name has already stands for its own bytes, so that the way back is never in doubt.
+
+use std::ffi::{OsStr, OsString};
+
+/// The name as text.
+pub(crate) fn text_of_name(name: &OsStr) -> String {
+    escaped(name.as_encoded_bytes())
+}
+
+/// The name that a text stands for.
+pub(crate) fn name_of_text(text: &str) -> OsString {
+    let mut bytes = Vec::with_capacity(text.len());
+    for letter in text.chars() {
+        match byte_of(letter) {
+            Some(byte) => bytes.push(byte),
+            None => bytes.extend_from_slice(letter.encode_utf8(&mut [0; 4]).as_bytes()),
+        }
+    }
+    from_bytes(bytes)
+}
+
+const ESCAPES_START: u32 = 0xf700;
+
+fn escaped(name: &[u8]) -> String {
+    let mut text = String::with_capacity(name.len());
+    for chunk in name.utf8_chunks() {
+        for letter in chunk.valid().chars() {
+            match byte_of(letter) {
+                Some(_) => text.extend(letter.encode_utf8(&mut [0; 4]).bytes().map(escape)),
+                None => text.push(letter),
+            }
+        }
+        text.extend(chunk.invalid().iter().copied().map(escape));
+    }
+    text
+}
+
+fn escape(byte: u8) -> char {
+    char::from_u32(ESCAPES_START + u32::from(byte)).unwrap_or(char::REPLACEMENT_CHARACTER)
+}
+
+/// The byte that a character stands for.
+fn byte_of(letter: char) -> Option<u8> {
+    u8::try_from(u32::from(letter).checked_sub(ESCAPES_START)?).ok()
+}
+
+#[cfg(unix)]
+fn from_bytes(bytes: Vec<u8>) -> OsString {
+    std::os::unix::ffi::OsStringExt::from_vec(bytes)
+}
+
+/// Where names are no bytes, what is no text cannot come back as it was.
+#[cfg(not(unix))]
+fn from_bytes(bytes: Vec<u8>) -> OsString {
+    String::from_utf8_lossy(&bytes).into_owned().into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_text_stay_as_they_are() {
+        for name in ["", "dam.0001", "größe ∞", "\u{e000}\u{fffd}"] {
+            assert_eq!(text_of_name(OsStr::new(name)), name);
+            assert_eq!(name_of_text(name), name);
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn names_that_are_no_text_come_back() {
+        use std::os::unix::ffi::OsStrExt;
+        let names: [&[u8]; 6] = [
+            b"gr\xf6\xdfe.1",
+            b"gr\xfc\xdfe.1",
+            b"\xff\xfe\x80",
+            b"\xe2\x82", // the beginning of a character
+            "\u{f7f6}".as_bytes(),
+            b"\xf6\xef\x9f\xb6", // the byte, and what stands for it
+        ];
+        let texts = names.map(|name| text_of_name(OsStr::from_bytes(name)));
+        for (index, (text, name)) in texts.iter().zip(names).enumerate() {
+            assert_eq!(name_of_text(text).as_bytes(), name);
+            assert!(!texts[..index].contains(text), "{text:?} twice");
+        }
+    }
+}

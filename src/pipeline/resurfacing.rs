@@ -1,0 +1,141 @@
+//! Level sets to surfaces: what a .vdb holds, contoured, or smoothed within bounds and then contoured.
+//!
+//! ```text
+//!   .vdb ──read──▶ φ on the file's own lattice ──▶ [smooth] ──▶ contour ──write──▶ .glb .obj .vdb ..
+//! ```
+//!
+//! Files are read, told apart and written as frames of particles are. There is no sequence: each file has its voxel size.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use glam::DVec3;
+use meniscus_formats::{Error, Limits, vdb};
+use twox_hash::XxHash3_128;
+
+use crate::settings::{Choices, Settings};
+use crate::skin::resurface;
+
+use super::crew::{Crew, Tasks};
+use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
+use super::level_set_file::LevelSetFile;
+use super::obstacles::ObstacleFiles;
+use super::outputs::{OutputFormat, OutputOptions, output_path};
+use super::provenance::{level_set_provenance, provenance_kind, records};
+use super::reading::read_unchanged;
+use super::stages::{Conduct, OnError};
+use super::writing::{Written, surface_notes, write_files, write_made};
+
+/// A level set of which the surface is to be written.
+#[derive(Clone, Debug)]
+pub struct BandToSurface {
+    /// The .vdb.
+    pub input: PathBuf,
+    /// What the outputs are called, without folder and extension.
+    pub stem: String,
+    /// What was asked for of smoothing and of the mesh.
+    pub choices: Choices,
+    /// By how much the surface may move, in voxels; 0 for not at all.
+    pub slack_voxels: f64,
+    /// What is written, and where.
+    pub outputs: Arc<OutputOptions>,
+}
+
+/// Writes the surfaces of the level sets of a list, one after the other; `finished` hears of each, by its index.
+pub fn resurface_all(
+    bands: &[BandToSurface],
+    conduct: &Conduct<'_>,
+    mut finished: impl FnMut(usize, Outcome),
+) {
+    let mut is_stopped = false;
+    for (index, band) in bands.iter().enumerate() {
+        let outcome = match is_stopped {
+            true => Outcome::NotStarted,
+            false => {
+                let made = FrameError::catch(&band.input, Stage::Contour, || made(band, conduct));
+                made.map_err(Outcome::Failed).flatten().unwrap_or_else(|outcome| outcome)
+            }
+        };
+        let is_failure = matches!(outcome, Outcome::Failed(_) | Outcome::Changed);
+        is_stopped |= is_failure && conduct.on_error == OnError::Stop;
+        finished(index, outcome);
+    }
+}
+
+fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome> {
+    let failed = |error| Outcome::Failed(FrameError::file(&band.input, Stage::Read, error));
+    let unchanged = read_unchanged(&band.input).map_err(|error| failed(error.into()))?;
+    let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
+    let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
+    let file = LevelSetFile::of_bytes(&band.input, &bytes, false).map_err(Outcome::Failed)?;
+    let refused = |what: String| failed(Error::unsupported("OpenVDB", what));
+    if !file.is_declared() {
+        let name = file.name();
+        return Err(refused(format!(
+            "the class of the grid \"{name}\" is not \"level set\": save it as one"
+        )));
+    }
+    let settings = Settings::resolve(file.lattice().voxel_size, &band.choices)
+        .map_err(|error| refused(error.to_string()))?;
+    let has_vdb = band.outputs.formats.contains(&OutputFormat::Vdb);
+    if has_vdb && file.origin() != DVec3::ZERO {
+        let [x, y, z] = file.origin().to_array();
+        return Err(refused(format!(
+            "its voxels are moved by ({x}, {y}, {z}) from the world's lattice, on which a .vdb is written: leave vdb out of --format"
+        )));
+    }
+    let frame = Frame {
+        input: band.input.clone(),
+        stem: band.stem.clone(),
+        settings: Arc::new(settings),
+        outputs: Arc::clone(&band.outputs),
+        number: None,
+        obstacles: Arc::new(ObstacleFiles::default()),
+    };
+    let provenance = |format| level_set_provenance(&frame, input.hash, band.slack_voxels, format);
+    let is_done = |&format: &OutputFormat| {
+        let path = output_path(&band.outputs.folder, &band.stem, format);
+        records(&path, provenance_kind(format), &provenance(format)).unwrap_or(false)
+    };
+    if conduct.skip_done && band.outputs.formats.iter().all(is_done) {
+        return Err(Outcome::AlreadyDone(input));
+    }
+    let mut notes = notes(&bytes);
+    drop(bytes);
+    let origin = file.origin();
+    let slack = band.slack_voxels as f32;
+    let mut surface = conduct.pool.install(|| resurface(file.into_band(), slack, &frame.settings));
+    surface.mesh.origin += origin;
+    notes.extend(surface_notes(&surface, &frame.outputs, frame.settings.voxel_size));
+    let surface = Arc::new(surface);
+    let tasks = Tasks::default();
+    let written = conduct.pool.in_place_scope(|scope| {
+        let crew = Crew::new(scope, &tasks);
+        write_files(
+            &frame,
+            |format, out| write_made(&surface, (0, &frame), provenance(format), format, &crew, out),
+            None,
+        )
+    });
+    let Written { paths, sizes_bytes } = written.map_err(Outcome::Failed)?;
+    let report = FrameReport {
+        input,
+        skin: surface.report.clone(),
+        outputs: paths,
+        output_bytes: sizes_bytes,
+        notes,
+        ..FrameReport::default()
+    };
+    Ok(Outcome::Converted(Box::new(report)))
+}
+
+/// What a user should know: that of several grids one was taken.
+fn notes(bytes: &[u8]) -> Vec<String> {
+    let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
+    let others = grids.len().saturating_sub(1);
+    match others {
+        0 => Vec::new(),
+        1 => vec!["1 more grid in the file is not kept".to_owned()],
+        _ => vec![format!("{others} more grids in the file are not kept")],
+    }
+}

@@ -1,0 +1,146 @@
+"""Blender imports meshes in the formats that other programs like, and whole shots, which it plays.
+
+    frame         the quantized .glb, the .stl and the .usda of one frame: its vertices or triangles, bounds and volume
+    shot.glb      one object for each frame, of which one has a size at a time, the one that belongs there
+    shot.usda     one object, whose mesh is that of the frame
+    rendered      shots_glb.png, shots_usda.png: the last frame of each shot; both show something, and the same
+
+Runs in a Python of its own, with Blender as a module.
+"""
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from check_blender import PICTURE_DIFFERENCE_MAX, positions_of, render, stage, to_log, transformed
+from mesh_files import read_ply
+from project import OUT, WORK, Check, frame_of
+
+FPS = 24
+
+
+def main():
+    check = Check(f"shots: Blender {bpy.app.version_string} imports, and plays")
+    to_log(WORK / "blender_shots.log")
+    for label in ("moving", "moving-quantized"):
+        folder = OUT / label
+        last = sorted(folder.glob("moving.*.ply"))[-1]
+        for kind in ("glb", "stl", "usda"):
+            path = last.with_suffix(f".{kind}")
+            check.line(f"{label}/{path.name}", *attempted(frame, path, last))
+        check.line(f"{label}/shot.glb", *attempted(shot, folder, "glb"))
+        check.line(f"{label}/shot.usda", *attempted(shot, folder, "usda"))
+    check.line("pictures", *attempted(pictures, OUT / "moving"))
+    check.end()
+
+
+def attempted(examine, *arguments):
+    try:
+        return examine(*arguments)
+    except Exception as error:
+        return "could not be imported", [f"{type(error).__name__}: {error}"]
+
+
+def imported(path):
+    """The meshes of a file in an otherwise empty scene."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.render.fps = FPS
+    {
+        ".glb": lambda: bpy.ops.import_scene.gltf(filepath=str(path)),
+        ".stl": lambda: bpy.ops.wm.stl_import(filepath=str(path)),
+        ".usda": lambda: bpy.ops.wm.usd_import(filepath=str(path)),
+    }[path.suffix]()
+    bpy.context.view_layer.update()
+    found = [obj for obj in bpy.data.objects if obj.type == "MESH"]
+    if not found:
+        raise RuntimeError("no mesh")
+    return found
+
+
+def shown(objects):
+    """The vertices that are to be seen at this time, where they are, and the volume inside."""
+    graph = bpy.context.evaluated_depsgraph_get()
+    points, volume = [], 0.0
+    for obj in objects:
+        evaluated = obj.evaluated_get(graph)
+        if min(evaluated.matrix_world.to_scale()) == 0:
+            continue
+        mesh = evaluated.to_mesh()
+        mesh.calc_loop_triangles()
+        vertices = transformed(positions_of(mesh), evaluated.matrix_world)
+        triangles = np.empty(3 * len(mesh.loop_triangles), np.int64)
+        mesh.loop_triangles.foreach_get("vertices", triangles)
+        corners = vertices[triangles.reshape(-1, 3)]
+        volume += np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+        points.append(vertices)
+        evaluated.to_mesh_clear()
+    return (np.concatenate(points) if points else np.empty((0, 3))), volume
+
+
+def faults_of(objects, ply):
+    """What is seen at this time, against the mesh of a frame. Blender has Z up, and so have the frames."""
+    points, volume = shown(objects)
+    expected, _ = read_ply(ply)
+    report = frame_of(ply)
+    faults = []
+    if len(points) != len(expected):
+        faults.append(f"{len(points)} vertices instead of {len(expected)}")
+    size = np.ptp(expected, axis=0).max()
+    for bound in ("min", "max"):
+        off = abs(getattr(points, bound)(axis=0) - getattr(expected, bound)(axis=0)).max() if len(points) else np.inf
+        # Half a step of a quantized mesh is less.
+        if off > 2e-5 * size:
+            faults.append(f"its {bound} is off by {off / size:.2g} of its size")
+    if abs(volume / report["volume"] - 1) > 1e-3:
+        faults.append(f"its volume is {volume}, {report['volume']} was reported")
+    return faults
+
+
+def frame(path, ply):
+    objects = imported(path)
+    faults = faults_of(objects, ply)
+    if len(objects) != 1:
+        faults.append(f"{len(objects)} objects")
+    mesh = objects[0].data
+    if path.suffix == ".usda" and "quantized" in str(path) and len(mesh.polygons) == len(mesh.loops) // 3:
+        faults.append("it has no quads")
+    return f"{len(mesh.vertices)} vertices, {len(mesh.polygons)} faces", faults
+
+
+def shot(folder, kind):
+    objects = imported(folder / f"shot.{kind}")
+    plys = sorted(folder.glob("moving.*.ply"))
+    codes = [int(ply.stem.split(".")[1]) for ply in plys]
+    faults, seen = [], []
+    for code, ply in zip(codes, plys):
+        # A .glb begins at zero seconds; the time codes of USD are frames.
+        bpy.context.scene.frame_set(code - codes[0] if kind == "glb" else code)
+        faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
+        seen.append(len(shown(objects)[0]))
+    if kind == "glb":
+        # What is missing leaves its time to the frame before it.
+        bpy.context.scene.frame_set(3 - codes[0])
+        faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
+    if len(set(seen)) != len(seen):
+        faults.append("frames that should differ are the same")
+    return f"{len(objects)} objects, {' '.join(map(str, seen))} vertices at {' '.join(map(str, codes))}", faults
+
+
+def pictures(folder):
+    """The last frame of each shot, taken from one place."""
+    points, _ = read_ply(sorted(folder.glob("moving.*.ply"))[-1])
+    images = {}
+    for kind, time in (("glb", 3), ("usda", 4)):
+        imported(folder / f"shot.{kind}")
+        bpy.context.scene.frame_set(time)
+        stage(Matrix(), points.min(axis=0), points.max(axis=0))
+        images[kind] = render(WORK / f"shots_{kind}.png")
+    faults = [f"shots_{kind}.png shows nothing" for kind, image in images.items() if image.std() < 0.05]
+    difference = abs(images["glb"] - images["usda"]).mean()
+    if difference > PICTURE_DIFFERENCE_MAX:
+        faults.append(f"the pictures differ by {difference:.4f} in the mean")
+    return f"mean difference {difference:.4f}: {WORK.name}/shots_glb.png, {WORK.name}/shots_usda.png", faults
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""A plan on a real Slurm: a job array of its shards, of which one has a broken frame, and one is killed.
+
+    one process  ──────────────────────────────────────────────▶  one/   ┐
+    plan ──▶ 0  1  2  3   tasks of an array, two at a time                ├ the same bytes
+                │  └─ SIGKILL in the middle ──▶ queued again ──▶  out/   ┘
+                └─ a broken frame ──▶ queued again, and mended meanwhile
+                                        └──▶ verify, after all
+
+Both are queued again by the script of the array, as examples/farm has it, and what was done before is not repeated.
+"""
+
+import filecmp
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+from project import OWN, PROGRAM, ROOT, WORK, Check, convert
+from slurm import ask, cluster, environment_of, pids
+
+FRAME_COUNT = 8
+SHARD_COUNT = 4
+BROKEN_SHARD = 1
+KILLED_SHARD = 2
+# So fine that a frame takes a while, and a shard can be killed between two.
+OPTIONS = ["--format", "glb,vdb", "--voxel-size", "0.008", "--radius-min", "0.0277", "--radius-init", "0.0416"]
+DEADLINE_SECONDS = 200
+
+
+def main():
+    check = Check("a plan on Slurm")
+    work = WORK / "slurm"
+    shutil.rmtree(work, ignore_errors=True)
+    frames = work / "in"
+    frames.mkdir(parents=True)
+    for path in sorted(OWN.glob("*.bgeo"))[:FRAME_COUNT]:
+        shutil.copy(path, frames)
+    status, said, _ = convert([frames], work / "one", *OPTIONS, "--threads", "2")
+    check.line("one process", f"{FRAME_COUNT} frames", [said] if status else [])
+    plan = work / "plan.json"
+    arguments = [PROGRAM, "plan", frames, "--out", work / "out", "--shards", str(SHARD_COUNT), "-o", plan, *OPTIONS]
+    subprocess.run(arguments, check=True, stdout=subprocess.DEVNULL, timeout=120)
+    with cluster(work / "cluster") as environment:
+        environment["MENISCUS"] = str(PROGRAM)
+        run = Run(work, plan, environment)
+        run.to_the_end()
+        check_tasks(check, run)
+    check_outputs(check, work)
+    return check.end()
+
+
+class Run:
+    """The array on its way, and what is done to it."""
+
+    def __init__(self, work, plan, environment):
+        self.work, self.environment = work, environment
+        planned = json.loads(plan.read_text())
+        stems = [frame["stem"] for frame in planned["frames"]]
+        first = [stems[shard["first"]] for shard in planned["shards"]]
+        self.killed_first = first[KILLED_SHARD]
+        # What the shard had done when it was killed, and what that was then.
+        self.before_kill = None
+        self.is_mended = False
+        self.broken = work / "in" / f"{first[BROKEN_SHARD]}.bgeo"
+        self.sound = self.broken.read_bytes()
+        self.broken.write_bytes(b"no frame at all")
+        submit = [ROOT / "examples" / "farm" / "submit.sh", plan, "--cpus-per-task=1"]
+        ran = subprocess.run(submit, env=environment, cwd=work, check=True, capture_output=True, text=True, timeout=60)
+        self.array, self.verify = ran.stdout.split()
+        self.seconds = time.monotonic()
+
+    def to_the_end(self):
+        """Kills a shard, mends a frame, and waits until the last job has ended."""
+        deadline = self.seconds + DEADLINE_SECONDS
+        while not self.has_ended():
+            if time.monotonic() > deadline:
+                print(ask(self.environment, "squeue"), file=sys.stderr)
+                raise TimeoutError(f"the jobs have not ended after {DEADLINE_SECONDS} s")
+            if self.before_kill is None:
+                self.kill()
+            elif not self.is_mended and self.task(BROKEN_SHARD).get("Restarts") == "1":
+                self.broken.write_bytes(self.sound)
+                self.is_mended = True
+            time.sleep(0.02 if self.before_kill is None else 0.2)
+        self.seconds = time.monotonic() - self.seconds
+
+    def kill(self):
+        """Kills the shard as soon as its first frame is done."""
+        if not (self.work / "out" / f"{self.killed_first}.certificate.json").exists():
+            return
+        task = f"SLURM_ARRAY_TASK_ID={KILLED_SHARD}".encode()
+        job = f"SLURM_ARRAY_JOB_ID={self.array}".encode()
+        for pid in pids():
+            environment = environment_of(pid)
+            if task in environment and job in environment and is_program(pid):
+                self.before_kill = self.identities()
+                os.kill(pid, signal.SIGKILL)
+
+    def identities(self):
+        """What changes when the first frame of the killed shard is written again."""
+        stats = [path.stat() for path in sorted((self.work / "out").glob(f"{self.killed_first}.*"))]
+        return [(stat.st_ino, stat.st_mtime_ns) for stat in stats]
+
+    def task(self, shard):
+        """What Slurm knows of a task."""
+        return fields(ask(self.environment, "scontrol", "--oneliner", "show", "job", f"{self.array}_{shard}"))
+
+    def verify_job(self):
+        """What Slurm knows of the job that looks at the whole."""
+        return fields(ask(self.environment, "scontrol", "--oneliner", "show", "job", self.verify))
+
+    def has_ended(self):
+        """Whether the last job has."""
+        return self.verify_job().get("JobState") in ("COMPLETED", "FAILED", "CANCELLED", "TIMEOUT")
+
+
+def is_program(pid):
+    """Whether a process is the program, and not the script that runs it."""
+    try:
+        return os.readlink(f"/proc/{pid}/exe") == str(PROGRAM.resolve())
+    except OSError:
+        return False
+
+
+def fields(text):
+    """Names and values of a line of scontrol."""
+    words = (word.partition("=") for word in text.split())
+    return {name: value for name, _, value in words}
+
+
+def check_tasks(check, run):
+    """What Slurm tells of the tasks, in the end."""
+    for shard in range(SHARD_COUNT):
+        task = run.task(shard)
+        found = [task.get(name) for name in ("JobState", "ExitCode", "Restarts")]
+        restarts = "1" if shard in (BROKEN_SHARD, KILLED_SHARD) else "0"
+        faults = [f"to be COMPLETED 0:0 {restarts}"] if found != ["COMPLETED", "0:0", restarts] else []
+        check.line(f"shard {shard}", "state, exit code, restarts: " + " ".join(map(str, found)), faults)
+    faults = [] if run.before_kill and run.identities() == run.before_kill else ["the frame was written again"]
+    check.line("killed by SIGKILL", "what was done before is left as it was", faults)
+    verify = run.verify_job()
+    faults = [] if verify.get("ExitCode") == "0:0" else [str(verify)]
+    check.line("verify", f"{verify.get('JobState')}, {run.seconds:.0f} s for all jobs", faults)
+
+
+def check_outputs(check, work):
+    """The files, beside those of one process."""
+    summary = json.loads((work / "plan.json.verified.json").read_text())["summary"]
+    faults = [str(summary)] if summary["done"] != FRAME_COUNT else []
+    check.line("frames", f"{summary['done']} of {FRAME_COUNT} done", faults)
+    one = sorted(path for path in (work / "one").iterdir() if path.suffix in (".glb", ".vdb"))
+    there = sorted(path.name for path in (work / "out").iterdir() if path.suffix in (".glb", ".vdb"))
+    faults = [f"{path.name} differs" for path in one if not is_same(path, work / "out" / path.name)]
+    if there != [path.name for path in one]:
+        faults.append(f"there are {there}")
+    check.line("bytes", f"{len(one)} files as one process writes them", faults)
+
+
+def is_same(path, other):
+    """Whether two files have the same bytes."""
+    return other.exists() and filecmp.cmp(path, other, shallow=False)
+
+
+sys.exit(main())

@@ -1,0 +1,152 @@
+"""VTK, which is what ParaView reads with, reads the .vtp and .stl of a shot; OpenUSD reads its .usda, and the shot.
+
+    .vtp          as many points and polygons, the points of the .ply to the last bit, normals that point outward, the
+                  attributes, what made the file; quads where they were asked for
+    .stl          as many triangles, the bounds and the volume of the .ply
+    .usda         the same points; axis, unit, extent, normals and velocities as USD knows them
+    shot.usda     a sample for each frame, with its mesh
+"""
+
+import numpy as np
+import vtk
+from pxr import Usd, UsdGeom
+from vtk.util.numpy_support import vtk_to_numpy
+
+from mesh_files import read_ply
+from project import OUT, Check, frame_of
+
+
+def main():
+    check = Check(f"vtk: VTK {vtk.vtkVersion.GetVTKVersion()} and OpenUSD {'.'.join(map(str, Usd.GetVersion()))} read")
+    for label in ("moving", "moving-quantized"):
+        for ply in sorted((OUT / label).glob("moving.*.ply")):
+            frame, (points, triangles) = frame_of(ply), read_ply(ply)
+            for examine, suffix in ((vtp, ".vtp"), (stl, ".stl"), (usda, ".usda")):
+                path = ply.with_suffix(suffix)
+                check.line(f"{label}/{path.name}", *attempted(examine, path, frame, points, triangles))
+        check.line(f"{label}/shot.usda", *attempted(shot, OUT / label))
+    check.end()
+
+
+def attempted(examine, *arguments):
+    try:
+        return examine(*arguments)
+    except Exception as error:
+        return "could not be read", [f"{type(error).__name__}: {error}"]
+
+
+def vtp(path, frame, points, triangles):
+    reader = vtk.vtkXMLPolyDataReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    mesh, faults = reader.GetOutput(), []
+    if not np.array_equal(vtk_to_numpy(mesh.GetPoints().GetData()), points):
+        faults.append("its points are not those of the .ply")
+    data, fields = mesh.GetPointData(), mesh.GetFieldData()
+    corners = vtk_to_numpy(mesh.GetPolys().GetConnectivityArray())
+    quads = 3 * len(triangles) - len(corners)
+    polys = mesh.GetNumberOfPolys()
+    if polys != len(triangles) - quads // 2 or ("quantized" in str(path)) != (quads > 0):
+        faults.append(f"{polys} polygons, {quads // 2} of them quads, of {len(triangles)} triangles")
+    normals = vtk_to_numpy(data.GetNormals())
+    if abs(np.linalg.norm(normals, axis=1) - 1).max() > 1e-5:
+        faults.append("its normals are no unit vectors")
+    velocity = vtk_to_numpy(data.GetArray("velocity" if data.HasArray("velocity") else "v"))
+    if velocity.shape != points.shape or abs(velocity[:, 1] - 2).max() > 1e-6:
+        faults.append("its velocities are not those of the particles")
+    filled = vtk.vtkTriangleFilter()
+    filled.SetInputData(mesh)
+    faults += volume_faults(filled, frame)
+    made_by = fields.GetAbstractArray("meniscus_input")
+    if not made_by or made_by.GetValue(0) != f"{path.stem}.csv":
+        faults.append("it does not say what it was made from")
+    return f"{mesh.GetNumberOfPoints()} points, {polys} polygons, {quads // 2} of them quads", faults
+
+
+def stl(path, frame, points, triangles):
+    reader = vtk.vtkSTLReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    mesh, faults = reader.GetOutput(), []
+    if mesh.GetNumberOfPolys() != len(triangles) or mesh.GetNumberOfPoints() != len(points):
+        faults.append(f"{mesh.GetNumberOfPolys()} triangles, {mesh.GetNumberOfPoints()} distinct points")
+    found = vtk_to_numpy(mesh.GetPoints().GetData())
+    if not (np.array_equal(found.min(axis=0), points.min(axis=0)) and np.array_equal(found.max(axis=0), points.max(axis=0))):
+        faults.append("its bounds are not those of the .ply")
+    edges = vtk.vtkFeatureEdges()
+    edges.SetInputData(mesh)
+    edges.FeatureEdgesOff()
+    edges.ManifoldEdgesOff()
+    edges.Update()
+    if edges.GetOutput().GetNumberOfCells():
+        faults.append(f"{edges.GetOutput().GetNumberOfCells()} edges that are open")
+    filled = vtk.vtkTriangleFilter()
+    filled.SetInputData(mesh)
+    return f"{len(triangles)} triangles, closed", faults + volume_faults(filled, frame)
+
+
+def volume_faults(triangles, frame):
+    measured = vtk.vtkMassProperties()
+    measured.SetInputConnection(triangles.GetOutputPort())
+    volume = measured.GetVolume()
+    return [] if abs(volume / frame["volume"] - 1) < 1e-3 else [f"its volume is {volume}, {frame['volume']} was reported"]
+
+
+def usda(path, frame, points, triangles):
+    stage = Usd.Stage.Open(str(path))
+    mesh = UsdGeom.Mesh(stage.GetDefaultPrim())
+    faults = mesh_faults(mesh, Usd.TimeCode.Default(), points, triangles)
+    if (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) != ("Z", 1):
+        faults.append("its axis or its unit is another")
+    made_by = stage.GetRootLayer().customLayerData["meniscus"]
+    if made_by["input"] != f"{path.stem}.csv":
+        faults.append(f"it says that it was made from {made_by['input']}")
+    return f"{len(points)} points, {len(mesh.GetFaceVertexCountsAttr().Get())} faces", faults
+
+
+def mesh_faults(mesh, time, points, triangles, rounding=0.0):
+    faults = []
+    found = np.array(mesh.GetPointsAttr().Get(time))
+    if found.shape != points.shape or abs(found - points).max() > rounding:
+        faults.append("its points are not those of the .ply")
+    ok, why = UsdGeom.Mesh.ValidateTopology(
+        mesh.GetFaceVertexIndicesAttr().Get(time), mesh.GetFaceVertexCountsAttr().Get(time), len(found)
+    )
+    if not ok:
+        faults.append(why)
+    if len(mesh.GetFaceVertexIndicesAttr().Get(time)) > 3 * len(triangles):
+        faults.append("it has other faces than the .ply")
+    if mesh.GetSubdivisionSchemeAttr().Get() != "none" or mesh.GetNormalsInterpolation() != "vertex":
+        faults.append("it would be subdivided, or its normals are of something else")
+    normals, velocities = mesh.GetNormalsAttr().Get(time), np.array(mesh.GetVelocitiesAttr().Get(time))
+    if len(normals) != len(points) or velocities.shape != points.shape or abs(velocities[:, 1] - 2).max() > 1e-6:
+        faults.append("its normals or velocities are not those of its points")
+    extent = np.array(mesh.GetExtentAttr().Get(time))
+    if abs(extent - [found.min(axis=0), found.max(axis=0)]).max() > 1e-6:
+        faults.append(f"its extent is {extent.tolist()}")
+    return faults
+
+
+def shot(folder):
+    stage = Usd.Stage.Open(str(folder / "shot.usda"))
+    mesh = UsdGeom.Mesh(stage.GetDefaultPrim())
+    frames = sorted(folder.glob("moving.*.ply"))
+    codes = [int(path.stem.split(".")[1]) for path in frames]
+    faults = []
+    if mesh.GetPointsAttr().GetTimeSamples() != codes:
+        faults.append(f"its time codes are {mesh.GetPointsAttr().GetTimeSamples()}, the frames are {codes}")
+    if [stage.GetStartTimeCode(), stage.GetEndTimeCode()] != [codes[0], codes[-1]] or stage.GetTimeCodesPerSecond() != 24:
+        faults.append("it begins or ends at other times, or is of another speed")
+    shift = mesh.GetXformOpOrderAttr().Get() is not None
+    for code, path in zip(codes, frames):
+        points, triangles = read_ply(path)
+        local = np.array(mesh.ComputeLocalToWorldTransform(code)) if shift else np.eye(4)
+        # Quantized frames lie in a cube of their own.
+        rounding = 2e-5 * np.ptp(points, axis=0).max() if "quantized" in folder.name else 0.0
+        moved = points - local[3, :3].astype(points.dtype) if shift else points
+        faults += [f"frame {code}: {fault}" for fault in mesh_faults(mesh, code, moved, triangles, rounding)]
+    return f"{len(codes)} frames, {codes}", faults
+
+
+if __name__ == "__main__":
+    main()

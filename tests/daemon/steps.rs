@@ -1,0 +1,205 @@
+//! Files with several frames: a dump to which a simulation appends.
+
+use std::fmt::Write as _;
+use std::fs::OpenOptions;
+use std::io::Write;
+
+use crate::scene::{Line, NO_SCANS, Scene, await_that, moving, names_in, ply};
+
+const ARGUMENTS: [&str; 6] = ["--format", "obj", "--settle", "100ms", "--voxel-size", "0.06"];
+const CONVERT: [&str; 4] = ["--format", "obj", "--voxel-size", "0.06"];
+
+/// Steps of a dump.
+fn steps(numbers: impl IntoIterator<Item = usize>) -> String {
+    numbers.into_iter().fold(String::new(), |mut text, number| {
+        let particles = moving(number);
+        let count = particles.len();
+        write!(text, "ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{count}\nITEM: ATOMS x y z\n")
+            .expect("strings take everything");
+        for [x, y, z] in particles {
+            writeln!(text, "{x} {y} {z}").expect("strings take everything");
+        }
+        text
+    })
+}
+
+fn append(scene: &Scene, text: &str) {
+    let file = OpenOptions::new().append(true).open(scene.path("in/d.dump"));
+    file.and_then(|mut file| file.write_all(text.as_bytes())).expect("appended");
+}
+
+#[test]
+fn steps_are_converted_as_they_are_appended() {
+    let scene = Scene::new();
+    scene.write("in/d.dump", steps([1, 2]));
+    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    daemon.await_converted("d.dump/step=2");
+    daemon.await_converted("d.dump/step=1");
+    append(&scene, &steps([30]));
+    daemon.await_converted("d.dump/step=30");
+    // The last of the others might have been cut off, and is found done; the first is not even read.
+    daemon.await_line("step=2 is found done", |line| line.is_found_done() && line.is_about("d.dump/step=2"));
+    // A step that is cut off fails, and is converted when the rest of it is there.
+    let cut = steps([40]);
+    let (start, rest) = cut.split_at(cut.len() / 2);
+    append(&scene, start);
+    daemon.await_line("it is cut off", |line| line.is_complaint() && line.is_about("d.dump/step=40"));
+    append(&scene, rest);
+    daemon.await_converted("d.dump/step=40");
+    let log = daemon.finish();
+    assert_eq!(log.iter().filter(|line| line.is_converted()).count(), 4);
+    scene.assert_as_converted(&CONVERT);
+
+    // What it had not looked at again when it ended is found done; and then nothing is read any more, but for which
+    // steps there are.
+    let once = scene.once(&ARGUMENTS);
+    once.assert_status(0);
+    assert_eq!(once.converted(), [""; 0]);
+    let once = scene.once(&ARGUMENTS);
+    assert_eq!((once.converted(), once.found_done()), (vec![], vec![]));
+    // What is gone of the outputs is made again.
+    scene.remove("out/d.30.obj");
+    let once = scene.once(&ARGUMENTS);
+    assert_eq!(once.converted(), ["step=30"]);
+    scene.assert_as_converted(&CONVERT);
+
+    let why = scene.run(&["why", "in/d.dump/step=30", "--out", "out"]);
+    assert!(why.out.contains("step=30") && why.out.contains("it is done"), "{}{}", why.out, why.err);
+    let why = scene.run(&["why", "in/d.dump/step=999", "--out", "out"]);
+    assert_eq!(why.status, Some(2), "{}", why.out);
+    assert!(why.err.contains("d.dump/step=999: no such step"), "{}", why.err);
+    let why = scene.run(&["why", "in/d.dump", "--out", "out"]);
+    assert!(
+        why.out.contains("several frames") && why.out.contains("d.dump/step=40"),
+        "{}{}",
+        why.out,
+        why.err
+    );
+    let status = scene.run(&["status", "--out", "out"]);
+    assert_eq!(status.status, Some(0), "{}", status.err);
+    assert!(status.out.contains("4 done"), "{}", status.out);
+}
+
+#[test]
+fn steps_that_failed_are_known_to_status() {
+    let scene = Scene::new();
+    let bad = steps([2]).replacen('.', "?", 1);
+    let line = steps([1]).lines().count() + 6;
+    let cut = steps([4]);
+    scene.write("in/d.dump", [&steps([1]), &*bad, &steps([3]), &cut[..cut.len() / 2]].concat());
+    scene.once(&ARGUMENTS).assert_status(1);
+    let status = scene.run(&["status", "--out", "out"]);
+    assert_eq!(status.status, Some(1), "{}", status.err);
+    assert!(status.out.contains("2 done, 0 queued, 0 to retry, 2 failed"), "{}", status.out);
+    let lines: Vec<&str> = status.out.lines().filter(|line| line.contains("d.dump/step=")).collect();
+    let is_told =
+        |step: &str, words: &str| lines.iter().any(|line| line.contains(step) && line.contains(words));
+    assert!(is_told("step=2: ", &format!("LAMMPS dump, at line {line}: ")), "{}", status.out);
+    assert!(is_told("step=4: ", "tried again at the next start"), "{}", status.out);
+    let json = scene.run(&["status", "--out", "out", "--json"]);
+    let json: serde_json::Value = serde_json::from_str(&json.out).expect("JSON");
+    assert_eq!((&json["counts"]["failed"], &json["counts"]["retrying"]), (&2.into(), &0.into()));
+    // What is not in the file any more will not be converted.
+    scene.put("in/d.dump", steps([1, 3]));
+    let status = scene.run(&["status", "--out", "out"]);
+    assert!(status.out.contains("2 done, 0 queued, 0 to retry, 0 failed"), "{}", status.out);
+    // Nor what is not in a larger one, whether that was looked at since or not.
+    let bad = steps([9]).replacen('.', "?", 1);
+    scene.put("in/d.dump", [&steps([1]), &*bad].concat());
+    scene.once(&ARGUMENTS).assert_status(1);
+    scene.put("in/d.dump", steps([1, 3, 5]));
+    let is_done = |expected: &str| {
+        let status = scene.run(&["status", "--out", "out"]);
+        assert_eq!(status.status, Some(0), "{}{}", status.out, status.err);
+        assert!(status.out.contains(expected), "{expected}: {}", status.out);
+    };
+    is_done("2 done, 0 queued, 0 to retry, 0 failed");
+    scene.once(&ARGUMENTS).assert_status(0);
+    is_done("3 done, 0 queued, 0 to retry, 0 failed");
+}
+
+/// A file of one step is a frame by its own name.
+#[test]
+fn a_failed_step_that_is_alone_now_is_the_file() {
+    let scene = Scene::new();
+    scene.write("in/d.dump", [steps([1]), steps([9]).replacen('.', "?", 1)].concat());
+    scene.once(&ARGUMENTS).assert_status(1);
+    scene.put("in/d.dump", steps([9]));
+    scene.once(&ARGUMENTS).assert_status(0);
+    let status = scene.run(&["status", "--out", "out"]);
+    assert_eq!(status.status, Some(0), "{}{}", status.out, status.err);
+    assert!(status.out.contains("2 done, 0 queued, 0 to retry, 0 failed"), "{}", status.out);
+    let why = scene.run(&["why", "in/d.dump/step=9", "--out", "out"]);
+    assert!(why.out.contains("It is not converted because there is no such frame"), "{}{}", why.out, why.err);
+}
+
+/// Whether it is whole cannot be known: it is told, and converted anew when the file goes on.
+#[test]
+fn a_step_without_its_line_end_is_converted_and_told_and_then_anew() {
+    let scene = Scene::new();
+    let text = steps([1, 2]);
+    let (start, rest) = text.split_at(text.len() - 3);
+    scene.write("in/d.dump", start);
+    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    daemon.await_line("it is told", |line| {
+        line.is_about("d.dump/step=2") && line.fields.to_string().contains("without a line end")
+    });
+    daemon.await_converted("d.dump/step=2");
+    daemon.await_converted("d.dump/step=1");
+    append(&scene, rest);
+    daemon.await_lines(2, "converted anew", |line| line.is_converted() && line.is_about("d.dump/step=2"));
+    daemon.finish();
+    scene.assert_as_converted(&CONVERT);
+}
+
+#[test]
+fn a_dump_that_is_written_anew_has_other_steps() {
+    let scene = Scene::new();
+    scene.write("in/d.dump", steps([1, 2, 3]));
+    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    daemon.await_lines(3, "all are converted", Line::is_converted);
+    scene.put("in/d.dump", steps([2, 7]));
+    daemon.await_converted("d.dump/step=7");
+    daemon.await_line("the other is found done", Line::is_found_done);
+    // A dump of one step is a frame by its own name.
+    scene.put("in/d.dump", steps([9]));
+    daemon.await_converted("d.dump");
+    await_that("its output is there", || names_in(&scene.path("out")).contains(&"d.obj".to_owned()));
+    daemon.assert_no_complaints();
+    assert_eq!(done_count(&daemon.finish()), 1, "the steps are no frames any more");
+}
+
+/// How many frames were done when the daemon ended.
+fn done_count(log: &[Line]) -> u64 {
+    let ended = log.iter().find(|line| line.message.starts_with("ended")).expect("it has ended");
+    ended.fields["done"].as_u64().expect("a count")
+}
+
+#[test]
+fn a_dump_that_is_none_any_more_has_no_steps() {
+    let scene = Scene::new();
+    scene.write("in/d.dump", steps([1, 2]));
+    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    daemon.await_lines(2, "all are converted", Line::is_converted);
+    // One of our own outputs is no frame, whatever it is called.
+    scene.put("in/d.dump", scene.bytes("out/d.2.obj"));
+    scene.put("in/e.ply", ply(&moving(3)));
+    daemon.await_converted("e.ply");
+    assert_eq!(done_count(&daemon.finish()), 1);
+}
+
+#[test]
+fn steps_that_are_queued_wait_for_what_is_appended() {
+    let scene = Scene::new();
+    scene.write("in/d.dump", steps(0..12));
+    let daemon = scene.watch(&[&NO_SCANS[..], &ARGUMENTS].concat());
+    daemon.await_converted("d.dump/step=0");
+    for number in 12..15 {
+        append(&scene, &steps([number]));
+        daemon.await_converted(&format!("d.dump/step={number}"));
+    }
+    daemon.await_lines(15, "all are converted", Line::is_converted);
+    daemon.assert_no_complaints();
+    assert_eq!(done_count(&daemon.finish()), 15);
+    scene.assert_as_converted(&CONVERT);
+}

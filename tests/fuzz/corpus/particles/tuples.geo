@@ -1,0 +1,19 @@
+["fileversion","19.5.303","hasindex",false,"pointcount",3,"vertexcount",0,"primitivecount",1,
+  "info",{"software":"Houdini \"19.5\"","bounds":[0,1,0,1,0,1]},
+  "topology",["pointref",["indices",[]]],
+  "attributes",["vertexattributes",[],"pointattributes",[
+    [["scope","public","type","numeric","name","P","options",{"type":{"type":"string","value":"point"}}],
+     ["size",3,"storage","fpreal32","defaults",["size",1,"storage","fpreal64","values",[0]],
+      "values",["size",3,"storage","fpreal32","tuples",[[0.5,1,2],[0.25,-1,2e-1],[3,4,5]]]]],
+    [["scope","public","type","numeric","name","v"],["size",3,"storage","fpreal64","values",
+      ["size",3,"storage","fpreal64","arrays",[[1,2,3],[4,5,6],[7,8,9]]]]],
+    [["scope","public","type","numeric","name","id"],["size",1,"storage","int64","values",
+      ["size",1,"storage","int64","arrays",[[7,8,5000000000]]]]],
+    [["scope","public","type","numeric","name","pscale"],["size",1,"storage","fpreal32","values",
+      ["size",1,"storage","fpreal32","pagesize",1024,"constantpageflags",[[1]],"rawpagedata",[0.125]]]],
+    [["scope","public","type","string","name","part"],["size",1,"storage","int32","strings",["a","b\u00e9"],
+      "indices",["size",1,"storage","int32","arrays",[[1,0,-1]]]]],
+    [["scope","public","type","arraydata","name","neighbours"],["whatever",[[]]]]
+  ]],
+  "primitives",[[["type","Part"],["vertex",[0,1,2]]]]
+]

@@ -1,0 +1,117 @@
+//! Files from the past and from the future, and clocks that are set while the command runs.
+
+use std::fs::{self, File};
+use std::process::Command;
+use std::time::{Duration, SystemTime};
+
+use crate::scene::{Ran, Scene, block_ply, tell};
+
+const YEAR: Duration = Duration::from_secs(365 * 24 * 3600);
+
+/// Sets when a file was written.
+fn set(scene: &Scene, within: &str, time: SystemTime) {
+    let file = File::options().write(true).open(scene.path(within)).expect("there");
+    file.set_modified(time).expect("set");
+}
+
+/// Times that a disk may say.
+fn times() -> [SystemTime; 5] {
+    let start = SystemTime::UNIX_EPOCH;
+    [
+        start,
+        start - 10 * YEAR,
+        start + 130 * YEAR,
+        start + 400 * YEAR,
+        SystemTime::now() + Duration::from_secs(30),
+    ]
+}
+
+const WATCH: [&str; 12] = [
+    "watch",
+    "in",
+    "--once",
+    "--out",
+    "out",
+    "--voxel-size",
+    "0.1",
+    "--format",
+    "obj",
+    "--settle",
+    "100ms",
+    "--unproven=100ms",
+];
+
+#[test]
+fn frames_of_any_time_are_converted_once() {
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj", "--skip-done"];
+    for arguments in [&WATCH[..], &convert] {
+        let scene = Scene::new();
+        for (number, time) in times().into_iter().enumerate() {
+            let name = format!("in/odd.{number}.ply");
+            scene.write(&name, block_ply(number as f32));
+            set(&scene, &name, time);
+        }
+        let ran = scene.run(arguments);
+        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        scene.assert_good_frames_are_there();
+        let written =
+            |number| fs::metadata(scene.path(format!("out/odd.{number}.obj"))).expect("there").modified();
+        let before: Vec<_> = (0..times().len()).map(|number| written(number).expect("a time")).collect();
+        let again = scene.run(arguments);
+        assert_eq!(again.status, Some(0), "{}", again.err);
+        let after: Vec<_> = (0..times().len()).map(|number| written(number).expect("a time")).collect();
+        assert_eq!(before, after, "{}", again.err);
+    }
+}
+
+/// A frame that was written anew, and whose time is earlier than before, is another one all the same.
+#[test]
+fn a_frame_whose_time_goes_back_is_converted_again() {
+    let scene = Scene::new();
+    assert_eq!(scene.run(&WATCH).status, Some(0));
+    for (shift, time) in times().into_iter().enumerate() {
+        let before = fs::read(scene.path("out/dam.1.obj")).expect("there");
+        scene.write("in/dam.1.ply", block_ply(10.0 + shift as f32));
+        set(&scene, "in/dam.1.ply", time);
+        let ran = scene.run(&WATCH);
+        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        assert!(fs::read(scene.path("out/dam.1.obj")).expect("there") != before, "{shift}: {}", ran.err);
+    }
+}
+
+/// Runs the daemon with a system clock that says something else; `None` where no clock can be set.
+fn run_at(scene: &Scene, clock: &[&str]) -> Option<Ran> {
+    if !Command::new("faketime").args(["2001-01-01", "true"]).status().is_ok_and(|status| status.success()) {
+        tell("not tested: there is no faketime");
+        return None;
+    }
+    let mut command = Command::new("faketime");
+    // What measures how long something takes is no clock, and nobody sets it.
+    command
+        .env("FAKETIME_DONT_FAKE_MONOTONIC", "1")
+        .args(clock)
+        .arg(env!("CARGO_BIN_EXE_meniscus"))
+        .args(WATCH);
+    Some(scene.run_command(command))
+}
+
+/// The clock of the machine is set between runs, goes ten times as fast, or a thousand times as slowly.
+#[test]
+fn the_daemon_goes_on_when_the_clock_is_set() {
+    let scene = Scene::new();
+    let clocks: [&[&str]; 5] = [
+        &["2100-01-01"],
+        &["1971-01-01"],
+        &["-f", "+0 x1000"],
+        &["-f", "+0 x0.01"],
+        &["-f", "@2030-01-01 00:00:00 i2.0"],
+    ];
+    for (number, clock) in clocks.into_iter().enumerate() {
+        let name = format!("in/late.{number}.ply");
+        scene.write(&name, block_ply(number as f32));
+        let Some(ran) = run_at(&scene, clock) else { return };
+        assert_eq!(ran.status, Some(0), "{clock:?}: {}", ran.err);
+        assert!(scene.path(format!("out/late.{number}.obj")).is_file(), "{clock:?}: {}", ran.err);
+    }
+    scene.assert_good_frames_are_there();
+}

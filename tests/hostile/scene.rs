@@ -1,0 +1,153 @@
+//! A folder with good frames, and the command in it.
+
+use std::env;
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use tempfile::TempDir;
+
+/// Whether files are as large as was promised.
+pub(crate) fn is_long() -> bool {
+    env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1")
+}
+
+/// Says something even where the test passes, which the macros for it do not.
+pub(crate) fn tell(text: &str) {
+    writeln!(io::stderr(), "{text}").expect("somebody listens");
+}
+
+/// Who has not ended by then hangs.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// A folder of its own, with `in`.
+pub(crate) struct Scene(TempDir);
+
+/// What came of a command.
+#[derive(Debug)]
+pub(crate) struct Ran {
+    pub(crate) status: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
+    /// The most that it held.
+    pub(crate) peak_bytes: u64,
+}
+
+impl Scene {
+    /// Two frames, `dam.1.ply` and `dam.2.ply`.
+    pub(crate) fn new() -> Scene {
+        let scene = Scene(tempfile::tempdir().expect("a folder"));
+        fs::create_dir(scene.path("in")).expect("made");
+        for number in 1..=2 {
+            scene.write(format!("in/dam.{number}.ply"), block_ply(number as f32));
+        }
+        scene
+    }
+
+    pub(crate) fn path(&self, within: impl AsRef<Path>) -> PathBuf {
+        self.0.path().join(within)
+    }
+
+    pub(crate) fn write(&self, within: impl AsRef<Path>, bytes: impl AsRef<[u8]>) {
+        fs::write(self.path(within), bytes).expect("written");
+    }
+
+    /// A file that begins so and is so long: what follows is a hole.
+    pub(crate) fn write_with_hole(&self, within: &str, start: &[u8], length: u64) {
+        let mut file = File::create(self.path(within)).expect("made");
+        file.write_all(start).expect("written");
+        file.set_len(length).expect("grown");
+    }
+
+    /// Runs the command until it ends.
+    pub(crate) fn run<S: AsRef<OsStr>>(&self, arguments: &[S]) -> Ran {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
+        command.args(arguments);
+        self.run_command(command)
+    }
+
+    pub(crate) fn run_command(&self, mut command: Command) -> Ran {
+        let [out, err] = ["out.txt", "err.txt"].map(|name| self.path(name));
+        let file = |path| File::create(path).expect("made");
+        command.current_dir(self.0.path()).stdin(Stdio::null()).stdout(file(&out)).stderr(file(&err));
+        let (status, peak_bytes) = until_it_ends(command.spawn().expect("it starts"));
+        let text = |path| String::from_utf8_lossy(&fs::read(path).expect("readable")).into_owned();
+        let ran = Ran { status, out: text(out), err: text(err), peak_bytes };
+        assert!(!ran.err.contains("panicked"), "{}", ran.err);
+        ran
+    }
+
+    /// Converts `in` to .obj files in `out`.
+    pub(crate) fn convert(&self) -> Ran {
+        self.run(&["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"])
+    }
+
+    /// Converts the folder with a file beside the good frames that cannot be read: one failed frame, which says
+    /// these words, and no more memory than so much.
+    #[track_caller]
+    pub(crate) fn assert_costs_itself_alone(&self, name: &str, words: &str, most_bytes: u64) {
+        let ran = self.convert();
+        assert_eq!(ran.status, Some(1), "{name}: {}", ran.err);
+        assert!(ran.err.contains(name) && ran.err.contains(words), "{name}, {words}: {}", ran.err);
+        self.assert_good_frames_are_there();
+        tell(&format!("{name}: {} MiB", ran.peak_bytes >> 20));
+        assert!(ran.peak_bytes <= most_bytes, "{name}: {} of {most_bytes} bytes", ran.peak_bytes);
+    }
+
+    #[track_caller]
+    pub(crate) fn assert_good_frames_are_there(&self) {
+        for number in 1..=2 {
+            assert!(self.path(format!("out/dam.{number}.obj")).is_file(), "frame {number}");
+        }
+    }
+}
+
+/// How it ended, and the most that it held until a moment before.
+fn until_it_ends(mut child: Child) -> (Option<i32>, u64) {
+    let status = PathBuf::from(format!("/proc/{}/status", child.id()));
+    let deadline = Instant::now() + PATIENCE;
+    let mut peak_bytes = 0;
+    loop {
+        peak_bytes = peak_bytes.max(peak_of(&status).unwrap_or(0));
+        if let Some(status) = child.try_wait().expect("it is there") {
+            assert_eq!(status.signal(), None, "it was ended");
+            return (status.code(), peak_bytes);
+        }
+        if Instant::now() > deadline {
+            child.kill().expect("it is there");
+            panic!("it does not end");
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn peak_of(status: &Path) -> Option<u64> {
+    let text = fs::read_to_string(status).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()? << 10)
+}
+
+/// A block of 6³ particles, 0.1 apart, moved along x, as binary PLY.
+pub(crate) fn block_ply(shift: f32) -> Vec<u8> {
+    const EDGE: usize = 6;
+    let mut bytes = ply_header(EDGE.pow(3) as u64);
+    for index in 0..EDGE.pow(3) {
+        let [x, y, z] = [index % EDGE, index / EDGE % EDGE, index / EDGE / EDGE].map(|at| at as f32 * 0.1);
+        bytes.extend([x + shift, y, z].iter().flat_map(|number| number.to_le_bytes()));
+    }
+    bytes
+}
+
+/// What comes before so many positions.
+pub(crate) fn ply_header(count: u64) -> Vec<u8> {
+    format!(
+        "ply\nformat binary_little_endian 1.0\nelement vertex {count}\n\
+         property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    .into_bytes()
+}

@@ -1,0 +1,116 @@
+//! Links that lead in circles, and what may not be read or written.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::process::Command;
+
+use crate::scene::{Ran, Scene, tell};
+
+fn add_loops(scene: &Scene) {
+    fs::create_dir_all(scene.path("in/a/b")).expect("made");
+    for (target, link) in [
+        ("self.1.ply", "in/self.1.ply"),
+        ("pong.1.ply", "in/ping.1.ply"),
+        ("ping.1.ply", "in/pong.1.ply"),
+        (".", "in/here"),
+        ("..", "in/up"),
+        ("../..", "in/a/b/top"),
+        ("nowhere.ply", "in/broken.1.ply"),
+    ] {
+        symlink(target, scene.path(link)).expect("linked");
+    }
+}
+
+#[test]
+fn links_in_circles_are_converted_around() {
+    let scene = Scene::new();
+    add_loops(&scene);
+    let ran = scene.convert();
+    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    scene.assert_good_frames_are_there();
+    // A glob through all folders ends, too.
+    let arguments = ["convert", "in/**/*.ply", "--out", "globbed", "--voxel-size", "0.1", "--format", "obj"];
+    let ran = scene.run(&arguments);
+    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    let names = fs::read_dir(scene.path("globbed")).expect("the outputs").count();
+    assert_eq!(names, 2, "{}", ran.err);
+    assert!(scene.path("globbed/dam.2.obj").is_file(), "{}", ran.err);
+}
+
+#[test]
+fn links_in_circles_are_watched_around() {
+    let scene = Scene::new();
+    add_loops(&scene);
+    let arguments =
+        ["watch", "in", "--recursive", "--once", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
+    let ran = scene.run(&[&arguments[..], &["--settle", "50ms", "--stalled", "300ms"]].concat());
+    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    scene.assert_good_frames_are_there();
+    assert_eq!(ran.err.matches("dam.1.ply").count(), ran.err.matches("dam.2.ply").count(), "{}", ran.err);
+}
+
+/// Runs the command as somebody who is not root, and may not do everything; `None` where that cannot be.
+fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<Ran> {
+    let program = scene.path("meniscus");
+    fs::copy(env!("CARGO_BIN_EXE_meniscus"), &program).expect("copied");
+    fs::set_permissions(scene.path(""), Permissions::from_mode(0o777)).expect("changed");
+    fs::set_permissions(&program, Permissions::from_mode(0o755)).expect("changed");
+    let mut command = Command::new("setpriv");
+    command.args(["--reuid=65534", "--regid=65534", "--clear-groups"]);
+    let is_there = Command::new("setpriv").args(["--reuid=65534", "true"]).status();
+    if !is_there.is_ok_and(|status| status.success()) {
+        tell("not tested: nobody can be somebody else here");
+        return None;
+    }
+    command.arg(program).args(arguments);
+    Some(scene.run_command(command))
+}
+
+fn forbid(scene: &Scene, within: &str) {
+    fs::set_permissions(scene.path(within), Permissions::from_mode(0o000)).expect("changed");
+}
+
+#[test]
+fn what_may_not_be_read_costs_itself_alone() {
+    let scene = Scene::new();
+    fs::create_dir(scene.path("in/closed")).expect("made");
+    for name in ["in/closed/dam.1.ply", "in/closed.1.ply", "in/closed.1.txt"] {
+        fs::copy(scene.path("in/dam.1.ply"), scene.path(name)).expect("copied");
+    }
+    ["in/closed", "in/closed.1.ply", "in/closed.1.txt"].iter().for_each(|within| forbid(&scene, within));
+    let arguments = ["convert", "in", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
+    let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
+    assert_eq!(ran.status, Some(1), "{}", ran.err);
+    assert!(ran.err.contains("closed.1.ply") && ran.err.contains("ermission denied"), "{}", ran.err);
+    scene.assert_good_frames_are_there();
+    // A glob looks into folders, and says into which it may not.
+    let globbed = ["convert", "in/**/dam.*.ply", "--out", "out2", "--voxel-size", "0.1", "--format", "obj"];
+    let Some(ran) = run_as_nobody(&scene, &globbed) else { return };
+    assert!(matches!(ran.status, Some(0 | 1)), "{}", ran.err);
+    assert!(scene.path("out2/dam.2.obj").is_file(), "{}", ran.err);
+    let watched =
+        ["watch", "in", "--recursive", "--once", "--out", "out3", "--voxel-size", "0.1", "--format", "obj"];
+    let watched = [&watched[..], &["--settle", "50ms", "--stalled", "300ms"]].concat();
+    let Some(ran) = run_as_nobody(&scene, &watched) else { return };
+    assert_eq!(ran.status, Some(1), "{}", ran.err);
+    assert!(scene.path("out3/dam.2.obj").is_file(), "{}", ran.err);
+}
+
+#[test]
+fn what_may_not_be_written_is_told() {
+    let scene = Scene::new();
+    for folder in ["out", "out/inner"] {
+        fs::create_dir(scene.path(folder)).expect("made");
+        fs::set_permissions(scene.path(folder), Permissions::from_mode(0o555)).expect("changed");
+    }
+    for out in ["out", "out/inner", "out/new"] {
+        let arguments = ["convert", "in", "--out", out, "--voxel-size", "0.1", "--format", "obj"];
+        let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
+        assert!(matches!(ran.status, Some(1 | 2)), "{}", ran.err);
+        assert!(ran.err.contains("ermission denied"), "{}", ran.err);
+        let watched = ["watch", "in", "--once", "--out", out, "--voxel-size", "0.1", "--settle", "50ms"];
+        let Some(ran) = run_as_nobody(&scene, &watched) else { return };
+        assert!(matches!(ran.status, Some(1 | 2)), "{}", ran.err);
+        assert!(ran.err.contains("ermission denied"), "{}", ran.err);
+    }
+}

@@ -1,0 +1,580 @@
+//! Plans and their shards: the bytes of one process, whatever is killed, repeated or in the way; and what is told of them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Ran, block, command, meniscus, names_in, write_ply, write_sequence};
+
+fn shard(folder: &Path, number: usize) -> Ran {
+    meniscus(folder, &["convert", "--plan", "plan.json", "--shard", &number.to_string()])
+}
+
+fn verify(folder: &Path) -> Ran {
+    meniscus(folder, &["verify", "out", "--plan", "plan.json"])
+}
+
+fn succeeded(ran: &Ran) {
+    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+}
+
+/// A folder with `in/dam.1.ply` to `in/dam.N.ply`, and a plan of them in so many shards.
+fn planned(frame_count: usize, shard_count: usize) -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    write_sequence(&folder.path().join("in"), 1, frame_count);
+    plan_again(folder.path(), shard_count);
+    folder
+}
+
+fn plan_again(folder: &Path, shard_count: usize) {
+    let count = shard_count.to_string();
+    succeeded(&meniscus(folder, &["plan", "in", "--out", "out", "--shards", &count, "-o", "plan.json"]));
+}
+
+/// The outputs in a folder without what is there for the farm only: names and bytes.
+fn outputs(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let names = names_in(folder).into_iter().filter(|name| !name.ends_with(".certificate.json"));
+    names.map(|name| (name.clone(), fs::read(folder.join(&name)).expect("readable"))).collect()
+}
+
+/// What changes when a file is written again.
+#[cfg(unix)]
+fn identities(folder: &Path) -> Vec<(String, u64, i64)> {
+    use std::os::unix::fs::MetadataExt;
+    let identity = |name: String| {
+        let metadata = fs::metadata(folder.join(&name)).expect("there");
+        (name, metadata.ino(), metadata.mtime_nsec())
+    };
+    names_in(folder).into_iter().map(identity).collect()
+}
+
+/// Two sequences of different spacing in folders of their own, an obstacle that moves, one that stands still.
+fn write_scene(folder: &Path) {
+    for (name, scale) in [("dam", 1.0), ("foam", 0.5)] {
+        let frames = folder.join("in").join(name);
+        fs::create_dir_all(&frames).expect("made");
+        for number in 1..=4 {
+            let particles: Vec<[f64; 3]> =
+                block(5, 0.02 * f64::from(number)).iter().map(|p| p.map(|x| x * scale)).collect();
+            write_ply(&frames.join(format!("{name}.{number}.ply")), &particles);
+        }
+    }
+    let tetrahedron = |at: f64| {
+        let far = at + 0.2;
+        format!("v {at} 0 0\nv {far} 0 0\nv {at} 0.2 0\nv {at} 0 0.2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    };
+    for number in 1..=4 {
+        let text = tetrahedron(0.05 * f64::from(number));
+        fs::write(folder.join(format!("body.{number}.obj")), text).expect("written");
+    }
+    fs::write(folder.join("still.obj"), tetrahedron(-0.1)).expect("written");
+}
+
+#[test]
+fn shards_make_the_bytes_that_one_process_makes() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_scene(folder);
+    let asked = [
+        "in/*/*.ply",
+        "--obstacle=body.{}.obj",
+        "--obstacle=still.obj",
+        "--preview=png",
+        "--preview-size=64x48",
+        "--format=glb,obj,ply,vdb",
+    ];
+    succeeded(&meniscus(folder, &[&["convert", "--out=one"][..], &asked].concat()));
+    succeeded(&meniscus(
+        folder,
+        &[&["plan", "--out=out", "--shards=3", "-o=plan.json"][..], &asked].concat(),
+    ));
+    assert!(names_in(&folder.join("out")).is_empty(), "made, so that shards know that it is there");
+    // The last first, from elsewhere, on other numbers of threads, and one of them twice at the same time.
+    let elsewhere = tempdir().expect("a folder");
+    let plan = folder.join("plan.json").display().to_string();
+    let mut running: Vec<_> = [(2, "1"), (1, "3"), (1, "2"), (0, "2")]
+        .into_iter()
+        .map(|(number, threads)| {
+            let number = number.to_string();
+            let arguments = ["convert", "--plan", &plan, "--shard", &number, "--threads", threads];
+            command(elsewhere.path(), &arguments)
+                .stdout(Stdio::null())
+                .stderr(Stdio::null())
+                .spawn()
+                .expect("the command starts")
+        })
+        .collect();
+    for process in &mut running {
+        assert!(process.wait().expect("it ends").success());
+    }
+    let (one, out) = (outputs(&folder.join("one")), outputs(&folder.join("out")));
+    assert_eq!(one.len(), 8 * 5);
+    let names =
+        |outputs: &[(String, Vec<u8>)]| outputs.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+    assert_eq!(names(&one), names(&out));
+    for ((name, one), (_, other)) in one.iter().zip(&out) {
+        assert!(one == other, "{name}");
+    }
+    let verified = verify(folder);
+    succeeded(&verified);
+    assert!(verified.out.starts_with("8 frames: 8 done, in "), "{}", verified.out);
+    fs::remove_file(folder.join("body.3.obj")).expect("removed");
+    let verified = verify(folder);
+    succeeded(&verified);
+    assert!(verified.err.contains("2 frame's obstacles not to be read"), "{}", verified.err);
+}
+
+/// A folder that is not mounted is not made anew on another disk.
+#[test]
+fn a_shard_makes_no_folder() {
+    let folder = planned(2, 1);
+    let folder = folder.path();
+    fs::remove_dir(folder.join("out")).expect("removed");
+    let ran = shard(folder, 0);
+    assert_eq!(ran.status, 2);
+    assert!(ran.err.contains("is it mounted?"), "{}", ran.err);
+    assert!(!folder.join("out").exists());
+}
+
+#[test]
+fn what_is_done_needs_no_input_any_more() {
+    let folder = planned(3, 1);
+    let folder = folder.path();
+    succeeded(&shard(folder, 0));
+    fs::remove_file(folder.join("in/dam.2.ply")).expect("removed");
+    let ran = shard(folder, 0);
+    succeeded(&ran);
+    assert!(ran.out.contains("dam.2: done already"), "{}", ran.out);
+    // What is done without its input is in its place among the others.
+    let plan = ["convert", "--plan=plan.json", "--shard=0", "--report=r.json"];
+    let ran = meniscus(folder, &plan);
+    succeeded(&ran);
+    assert!(ran.out.contains("3 frames: 3 done"), "{}", ran.out);
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
+    let frames = report["frames"].as_array().expect("frames");
+    let told = frames.iter().map(|frame| (frame["input"].as_str().expect("text"), &frame["status"]));
+    for (number, (input, status)) in (1..).zip(told) {
+        assert!(input.ends_with(&format!("dam.{number}.ply")) && status == "already_done", "{report}");
+    }
+    assert_eq!((frames.len(), &report["summary"]["already_done"]), (3, &3.into()));
+    fs::remove_file(folder.join("out/dam.2.glb")).expect("removed");
+    assert_eq!(shard(folder, 0).status, 1, "it cannot be made again");
+}
+
+#[test]
+fn a_report_replaces_nothing_of_the_plan() {
+    let folder = planned(2, 1);
+    let folder = folder.path();
+    succeeded(&shard(folder, 0));
+    let refused = |path: &str, why: &str| {
+        for command in
+            [&["verify", "out", "--plan=plan.json"][..], &["convert", "--plan=plan.json", "--shard=0"]]
+        {
+            let before = fs::read(folder.join(path)).expect("there");
+            let ran = meniscus(folder, &[command, &["--report", path]].concat());
+            assert_eq!(ran.status, 2, "{path}");
+            assert!(ran.err.contains(why), "{}", ran.err);
+            assert!(fs::read(folder.join(path)).expect("there") == before, "{path}");
+        }
+    };
+    refused("plan.json", "the report would replace the plan");
+    for path in ["in/dam.2.ply", "out/dam.1.glb", "out/../out/dam.2.vdb", "out/dam.1.certificate.json"] {
+        refused(path, "the report would replace a file of the plan");
+    }
+}
+
+/// A plan that somebody edited may have results on top of inputs.
+#[test]
+fn a_plan_replaces_none_of_its_inputs() {
+    let folder = planned(2, 2);
+    let path = folder.path().join("plan.json");
+    let mut plan: Value = serde_json::from_slice(&fs::read(&path).expect("there")).expect("JSON");
+    plan["out"] = json!(folder.path().join("in"));
+    plan["outputs"]["formats"] = json!(["ply"]);
+    fs::write(&path, plan.to_string()).expect("written");
+    let ran = shard(folder.path(), 1);
+    assert_eq!(ran.status, 2);
+    assert!(ran.err.contains("/frames/0/input: it is an output, too"), "{}", ran.err);
+}
+
+#[test]
+fn a_shard_that_failed_repeats_nothing_that_is_done() {
+    let folder = planned(5, 2);
+    let folder = folder.path();
+    let broken = folder.join("in/dam.2.ply");
+    let sound = fs::read(&broken).expect("readable");
+    fs::write(&broken, "ply\nformat nonsense 1.0\n").expect("written");
+    let ran = shard(folder, 0);
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains("dam.2.ply: it has 24 bytes, and had "), "{}", ran.err);
+    succeeded(&shard(folder, 1));
+    let verified = verify(folder);
+    assert_eq!(verified.status, 1);
+    assert!(verified.out.contains("5 frames: 4 done, 1 missing, in "), "{}", verified.out);
+    assert!(verified.out.contains("shards to run again: 0\n"), "{}", verified.out);
+    assert!(verified.err.starts_with("dam.2 (shard 0): missing: dam.2.glb, dam.2.vdb, "), "{}", verified.err);
+
+    fs::write(&broken, sound).expect("written");
+    #[cfg(unix)]
+    let before = identities(&folder.join("out"));
+    let ran = shard(folder, 0);
+    succeeded(&ran);
+    assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
+    #[cfg(unix)]
+    {
+        let after = identities(&folder.join("out"));
+        assert!(before.iter().all(|file| after.contains(file)), "{before:?} {after:?}");
+        assert_eq!(after.len(), before.len() + 3);
+    }
+    succeeded(&verify(folder));
+}
+
+#[test]
+fn a_shard_that_was_killed_goes_on_where_it_was() {
+    let folder = planned(24, 1);
+    let folder = folder.path();
+    let arguments = ["convert", "--plan", "plan.json", "--shard", "0", "--threads", "1"];
+    let mut process = command(folder, &arguments).stdout(Stdio::null()).spawn().expect("the command starts");
+    let certified = || {
+        let names = if folder.join("out").exists() { names_in(&folder.join("out")) } else { Vec::new() };
+        names.iter().filter(|name| name.ends_with(".certificate.json")).count()
+    };
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while certified() < 2 {
+        assert!(Instant::now() < deadline, "no frame was converted");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    process.kill().expect("it runs");
+    process.wait().expect("it ends");
+    let done = certified();
+    #[cfg(unix)]
+    let before = identities(&folder.join("out"));
+    let ran = shard(folder, 0);
+    succeeded(&ran);
+    assert_eq!(ran.out.matches("done already").count(), done, "{}", ran.out);
+    #[cfg(unix)]
+    {
+        let after = identities(&folder.join("out"));
+        // A frame of which only some files had appeared is made again.
+        let is_whole = |name: &str| {
+            let stem = name.split('.').take(2).collect::<Vec<_>>().join(".");
+            before.iter().any(|(other, ..)| *other == format!("{stem}.certificate.json"))
+        };
+        assert!(before.iter().filter(|(name, ..)| is_whole(name)).all(|file| after.contains(file)));
+    }
+    succeeded(&verify(folder));
+    succeeded(&meniscus(folder, &["convert", "in", "--out", "one"]));
+    let out = outputs(&folder.join("out")).into_iter().filter(|(name, _)| !name.starts_with('.'));
+    assert!(out.eq(outputs(&folder.join("one"))));
+}
+
+#[test]
+fn shards_without_frames_are_done_at_once() {
+    let folder = planned(2, 5);
+    let folder = folder.path();
+    for number in 0..5 {
+        let ran = shard(folder, number);
+        succeeded(&ran);
+        let count = if number < 2 { "1 frame" } else { "0 frames" };
+        assert!(ran.out.starts_with(&format!("shard {number} of 5: {count}\n")), "{}", ran.out);
+    }
+    succeeded(&verify(folder));
+    let ran = shard(folder, 5);
+    assert_eq!(ran.status, 2);
+    assert!(ran.err.contains("--shard is 5, and the plan's shards are 0 to 4"), "{}", ran.err);
+}
+
+/// Slurm tells the number of the shard, or it is said why it does not.
+#[test]
+fn the_task_of_a_job_array_is_a_shard() {
+    let folder = planned(2, 2);
+    let folder = folder.path();
+    let run = |task: Option<&str>| {
+        let mut command = command(folder, &["convert", "--plan", "plan.json", "--shard", "slurm"]);
+        match task {
+            Some(task) => command.env("SLURM_ARRAY_TASK_ID", task),
+            None => command.env_remove("SLURM_ARRAY_TASK_ID"),
+        };
+        let output = command.output().expect("the command starts");
+        (output.status.code(), String::from_utf8(output.stderr).expect("text"))
+    };
+    assert_eq!(run(Some("1")), (Some(0), String::new()));
+    assert!(names_in(&folder.join("out")).iter().all(|name| name.starts_with("dam.2.")));
+    for (task, why) in [
+        (None, "SLURM_ARRAY_TASK_ID is not set"),
+        (Some("2"), "SLURM_ARRAY_TASK_ID is 2, and the plan's shards are 0 to 1"),
+        (Some("-1"), "SLURM_ARRAY_TASK_ID is `-1`"),
+        (Some(""), "SLURM_ARRAY_TASK_ID is ``"),
+    ] {
+        let (status, told) = run(task);
+        assert!(status == Some(2) && told.contains(why), "{task:?}: {told}");
+    }
+}
+
+#[test]
+fn beside_a_plan_nothing_is_said_of_the_surface() {
+    let folder = planned(2, 1);
+    let folder = folder.path();
+    for more in [
+        &["in"][..],
+        &["--out=x"],
+        &["--steps=3"],
+        &["--vdb-half"],
+        &["--frames=1"],
+        &["--skip-done"],
+        &["--print-settings"],
+    ] {
+        let ran = meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], more].concat());
+        assert_eq!(ran.status, 2, "{more:?}");
+        assert!(ran.err.contains("the plan says what is made of which frames"), "{}", ran.err);
+    }
+    assert!(names_in(&folder.join("out")).is_empty());
+    for alone in [["convert", "--plan=plan.json"], ["convert", "--shard=0"]] {
+        assert_eq!(meniscus(folder, &alone).status, 2);
+    }
+    let beside = ["--threads=1", "--memory=1GiB", "--report=r.json", "--on-error=stop"];
+    succeeded(&meniscus(folder, &[&["convert", "--plan=plan.json", "--shard=0"][..], &beside].concat()));
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
+    assert_eq!(report["summary"]["converted"], 2);
+    assert!(report["settings"][0]["spacing"].is_f64(), "{report}");
+}
+
+/// What is done to the outputs of a frame, and what is told of it.
+type Case = (&'static str, fn(&Path), &'static str);
+
+fn edit(path: PathBuf, change: impl FnOnce(&mut Vec<u8>)) {
+    let mut bytes = fs::read(&path).expect("readable");
+    change(&mut bytes);
+    fs::write(path, bytes).expect("written");
+}
+
+const CASES: [Case; 9] = [
+    ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "dam.1.vdb is not there"),
+    (
+        "missing",
+        |f| fs::remove_file(f.join("out/dam.1.certificate.json")).expect("there"),
+        "dam.1.certificate.json is not there",
+    ),
+    (
+        "damaged",
+        |f| edit(f.join("out/dam.1.glb"), |bytes| bytes.truncate(bytes.len() - 9)),
+        "its end is missing",
+    ),
+    (
+        "damaged",
+        |f| edit(f.join("out/dam.1.vdb"), |bytes| *bytes.last_mut().expect("bytes") ^= 1),
+        "dam.1.vdb has other bytes than were written",
+    ),
+    ("damaged", |f| edit(f.join("out/dam.1.glb"), Vec::clear), "dam.1.glb: "),
+    (
+        "damaged",
+        |f| fs::write(f.join("out/dam.1.certificate.json"), "{}").expect("written"),
+        "dam.1.certificate.json: missing field",
+    ),
+    (
+        "stale",
+        |f| {
+            let arguments = ["convert", "in/dam.1.ply", "--out=out", "--voxel-size=0.07", "--format=glb"];
+            succeeded(&meniscus(f, &arguments));
+        },
+        "dam.1.glb: voxel_size is 0.07, and was to be 0.05",
+    ),
+    ("stale", |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)), "made from another state of the input"),
+    (
+        "uncertified",
+        |f| {
+            edit(f.join("out/dam.1.certificate.json"), |bytes| {
+                let text = String::from_utf8(bytes.clone()).expect("text");
+                let text = text.replace("\"holds\": true", "\"holds\": false");
+                *bytes = text.replace("\"particles_outside\": 0", "\"particles_outside\": 3").into_bytes();
+            });
+        },
+        "the certificate does not hold: 3 particles outside",
+    ),
+];
+
+#[test]
+fn whatever_became_of_a_frame_is_told() {
+    let folder = planned(2, 2);
+    let folder = folder.path();
+    for (status, meddle, why) in CASES {
+        succeeded(&shard(folder, 0));
+        succeeded(&shard(folder, 1));
+        meddle(folder);
+        let ran = meniscus(folder, &["verify", "out", "--plan=plan.json", "--report=v.json"]);
+        assert_eq!(ran.status, 1, "{status}: {}", ran.out);
+        assert!(ran.err.starts_with(&format!("dam.1 (shard 0): {status}: ")), "{}", ran.err);
+        assert!(ran.err.contains(why), "{}", ran.err);
+        let report: Value =
+            serde_json::from_slice(&fs::read(folder.join("v.json")).expect("there")).expect("JSON");
+        assert_eq!(report["summary"][status], 1, "{report}");
+        assert_eq!(report["summary"]["done"], 1, "{report}");
+        assert_eq!(report["frames"][0]["status"], status);
+        let is_made_again = status != "uncertified";
+        assert_eq!(report["shards_to_run"], if is_made_again { json!([0]) } else { json!([]) });
+        // The shard that has it mends it, and no other frame.
+        let ran = shard(folder, 0);
+        succeeded(&ran);
+        assert_eq!(ran.out.contains("done already"), !is_made_again, "{status}: {}", ran.out);
+        assert_eq!(verify(folder).status, i32::from(!is_made_again));
+    }
+}
+
+#[test]
+fn gaps_and_shards_that_never_ran_are_told_at_once() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    for number in [1, 2, 5, 6] {
+        write_sequence(path, number, number);
+    }
+    let ran = meniscus(path, &["plan", "dam.#.ply", "--out", "out", "--shards", "2", "-o", "plan.json"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.err.contains("dam.{}.ply: 3-4: 2 frames are not there"), "{}", ran.err);
+    let verified = verify(path);
+    let lines: Vec<&str> = verified.err.lines().collect();
+    let expected = [
+        "shard 0: missing: all of its 2 frames, dam.1 to dam.2",
+        "shard 1: missing: all of its 2 frames, dam.5 to dam.6",
+    ];
+    assert_eq!(lines, expected);
+
+    // A file of it that is there is not as good as none: the shard has run, and each frame is told by itself.
+    assert_eq!(shard(path, 1).status, 0);
+    let out = path.join("out");
+    for stem in ["dam.5.", "dam.6."] {
+        let name = names_in(&out).into_iter().find(|name| name.starts_with(stem)).expect("a file of it");
+        fs::remove_file(out.join(name)).expect("removed");
+    }
+    let lines = verify(path).err;
+    assert!(
+        lines.contains("dam.5 (shard 1): missing: ") && lines.contains("dam.6 (shard 1): missing: "),
+        "{lines}"
+    );
+    assert!(
+        lines.contains("shard 0: missing: all of its 2 frames") && !lines.contains("shard 1: missing"),
+        "{lines}"
+    );
+}
+
+#[test]
+fn outputs_are_verified_wherever_they_lie() {
+    let folder = planned(2, 1);
+    let folder = folder.path();
+    succeeded(&shard(folder, 0));
+    fs::rename(folder.join("out"), folder.join("elsewhere")).expect("renamed");
+    fs::remove_dir_all(folder.join("in")).expect("removed");
+    let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
+    succeeded(&ran);
+    assert!(ran.err.contains("2 inputs not to be read"), "{}", ran.err);
+    fs::create_dir(folder.join("out")).expect("made");
+    assert_eq!(verify(folder).status, 2, "nothing is there");
+    assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
+}
+
+/// Edits of a good plan, by JSON pointer, and what is told of them.
+fn edits() -> Vec<(&'static str, Value, &'static str)> {
+    vec![
+        ("/meniscus_plan", json!(2), "/meniscus_plan: the form of this plan is number 2"),
+        ("/meniscus_plan", json!("1"), "invalid type: string"),
+        ("/generator", json!("meniscus 0.0.1"), "/generator: this is a plan of `meniscus 0.0.1`"),
+        ("/out", json!("out"), "/out: `out` is no absolute path"),
+        ("/out", Value::Null, "invalid type: null"),
+        ("/outputs/formats", json!(["glb", "exe"]), "/outputs/formats/1: `exe` is no format"),
+        ("/outputs/formats", json!([]), "/outputs/formats: there are none"),
+        ("/outputs/up", json!("x"), "/outputs/up: `x` is not known"),
+        ("/outputs/picture_size", json!([1, 99999999]), "/outputs/picture_size: each must be 16 to 8192"),
+        ("/sequences", json!([]), "/sequences: there are none"),
+        ("/sequences/0/voxel_size", json!("wide"), "/sequences/0/voxel_size: `wide` is no positive number"),
+        ("/sequences/0/voxel_size", json!("-1"), "/sequences/0/voxel_size: `-1` is no positive number"),
+        ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: `1e99` is no value"),
+        ("/sequences/0/settings/step_size", json!("-1"), "/sequences/0/settings: the step size"),
+        ("/sequences/0/settings", json!({}), "/sequences/0/settings/radius_min: missing"),
+        ("/sequences/0/camera", json!("auto"), "/sequences/0/camera: there are no pictures"),
+        ("/shards", json!([]), "/shards: there are 0"),
+        ("/shards/1/first", json!(0), "/shards/1: "),
+        ("/shards/1/count", json!(u64::MAX), "/shards/1: "),
+        ("/shards/1/count", json!(0), "/shards: frames from 2 on are in no shard"),
+        ("/shards/1/count", json!(-1), "invalid value"),
+        ("/frames", json!([]), "end within 0 frames"),
+        ("/frames/0/stem", json!("../dam"), "/frames/0/stem: `../dam` is no plain name"),
+        ("/frames/0/stem", json!("/tmp/dam"), "/frames/0/stem: `/tmp/dam` is no plain name"),
+        ("/frames/1/stem", json!("dam.1"), "/frames/1/stem: `dam.1` is what the outputs of frame 0"),
+        ("/frames/1/sequence", json!(7), "/frames/1/sequence: there is no sequence 7"),
+        ("/frames/1/input", json!("in/dam.2.ply"), "/frames/1/input: `in/dam.2.ply` is no absolute path"),
+        ("/frames/1/size_bytes", json!(1.5), "invalid type: floating point"),
+    ]
+}
+
+#[test]
+fn a_plan_is_taken_as_it_is_or_not_at_all() {
+    let folder = planned(4, 2);
+    let folder = folder.path();
+    let text = fs::read_to_string(folder.join("plan.json")).expect("there");
+    let refused = |text: &[u8], why: &str| {
+        fs::write(folder.join("plan.json"), text).expect("written");
+        for ran in [shard(folder, 0), verify_anywhere(folder)] {
+            assert_eq!(ran.status, 2, "{why}: {}", ran.out);
+            assert!(ran.err.starts_with("error: plan.json: ") && ran.err.contains(why), "{why}: {}", ran.err);
+        }
+    };
+    for (place, value, why) in edits() {
+        let mut plan: Value = serde_json::from_str(&text).expect("JSON");
+        *plan.pointer_mut(place).expect(place) = value;
+        refused(&serde_json::to_vec_pretty(&plan).expect("JSON"), why);
+    }
+    let mut plan: Value = serde_json::from_str(&text).expect("JSON");
+    plan["voxel_size"] = json!("1");
+    refused(&serde_json::to_vec(&plan).expect("JSON"), "unknown field `voxel_size`");
+    let mut plan: Value = serde_json::from_str(&text).expect("JSON");
+    plan["sequences"][0]["settings"]["cg_tolerance"] = json!("0.1");
+    refused(&serde_json::to_vec(&plan).expect("JSON"), "/sequences/0/settings/cg_tolerance: it has no use");
+    for end in [1, text.len() / 2, text.len() - 3] {
+        refused(&text.as_bytes()[..end], "EOF while parsing");
+    }
+    for other in [&b""[..], b"[]", b"ply\nformat ascii 1.0\n"] {
+        refused(other, "this is no plan of meniscus");
+    }
+    refused(b"{}", "/meniscus_plan: missing");
+    refused(&[br#"{"a":"#.to_vec(), b"[".repeat(100_000)].concat(), "at line 1");
+    assert!(names_in(&folder.join("out")).is_empty(), "nothing is written");
+    // Back as it was, it is good; and an input that is gone costs itself only.
+    fs::write(folder.join("plan.json"), &text).expect("written");
+    fs::remove_file(folder.join("in/dam.1.ply")).expect("there");
+    let ran = shard(folder, 0);
+    assert_eq!(ran.status, 1);
+    assert!(ran.err.contains("in/dam.1.ply: "), "{}", ran.err);
+    assert_eq!(meniscus(folder, &["convert", "--plan=none.json", "--shard=0"]).status, 2);
+    assert_eq!(meniscus(folder, &["convert", "--plan=in", "--shard=0"]).status, 2);
+}
+
+fn verify_anywhere(folder: &Path) -> Ran {
+    meniscus(folder, &["verify", ".", "--plan", "plan.json"])
+}
+
+#[test]
+fn what_cannot_be_planned_is_refused() {
+    let folder = planned(2, 1);
+    let folder = folder.path();
+    let refused = |arguments: &[&str], why: &str| {
+        let ran = meniscus(folder, &[&["plan", "-o", "other.json"][..], arguments].concat());
+        assert_eq!(ran.status, 2, "{arguments:?}");
+        assert!(ran.err.contains(why), "{}", ran.err);
+        assert!(!folder.join("other.json").exists());
+    };
+    refused(&["in", "--out=out", "--shards=0"], "1 to 100000");
+    refused(&["in", "--out=out", "--shards=100001"], "1 to 100000");
+    refused(&["nowhere", "--out=out", "--shards=2"], "no such file or folder");
+    refused(&["in", "--out=in", "--shards=2", "--format=ply"], "would replace the input");
+    refused(&["in", "--out=out", "--shards=2", "--obstacle=none.obj"], "there is no such obstacle");
+    refused(&["in", "--out=out", "--shards=2", "--steps=-1"], "--steps");
+    fs::write(folder.join("in/dam.1.ply"), "ply\nformat nonsense 1.0\n").expect("written");
+    fs::write(folder.join("in/dam.2.ply"), "ply\nformat nonsense 1.0\n").expect("written");
+    refused(&["in", "--out=out", "--shards=2"], "dam.{}.ply: ");
+}

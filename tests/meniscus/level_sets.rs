@@ -1,0 +1,127 @@
+//! Level sets in .vdb as inputs: contoured as they are, or smoothed within a slack; and what is refused.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Ran, block, meniscus, names_in, write_ply};
+
+/// A block of particles as a level set that is hardly smoothed, `in/block.vdb`, and as a mesh.
+fn scene() -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    write_ply(&folder.path().join("block.ply"), &block(8, 0.0125));
+    let rough = ["--laplacian-steps=0", "--steps=0", "--voxel-size=0.05", "--format=vdb,obj", "--out=in"];
+    let ran = meniscus(folder.path(), &[&["convert", "block.ply"], &rough[..]].concat());
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    folder
+}
+
+fn convert(folder: &Path, more: &[&str]) -> Ran {
+    meniscus(folder, &[&["convert", "in/block.vdb", "--out=out"], more].concat())
+}
+
+fn succeeded(ran: &Ran) {
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+}
+
+/// What a file is like.
+fn info(folder: &Path, file: &str) -> Value {
+    let ran = meniscus(folder, &["info", "--json", file]);
+    let json: Value = serde_json::from_str(&ran.out).unwrap_or_else(|error| panic!("{file}: {error}"));
+    json[0].clone()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or_else(|| panic!("{value}"))
+}
+
+#[test]
+fn a_level_set_is_contoured_as_it_is() {
+    let folder = scene();
+    let folder = folder.path();
+    let ran = convert(folder, &["--format=obj,glb,vdb"]);
+    succeeded(&ran);
+    assert_eq!(names_in(&folder.join("out")), ["block.glb", "block.obj", "block.vdb"]);
+    let [from_particles, again] =
+        ["in/block.obj", "out/block.obj"].map(|file| info(folder, file)["mesh"].clone());
+    assert_eq!(again["triangles"], from_particles["triangles"]);
+    assert_eq!(again["boundary_edges"], 0);
+    let [expected, found] = [&from_particles, &again].map(|mesh| number(&mesh["volume"]));
+    assert!((found / expected - 1.0).abs() < 1e-4, "{found} {expected}");
+    // What was written is what was read.
+    let [one, other] = ["in/block.vdb", "out/block.vdb"].map(|file| info(folder, file)["grids"][0].clone());
+    assert_eq!(one["active_voxels"], other["active_voxels"], "{one}");
+    let ran = convert(folder, &["--format=obj,glb,vdb", "--skip-done"]);
+    assert!(ran.out.contains("done already"), "{}", ran.out);
+    let ran = convert(folder, &["--format=obj", "--skip-done", "--band-slack=0.5"]);
+    assert!(!ran.out.contains("done already"), "{}", ran.out);
+}
+
+#[test]
+fn a_slack_is_used_and_kept() {
+    let folder = scene();
+    let folder = folder.path();
+    succeeded(&convert(folder, &["--format=obj"]));
+    let area_of = |file: &str| number(&info(folder, file)["mesh"]["area"]);
+    let rough = area_of("out/block.obj");
+    let volume = number(&info(folder, "out/block.obj")["mesh"]["volume"]);
+    succeeded(&convert(folder, &["--format=obj", "--band-slack=1"]));
+    let smooth = info(folder, "out/block.obj")["mesh"].clone();
+    assert!(number(&smooth["area"]) < 0.99 * rough, "{smooth} {rough}");
+    assert_eq!(smooth["boundary_edges"], 0);
+    // Nowhere farther than a voxel, so the volume is within that of the shell.
+    let moved = (number(&smooth["volume"]) - volume).abs();
+    assert!(moved < 0.05 * rough, "{moved}");
+    // On any number of threads.
+    let bytes = |threads: &str| {
+        succeeded(&convert(folder, &["--format=obj", "--band-slack=1", threads]));
+        fs::read(folder.join("out/block.obj")).expect("there")
+    };
+    assert_eq!(bytes("--threads=1"), bytes("--threads=2"));
+}
+
+#[test]
+fn what_needs_particles_is_refused_by_name() {
+    let folder = scene();
+    let folder = folder.path();
+    for (options, words) in [
+        (&["--voxel-size=0.1"][..], "error: --voxel-size cannot be given"),
+        (&["--drop-islands=2", "--preset=water"], "error: --preset cannot be given"),
+        (&["--drop-islands=2", "--radius-min=0.1"], "error: --radius-min, --drop-islands cannot be given"),
+        (&["--attributes=all"], "error: --attributes cannot be given"),
+        (&["--obstacle=block.ply"], "error: --obstacle cannot be given"),
+        (&["--sequence-glb=s.glb"], "`meniscus sequence`"),
+        (&["--preview=png"], "`meniscus render`"),
+        (&["--steps=3"], "without --band-slack it is not smoothed"),
+        (&["--band-slack=4"], "0 to 3 voxels"),
+        (&["block.ply"], "not together"),
+        (&["--report=r.json"], "error: --report cannot be given"),
+        (&["--band-slack=1", "--step-size=1e9"], "the step size"),
+        (&["--decimate=100"], "the error of decimation"),
+    ] {
+        let ran = convert(folder, options);
+        assert_eq!(ran.status, 2, "{options:?}");
+        assert!(ran.err.contains(words), "{options:?}: {}", ran.err);
+        assert!(!folder.join("out").exists(), "{options:?}");
+    }
+    for (arguments, words) in [
+        (
+            &["render", "in/block.vdb", "-o=r.png", "--voxel-size=1"][..],
+            "error: --voxel-size cannot be given",
+        ),
+        (&["render", "in/block.vdb", "-o=r.png", "--steps=1"], "error: --steps cannot be given"),
+        (&["plan", "in/block.vdb", "--out=out", "--shards=1", "-o=p.json"], "block.vdb: a level set"),
+        (&["convert", "--particles-only", "in/block.vdb", "--out=out"], "block.vdb: a level set"),
+        (&["watch", "in", "--out=watched", "--once"], "no frames to convert: 1 level set left alone"),
+    ] {
+        let ran = meniscus(folder, arguments);
+        assert_eq!(ran.status, 2, "{arguments:?}");
+        assert!(ran.err.contains(words), "{arguments:?}: {}", ran.err);
+        assert!(!folder.join("out").exists() && !folder.join("r.png").exists(), "{arguments:?}");
+    }
+    let ran = meniscus(folder, &["convert", "block.ply", "--out=out", "--band-slack=1"]);
+    assert!(ran.status == 2 && ran.err.contains("--band-slack is for level sets"), "{}", ran.err);
+}

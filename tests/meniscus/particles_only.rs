@@ -1,0 +1,116 @@
+//! Particles from one format to another, without a surface: what they know, where they are from, and what is refused.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus_formats::{Limits, ParticleFrame, Positions, read_particles};
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Ran, meniscus, names_in};
+
+/// More digits than 32-bit reals have, a velocity, numbers and words.
+const TABLE: &str = "\
+x,y,z,vx,vy,vz,id,temperature
+0.123456789012,1,2,0,0,-1,7,293.25
+1.5,0.25,-0.125,1,2,3,5000000000,294.5
+";
+
+fn read(path: &Path) -> ParticleFrame {
+    let name = path.file_name().expect("a name").to_string_lossy();
+    let bytes = fs::read(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    read_particles(&bytes, &name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+fn folder_with(files: &[(&str, &str)]) -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    for (name, text) in files {
+        fs::write(folder.path().join("in").join(name), text).expect("written");
+    }
+    folder
+}
+
+fn convert(folder: &Path, input: &str, more: &[&str]) -> Ran {
+    meniscus(folder, &[&["convert", input, "--out=out", "--particles-only"], more].concat())
+}
+
+#[test]
+fn particles_keep_what_they_know() {
+    let folder = folder_with(&[("dam.1.csv", TABLE), ("dam.2.csv", TABLE)]);
+    let folder = folder.path();
+    let ran = convert(folder, "in", &["--format=vtp,ply", "--frames=1"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.out.contains("dam.1.csv: 2 particles"), "{}", ran.out);
+    assert_eq!(names_in(&folder.join("out")), ["dam.1.ply", "dam.1.vtp"]);
+    let expected = read(&folder.join("in/dam.1.csv"));
+    assert!(matches!(expected.positions, Positions::F64(_)));
+    let vtp = read(&folder.join("out/dam.1.vtp"));
+    assert_eq!((vtp.positions, vtp.attributes), (expected.positions.clone(), expected.attributes.clone()));
+    let ply = read(&folder.join("out/dam.1.ply"));
+    assert_eq!(ply.positions, expected.positions);
+    assert_eq!(ply.attributes[0], expected.attributes[0]);
+
+    // They are particles: a folder of them is a sequence. And from the one to the other nothing is lost.
+    let again = meniscus(folder, &["convert", "out", "--out=two", "--particles-only", "--format=vtp"]);
+    assert_eq!(again.status, 2, "{}", again.err);
+    assert!(again.err.contains("would both become"), "{}", again.err);
+    fs::remove_file(folder.join("out/dam.1.ply")).expect("removed");
+    let again = meniscus(folder, &["convert", "out", "--out=two", "--particles-only", "--format=vtp"]);
+    assert_eq!((again.status, &*again.err), (0, ""));
+    assert_eq!(read(&folder.join("two/dam.1.vtp")), read(&folder.join("out/dam.1.vtp")));
+}
+
+#[test]
+fn what_is_done_is_left_alone_and_what_fails_is_told() {
+    let step = |number: usize| {
+        format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n1\nITEM: ATOMS x y z\n1 2 3\n")
+    };
+    let broken = step(20).replace("1 2 3", "1 2");
+    let dump = [step(0), broken, step(30)].concat();
+    let folder = folder_with(&[("d.dump", &dump)]);
+    let folder = folder.path();
+    let ran = convert(folder, "in", &["--skip-done"]);
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains("d.dump/step=20: LAMMPS dump, at line 12"), "{}", ran.err);
+    assert_eq!(names_in(&folder.join("out")), ["d.0.ply", "d.30.ply"]);
+    let ran = convert(folder, "in", &["--skip-done"]);
+    assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
+    assert!(ran.out.contains("3 frames: 2 done, 1 failed"), "{}", ran.out);
+    fs::remove_dir_all(folder.join("out")).expect("removed");
+    let ran = convert(folder, "in", &["--on-error=stop"]);
+    assert_eq!((ran.status, names_in(&folder.join("out"))), (1, vec!["d.0.ply".to_owned()]));
+    assert!(ran.out.contains("1 done, 1 failed, 1 not started"), "{}", ran.out);
+}
+
+#[test]
+fn positions_that_are_not_finite_are_kept_and_told() {
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
+    let folder = folder_with(&[("a.ply", &format!("{header}end_header\n1 2 3\nnan 0 0\n"))]);
+    let ran = convert(folder.path(), "in/a.ply", &["--format=vtp"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(ran.err.contains("1 of 2 positions are not finite"), "{}", ran.err);
+}
+
+#[test]
+fn what_is_about_surfaces_is_refused() {
+    let folder = folder_with(&[("a.csv", TABLE)]);
+    let folder = folder.path();
+    for (option, words) in [
+        ("--format=glb", "writes ply and vtp"),
+        ("--voxel-size=0.1", "makes no sense"),
+        ("--attributes=all", "makes no sense"),
+        ("--up=z", "makes no sense"),
+        ("--report=r.json", "makes no sense"),
+        ("--print-settings", "makes no sense"),
+    ] {
+        let ran = convert(folder, "in", &[option]);
+        assert_eq!(ran.status, 2, "{option}");
+        assert!(ran.err.contains(words), "{option}: {}", ran.err);
+        assert!(!folder.join("out").exists(), "{option}");
+    }
+    fs::copy(folder.join("in/a.csv"), folder.join("in/a.ply")).expect("copied");
+    let ran = meniscus(folder, &["convert", "in/a.csv", "in/a.ply", "--out=in", "--particles-only"]);
+    assert_eq!(ran.status, 2);
+    assert!(ran.err.contains("would replace the input"), "{}", ran.err);
+}

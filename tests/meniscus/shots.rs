@@ -1,0 +1,410 @@
+//! Meshes for other programs, and a whole shot in one file: the same bytes whoever made the frames, and nothing written
+//! that was not asked for.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
+
+fn succeeded(ran: &Ran) {
+    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+}
+
+fn refused(folder: &Path, arguments: &[&str], words: &[&str]) {
+    let ran = meniscus(folder, arguments);
+    assert_eq!(ran.status, 2, "{arguments:?}: {}{}", ran.out, ran.err);
+    for word in words {
+        assert!(ran.err.contains(word), "{word} is not in {}", ran.err);
+    }
+}
+
+/// A folder with frames `in/dam.1.ply` to `in/dam.N.ply`.
+fn frames(count: usize) -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    write_sequence(&folder.path().join("in"), 1, count);
+    folder
+}
+
+/// The JSON of a .glb.
+fn document(path: &Path) -> Value {
+    let bytes = fs::read(path).expect("readable");
+    let length = u32::from_le_bytes(bytes[12..16].try_into().expect("four bytes")) as usize;
+    assert_eq!(u32::from_le_bytes(bytes[8..12].try_into().expect("four bytes")) as usize, bytes.len());
+    serde_json::from_slice(&bytes[20..20 + length]).expect("JSON")
+}
+
+const EVERY_MESH: [&str; 8] =
+    ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb,vtp,stl,usda"];
+
+#[test]
+fn outputs_for_other_programs_say_what_made_them() {
+    let folder = frames(1);
+    let path = folder.path();
+    let tetrahedron = "v 0 0 0\nv 0.3 0 0\nv 0 0.3 0\nv 0 0 0.3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+    fs::write(path.join("rock.obj"), tetrahedron).expect("written");
+    // With obstacles the title of an .stl is as full as it gets.
+    let all = [&EVERY_MESH[..], &["--quads", "--obstacle", "rock.obj", "--skip-done"]].concat();
+    succeeded(&meniscus(path, &all));
+    let again = meniscus(path, &all);
+    assert!(again.out.contains("done already"), "{}{}", again.out, again.err);
+    fs::write(path.join("rock.obj"), tetrahedron.replace("0.3", "0.2")).expect("written");
+    assert!(!meniscus(path, &all).out.contains("done already"));
+    let with = |option: &'static str| [&all[..], &[option]].concat();
+    for option in ["--radius-ratio=1.5", "--quantize", "--up=z"] {
+        let ran = meniscus(path, &with(option));
+        assert!(ran.status == 0 && !ran.out.contains("done already"), "{option}: {}{}", ran.out, ran.err);
+        assert!(meniscus(path, &with(option)).out.contains("done already"), "{option}");
+    }
+    let names = ["dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.vtp"];
+    assert_eq!(names_in(&path.join("out")), names);
+    for name in &names[1..] {
+        let info: Value =
+            serde_json::from_str(&meniscus(&path.join("out"), &["info", "--json", name]).out).expect("JSON");
+        assert_eq!(
+            info[0]["made_by"]["generator"],
+            concat!("meniscus ", env!("CARGO_PKG_VERSION")),
+            "{info}"
+        );
+        let counted =
+            if *name == "dam.1.usda" { &info[0]["layer"]["faces"] } else { &info[0]["mesh"]["triangles"] };
+        assert!(counted.as_u64().is_some_and(|count| count > 100), "{info}");
+        if *name != "dam.1.usda" {
+            assert_eq!(info[0]["mesh"]["boundary_edges"], 0, "{info}");
+        }
+    }
+}
+
+#[test]
+fn quantizing_is_for_glb_and_changes_it_alone() {
+    let folder = frames(1);
+    let path = folder.path();
+    let words = ["--quantize", ".glb", "--format"];
+    refused(path, &["convert", "in", "--out", "o", "--format", "ply,vdb", "--quantize"], &words);
+    refused(
+        path,
+        &["plan", "in", "--out", "o", "--format", "ply", "--quantize", "--shards", "1", "-o", "p"],
+        &words,
+    );
+    refused(path, &["watch", "in", "--out", "o", "--format", "ply", "--quantize", "--once"], &words);
+    fs::write(
+        path.join("w.toml"),
+        "[[watch]]\ninput = \"in\"\noutput = \"o\"\nformats = [\"ply\"]\nquantize = true\n",
+    )
+    .expect("written");
+    refused(path, &["watch", "--config", "w.toml", "--once"], &words);
+    assert!(!path.join("o").exists());
+
+    succeeded(&meniscus(path, &EVERY_MESH));
+    let quantized = [&EVERY_MESH[..], &["--quantize"]].concat();
+    let quantized: Vec<&str> =
+        quantized.into_iter().map(|word| if word == "out" { "small" } else { word }).collect();
+    succeeded(&meniscus(path, &quantized));
+    let [plain, small] = ["out", "small"].map(|folder| path.join(folder));
+    for name in ["dam.1.stl", "dam.1.usda", "dam.1.vtp"] {
+        assert!(
+            fs::read(plain.join(name)).expect("there") == fs::read(small.join(name)).expect("there"),
+            "{name}"
+        );
+    }
+    assert_eq!(document(&plain.join("dam.1.glb"))["extensionsRequired"], Value::Null);
+    let document = document(&small.join("dam.1.glb"));
+    assert_eq!(document["extensionsRequired"][0], "KHR_mesh_quantization");
+    assert_eq!(document["asset"]["extras"]["meniscus"]["quantize"], "true");
+}
+
+#[test]
+fn a_wide_frame_is_told_what_quantizing_costs() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let mut particles = block(3, 0.0);
+    particles.extend(block(3, 500.0));
+    write_ply(&path.join("wide.ply"), &particles);
+    let arguments =
+        ["convert", "wide.ply", "--out", "o", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
+    let ran = meniscus(path, &arguments);
+    // 500 / 65535 / 2, in voxels of 0.05.
+    assert!(ran.err.contains("moved by up to 0.076 voxels in the quantized .glb"), "{}", ran.err);
+    write_ply(&path.join("wide.ply"), &block(3, 0.0));
+    assert_eq!(meniscus(path, &arguments).err, "");
+}
+
+const SHOTS: [&str; 6] = ["--sequence-glb", "shot.glb", "--sequence-usda", "shot.usda", "--fps", "25"];
+
+#[test]
+fn a_shot_is_the_same_whoever_made_its_frames() {
+    let folder = frames(4);
+    let path = folder.path();
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--up", "z"];
+    succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
+    let read = |name: &str| fs::read(path.join(name)).expect("readable");
+    let [glb, usda] = ["shot.glb", "shot.usda"].map(read);
+
+    let plan = ["--shards", "3", "-o", "plan.json"];
+    let planned: Vec<&str> = convert
+        .iter()
+        .map(|word| match *word {
+            "convert" => "plan",
+            "out" => "farm",
+            word => word,
+        })
+        .collect();
+    succeeded(&meniscus(path, &[&planned[..], &plan].concat()));
+    for shard in ["2", "0", "1"] {
+        succeeded(&meniscus(path, &["convert", "--plan", "plan.json", "--shard", shard, "--threads", "1"]));
+    }
+    for (name, expected) in [("again.glb", &glb), ("again.usda", &usda)] {
+        succeeded(&meniscus(path, &["sequence", "farm", "-o", name, "--fps", "25"]));
+        assert!(read(name) == *expected, "{name}");
+        succeeded(&meniscus(path, &["sequence", "farm/dam.#.glb", "-o", name, "--fps", "25"]));
+        assert!(read(name) == *expected, "{name}");
+    }
+    // In the folder of the frames it is not taken for one of them.
+    for _ in 0..2 {
+        succeeded(&meniscus(path, &["sequence", "farm", "-o", "farm/shot.glb", "--fps", "25"]));
+        assert!(read("farm/shot.glb") == glb);
+    }
+    // Who asks for some of the frames is not told that the others are not there.
+    for frames in ["1,4", "1-4x2"] {
+        let frames = ["--frames", frames];
+        succeeded(&meniscus(path, &[&convert[..], &["--sequence-glb", "some.glb"], &frames].concat()));
+    }
+    // A restart that has nothing to do makes it all the same.
+    fs::remove_file(path.join("shot.glb")).expect("removed");
+    let ran = meniscus(path, &[&convert[..], &SHOTS, &["--skip-done"]].concat());
+    assert!(ran.out.contains("done already") && read("shot.glb") == glb, "{}{}", ran.out, ran.err);
+}
+
+#[test]
+fn a_shot_shows_one_frame_after_the_other() {
+    let folder = frames(4);
+    let path = folder.path();
+    // A frame without particles is shown as nothing; one that cannot be read leaves its time to the one before it.
+    write_ply(&path.join("in/dam.2.ply"), &[]);
+    fs::write(path.join("in/dam.3.ply"), "ply\nformat ascii 1.0\n").expect("written");
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb", "--quantize"];
+    let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
+    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains("shot.glb: a shot of 3 frames"), "{}", ran.out);
+    assert!(ran.err.contains("warning: shot.glb: 3: 1 frame is not there"), "{}", ran.err);
+
+    let shot = document(&path.join("shot.glb"));
+    let names: Vec<&str> =
+        shot["nodes"].as_array().expect("nodes").iter().filter_map(|node| node["name"].as_str()).collect();
+    assert_eq!(names, ["dam.1", "dam.4"]);
+    assert_eq!(shot["extensionsRequired"][0], "KHR_mesh_quantization");
+    assert_eq!(shot["scenes"][0]["nodes"], serde_json::json!([0, 1]));
+    let at_rest = |node: usize| shot["nodes"][node]["scale"][0].as_f64().expect("a number");
+    assert!(at_rest(0) > 0.5 && at_rest(1) == 0.0, "{}", shot["nodes"]);
+    let bytes = fs::read(path.join("shot.glb")).expect("readable");
+    let data = 28 + u32::from_le_bytes(bytes[12..16].try_into().expect("four bytes")) as usize;
+    let numbers = |accessor: usize, arity: usize| -> Vec<f32> {
+        let accessor = &shot["accessors"][accessor];
+        let view = &shot["bufferViews"][accessor["bufferView"].as_u64().expect("a view") as usize];
+        let number = |value: &Value| value.as_u64().unwrap_or_default() as usize;
+        let start = data + number(&view["byteOffset"]) + number(&accessor["byteOffset"]);
+        let end = start + 4 * arity * number(&accessor["count"]);
+        bytes[start..end].as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
+    };
+    let animation = &shot["animations"][0];
+    for (node, times, shown) in
+        [(0, &[0.0, 0.04][..], &[true, false][..]), (1, &[0.0, 0.12, 0.16], &[false, true, true])]
+    {
+        assert_eq!(animation["channels"][node]["target"], serde_json::json!({"node": node, "path": "scale"}));
+        let sampler = &animation["samplers"][node];
+        assert_eq!(sampler["interpolation"], "STEP");
+        let [input, output] =
+            ["input", "output"].map(|name| sampler[name].as_u64().expect("an accessor") as usize);
+        assert_eq!(numbers(input, 1), times);
+        let scales = numbers(output, 3);
+        let found: Vec<bool> =
+            scales.as_chunks::<3>().0.iter().map(|[x, y, z]| *x > 0.0 && x == y && y == z).collect();
+        assert_eq!(found, shown, "{scales:?}");
+    }
+
+    let usda = fs::read_to_string(path.join("shot.usda")).expect("readable");
+    assert!(
+        usda.contains("    startTimeCode = 1\n    timeCodesPerSecond = 25\n")
+            && usda.contains("endTimeCode = 4\n")
+    );
+    let points = usda.split("point3f[] points.timeSamples = {\n").nth(1).expect("points");
+    let codes: Vec<&str> = points.lines().take(3).filter_map(|line| line.trim().split(':').next()).collect();
+    assert_eq!(codes, ["1", "2", "4"]);
+    assert!(points.lines().nth(1) == Some("        2: [],"));
+}
+
+#[test]
+fn a_shot_is_told_as_one_and_is_no_mesh() {
+    let folder = frames(3);
+    let path = folder.path();
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
+    succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
+    let json = |files: &[&str]| -> Value {
+        let ran = meniscus(path, &[&["info", "--json"], files].concat());
+        serde_json::from_str(&ran.out).expect("JSON")
+    };
+    let meshes = json(&["out/dam.1.glb", "out/dam.2.glb", "out/dam.3.glb"]);
+    let total = |name: &str| -> u64 {
+        let counts = meshes.as_array().expect("a list").iter();
+        counts.map(|info| info["mesh"][name].as_u64().expect("a number")).sum()
+    };
+    let counts = ["vertices", "triangles"].map(total);
+    for name in ["shot.glb", "shot.usda"] {
+        let text = meniscus(path, &["info", name]).out;
+        let rows = [
+            ("frames", "3".to_owned()),
+            ("first frame", "1".to_owned()),
+            ("last frame", "3".to_owned()),
+            ("frames per second", "25".to_owned()),
+            ("vertices", format!("{}, in all frames", counts[0])),
+            ("triangles", format!("{}, in all frames", counts[1])),
+        ];
+        for (label, value) in rows {
+            assert!(text.contains(&format!("\n  {label:<20} {value}\n")), "{label} {value} is not in {text}");
+        }
+        assert!(!text.contains("edges") && !text.contains("area"), "{text}");
+        let info = &json(&[name])[0];
+        assert!(info["kind"].as_str().is_some_and(|kind| kind.ends_with(", a shot")), "{info}");
+        let expected = serde_json::json!({
+            "frames": 3, "first": 1, "last": 3, "fps": 25.0, "vertices": counts[0], "triangles": counts[1],
+        });
+        assert_eq!(info["shot"], expected);
+        assert!(info.get("mesh").is_none() && info.get("layer").is_none(), "{info}");
+    }
+    let in_the_way = [&convert[..], &["--obstacle", "shot.glb"]].concat();
+    let ran = meniscus(path, &in_the_way);
+    assert!(ran.status == 2 && ran.err.contains("this is a shot of 3 frames"), "{}", ran.err);
+    fs::copy(path.join("out/dam.1.glb"), path.join("rock.glb")).expect("copied");
+    succeeded(&meniscus(path, &[&convert[..], &["--obstacle", "rock.glb"]].concat()));
+    // Nor is it of particles, which is told with its name once.
+    let ran = meniscus(path, &["render", "shot.glb", "-o", "x.png"]);
+    assert_eq!(ran.err.matches("shot.glb").count(), 1, "{}", ran.err);
+}
+
+#[test]
+fn shots_that_cannot_be_are_refused_before_anything_is_done() {
+    let folder = frames(2);
+    let path = folder.path();
+    let convert = |more: &[&'static str]| [&["convert", "in", "--out", "o"][..], more].concat();
+    refused(path, &convert(&["--format", "ply", "--sequence-glb", "s.glb"]), &["--sequence-glb", "add glb"]);
+    refused(path, &convert(&["--sequence-usda", "s.glb"]), &["--sequence-usda s.glb", "must end in .usda"]);
+    refused(path, &convert(&["--sequence-glb", "s.mov"]), &["--sequence-glb s.mov", "must end in .glb"]);
+    refused(path, &convert(&["--sequence-glb", "no/s.glb"]), &["no such folder"]);
+    refused(
+        path,
+        &convert(&["--sequence-glb", "o/dam.1.glb"]),
+        &["the shot and the result of", "would both become", "dam.1.glb: choose another name for the shot"],
+    );
+    refused(path, &convert(&["--fps", "25"]), &["--fps"]);
+    refused(path, &convert(&["--sequence-glb", "s.glb", "--fps", "0"]), &["--fps"]);
+    write_ply(&path.join("in/other.1.ply"), &block(3, 0.0));
+    write_ply(&path.join("in/other.2.ply"), &block(3, 0.0));
+    refused(path, &convert(&["--sequence-glb", "s.glb"]), &["one sequence"]);
+    assert!(!path.join("o").exists() && !path.join("s.glb").exists());
+    refused(path, &["sequence", "in", "-o", "s.glb"], &["no .glb"]);
+    refused(
+        path,
+        &["sequence", "in/dam.1.ply", "-o", "s.glb"],
+        &["in/dam.1.ply: this is no .glb", "no frame"],
+    );
+    refused(
+        path,
+        &["sequence", "in/dam.1.ply", "in/other.1.ply", "-o", "s.glb"],
+        &["2 sequences", "dam.1.ply, other.1.ply"],
+    );
+    refused(path, &["sequence", "in/dam.1.ply", "-o", "s.ply"], &[".glb or a .usda"]);
+    assert!(!path.join("s.glb").exists());
+}
+
+#[test]
+fn a_frame_that_is_damaged_is_left_out_and_told() {
+    let folder = frames(3);
+    let path = folder.path();
+    succeeded(&meniscus(path, &["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"]));
+    let frame = path.join("out/dam.2.glb");
+    let whole = fs::read(&frame).expect("readable");
+    let mut foreign = whole.clone();
+    foreign[20..60].fill(b' ');
+    for damaged in [&whole[..whole.len() - 4], &whole[..30], b"", &foreign] {
+        fs::write(&frame, damaged).expect("written");
+        for output in ["s.glb", "s.usda"] {
+            let ran = meniscus(path, &["sequence", "out", "-o", output]);
+            assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+            assert!(
+                ran.err.contains("dam.2.glb: left out") && ran.out.contains("a shot of 2 frames"),
+                "{}",
+                ran.err
+            );
+        }
+    }
+    // Neither is a shot a frame.
+    fs::copy(path.join("s.glb"), &frame).expect("copied");
+    let frames = ["out/dam.1.glb", "out/dam.2.glb"];
+    let ran = meniscus(path, &[&["sequence", "-o", "t.glb"][..], &frames].concat());
+    assert!(ran.err.contains("a shot already"), "{}", ran.err);
+    let ran = meniscus(path, &["sequence", "out", "-o", "t.glb"]);
+    assert!(ran.out.contains("a shot of 2 frames"), "in a folder it is passed over: {}{}", ran.out, ran.err);
+}
+
+#[test]
+fn a_shot_replaces_no_frame_but_an_older_shot() {
+    let folder = frames(3);
+    let path = folder.path();
+    succeeded(&meniscus(path, &["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"]));
+    let frame = fs::read(path.join("out/dam.2.glb")).expect("readable");
+    let files = ["out/dam.1.glb", "out/dam.2.glb", "out/dam.3.glb"];
+    for inputs in [&files[..], &["out"], &["out/*.glb"], &["out/dam.#.glb"], &["./out/dam.2.glb"]] {
+        for output in ["out/dam.2.glb", "./out/dam.2.glb", "out/../out/dam.2.glb"] {
+            let arguments = [&["sequence", "-o", output][..], inputs].concat();
+            refused(path, &arguments, &["would replace the input", "dam.2.glb"]);
+        }
+    }
+    assert!(fs::read(path.join("out/dam.2.glb")).expect("there") == frame);
+    // Beside its frames it may have a name like theirs, and be made again.
+    let mut made = Vec::new();
+    for inputs in ["out", "out/*.glb", "out/dam.#.glb", "out"] {
+        let ran = meniscus(path, &["sequence", inputs, "-o", "out/dam.4.glb"]);
+        succeeded(&ran);
+        assert!(ran.out.contains("a shot of 3 frames"), "{inputs}: {}", ran.out);
+        made.push(fs::read(path.join("out/dam.4.glb")).expect("readable"));
+    }
+    assert!(made.iter().all(|shot| *shot == made[0]));
+    for output in ["t.glb", "out/dam.4.glb"] {
+        refused(
+            path,
+            &["sequence", "out/dam.4.glb", "-o", output],
+            &["dam.4.glb: ", "this is a shot already"],
+        );
+    }
+}
+
+#[test]
+fn time_codes_are_the_numbers_of_the_frames() {
+    let folder = frames(3);
+    let path = folder.path();
+    for (old, new) in [(3, 300), (2, 100), (1, 0)] {
+        fs::rename(path.join(format!("in/dam.{old}.ply")), path.join(format!("in/dam.{new}.ply")))
+            .expect("renamed");
+    }
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
+    succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
+    let usda = fs::read_to_string(path.join("shot.usda")).expect("readable");
+    for line in ["endTimeCode = 300", "framesPerSecond = 25", "startTimeCode = 0", "timeCodesPerSecond = 25"]
+    {
+        assert!(usda.contains(&format!("    {line}\n")), "{line}");
+    }
+    let points = usda.split("point3f[] points.timeSamples = {\n").nth(1).expect("points");
+    let codes: Vec<&str> = points.lines().take(3).filter_map(|line| line.trim().split(':').next()).collect();
+    assert_eq!(codes, ["0", "100", "300"]);
+    assert!(usda.contains("string first = \"0\"") && usda.contains("string last = \"300\""));
+    let shot = document(&path.join("shot.glb"));
+    let recorded = &shot["asset"]["extras"]["meniscus"];
+    assert_eq!((&recorded["first"], &recorded["last"]), (&"0".into(), &"300".into()));
+    // A hundred is one frame there.
+    let input = shot["animations"][0]["samplers"][2]["input"].as_u64().expect("an accessor") as usize;
+    let last = &shot["accessors"][input]["max"][0];
+    assert!((last.as_f64().expect("a number") - 4.0 / 25.0).abs() < 1e-6, "{last}");
+}

@@ -1,0 +1,274 @@
+//! Everything at once, and for long: a producer that writes, rewrites, deletes and corrupts at random, beside a daemon
+//! that is killed, ended, told to read its file again, and whose disk fills up.
+//!
+//! ```text
+//!   a round    some dozen acts of the producer ─▶ one trouble ─▶ now and then a calm: all that can be done is done
+//!
+//!   the first two fifths of the time   in some rounds the daemon is killed or ended, and begins another life
+//!   the rest                           one life: at its calms its memory, handles and threads are counted, and stay
+//! ```
+//!
+//! In the end what is there is what the one-shot command makes of what was produced, to the last byte; and whatever
+//! could be seen until then was whole. `MENISCUS_SOAK_MINUTES` says for how long, and without it there is no soak; `MENISCUS_SOAK_SEED` says where the random
+//! numbers begin, and `MENISCUS_SOAK_LOG` names a file that gets a line for each calm.
+
+mod calm; // until all that can be done is done
+mod observer; // every output that can be seen is whole
+mod producer; // what happens to the frames
+mod random; // numbers that look random
+mod troubles; // what happens to the daemon
+mod vitals; // what the daemon takes of the system
+
+use std::collections::BTreeSet;
+use std::env;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use tempfile::{TempDir, tempdir};
+
+use crate::mounts::{mount_tmpfs, with_own_mounts};
+use crate::scene::{Daemon, assert_same_output, meniscus, message, names_in, status, tell};
+
+use producer::Producer;
+use random::Random;
+use troubles::{Trouble, write_config};
+use vitals::{Vitals, assert_flat, hourly_growth};
+
+/// Room for all outputs, and not for much more.
+const DISK_BYTES: u64 = 64 << 20;
+
+/// The share of the time in which the daemon may be killed.
+const SHARE_OF_KILLS: f64 = 0.4;
+
+/// From a calm to the next, at least.
+const BETWEEN_CALMS: Duration = Duration::from_secs(15);
+
+/// Longer than the daemon goes without looking at everything.
+const AFTER_THE_LAST: Duration = Duration::from_secs(8);
+
+#[test]
+fn whatever_happens_nothing_is_lost_and_nothing_grows() {
+    let Some(minutes) = of_environment::<f64>("MENISCUS_SOAK_MINUTES") else {
+        return tell("the soak is SKIPPED: MENISCUS_SOAK_MINUTES says for how long it is to be");
+    };
+    with_own_mounts("soak::whatever_happens_nothing_is_lost_and_nothing_grows", || {
+        let seed: u64 = of_environment("MENISCUS_SOAK_SEED").unwrap_or(7);
+        let soak = Soak::new(Duration::from_secs_f64(60.0 * minutes), seed);
+        let (out, is_over) = (soak.path().join("out"), AtomicBool::new(false));
+        thread::scope(|scope| {
+            let observer = scope.spawn(|| observer::observe(&out, &is_over));
+            let over = Over(&is_over);
+            let told = soak.run();
+            drop(over);
+            let sight_count = observer.join().expect("no panic");
+            tell(&format!(
+                "soak of {minutes} minutes, seed {seed}: {told}; {sight_count} outputs seen, all whole"
+            ));
+        });
+    });
+}
+
+/// A value that the environment may have.
+fn of_environment<T: FromStr>(name: &str) -> Option<T> {
+    let text = env::var_os(name)?;
+    let value = text.to_str().and_then(|text| text.parse().ok());
+    Some(value.unwrap_or_else(|| panic!("{name} is {}, and should be a number", text.display())))
+}
+
+/// Lets the observer end, also when this ends by a panic.
+struct Over<'a>(&'a AtomicBool);
+
+impl Drop for Over<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::SeqCst);
+    }
+}
+
+/// Frames and their producer, the daemon, and what was counted of it.
+struct Soak {
+    folder: TempDir,
+    time: Duration,
+    start: Instant,
+    random: Random,
+    producer: Producer,
+    daemon: Daemon,
+    life_count: usize,
+    trouble_count: usize,
+    converted_count: usize,
+    /// The address of the daemon's window.
+    window: Option<String>,
+    /// Of the last life.
+    vitals: Vec<Vitals>,
+    log: Option<File>,
+}
+
+impl Soak {
+    fn new(time: Duration, seed: u64) -> Soak {
+        let folder = tempdir().expect("a folder");
+        for name in ["in", "out"] {
+            fs::create_dir(folder.path().join(name)).expect("made");
+        }
+        mount_tmpfs(&folder.path().join("out"), DISK_BYTES);
+        write_config(folder.path(), "100ms");
+        let producer = Producer::new(folder.path(), Random(seed));
+        producer.clutter();
+        let log = env::var_os("MENISCUS_SOAK_LOG").map(|path| {
+            let mut log = File::create(path).expect("made");
+            writeln!(log, "{}", Vitals::HEADER).expect("written");
+            log
+        });
+        Soak {
+            daemon: live(folder.path()),
+            folder,
+            time,
+            start: Instant::now(),
+            random: Random(!seed),
+            producer,
+            life_count: 1,
+            trouble_count: 0,
+            converted_count: 0,
+            window: None,
+            vitals: Vec::new(),
+            log,
+        }
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// All of it; what there is to tell in the end.
+    fn run(mut self) -> String {
+        self.rounds_until(self.time.mul_f64(SHARE_OF_KILLS), &Trouble::ALL);
+        self.kill();
+        self.rounds_until(self.time, &Trouble::OF_ONE_LIFE);
+        self.producer.mend_most();
+        self.calm_down();
+        // What failed before it was mended counts as done until it is looked at again.
+        self.daemon.listen_for(AFTER_THE_LAST);
+        self.calm_down();
+        let figures = self.figures();
+        self.count_log();
+        self.daemon.end();
+        assert_as_converted(self.folder.path());
+        assert_flat(&self.vitals);
+        figures
+    }
+
+    fn figures(&self) -> String {
+        let last = self.vitals.last().expect("there was a calm");
+        format!(
+            "{} acts, {} troubles, {} lives, {} conversions; the last life took {:.1} MiB ({:+.2} MiB an hour), {} handles, {} threads",
+            self.producer.act_count(),
+            self.trouble_count,
+            self.life_count,
+            self.converted_count,
+            last.resident_bytes as f64 / f64::from(1 << 20),
+            hourly_growth(&self.vitals) / f64::from(1 << 20),
+            last.handle_count,
+            last.thread_count,
+        )
+    }
+
+    fn rounds_until(&mut self, end: Duration, troubles: &[Trouble]) {
+        let mut last_calm = Instant::now();
+        while self.start.elapsed() < end {
+            for _ in 0..10 + self.random.below(40) {
+                self.producer.act();
+                thread::sleep(Duration::from_millis(self.random.below(120)));
+            }
+            let trouble = troubles[self.random.index(troubles.len())];
+            self.befall(trouble);
+            if last_calm.elapsed() > BETWEEN_CALMS {
+                self.calm_down();
+                last_calm = Instant::now();
+            }
+        }
+    }
+
+    fn befall(&mut self, trouble: Trouble) {
+        self.trouble_count += 1;
+        match trouble {
+            Trouble::Kill => self.kill(),
+            Trouble::End => {
+                self.count_log();
+                self.daemon.end();
+                self.begin_life();
+            }
+            _ => {
+                self.count_log();
+                let window = self.window.as_deref();
+                trouble.befall(self.folder.path(), &self.daemon, window, &mut self.producer);
+            }
+        }
+    }
+
+    fn kill(&mut self) {
+        self.count_log();
+        self.daemon.kill();
+        self.begin_life();
+    }
+
+    fn begin_life(&mut self) {
+        thread::sleep(Duration::from_millis(self.random.below(300)));
+        self.daemon = live(self.folder.path());
+        self.life_count += 1;
+        self.vitals.clear();
+    }
+
+    /// Waits until all that can be done is done, and counts what the daemon takes.
+    fn calm_down(&mut self) {
+        calm::await_calm(self.folder.path(), &mut self.daemon);
+        self.count_log();
+        let minute = self.start.elapsed().as_secs_f64() / 60.0;
+        let vitals = Vitals::of(self.daemon.pid(), self.folder.path(), minute, self.life_count);
+        if let Some(log) = &mut self.log {
+            writeln!(log, "{}", vitals.line(self.converted_count)).expect("written");
+        }
+        self.vitals.push(vitals);
+    }
+
+    /// Counts what was converted, and forgets the log: no line of it is of a panic.
+    fn count_log(&mut self) {
+        self.daemon.listen_for(Duration::ZERO);
+        self.converted_count += self.daemon.converted().len();
+        for line in self.daemon.log.drain(..) {
+            if message(&line) == "the window is open" {
+                self.window = line["address"].as_str().map(|url| url.replace("http://", "").replace('/', ""));
+            }
+            assert!(line.is_object() && !line.to_string().contains("panic"), "{line}");
+        }
+        self.daemon.notices.clear();
+    }
+}
+
+/// A daemon that has not looked at anything yet.
+fn live(folder: &Path) -> Daemon {
+    Daemon::start(folder, &["--config", "soak.toml"])
+}
+
+/// Asserts that the outputs are those of the one-shot command. Beside them there are those of frames that were
+/// deleted, or broken later: these are whole.
+fn assert_as_converted(folder: &Path) {
+    let output = meniscus(folder)
+        .args(["convert", "in", "--out", "wanted", "--voxel-size", "0.05"])
+        .output()
+        .expect("it starts");
+    assert!(matches!(output.status.code(), Some(0 | 1)), "{}", String::from_utf8_lossy(&output.stderr));
+    let [out, wanted] = ["out", "wanted"].map(|name| folder.join(name));
+    for name in names_in(&wanted) {
+        assert_same_output(&out.join(&name), &wanted.join(&name));
+    }
+    let hidden: Vec<String> = names_in(&out).into_iter().filter(|name| name.starts_with('.')).collect();
+    assert!(hidden.is_empty(), "left behind: {hidden:?}");
+    let done: BTreeSet<PathBuf> =
+        names_in(&wanted).iter().map(|name| Path::new(name).with_extension("")).collect();
+    let counts = &status(folder)["counts"];
+    assert_eq!(counts["queued"], 0, "{counts}");
+    assert!(counts["done"].as_u64() >= Some(done.len() as u64), "{counts}, and {} are there", done.len());
+}

@@ -1,0 +1,54 @@
+//! Every output that can be seen is whole.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io::ErrorKind;
+use std::os::unix::fs::DirEntryExt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use meniscus_formats::provenance::Kind;
+use meniscus_formats::wholeness::is_whole;
+
+/// Opens every output as soon as it appears, and again whenever it is another file; how many it saw.
+pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
+    let mut sight_count = 0;
+    let mut inodes: HashMap<PathBuf, u64> = HashMap::new();
+    loop {
+        // What is there when all is over is looked at, too.
+        let is_last = is_over.load(Ordering::SeqCst);
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            let Some(kind) = kind(&path) else { continue };
+            if inodes.get(&path) == Some(&entry.ino()) {
+                continue;
+            }
+            let mut file = match File::open(&path) {
+                Ok(file) => file,
+                // The producer deletes outputs, too.
+                Err(error) if error.kind() == ErrorKind::NotFound => continue,
+                Err(error) => panic!("{}: {error}", path.display()),
+            };
+            assert!(is_whole(kind, &mut file).unwrap_or(false), "{} was not whole", path.display());
+            inodes.insert(path, entry.ino());
+            sight_count += 1;
+        }
+        if is_last {
+            return sight_count;
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+/// The kind of an output; `None` for what is hidden, and for the ballast.
+fn kind(path: &Path) -> Option<Kind> {
+    let name = path.file_name()?.to_str()?;
+    match name.rsplit_once('.')? {
+        (stem, _) if stem.is_empty() || stem.starts_with('.') => None,
+        (_, "glb") => Some(Kind::Glb),
+        (_, "vdb") => Some(Kind::Vdb),
+        _ => panic!("{name} is no output"),
+    }
+}

@@ -1,0 +1,120 @@
+//! What happens to the daemon.
+
+use std::fs::{self, File};
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+
+use crate::scene::Daemon;
+
+use super::producer::Producer;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Trouble {
+    /// SIGKILL; the next life begins at once.
+    Kill,
+    /// SIGTERM, and another life.
+    End,
+    /// SIGHUP, with other settings for the daemon.
+    Reload,
+    /// SIGHUP, with a file that makes no sense.
+    BrokenReload,
+    /// No byte of the outputs' disk is free while frames are produced.
+    FullDisk,
+    /// The watched folder is away for a while.
+    FolderGone,
+    /// Many look through the window, and some never read.
+    Crowd,
+}
+
+impl Trouble {
+    pub(super) const ALL: [Trouble; 7] = [
+        Trouble::Kill,
+        Trouble::End,
+        Trouble::Reload,
+        Trouble::BrokenReload,
+        Trouble::FullDisk,
+        Trouble::FolderGone,
+        Trouble::Crowd,
+    ];
+
+    /// Those that it survives.
+    pub(super) const OF_ONE_LIFE: [Trouble; 5] =
+        [Trouble::Reload, Trouble::BrokenReload, Trouble::FullDisk, Trouble::FolderGone, Trouble::Crowd];
+
+    /// Lets it happen; a life is not ended here.
+    pub(super) fn befall(
+        self,
+        folder: &Path,
+        daemon: &Daemon,
+        window: Option<&str>,
+        producer: &mut Producer,
+    ) {
+        match self {
+            Trouble::Kill | Trouble::End => {}
+            Trouble::Reload => {
+                // Any other settings do: what is done stays done.
+                write_config(folder, if producer.act_count().is_multiple_of(2) { "50ms" } else { "150ms" });
+                daemon.signal("HUP");
+            }
+            Trouble::BrokenReload => {
+                let sane = fs::read(folder.join(CONFIG)).expect("readable");
+                fs::write(folder.join(CONFIG), "[daemon]\nsettle = 12 parsecs\n").expect("written");
+                daemon.signal("HUP");
+                thread::sleep(Duration::from_millis(500));
+                fs::write(folder.join(CONFIG), sane).expect("written");
+            }
+            Trouble::FullDisk => while_the_disk_is_full(folder, producer),
+            Trouble::FolderGone => {
+                let [inside, away] = ["in", "away"].map(|name| folder.join(name));
+                fs::rename(&inside, &away).expect("renamed");
+                thread::sleep(Duration::from_millis(1500));
+                fs::rename(away, inside).expect("renamed");
+            }
+            Trouble::Crowd => window.into_iter().for_each(crowd),
+        }
+    }
+}
+
+const CONFIG: &str = "soak.toml";
+
+/// Settings by which a soak is not a wait.
+pub(super) fn write_config(folder: &Path, settle: &str) {
+    let text = format!(
+        "[daemon]\nsettle = \"{settle}\"\nunproven = \"500ms\"\nstalled = \"2s\"\nrescan = \"5s\"\n\
+         disk_floor = \"0\"\nmemory = \"512MiB\"\nlisten = \"127.0.0.1:0\"\n\
+         [[watch]]\ninput = \"in\"\noutput = \"out\"\nvoxel_size = 0.05\n"
+    );
+    fs::write(folder.join(CONFIG), text).expect("written");
+}
+
+fn while_the_disk_is_full(folder: &Path, producer: &mut Producer) {
+    let path = folder.join("out/ballast");
+    let mut ballast = File::create(&path).expect("made");
+    let piece = [1; 1 << 16];
+    for size in [piece.len(), 1] {
+        let error = (0..).find_map(|_| ballast.write(&piece[..size]).err()).expect("the disk is not endless");
+        assert_eq!(error.kind(), ErrorKind::StorageFull, "{error}");
+    }
+    for _ in 0..20 {
+        producer.act();
+        thread::sleep(Duration::from_millis(50));
+    }
+    fs::remove_file(path).expect("removed");
+}
+
+/// Twenty who ask for everything: half of them read it, the others go without.
+fn crowd(address: &str) {
+    for number in 0..20 {
+        let path = ["/", "/metrics", "/events", "/api/frames"][number % 4];
+        let Ok(mut stream) = TcpStream::connect(address) else { continue };
+        let asked = write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        if asked.is_ok() && number < 10 {
+            // What does not end by itself, such as the events, is read for a moment.
+            let _ = stream.set_read_timeout(Some(Duration::from_millis(100)));
+            let _ = stream.read_to_end(&mut Vec::new());
+        }
+    }
+}
