@@ -5,6 +5,7 @@ mod attributes; // what particles know, on the surface, from file to files
 mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
 mod dependencies; // a reason for each crate, and nothing in C
+mod docs; // links of the pages lead somewhere, and what they say is tested is
 mod farm; // frames dealt to many machines: plans, shards, and whether all is there
 mod formats; // the table of what is read, written and kept
 mod info; // the command that tells what files hold

@@ -1,0 +1,167 @@
+//! The pages: every link of theirs leads somewhere, and what is said to be tested names its test.
+//!
+//! ```text
+//!   [yes](../tests/meniscus/shots.rs "fn a_shot_shows_one_frame_after_the_other")
+//!         a file, from the page         a test in it; `def` for a check in Python
+//! ```
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Beside what other programs can do, all that this one can names a test.
+const COMPARISON: &str = "docs/compare.md";
+const OURS: &str = "meniscus";
+
+/// A link of a page: where it leads, and the title that shows when the pointer is on it.
+#[derive(Debug, PartialEq)]
+struct Link<'text> {
+    target: &'text str,
+    title: Option<&'text str>,
+}
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// README.md and all pages of `docs`, with what they say.
+fn pages() -> Vec<(PathBuf, String)> {
+    let docs = fs::read_dir(root().join("docs")).expect("the docs are there");
+    let docs = docs.map(|entry| entry.expect("an entry").path());
+    let paths = docs.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    let paths: Vec<PathBuf> = paths.chain([root().join("README.md")]).collect();
+    assert!(paths.len() > 10, "{paths:?}");
+    let read = |path: PathBuf| {
+        let text = fs::read_to_string(&path).expect("readable");
+        (path, text)
+    };
+    paths.into_iter().map(read).collect()
+}
+
+/// A page without its code, which may look like links.
+fn prose(text: &str) -> String {
+    let outside_blocks: String = text.split("```").step_by(2).collect();
+    outside_blocks.split('`').step_by(2).collect()
+}
+
+/// All links of a text but those to other sites.
+fn links(text: &str) -> impl Iterator<Item = Link<'_>> {
+    let inner = text.split("](").skip(1).filter_map(|rest| Some(rest.split_once(')')?.0));
+    let links = inner.map(|inner| match inner.split_once(" \"") {
+        Some((target, title)) => Link { target, title: Some(title.trim_end_matches('"')) },
+        None => Link { target: inner, title: None },
+    });
+    links.filter(|link| !link.target.contains("://"))
+}
+
+/// The file that a link leads to, if it is another than the page, and the heading in it.
+fn place<'link>(page: &Path, target: &'link str) -> (PathBuf, Option<&'link str>) {
+    let (file, heading) =
+        target.split_once('#').map_or((target, None), |(file, heading)| (file, Some(heading)));
+    let file = if file.is_empty() { page.to_owned() } else { page.with_file_name("").join(file) };
+    (file, heading)
+}
+
+/// Whether a page has this heading, by the name that browsers know it by.
+fn has_heading(text: &str, name: &str) -> bool {
+    text.lines().filter(|line| line.starts_with('#')).any(|line| {
+        let words = line.trim_start_matches('#').trim().to_lowercase().replace(' ', "-");
+        words.chars().filter(|&c| c.is_alphanumeric() || "-_".contains(c)).eq(name.chars())
+    })
+}
+
+#[test]
+fn links_lead_to_files_and_headings() {
+    let mut wrong = Vec::new();
+    let mut count = 0;
+    for (page, text) in pages() {
+        for Link { target, .. } in links(&prose(&text)) {
+            let (file, heading) = place(&page, target);
+            let is_there = file.exists()
+                && heading.is_none_or(|heading| {
+                    has_heading(&fs::read_to_string(&file).expect("headings are in pages"), heading)
+                });
+            if !is_there {
+                wrong.push(format!("{}: {target}", page.display()));
+            }
+            count += 1;
+        }
+    }
+    assert!(count > 50, "{count} links were found");
+    assert!(wrong.is_empty(), "these lead nowhere:\n{}", wrong.join("\n"));
+}
+
+#[test]
+fn tests_that_are_named_are_there() {
+    let mut wrong = Vec::new();
+    for (page, text) in pages() {
+        for Link { target, title } in links(&prose(&text)) {
+            let Some(title) = title else { continue };
+            let (file, _) = place(&page, target);
+            if !fs::read_to_string(&file).is_ok_and(|source| has_test(&source, title)) {
+                wrong.push(format!("{}: {target} has no {title}", page.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// Whether there is such a test in Rust, or such a function in Python: `fn name`, `def name`.
+fn has_test(source: &str, title: &str) -> bool {
+    let lines: Vec<&str> = source.lines().map(str::trim_start).collect();
+    let begins = format!("{title}(");
+    let Some(index) = lines.iter().position(|line| line.starts_with(&begins)) else { return false };
+    let above = lines[..index].iter().rev();
+    let is_test = above.take_while(|line| line.starts_with("#[")).any(|line| *line == "#[test]");
+    title.starts_with("def ") || title.starts_with("fn ") && is_test
+}
+
+/// Whatever the comparison says that we can has its test beside it.
+#[test]
+fn every_yes_has_its_test() {
+    let text = fs::read_to_string(root().join(COMPARISON)).expect("readable");
+    let cells = cells_of_ours(&text);
+    assert!(cells.len() > 40, "{} cells were found", cells.len());
+    let is_nothing = |cell: &str| cell.split(|c: char| !c.is_alphabetic()).next() == Some("no");
+    let has_test = |cell: &str| links(cell).any(|link| link.title.is_some());
+    let wrong: Vec<&&str> = cells.iter().filter(|cell| !is_nothing(cell) && !has_test(cell)).collect();
+    assert!(wrong.is_empty(), "these name no test: {wrong:#?}");
+    assert!(cells.iter().any(|cell| is_nothing(cell)), "nobody can do everything");
+}
+
+/// The second column of tables that give it our name.
+fn cells_of_ours(text: &str) -> Vec<&str> {
+    let mut is_ours = false;
+    let mut cells = Vec::new();
+    for line in text.lines() {
+        let mut row = line.split('|').map(str::trim).skip(2);
+        match row.next() {
+            None => is_ours = false,
+            Some(OURS) => is_ours = true,
+            Some(cell) if is_ours && !cell.starts_with("---") => cells.push(cell),
+            Some(_) => {}
+        }
+    }
+    cells
+}
+
+#[test]
+fn links_titles_and_tests_are_found() {
+    let page = "See [one](a.md), [`two`](b.md#its-head \"fn x\"), `[no](c)`,\n```\n[nor](d)\n```\n[out](https://e.f)";
+    let found = prose(page);
+    let found: Vec<Link> = links(&found).collect();
+    let one = Link { target: "a.md", title: None };
+    assert_eq!(found, [one, Link { target: "b.md#its-head", title: Some("fn x") }]);
+    let page = Path::new("/p/docs/q.md");
+    assert_eq!(place(page, "b.md#its-head"), (PathBuf::from("/p/docs/b.md"), Some("its-head")));
+    assert_eq!(place(page, "#here"), (page.to_owned(), Some("here")));
+    assert!(
+        has_heading("text\n## Its `head`, now\n", "its-head-now") && !has_heading("its-head", "its-head")
+    );
+
+    let source = "#[test]\n#[cfg(unix)]\nfn tested() {}\nfn used(by: u8) {}\n";
+    assert!(has_test(source, "fn tested") && !has_test(source, "fn used") && !has_test(source, "fn test"));
+    assert!(has_test("    def check(path):\n", "def check") && !has_test("check(path)\n", "check"));
+
+    let tables = "| what | meniscus | x |\n|---|---|---|\n| a | yes | no |\n\n| what | other |\n|---|---|\n| b | c |\n";
+    assert_eq!(cells_of_ours(tables), ["yes"]);
+}
