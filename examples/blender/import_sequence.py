@@ -1,0 +1,481 @@
+"""Brings a sequence of meniscus' surfaces into Blender, while it grows or when it is finished.
+
+    blender --python import_sequence.py -- out                    in Blender's window
+    blender --python import_sequence.py                           nothing but the panel: 3D view, sidebar, meniscus
+    python import_sequence.py out --save dam.blend                with Blender as a module (bpy), no window
+
+A path is a folder with one sequence, one of its files, or a pattern such as `out/dam.####.vdb`.
+
+    .glb    One mesh, refilled with the file of the frame. Its object, materials and modifiers are the scene's own and
+            stay. The attribute `velocity` becomes motion blur in Cycles.
+    .vdb    A volume with Blender's own file sequence, and a mesh object that shows it by Volume to Mesh.
+
+A frame is the number in a file's name, or with `--step N` each Nth. A frame that is not there shows the last one before it,
+and before the first there is the first: the console and the panel say so. Files are looked for when the playhead gets to a
+frame that is not known, by the button Reload, and in Blender's window every few seconds. All that is a handler of frames:
+a .blend takes this script along as a text, and needs it to be allowed to run. Only a .vdb sequence without gaps goes without.
+"""
+
+import argparse
+import atexit
+import bisect
+import json
+import math
+import os
+import re
+import struct
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+from bpy_extras.io_utils import ImportHelper
+from mathutils import Matrix, Quaternion
+
+KINDS = (".glb", ".vdb")
+# The last number of a name counts frames, as it does for meniscus.
+NUMBERED = re.compile(r"(.*?)(\d+)(\D*\.(?:glb|vdb))", re.IGNORECASE)
+FRAME_MAX = 1048574
+FOLLOW_SECONDS = 5.0
+# Up along y becomes up along z.
+TURN = Matrix.Rotation(math.radians(90), 4, "X")
+UPS = [("Y", "Y", "As in glTF: turned upright"), ("Z", "Z", "As in Blender: left as it is")]
+
+
+# Files
+
+
+def sequences_in(folder):
+    """What a folder holds: by the text before and after the number, the name of each number's file."""
+    found = {}
+    for name in os.listdir(folder):
+        match = NUMBERED.fullmatch(name)
+        if match and not name.startswith("."):
+            before, number, after = match.groups()
+            found.setdefault((before, after), {})[int(number)] = name
+    return {ends: dict(sorted(names.items())) for ends, names in sorted(found.items())}
+
+
+def chosen(path, kind=None):
+    """The folder, the ends and the files of the one sequence that a path means."""
+    path = Path(bpy.path.abspath(str(path))).absolute()
+    folder, pattern = (path, None) if path.is_dir() else (path.parent, NUMBERED.fullmatch(re.sub("#+", "0", path.name)))
+    there = sequences_in(folder)
+    if folder != path:
+        ends = pattern and (pattern[1], pattern[3])
+        if ends not in there:
+            raise ValueError(f"{path} is no folder, and no frame of a sequence of .glb or .vdb")
+        return folder, ends, there[ends]
+    wanted = [ends for ends in there if kind is None or ends[1].lower().endswith(kind)]
+    # Of one name in both formats the mesh is taken: it comes first.
+    if len({(before, after[:-4]) for before, after in wanted}) == 1:
+        return folder, wanted[0], there[wanted[0]]
+    if not wanted:
+        raise ValueError(f"{folder} holds no numbered {kind or '.glb or .vdb'} yet")
+    raise ValueError(f"{folder} holds several sequences; name one: {', '.join(map(pattern_of, wanted))}")
+
+
+def pattern_of(ends):
+    return f"{ends[0]}####{ends[1]}"
+
+
+def read_glb(path, up):
+    """Triangles and what is at the vertices, by name, of a .glb as meniscus writes it; up is up in Blender's way.
+
+    Not by Blender's importer: that makes new objects each time, which a handler must not, and fails before 5.1 on
+    vectors beside single numbers.
+    """
+    data = np.fromfile(path, np.uint8)
+    magic, version, byte_count, json_bytes, _ = struct.unpack_from("<4s3I4s", data)
+    if (magic, version, byte_count) != (b"glTF", 2, len(data)):
+        raise ValueError("it is not a whole .glb")
+    document = json.loads(data[20 : 20 + json_bytes].tobytes())
+    if not document.get("meshes"):
+        return np.empty((0, 3), np.int32), {"position": np.empty((0, 3), np.float32)}
+    if len(document["meshes"]) != 1 or "animations" in document:
+        raise ValueError("it is not one surface; File > Import > glTF takes others")
+
+    def column(index):
+        accessor = document["accessors"][index]
+        view = document["bufferViews"][accessor["bufferView"]]
+        kind = np.dtype({5120: "i1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}[accessor["componentType"]])
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        stride = view.get("byteStride", width * kind.itemsize)
+        start = 20 + json_bytes + 8 + view["byteOffset"]
+        numbers = np.ndarray((accessor["count"], width), kind, data, start, (stride, kind.itemsize))
+        return numbers / np.float32(np.iinfo(kind).max) if accessor.get("normalized") else numbers
+
+    primitive = document["meshes"][0]["primitives"][0]
+    names = {"POSITION": "position", "NORMAL": "custom_normal", "COLOR_0": "Color"}
+    columns = {names.get(name, name.lower().lstrip("_")): column(index) for name, index in primitive["attributes"].items()}
+    node = document["nodes"][0]
+    x, y, z, w = node.get("rotation", (0, 0, 0, 1))
+    place = Matrix.LocRotScale(node.get("translation", (0, 0, 0)), Quaternion((w, x, y, z)), node.get("scale", (1, 1, 1)))
+    # A scene with Z up was turned when it was written, if meniscus was told; or else must not be turned here.
+    if up == "Y" or "rotation" in node:
+        place = TURN @ place
+    turned = np.array(place.to_3x3().normalized())
+    columns["position"] = columns["position"] @ np.array(place)[:3, :3].T + np.array(place)[:3, 3]
+    for name in columns.keys() & {"custom_normal", "velocity"}:
+        columns[name] = columns[name] @ turned.T
+    return column(primitive["indices"]).reshape(-1, 3), columns
+
+
+# What is shown
+
+
+def refill(mesh, triangles, columns):
+    """Gives a mesh new vertices and triangles, and leaves it what else it has: materials, names, users."""
+    mesh.clear_geometry()
+    mesh.vertices.add(len(columns["position"]))
+    mesh.loops.add(triangles.size)
+    mesh.polygons.add(len(triangles))
+    mesh.loops.foreach_set("vertex_index", triangles.ravel().astype(np.int32))
+    mesh.polygons.foreach_set("loop_start", np.arange(0, triangles.size, 3, dtype=np.int32))
+    for name, values in columns.items():
+        if name == "Color":
+            alpha = np.ones((len(values), 4 - values.shape[1]), np.float32)
+            set_attribute(mesh, name, "FLOAT_COLOR", "color", np.concatenate([values, alpha], axis=1))
+        elif values.shape[1] == 3:
+            set_attribute(mesh, name, "FLOAT_VECTOR", "vector", values)
+        elif values.shape[1] == 1:
+            set_attribute(mesh, name, "FLOAT", "value", values)
+    mesh.update(calc_edges=True)
+
+
+def set_attribute(mesh, name, kind, key, values):
+    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, kind, "POINT")
+    attribute.data.foreach_set(key, np.ascontiguousarray(values, np.float32).ravel())
+
+
+def show(obj, scene):
+    """Shows what there is for the scene's frame."""
+    source = obj.meniscus
+    # Motion blur asks for times between frames; these belong to the nearest.
+    frame = round(scene.frame_current_final)
+    number = number_for(source, frame, known_files(source))
+    if number is None or number // source.step != frame:
+        look_again(obj, scene)
+        number = number_for(source, frame, known_files(source))
+    if number is None:
+        return tell(f"{source.folder} has no {pattern_of((source.before, source.after))}: {obj.name} stays as it is")
+    path = Path(bpy.path.abspath(source.folder), known_files(source)[number])
+    if number // source.step != frame:
+        tell(f"frame {frame} is not there: {obj.name} shows {path.name}")
+    try:
+        stat = path.stat()
+        stamp = f"{path} {stat.st_size} {stat.st_mtime_ns}"
+        if obj.type == "VOLUME":
+            count_files(obj.data, source, path, number, frame)
+            if source.shown.startswith(f"{path} ") and stamp != source.shown:
+                tell(f"{path} was written again, and Blender keeps what it has read: Reload reads it anew")
+        elif stamp != source.shown and not obj.data.is_editmode:
+            refill(obj.data, *read_glb(path, source.up))
+        source.shown = stamp
+    except (OSError, ValueError, LookupError, TypeError, struct.error) as error:
+        tell(f"{path} could not be read, {obj.name} stays as it is: {error}")
+
+
+def number_for(source, frame, files):
+    """The last number that belongs to a frame or to one before it, or else the first."""
+    numbers = list(files)
+    return numbers[max(bisect.bisect_left(numbers, (frame + 1) * source.step) - 1, 0)] if numbers else None
+
+
+def count_files(volume, source, path, number, frame):
+    """Lets Blender's own counting of files arrive at this one.
+
+    It counts the frames since the first and adds an offset: one for all frames, where there are no gaps.
+    """
+    first, last = range_of(source)
+    place = min(max(frame - first + 1, 1), last - first + 1)
+    counted = NUMBERED.fullmatch(Path(volume.filepath).name)
+    is_counted = counted and f"{counted[1]}{number:0{len(counted[2])}}{counted[3]}" == path.name
+    settings = {"frame_start": first, "frame_duration": last - first + 1, "frame_offset": number - place}
+    if not is_counted:
+        settings["filepath"] = str(path)
+    for name, value in settings.items():
+        if getattr(volume, name) != value:
+            setattr(volume, name, value)
+
+
+# The files of a sequence, as they were last seen: by folder and ends.
+_files = {}
+_told = set()
+
+
+def known_files(source):
+    return _files.get((source.folder, source.before, source.after)) or files_now(source)
+
+
+def files_now(source):
+    try:
+        files = sequences_in(bpy.path.abspath(source.folder)).get((source.before, source.after), {})
+    except OSError as error:
+        tell(str(error))
+        files = {}
+    _files[source.folder, source.before, source.after] = files
+    return files
+
+
+def range_of(source):
+    """The first and the last frame that are there."""
+    numbers = list(known_files(source))
+    return numbers[0] // source.step, numbers[-1] // source.step
+
+
+def look_again(obj, scene):
+    """Finds the files that came since. Where the scene ended with the sequence, it still does."""
+    source = obj.meniscus
+    if files_now(source):
+        last = range_of(source)[1]
+        if scene.frame_end == source.last < last:
+            scene.frame_end = last
+        source.last = last
+
+
+def tell(text):
+    """Says something, once."""
+    if text not in _told:
+        _told.add(text)
+        print(f"meniscus: {text}", flush=True)
+
+
+def sequences_of(scene):
+    return [obj for obj in scene.objects if obj.meniscus.folder]
+
+
+# What is imported
+
+
+def import_sequence(scene, path, kind=None, up="Y", step=1, is_bare_volume=False):
+    """Adds a sequence to a scene, and returns the object that shows it."""
+    folder, (before, after), files = chosen(path, kind)
+    if max(files) // step > FRAME_MAX:
+        raise ValueError(f"{files[max(files)]} is beyond Blender's last frame, {FRAME_MAX}: choose a step")
+    name = before.rstrip("._- ") or folder.name
+    if after.lower().endswith(".glb"):
+        source = shown = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+        scene.collection.objects.link(shown)
+    else:
+        shown, source = add_level_set(scene, name, folder / files[min(files)], up, is_bare_volume)
+    for key, value in {"folder": str(folder), "before": before, "after": after, "up": up, "step": step}.items():
+        setattr(source.meniscus, key, value)
+    look_again(source, scene)
+    scene.frame_start, scene.frame_end = range_of(source.meniscus)
+    # The handler changes what is drawn: not while it is being drawn.
+    scene.render.use_lock_interface = True
+    scene.frame_set(min(max(scene.frame_current, scene.frame_start), scene.frame_end))
+    stay_in_file()
+    tell(f"{name}: {summary(source.meniscus)}")
+    gaps = np.diff(list(files))
+    if len(gaps) and (apart := math.gcd(*gaps.tolist())) > step:
+        tell(f"numbers are {apart} apart; with a step of {apart} each file is a frame")
+    return shown
+
+
+def add_level_set(scene, name, first, up, is_bare_volume):
+    """A volume with Blender's file sequence, and a mesh around it: the object that shows it, and the volume."""
+    volume = bpy.data.objects.new(f"{name} level set", bpy.data.volumes.new(name))
+    volume.data.filepath = str(first)
+    if not volume.data.grids.load() or "surface" not in volume.data.grids:
+        raise ValueError(f"{first} has no grid “surface”: {volume.data.grids.error_message}")
+    h = Matrix(volume.data.grids["surface"].matrix_object).to_scale().x
+    if "velocity" in volume.data.grids:
+        volume.data.velocity_grid, volume.data.velocity_unit = "velocity", "SECOND"
+    volume.data.grids.unload()
+    volume.data.is_sequence, volume.data.sequence_mode = True, "EXTEND"
+    volume.matrix_world = TURN if up == "Y" else Matrix()
+    scene.collection.objects.link(volume)
+    if is_bare_volume:
+        return volume, volume
+    mesh = bpy.data.objects.new(name, bpy.data.meshes.new(name))
+    scene.collection.objects.link(mesh)
+    modifier = mesh.modifiers.new("surface", "VOLUME_TO_MESH")
+    modifier.object, modifier.grid_name, modifier.threshold = volume, "surface", 0.0
+    modifier.resolution_mode, modifier.use_smooth_shade = "GRID", True
+    # The modifier takes values to be in the middle of cells, as those of smoke, and so moves surfaces by half a voxel,
+    # along the axes of the mesh.
+    volume.matrix_world = Matrix.Translation((-h / 2,) * 3) @ volume.matrix_world
+    # The mesh can be moved, and the volume comes along.
+    volume.parent, volume.hide_viewport, volume.hide_render = mesh, True, True
+    return mesh, volume
+
+
+def summary(source):
+    files = known_files(source)
+    if not files:
+        return "no files"
+    first, last = range_of(source)
+    missing = last - first + 1 - len({number // source.step for number in files})
+    return f"{pattern_of((source.before, source.after))}, frames {first} to {last}, {missing} missing"
+
+
+def stay_in_file():
+    """A copy of this script goes with the .blend, and runs when that is opened."""
+    script = Path(__file__)
+    text = bpy.data.texts.get(script.name) or bpy.data.texts.new(script.name)
+    if script.is_file():
+        text.from_string(script.read_text(encoding="utf-8"))
+    text.use_module = True
+
+
+# Blender's side
+
+
+class MeniscusSequence(bpy.types.PropertyGroup):
+    """Where an object's frames come from."""
+
+    folder: StringProperty(name="Folder", subtype="DIR_PATH")
+    before: StringProperty()
+    after: StringProperty()
+    up: EnumProperty(items=UPS)
+    step: IntProperty(default=1, min=1)
+    last: IntProperty()
+    shown: StringProperty()
+
+
+class MENISCUS_OT_import(bpy.types.Operator, ImportHelper):
+    """Import a sequence of meniscus' .glb or .vdb: choose one of its files"""
+
+    bl_idname = "meniscus.import_sequence"
+    bl_label = "Import sequence"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filter_glob: StringProperty(default="*.glb;*.vdb", options={"HIDDEN"})
+    up: EnumProperty(name="Up", items=UPS, description="The axis of the particles that points up")
+    step: IntProperty(name="Step", default=1, min=1, description="Numbers from one frame to the next")
+    is_bare_volume: BoolProperty(name="Bare volume", description="Of .vdb: no mesh around the volume")
+
+    def execute(self, context):
+        try:
+            import_sequence(context.scene, self.filepath, None, self.up, self.step, self.is_bare_volume)
+        except (OSError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class MENISCUS_OT_reload(bpy.types.Operator):
+    """Look for files again, and read again what is shown"""
+
+    bl_idname = "meniscus.reload"
+    bl_label = "Reload"
+
+    def execute(self, context):
+        _told.clear()
+        # Blender keeps what it has read of a .vdb, even where the file is another now, up to a limit: so there is none.
+        system = context.preferences.system
+        limit, system.memory_cache_limit = system.memory_cache_limit, 0
+        for obj in sequences_of(context.scene):
+            look_again(obj, context.scene)
+            if obj.type == "VOLUME":
+                obj.data.filepath = obj.data.filepath
+            obj.meniscus.shown = ""
+            show(obj, context.scene)
+        context.view_layer.update()
+        system.memory_cache_limit = limit
+        return {"FINISHED"}
+
+
+class MENISCUS_PT_sequences(bpy.types.Panel):
+    bl_label = "Sequences"
+    bl_category = "meniscus"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+
+    def draw(self, context):
+        self.layout.operator(MENISCUS_OT_import.bl_idname)
+        self.layout.operator(MENISCUS_OT_reload.bl_idname)
+        for obj in sequences_of(context.scene):
+            box = self.layout.box()
+            box.label(text=f"{obj.name}: {summary(obj.meniscus)}")
+            number = number_for(obj.meniscus, context.scene.frame_current, known_files(obj.meniscus))
+            if number is not None and number // obj.meniscus.step != context.scene.frame_current:
+                box.label(text=f"Frame {context.scene.frame_current} is not there: shows {number}", icon="ERROR")
+            box.prop(obj.meniscus, "folder", text="")
+
+
+@persistent
+def show_sequences(scene, _graph=None):
+    for obj in sequences_of(scene):
+        show(obj, scene)
+
+
+def follow():
+    """Looks for new files now and then, until this script is run again."""
+    if show_sequences not in bpy.app.handlers.frame_change_pre:
+        return None
+    if not bpy.app.is_job_running("RENDER"):
+        for window in bpy.context.window_manager.windows:
+            for obj in sequences_of(window.scene):
+                look_again(obj, window.scene)
+                show(obj, window.scene)
+    return FOLLOW_SECONDS
+
+
+CLASSES = (MeniscusSequence, MENISCUS_OT_import, MENISCUS_OT_reload, MENISCUS_PT_sequences)
+
+
+def register():
+    """Takes the place of what an earlier run of this script left, too."""
+    handlers = bpy.app.handlers.frame_change_pre
+    handlers[:] = [handler for handler in handlers if handler.__name__ != show_sequences.__name__] + [show_sequences]
+    for kind in CLASSES:
+        if earlier := getattr(bpy.types, kind.__name__, None):
+            bpy.utils.unregister_class(earlier)
+        bpy.utils.register_class(kind)
+    bpy.types.Object.meniscus = PointerProperty(type=MeniscusSequence)
+    if not bpy.app.background:
+        bpy.app.timers.register(follow, first_interval=FOLLOW_SECONDS, persistent=True)
+    if bpy.app.module:
+        # A module does not come to its end while it has these.
+        atexit.register(unregister)
+
+
+def unregister():
+    if show_sequences in bpy.app.handlers.frame_change_pre:
+        bpy.app.handlers.frame_change_pre.remove(show_sequences)
+        for kind in CLASSES:
+            bpy.utils.unregister_class(kind)
+
+
+def main():
+    words = sys.argv[1:] if bpy.app.module else sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+    if not words and not bpy.app.background:
+        return
+    parser = argparse.ArgumentParser(prog="import_sequence.py", description="Imports a sequence of meniscus' surfaces.")
+    parser.add_argument("path", help="a folder, a file of the sequence, or a pattern such as out/dam.####.vdb")
+    parser.add_argument("--format", choices=[kind[1:] for kind in KINDS], help="where a folder has both (glb)")
+    parser.add_argument("--up", choices=["y", "z"], default="y", help="the axis of the particles that points up (y)")
+    parser.add_argument("--step", type=int, default=1, help="numbers from one frame to the next (1)")
+    parser.add_argument("--fps", type=float, help="frames per second of the scene")
+    parser.add_argument("--bare-volume", action="store_true", help="of .vdb: no mesh around the volume")
+    parser.add_argument("--save", metavar="FILE.blend", help="save the scene")
+    options = parser.parse_args(words)
+    if options.step < 1 or (options.fps is not None and not options.fps > 0):
+        parser.error("--step and --fps are positive")
+    if bpy.app.module:
+        bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    if options.fps:
+        scene.render.fps = math.ceil(options.fps)
+        scene.render.fps_base = math.ceil(options.fps) / options.fps
+    kind = f".{options.format}" if options.format else None
+    try:
+        import_sequence(scene, options.path, kind, options.up.upper(), options.step, options.bare_volume)
+    except (OSError, ValueError) as error:
+        # In a window the scene may hold work: it stays open.
+        if bpy.app.background:
+            sys.exit(f"import_sequence.py: {error}")
+        print(f"import_sequence.py: {error}", file=sys.stderr)
+    if options.save:
+        bpy.ops.wm.save_as_mainfile(filepath=str(Path(options.save).absolute()))
+
+
+register()
+# As a text of a .blend this is no file, and what was typed is not for it.
+if __name__ == "__main__" and Path(__file__).is_file():
+    main()
