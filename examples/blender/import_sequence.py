@@ -88,9 +88,9 @@ def read_glb(path, up):
     vectors beside single numbers.
     """
     data = np.fromfile(path, np.uint8)
-    magic, version, byte_count, json_bytes, _ = struct.unpack_from("<4s3I4s", data)
-    if (magic, version, byte_count) != (b"glTF", 2, len(data)):
+    if len(data) < 20 or struct.unpack_from("<4s2I", data) != (b"glTF", 2, len(data)):
         raise ValueError("it is not a whole .glb")
+    (json_bytes,) = struct.unpack_from("<I", data, 12)
     document = json.loads(data[20 : 20 + json_bytes].tobytes())
     if not document.get("meshes"):
         return np.empty((0, 3), np.int32), {"position": np.empty((0, 3), np.float32)}
@@ -174,7 +174,7 @@ def show(obj, scene):
         elif stamp != source.shown and not obj.data.is_editmode:
             refill(obj.data, *read_glb(path, source.up))
         source.shown = stamp
-    except (OSError, ValueError, LookupError, TypeError, struct.error) as error:
+    except (OSError, ValueError, LookupError, TypeError) as error:
         tell(f"{path} could not be read, {obj.name} stays as it is: {error}")
 
 

@@ -374,22 +374,31 @@ def stage(turn, low, high):
     scene.camera = camera
 
 
-def render(path):
+def render(path, size=SIZE, samples=SAMPLES):
     """Renders to a file, and returns the picture that it holds."""
     scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.cycles.device = "CPU"
-    scene.cycles.samples = SAMPLES
-    scene.cycles.use_denoising = False
-    scene.cycles.seed = 0
-    scene.render.resolution_x, scene.render.resolution_y = SIZE
-    scene.render.image_settings.file_format = "PNG"
-    scene.view_settings.view_transform = "Standard"
+    prepare_render(scene, size, samples)
     path.unlink(missing_ok=True)
     scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
+    return pixels_of(path)
+
+
+def prepare_render(scene, size, samples):
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = samples
+    scene.cycles.use_denoising = False
+    scene.cycles.seed = 0
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.image_settings.file_format = "PNG"
+    scene.view_settings.view_transform = "Standard"
+
+
+def pixels_of(path):
+    """Red, green and blue of a picture."""
     image = bpy.data.images.load(str(path))
-    pixels = np.empty(4 * SIZE[0] * SIZE[1], np.float32)
+    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
     image.pixels.foreach_get(pixels)
     bpy.data.images.remove(image)
     return pixels.reshape(-1, 4)[:, :3]
