@@ -174,7 +174,7 @@ def show(obj, scene):
         elif stamp != source.shown and not obj.data.is_editmode:
             refill(obj.data, *read_glb(path, source.up))
         source.shown = stamp
-    except (OSError, ValueError, LookupError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, OverflowError) as error:
         tell(f"{path} could not be read, {obj.name} stays as it is: {error}")
 
 
@@ -223,7 +223,7 @@ def files_now(source):
 def range_of(source):
     """The first and the last frame that are there."""
     numbers = list(known_files(source))
-    return numbers[0] // source.step, numbers[-1] // source.step
+    return numbers[0] // source.step, min(numbers[-1] // source.step, FRAME_MAX)
 
 
 def look_again(obj, scene):
