@@ -67,6 +67,8 @@ def chosen(path, kind=None):
         ends = pattern and (pattern[1], pattern[3])
         if ends not in there:
             raise ValueError(f"{path} is no folder, and no frame of a sequence of .glb or .vdb")
+        if kind and not ends[1].lower().endswith(kind):
+            raise ValueError(f"{path} is no {kind}")
         return folder, ends, there[ends]
     wanted = [ends for ends in there if kind is None or ends[1].lower().endswith(kind)]
     # Of one name in both formats the mesh is taken: it comes first.
@@ -82,7 +84,7 @@ def pattern_of(ends):
 
 
 def read_glb(path, up):
-    """Triangles and what is at the vertices, by name, of a .glb as meniscus writes it; up is up in Blender's way.
+    """Triangles and what is at the vertices, by name, of a .glb as meniscus writes it, along Blender's axes.
 
     Not by Blender's importer: that makes new objects each time, which a handler must not, and fails before 5.1 on
     vectors beside single numbers.
@@ -93,7 +95,7 @@ def read_glb(path, up):
     (json_bytes,) = struct.unpack_from("<I", data, 12)
     document = json.loads(data[20 : 20 + json_bytes].tobytes())
     if not document.get("meshes"):
-        return np.empty((0, 3), np.int32), {"position": np.empty((0, 3), np.float32)}
+        return np.empty((0, 3), np.int32), {"POSITION": np.empty((0, 3), np.float32)}
     if len(document["meshes"]) != 1 or "animations" in document:
         raise ValueError("it is not one surface; File > Import > glTF takes others")
 
@@ -108,8 +110,7 @@ def read_glb(path, up):
         return numbers / np.float32(np.iinfo(kind).max) if accessor.get("normalized") else numbers
 
     primitive = document["meshes"][0]["primitives"][0]
-    names = {"POSITION": "position", "NORMAL": "custom_normal", "COLOR_0": "Color"}
-    columns = {names.get(name, name.lower().lstrip("_")): column(index) for name, index in primitive["attributes"].items()}
+    columns = {name: column(index) for name, index in primitive["attributes"].items()}
     node = document["nodes"][0]
     x, y, z, w = node.get("rotation", (0, 0, 0, 1))
     place = Matrix.LocRotScale(node.get("translation", (0, 0, 0)), Quaternion((w, x, y, z)), node.get("scale", (1, 1, 1)))
@@ -117,8 +118,8 @@ def read_glb(path, up):
     if up == "Y" or "rotation" in node:
         place = TURN @ place
     turned = np.array(place.to_3x3().normalized())
-    columns["position"] = columns["position"] @ np.array(place)[:3, :3].T + np.array(place)[:3, 3]
-    for name in columns.keys() & {"custom_normal", "velocity"}:
+    columns["POSITION"] = columns["POSITION"] @ np.array(place)[:3, :3].T + np.array(place)[:3, 3]
+    for name in columns.keys() & {"NORMAL", "_VELOCITY"}:
         columns[name] = columns[name] @ turned.T
     return column(primitive["indices"]).reshape(-1, 3), columns
 
@@ -129,30 +130,39 @@ def read_glb(path, up):
 def refill(mesh, triangles, columns):
     """Gives a mesh new vertices and triangles, and leaves it what else it has: materials, names, users."""
     mesh.clear_geometry()
-    mesh.vertices.add(len(columns["position"]))
+    mesh.vertices.add(len(columns["POSITION"]))
+    mesh.vertices.foreach_set("co", flat(columns["POSITION"]))
     mesh.loops.add(triangles.size)
     mesh.polygons.add(len(triangles))
     mesh.loops.foreach_set("vertex_index", triangles.ravel().astype(np.int32))
     mesh.polygons.foreach_set("loop_start", np.arange(0, triangles.size, 3, dtype=np.int32))
     for name, values in columns.items():
-        if name == "Color":
-            alpha = np.ones((len(values), 4 - values.shape[1]), np.float32)
-            set_attribute(mesh, name, "FLOAT_COLOR", "color", np.concatenate([values, alpha], axis=1))
-        elif values.shape[1] == 3:
-            set_attribute(mesh, name, "FLOAT_VECTOR", "vector", values)
-        elif values.shape[1] == 1:
-            set_attribute(mesh, name, "FLOAT", "value", values)
+        if name == "COLOR_0":
+            opaque = np.ones((len(values), 4 - values.shape[1]), np.float32)
+            values = np.concatenate([values, opaque], axis=1)
+        if name != "POSITION":
+            kind, key = ATTRIBUTES[values.shape[1]]
+            # Some names, such as `id`, Blender has for itself: then it is called `_ID`, as in the file.
+            plain = NAMES.get(name, name[1:].lower())
+            attribute = mesh.attributes.new(plain, kind, "POINT") or mesh.attributes.new(name, kind, "POINT")
+            attribute.data.foreach_set(key, flat(values))
     mesh.update(calc_edges=True)
 
 
-def set_attribute(mesh, name, kind, key, values):
-    attribute = mesh.attributes.get(name) or mesh.attributes.new(name, kind, "POINT")
-    attribute.data.foreach_set(key, np.ascontiguousarray(values, np.float32).ravel())
+NAMES = {"NORMAL": "custom_normal", "COLOR_0": "Color"}
+# What Blender calls so many numbers at a vertex.
+ATTRIBUTES = {1: ("FLOAT", "value"), 2: ("FLOAT2", "vector"), 3: ("FLOAT_VECTOR", "vector"), 4: ("FLOAT_COLOR", "color")}
+
+
+def flat(values):
+    return np.ascontiguousarray(values, np.float32).ravel()
 
 
 def show(obj, scene):
     """Shows what there is for the scene's frame."""
     source = obj.meniscus
+    if obj.type == "MESH" and obj.data.is_editmode:
+        return
     # Motion blur asks for times between frames; these belong to the nearest.
     frame = round(scene.frame_current_final)
     number = number_for(source, frame, known_files(source))
@@ -160,7 +170,8 @@ def show(obj, scene):
         look_again(obj, scene)
         number = number_for(source, frame, known_files(source))
     if number is None:
-        return tell(f"{source.folder} has no {pattern_of((source.before, source.after))}: {obj.name} stays as it is")
+        tell(f"{source.folder} has no {pattern_of((source.before, source.after))}: {obj.name} stays as it is")
+        return
     path = Path(bpy.path.abspath(source.folder), known_files(source)[number])
     if number // source.step != frame:
         tell(f"frame {frame} is not there: {obj.name} shows {path.name}")
@@ -171,7 +182,7 @@ def show(obj, scene):
             count_files(obj.data, source, path, number, frame)
             if source.shown.startswith(f"{path} ") and stamp != source.shown:
                 tell(f"{path} was written again, and Blender keeps what it has read: Reload reads it anew")
-        elif stamp != source.shown and not obj.data.is_editmode:
+        elif stamp != source.shown:
             refill(obj.data, *read_glb(path, source.up))
         source.shown = stamp
     except (OSError, ValueError, LookupError, TypeError, OverflowError) as error:
@@ -255,8 +266,11 @@ def import_sequence(scene, path, kind=None, up="Y", step=1, is_bare_volume=False
     folder, (before, after), files = chosen(path, kind)
     if max(files) // step > FRAME_MAX:
         raise ValueError(f"{files[max(files)]} is beyond Blender's last frame, {FRAME_MAX}: choose a step")
+    is_mesh = after.lower().endswith(".glb")
+    if is_mesh and is_bare_volume:
+        raise ValueError(f"{pattern_of((before, after))} has no volume; .vdb have")
     name = before.rstrip("._- ") or folder.name
-    if after.lower().endswith(".glb"):
+    if is_mesh:
         source = shown = bpy.data.objects.new(name, bpy.data.meshes.new(name))
         scene.collection.objects.link(shown)
     else:
@@ -278,15 +292,18 @@ def import_sequence(scene, path, kind=None, up="Y", step=1, is_bare_volume=False
 
 def add_level_set(scene, name, first, up, is_bare_volume):
     """A volume with Blender's file sequence, and a mesh around it: the object that shows it, and the volume."""
-    volume = bpy.data.objects.new(f"{name} level set", bpy.data.volumes.new(name))
-    volume.data.filepath = str(first)
-    if not volume.data.grids.load() or "surface" not in volume.data.grids:
-        raise ValueError(f"{first} has no grid “surface”: {volume.data.grids.error_message}")
-    h = Matrix(volume.data.grids["surface"].matrix_object).to_scale().x
-    if "velocity" in volume.data.grids:
-        volume.data.velocity_grid, volume.data.velocity_unit = "velocity", "SECOND"
-    volume.data.grids.unload()
-    volume.data.is_sequence, volume.data.sequence_mode = True, "EXTEND"
+    data = bpy.data.volumes.new(name)
+    data.filepath = str(first)
+    if not data.grids.load() or "surface" not in data.grids:
+        why = data.grids.error_message or f"its grids are {', '.join(data.grids.keys())}"
+        bpy.data.volumes.remove(data)
+        raise ValueError(f"{first} has no grid “surface”: {why}")
+    h = Matrix(data.grids["surface"].matrix_object).to_scale().x
+    if "velocity" in data.grids:
+        data.velocity_grid, data.velocity_unit = "velocity", "SECOND"
+    data.grids.unload()
+    data.is_sequence, data.sequence_mode = True, "EXTEND"
+    volume = bpy.data.objects.new(f"{name} level set", data)
     volume.matrix_world = TURN if up == "Y" else Matrix()
     scene.collection.objects.link(volume)
     if is_bare_volume:
@@ -471,6 +488,7 @@ def main():
         if bpy.app.background:
             sys.exit(f"import_sequence.py: {error}")
         print(f"import_sequence.py: {error}", file=sys.stderr)
+        return
     if options.save:
         bpy.ops.wm.save_as_mainfile(filepath=str(Path(options.save).absolute()))
 

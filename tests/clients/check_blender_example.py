@@ -1,8 +1,10 @@
 """examples/blender/import_sequence.py shows the right file at each frame, while a sequence grows, and when a .blend is
 opened that it was saved in.
 
-    frames        numbers without padding and with a gap; vertices, bounds, velocities and normals are those of the file
+    frames        numbers without padding and with a gap; vertices, bounds, velocities and normals are those of the file;
+                  the panel says what is not there; the material stays
     grown         a frame that comes later is taken, the scene's end goes along; one that is written again is taken, too
+    attributes    of one width and another in one .glb, and colours
     chosen        a folder, a file, a pattern; several sequences are named; steps; Z up; quantized
     command line  frames a second; the scene that it saves plays in a Blender that knows nothing of the script
     rendered      example_glb.png, example_vdb.png: one frame, the same by both ways
@@ -26,6 +28,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+import flow
 from check_blender import (
     PICTURE_DIFFERENCE_MAX, clay, numbers_of, pixels_of, positions_of, prepare_render, render, stage, to_log, transformed,
 )
@@ -49,6 +52,7 @@ def main():
     for label, examine, *wanted in (
         ("dam.####.glb", lambda: frames("glb"), "frame 11 is not there: dam shows dam.10.glb", "frame 3 is not there"),
         ("dam.####.vdb", lambda: frames("vdb"), "frame 11 is not there", "dam.13.vdb was written again"),
+        ("attributes", attributes),
         ("choices", choices, "with a step of 2", "splash.7.glb could not be read, splash stays as it is: it is not a whole .glb"),
         ("Z up, quantized", turned),
         ("command line", command_line),
@@ -90,6 +94,10 @@ def put(number, folder, kind, as_number):
     os.replace(folder / ".coming", folder / f"dam.{as_number}.{kind}")
 
 
+def voxel_size():
+    return frame_of(own(1, "ply"))["settings"]["voxel_size"]
+
+
 def faults_of(obj, number, turn=TURN):
     """What an object shows at this time, against the mesh of one of our frames."""
     graph = bpy.context.evaluated_depsgraph_get()
@@ -98,7 +106,7 @@ def faults_of(obj, number, turn=TURN):
     points = transformed(positions_of(mesh), obj.matrix_world)
     expected, _ = read_ply(own(number, "ply"))
     expected = transformed(expected, turn)
-    h = frame_of(own(number, "ply"))["settings"]["voxel_size"]
+    h = voxel_size()
     is_level_set = bool(obj.modifiers)
     faults = []
     if len(points) != len(expected):
@@ -116,7 +124,7 @@ def faults_of(obj, number, turn=TURN):
 
 
 def vertex_faults(mesh, points, expected, number, turn):
-    h = frame_of(own(number, "ply"))["settings"]["voxel_size"]
+    h = voxel_size()
     turn = np.array(turn)[:3, :3]
     faults = []
     if abs(points - expected).max() > 1e-4 * h:
@@ -193,6 +201,30 @@ def panel_faults(words):
     return [] if words in labels else [f"the panel says {labels}"]
 
 
+def attributes():
+    """Fields that are known, in the axes of the particles: Z is up."""
+    folder = FOLDER / "flowing"
+    folder.mkdir()
+    flow.write_particles(folder / "flowing.7.ply")
+    options = ["--format", "glb", "--attributes", "all", "--voxel-size", str(flow.VOXEL_SIZE)]
+    status, said, _ = convert([folder / "flowing.7.ply"], folder, *options)
+    mesh = example.import_sequence(empty_scene(), folder, None, "Z").data
+    points = positions_of(mesh)
+    colors = np.empty(4 * len(points), np.float32)
+    mesh.color_attributes["Color"].data.foreach_get("color", colors)
+    faults = [said] if status else []
+    faults += flow.faults_of("velocity", points, numbers_of(mesh, "velocity"), flow.velocity)
+    faults += flow.faults_of("temperature", points, numbers_of(mesh, "temperature")[:, 0], flow.temperature)
+    faults += flow.faults_of("colour", points, colors.reshape(-1, 4)[:, :3], flow.color)
+    for which in ("active_color_name", "default_color_name"):
+        if getattr(mesh.attributes, which) != "Color":
+            faults.append(f"{which} is “{getattr(mesh.attributes, which)}”")
+    names = sorted(name for name in mesh.attributes.keys() if name[0] != ".")
+    if names != ["Color", "_ID", "custom_normal", "position", "temperature", "velocity"]:
+        faults.append(f"the attributes are {names}")
+    return ", ".join(names), faults
+
+
 def choices():
     faults = []
 
@@ -222,6 +254,10 @@ def choices():
     (folder / "splash.7.glb").write_bytes(b"glTF")
     refused(folder, ["dam.####.glb", "splash.####.glb"])
     refused(folder / "wave.####.glb", ["wave.####.glb"])
+    refused(folder / "dam.0002.vdb", ["no .glb"], ".glb")
+    refused(folder / "dam.0002.glb", ["no volume"], None, "Y", 1, True)
+    shutil.copy(own(2, "glb"), folder / "broken.1.vdb")
+    refused(folder / "broken.1.vdb", ["surface"])
     refused(WORK / "venv", ["holds no numbered"])
     (folder / "steps.3000000.glb").write_bytes(b"glTF")
     refused(folder / "steps.3000000.glb", ["beyond Blender's last frame"])
@@ -241,7 +277,8 @@ def choices():
 def turned():
     """With `--up z` the .glb says so itself, and a .vdb is told; both are where the particles are."""
     out = FOLDER / "turned"
-    status, said, _ = convert([OWN / "dam.0005.bgeo"], out, "--format", "glb", "--up", "z", "--quantize", "--voxel-size", voxel_size())
+    options = ["--format", "glb", "--up", "z", "--quantize", "--voxel-size", repr(voxel_size())]
+    status, said, _ = convert([OWN / "dam.0005.bgeo"], out, *options)
     faults = [said] if status else []
     scene = empty_scene()
     for up in ("Y", "Z"):
@@ -252,10 +289,6 @@ def turned():
             faults.append(f"up {up}: off by {off:.2g} of its size")
     obj = example.import_sequence(scene, own(5, "vdb"), None, "Z")
     return "vertices are where those of the .ply are", faults + faults_of(obj, 5, Matrix())
-
-
-def voxel_size():
-    return repr(frame_of(own(5, "ply"))["settings"]["voxel_size"])
 
 
 def command_line():
