@@ -19,12 +19,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, OutputOptions, PictureOptions,
-    StepsFoundBy, Wanted, default_in_flight, parse_particles, read_file, run, write_whole,
+    Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, Wanted,
+    encode_level_set, mesh_view, parse_particles, read_file, run, write_whole,
 };
 use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Surface, skin};
-use meniscus_formats::{LevelSetView, MeshView, ParticleFrame, Positions, bgeo, gltf, vdb};
+use meniscus::skin::skin;
+use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
 use rayon::ThreadPool;
 
 /// Distance between particles.
@@ -65,15 +65,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// Blocks of particles that are moved a little from their places, another way in each frame.
 fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<Vec<Frame>, Box<dyn Error>> {
     let settings = Arc::new(Settings::resolve(f64::from(SPACING) / 2.0, &Choices::default())?);
-    let outputs = Arc::new(OutputOptions {
-        folder: folder.join("out"),
-        formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
-        up: gltf::UpAxis::Y,
-        quantize: false,
-        vdb_half: false,
-        vdb_compression: vdb::Compression::Blosc,
-        picture: PictureOptions::default(),
-    });
+    let outputs = Arc::new(OutputOptions::new(folder.join("out"), &[OutputFormat::Glb, OutputFormat::Vdb]));
     fs::create_dir(&outputs.folder)?;
     let mut frames = Vec::new();
     for number in 0..frame_count {
@@ -81,15 +73,7 @@ fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<
         let positions = Positions::F32(block(edge_count, number));
         let frame = ParticleFrame { positions, ..ParticleFrame::default() };
         bgeo::write(&frame, &mut BufWriter::new(fs::File::create(&input)?))?;
-        let stem = format!("f.{number:04}");
-        frames.push(Frame {
-            input,
-            stem,
-            settings: settings.clone(),
-            outputs: outputs.clone(),
-            number: None,
-            obstacles: Arc::default(),
-        });
+        frames.push(Frame::new(&FrameFile::new(input), &settings, &outputs));
     }
     Ok(frames)
 }
@@ -108,15 +92,7 @@ fn block(edge_count: usize, number: usize) -> Vec<[f32; 3]> {
 fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn Error>> {
     let start = Instant::now();
     let mut first = None;
-    let conduct = Conduct {
-        pool,
-        on_error: OnError::Continue,
-        skip_done: false,
-        certificates: false,
-        in_flight: default_in_flight(pool.current_num_threads()),
-        memory_bytes: u64::MAX,
-        steps_found_by: StepsFoundBy::Reader,
-    };
+    let conduct = Conduct { memory_bytes: u64::MAX, ..Conduct::new(pool) };
     let mut failures = Vec::new();
     run(&LevelSetSkinning, frames, &conduct, |index, outcome| {
         first.get_or_insert_with(|| start.elapsed().as_secs_f64());
@@ -135,28 +111,12 @@ fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>>
     let path =
         |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };
     write_whole(&path("glb"), |out| {
-        pool.install(|| gltf::write_glb(&mesh(&surface), &gltf::WriteOptions::default(), &[], out))
+        let mesh = mesh_view(&surface.mesh, &[]);
+        pool.install(|| gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out))
     })?;
-    let origins: Vec<[i32; 3]> = surface.band.topology.origins().iter().map(|o| o.to_array()).collect();
-    let levels = LevelSetView {
-        origins: &origins,
-        leaves: surface.band.phi.as_arrays(),
-        half_width_voxels: 3.0,
-        voxel_size: frame.settings.voxel_size,
-        grids: &[],
-    };
     write_whole(&path("vdb"), |out| {
-        pool.install(|| vdb::write(&levels, &vdb::WriteOptions::default(), &[], out))
+        let options = vdb::WriteOptions::default();
+        pool.install(|| encode_level_set(&surface, frame.settings.voxel_size, &options, &[]))?.write(out)
     })?;
     Ok(())
-}
-
-fn mesh(surface: &Surface) -> MeshView<'_> {
-    MeshView {
-        positions: bytemuck::cast_slice(&surface.mesh.positions),
-        normals: bytemuck::cast_slice(&surface.mesh.normals),
-        triangles: &surface.mesh.triangles,
-        origin: surface.mesh.origin.to_array(),
-        attributes: &[],
-    }
 }

@@ -13,6 +13,31 @@
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
 //! by the voxel size h makes every stage free of units. World units appear where particles come in and
 //! where vertices go out.
+//!
+//! # In another program
+//!
+//! [`skin::skin`] is a frame without files: particles in, a mesh and a level set out. What was measured on the way, and what
+//! was checked of the result, is in its report.
+//!
+//! ```
+//! use meniscus::particles::Particles;
+//! use meniscus::settings::{Choices, Settings};
+//! use meniscus::skin::skin;
+//!
+//! let block = (0..125).map(|i| [i % 5, i / 5 % 5, i / 25].map(|place| 0.1 * place as f32));
+//! let settings = Settings::resolve(0.05, &Choices::default())?;
+//! let surface = skin(&Particles::Single(block.collect()), &settings);
+//! assert!(surface.report.certificate.holds());
+//! assert!(surface.mesh.measure().is_closed_manifold());
+//! # Ok::<(), meniscus::settings::SettingsError>(())
+//! ```
+//!
+//! [`pipeline`] is frames from files to files, several at once, as the command has them. `examples/library` has both,
+//! with the files: a frame to a .glb, and a folder to a folder. A program that is to follow a simulation runs
+//! [`daemon::run`], as `examples/dam_break` does.
+//!
+//! Bytes become particles, and meshes bytes, in a crate of its own, `meniscus-formats`. Nothing starts threads but what says
+//! so: loops run in the rayon pool that the caller is in.
 
 pub mod cli;
 

@@ -10,11 +10,10 @@ use std::path::Path;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, ObstacleFiles, OnError, Outcome, OutputFormat, OutputOptions,
-    PictureOptions, StepsFoundBy, run,
+    Conduct, Frame, LevelSetSkinning, ObstacleFiles, Outcome, OutputFormat, OutputOptions, run,
 };
 use meniscus::settings::{Choices, ClipBox, Settings};
-use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
+use meniscus_formats::{ParticleFrame, Positions, bgeo};
 use tempfile::tempdir;
 
 /// More may be taken than was allowed, as a part of it: for the program itself, and for what the allocator
@@ -52,15 +51,8 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         fs::write(folder.path().join(format!("ball.{number}.obj")), &bumps).expect("written");
     });
     let obstacles = [ObstacleFiles::default(), ObstacleFiles::new(vec![obstacles])].map(Arc::new);
-    let outputs = Arc::new(OutputOptions {
-        folder: folder.path().join("out"),
-        formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
-        up: gltf::UpAxis::Y,
-        quantize: false,
-        vdb_half: false,
-        vdb_compression: vdb::Compression::Blosc,
-        picture: PictureOptions::default(),
-    });
+    let formats = [OutputFormat::Glb, OutputFormat::Vdb];
+    let outputs = Arc::new(OutputOptions::new(folder.path().join("out"), &formats));
     let inputs = [("block.bgeo", block(63)), ("spray.bgeo", spray(20_000))];
     let inputs = inputs.map(|(name, positions)| {
         let path = folder.path().join(name);
@@ -78,15 +70,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct = Conduct {
-        pool: &pool,
-        on_error: OnError::Continue,
-        skip_done: false,
-        certificates: false,
-        in_flight: 8,
-        memory_bytes,
-        steps_found_by: StepsFoundBy::Reader,
-    };
+    let conduct = Conduct { in_flight: 8, memory_bytes, ..Conduct::new(&pool) };
     run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
         let Outcome::Converted(report) = outcome else { panic!("frame {index}: {outcome:?}") };
         assert_eq!((report.notes, report.obstacle_open_edge_count), (vec![], 0), "frame {index}");

@@ -25,11 +25,9 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel;
 use meniscus::daemon::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
-use meniscus::pipeline::{
-    OutputFormat, OutputOptions, PictureOptions, default_in_flight, default_memory_bytes,
-};
+use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
 use meniscus::settings::Choices;
-use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, gltf, vdb};
+use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo};
 
 use water::Water;
 
@@ -107,15 +105,7 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
         pattern: None,
         recursive: false,
         sentinel: None,
-        outputs: OutputOptions {
-            folder: surfaces.to_owned(),
-            formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
-            up: gltf::UpAxis::Y,
-            quantize: false,
-            vdb_half: false,
-            vdb_compression: vdb::Compression::Blosc,
-            picture: PictureOptions::default(),
-        },
+        outputs: OutputOptions::new(surfaces, &[OutputFormat::Glb, OutputFormat::Vdb]),
         voxel_size: None,
         choices: Choices::default(),
         obstacles: Vec::new(),

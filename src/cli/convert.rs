@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
     Conduct, Frame, FrameState, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
-    StepsFoundBy, check_outputs, default_in_flight, file_of, inspect, size_bytes,
+    check_outputs, file_of, inspect, size_bytes,
 };
 use crate::simd::level_warning;
 
@@ -107,13 +107,10 @@ fn refuse_shots(
 /// How files that are converted by themselves, and not as frames of a sequence, go through.
 pub(super) fn conduct<'a>(args: &ConvertArgs, pool: &'a ThreadPool) -> Result<Conduct<'a>> {
     Ok(Conduct {
-        pool,
         on_error: on_error(args),
         skip_done: args.skip_done,
-        certificates: false,
-        in_flight: default_in_flight(pool.current_num_threads()),
         memory_bytes: memory_bytes(args.memory)?,
-        steps_found_by: StepsFoundBy::Reader,
+        ..Conduct::new(pool)
     })
 }
 
@@ -141,12 +138,8 @@ fn add(
     let sequence_index = run.add_sequence(name, record);
     for file in selected {
         let frame = |Resolved { settings, outputs, .. }: &Resolved| Frame {
-            input: file.path.clone(),
-            stem: file.stem(),
-            settings: Arc::clone(settings),
-            outputs: Arc::clone(outputs),
-            number: file.number(),
             obstacles: Arc::clone(obstacles),
+            ..Frame::new(file, settings, outputs)
         };
         run.add_frame(&file.path, sequence_index, resolved.as_ref().map(frame).map_err(String::clone));
     }

@@ -8,7 +8,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
-    ShotSource, StepsFoundBy, default_in_flight, gist, output_path,
+    ShotSource, gist, output_path,
 };
 
 use super::Verdict;
@@ -125,15 +125,8 @@ impl Run {
                 Work::IsDone(_) | Work::Impossible(_) => None,
             })
             .unzip();
-        let conduct = Conduct {
-            pool,
-            on_error: self.on_error,
-            skip_done,
-            certificates,
-            in_flight: default_in_flight(pool.current_num_threads()),
-            memory_bytes,
-            steps_found_by: StepsFoundBy::Reader,
-        };
+        let conduct =
+            Conduct { on_error: self.on_error, skip_done, certificates, memory_bytes, ..Conduct::new(pool) };
         let has_bar = console.show_bar(frames.len());
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
             // The record and what is told have the order of the inputs.

@@ -122,7 +122,7 @@ impl LeafMask {
     }
 
     /// The voxels that are in, and whose six neighbours are: those in the leaves beyond the faces, too,
-    /// which come in the order of [`Direction`].
+    /// which come in the order of [`Direction`](super::Direction).
     pub fn surrounded(&self, faces: [&LeafMask; 6]) -> LeafMask {
         (0..3).fold(*self, |left, axis| {
             let [before, after] = self.shifted(axis, 1, faces[2 * axis], faces[2 * axis + 1]);

@@ -13,6 +13,7 @@ use crate::skin::TooLarge;
 
 use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
+use super::source::FrameFile;
 use super::stamp::FileStamp;
 
 /// One frame to convert.
@@ -30,6 +31,20 @@ pub struct Frame {
     pub number: Option<u64>,
     /// What stands in the way.
     pub obstacles: Arc<ObstacleFiles>,
+}
+
+impl Frame {
+    /// The frame in a file, with nothing in its way. Its outputs are called what the file is called.
+    pub fn new(file: &FrameFile, settings: &Arc<Settings>, outputs: &Arc<OutputOptions>) -> Frame {
+        Frame {
+            input: file.path.clone(),
+            stem: file.stem(),
+            settings: Arc::clone(settings),
+            outputs: Arc::clone(outputs),
+            number: file.number(),
+            obstacles: Arc::default(),
+        }
+    }
 }
 
 /// Which state of a file was read.
@@ -248,29 +263,14 @@ mod tests {
     use super::*;
     use crate::pipeline::OutputFormat;
     use crate::settings::Choices;
-    use meniscus_formats::{gltf::UpAxis, vdb::Compression};
 
     /// Whoever waits for room looks at the folder of the path.
     #[test]
     fn what_cannot_be_kept_is_told_of_where_it_was_to_be() {
         let settings = Settings::resolve(0.1, &Choices::default()).expect("settings");
-        let outputs = OutputOptions {
-            folder: "out".into(),
-            formats: vec![OutputFormat::Glb],
-            up: UpAxis::Y,
-            quantize: false,
-            vdb_half: false,
-            vdb_compression: Compression::None,
-            picture: crate::pipeline::PictureOptions::default(),
-        };
-        let frame = Frame {
-            input: "in/dam.1.ply".into(),
-            stem: "dam.1".to_owned(),
-            settings: Arc::new(settings),
-            outputs: Arc::new(outputs),
-            number: None,
-            obstacles: Arc::default(),
-        };
+        let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
+        let file = FrameFile::new("in/dam.1.ply".into());
+        let frame = Frame::new(&file, &Arc::new(settings), &Arc::new(outputs));
         let full = Cause::Scratch(io::ErrorKind::StorageFull.into());
         let error = FrameError::of_stage(&frame, Stage::Smooth, full);
         assert_eq!(error.path, Path::new("out").join("dam.1"));

@@ -27,6 +27,33 @@
 //!
 //! One command for one file, a sequence and a daemon run this same pipeline; they differ only in
 //! where frames come from. The pipeline knows nothing of flags, terminals or how the method works.
+//!
+//! Whoever has files gives them to [`sequences`], finds the settings of each sequence, makes a [`Frame`] of each file,
+//! and [`run`]s them; [`stream`] takes them one by one, as they come.
+//!
+//! ```
+//! use std::sync::Arc;
+//! use meniscus::pipeline::{
+//!     Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, automatic_voxel_size, run,
+//! };
+//! use meniscus::settings::{Choices, Settings};
+//!
+//! # let folder = tempfile::tempdir()?;
+//! # let path = folder.path().join("block.csv");
+//! # let line = |i: i32| format!("{},{},{}\n", i % 5, i / 5 % 5, i / 25);
+//! # std::fs::write(&path, (0..125).map(line).collect::<String>())?;
+//! # let out = folder.path().join("out");
+//! let voxel_size = automatic_voxel_size([&*path], None)?.voxel_size;
+//! let settings = Arc::new(Settings::resolve(voxel_size, &Choices::default())?);
+//! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
+//! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
+//! let pool = rayon::ThreadPoolBuilder::new().build()?;
+//! run(&LevelSetSkinning, &frames, &Conduct::new(&pool), |_, outcome| match outcome {
+//!     Outcome::Converted(report) => assert_eq!(report.outputs, [out.join("block.glb"), out.join("block.vdb")]),
+//!     other => panic!("{other:?}"),
+//! });
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod attributes;
 mod bounds;
@@ -100,3 +127,4 @@ pub use still::{Still, StillFrame};
 pub use temporary::sweep_temporaries;
 pub use viewpoint::{CameraChoice, Viewpoint};
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};
+pub use writing::{encode_level_set, mesh_view, vertex_attributes};

@@ -115,6 +115,20 @@ pub struct OutputOptions {
 }
 
 impl OutputOptions {
+    /// These formats in this folder, and all else as `meniscus convert` has it where nobody asks for anything: y is up,
+    /// nothing is rounded, and .vdb is packed by Blosc.
+    pub fn new(folder: impl Into<PathBuf>, formats: &[OutputFormat]) -> OutputOptions {
+        OutputOptions {
+            folder: folder.into(),
+            formats: formats.to_vec(),
+            up: gltf::UpAxis::Y,
+            quantize: false,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::Blosc,
+            picture: PictureOptions::default(),
+        }
+    }
+
     /// Whether pictures are written whose camera is not fixed yet.
     pub fn needs_camera(&self) -> bool {
         self.formats.iter().any(|format| format.picture().is_some()) && self.picture.camera.needs_bounds()

@@ -40,7 +40,7 @@ use super::crew::{Crew, Tasks};
 use super::frame::{Cause, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
 use super::frame_particles::{FileParticles, FrameParticles};
 use super::inspection::is_certified;
-use super::memory::peak_memory_bytes;
+use super::memory::{default_memory_bytes, peak_memory_bytes};
 use super::method::Method;
 use super::obstacle_notes::out_of_reach;
 use super::obstacles::{FoundObstacles, FrameObstacles};
@@ -80,6 +80,22 @@ pub struct Conduct<'a> {
     pub memory_bytes: u64,
     /// Who goes through a file with several frames that was written again. Where it is another, reading never waits for that.
     pub steps_found_by: StepsFoundBy,
+}
+
+impl<'a> Conduct<'a> {
+    /// On these threads, as `meniscus convert` does it where nobody asks for anything: it goes on when a frame fails,
+    /// makes again what is done, writes no certificates, and takes half of the machine's memory.
+    pub fn new(pool: &'a ThreadPool) -> Conduct<'a> {
+        Conduct {
+            pool,
+            on_error: OnError::Continue,
+            skip_done: false,
+            certificates: false,
+            in_flight: default_in_flight(pool.current_num_threads()),
+            memory_bytes: default_memory_bytes(),
+            steps_found_by: StepsFoundBy::Reader,
+        }
+    }
 }
 
 /// How many frames it takes to keep so many threads busy: one for each, and some that are read or written.

@@ -184,6 +184,25 @@ fn encode_levels(
     frame: &Frame,
     provenance: &Provenance,
 ) -> meniscus_formats::Result<vdb::Encoded> {
+    let options = vdb::WriteOptions {
+        half: frame.outputs.vdb_half,
+        compression: frame.outputs.vdb_compression,
+        ..vdb::WriteOptions::default()
+    };
+    encode_level_set(surface, frame.settings.voxel_size, &options, provenance)
+}
+
+/// The level set of a surface as a .vdb, with those attributes that are known in its band: what is left is to
+/// [write](vdb::Encoded::write) it. `voxel_size` is that of the settings that it was skinned with, world units.
+///
+/// # Errors
+/// When the format has no place for so much.
+pub fn encode_level_set(
+    surface: &Surface,
+    voxel_size: f64,
+    options: &vdb::WriteOptions,
+    provenance: &Provenance,
+) -> meniscus_formats::Result<vdb::Encoded> {
     let origins = leaf_origins(&surface.band);
     let voxels: Vec<Voxels> = surface.attributes.band.iter().map(Voxels).collect();
     let grids = band_grids(&voxels);
@@ -191,15 +210,10 @@ fn encode_levels(
         origins: &origins,
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: VDB_HALF_WIDTH_VOXELS,
-        voxel_size: frame.settings.voxel_size,
+        voxel_size,
         grids: &grids,
     };
-    let options = vdb::WriteOptions {
-        half: frame.outputs.vdb_half,
-        compression: frame.outputs.vdb_compression,
-        ..vdb::WriteOptions::default()
-    };
-    vdb::encode(&levels, &options, provenance)
+    vdb::encode(&levels, options, provenance)
 }
 
 fn gltf_options(options: &OutputOptions) -> gltf::WriteOptions {
@@ -211,7 +225,9 @@ fn quads_of(surface: &Surface, frame: &Frame) -> Arc<[bool]> {
     if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() }
 }
 
-fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
+/// A mesh as the writers of the formats take it, in world units, with what is known of its
+/// [vertices](vertex_attributes).
+pub fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
     MeshView {
         positions: bytemuck::cast_slice(&mesh.positions),
         normals: bytemuck::cast_slice(&mesh.normals),
@@ -225,7 +241,8 @@ fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
     band.topology.origins().iter().map(|origin| origin.to_array()).collect()
 }
 
-fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
+/// What is known of the vertices of a mesh, as the writers of the formats take it.
+pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
     let view = |attribute: &'a Attribute| VertexAttribute {
         name: &attribute.name,
         role: role(attribute.meaning),

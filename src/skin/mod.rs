@@ -80,7 +80,23 @@ pub struct Smoothed {
     report: SkinReport,
 }
 
-/// Skins one frame: rasterize, smooth, contour.
+/// Skins one frame: rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
+/// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
+/// and counted in the report.
+///
+/// ```
+/// use meniscus::particles::Particles;
+/// use meniscus::settings::{Choices, Settings};
+/// use meniscus::skin::skin;
+///
+/// let settings = Settings::resolve(0.1, &Choices::default())?;
+/// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
+/// // A particle by itself stays a ball between its two radii.
+/// let volume = |radius: f64| 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
+/// let inside = drop.mesh.measure().volume;
+/// assert!(volume(settings.radius_min) < inside && inside < volume(settings.radius_max));
+/// # Ok::<(), meniscus::settings::SettingsError>(())
+/// ```
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
     let Ok(rasterized) = rasterize(particles, settings, Shaping::default(), Obstacles::default());
     contour(smooth(rasterized, settings), settings)

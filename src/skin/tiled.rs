@@ -1,6 +1,6 @@
 //! The three calls of the method for a frame that is larger than memory.
 //!
-//! What comes out is, bit for bit, what the frame would give in memory: see [`super::tiles`].
+//! What comes out is, bit for bit, what the frame would give in memory: `tiles.rs` says why.
 
 use std::collections::BTreeSet;
 use std::io;

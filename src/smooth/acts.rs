@@ -38,7 +38,7 @@ pub enum Act {
         first: u32,
         /// How many.
         count: u32,
-        /// Whether the [tips](super::tips) of balls are held.
+        /// Whether the tips of φ at the centres of balls are held.
         holds_tips: bool,
     },
     /// Explicit steps.
