@@ -39,7 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// A file of particles, in any format that is read, becomes a mesh in a .glb.
-fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
+pub(crate) fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
     let name = from.file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(&fs::read(from)?, &name, &Limits::default())?;
     let particles = pipeline::particles(frame.positions);
@@ -52,8 +52,8 @@ fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
 }
 
 /// The sequences in a folder become meshes and level sets in another, as `meniscus convert FROM --out TO` makes them.
-/// Returns the number of frames.
-fn skin_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error>> {
+/// where there is nothing else among them. Returns the number of frames.
+pub(crate) fn skin_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error>> {
     let outputs = Arc::new(OutputOptions::new(to, &[OutputFormat::Glb, OutputFormat::Vdb]));
     let files = pipeline::files_in(from)?.into_iter().map(FrameFile::new);
     let mut frames = Vec::new();

@@ -12,6 +12,7 @@ mod info; // the command that tells what files hold
 mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
 mod layers; // the house: no module imports its own row or a higher one
 mod level_sets; // level sets in .vdb as inputs
+mod library; // the example for other programs does what the command does
 mod manual; // pages for man and completions for shells: of every command and option
 mod obstacles; // what stands in the way: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
@@ -20,6 +21,7 @@ mod particles_only; // particles from one format to another, without a surface
 mod pictures; // of balls, of which all is known; their files, and the command that makes them
 mod pipeline; // frames through the stages, with a quick method in place of the real one
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
+mod readme; // every command in the README, run as it stands there
 mod scene; // small frames of particles, and a way to run the command
 mod service; // the daemon as a service: what systemd hears, and what signals do
 mod shapes; // particles to skin, the method with its defaults, and level sets read at a place
@@ -29,6 +31,7 @@ mod shots; // meshes in other programs' formats, and all frames of a shot in one
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that come one by one: order, bounds, and what goes wrong on the way
+mod troubleshooting; // the page of symptoms quotes the program
 mod union_of_spheres; // rasterization against what is known of spheres
 mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell
 mod ways;

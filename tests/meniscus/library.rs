@@ -1,0 +1,41 @@
+//! The example for other programs does what the command does.
+
+use std::fs;
+
+use meniscus_formats::Limits;
+use meniscus_formats::gltf::read_mesh;
+use tempfile::tempdir;
+
+use crate::scene::{meniscus, names_in, write_sequence};
+
+#[path = "../../examples/library/main.rs"]
+#[expect(dead_code, reason = "the test calls what its main calls")]
+mod example;
+
+#[test]
+fn a_folder_becomes_what_convert_makes_of_it() {
+    let folder = tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    fs::create_dir(path("in")).expect("made");
+    write_sequence(&path("in"), 9, 11);
+    assert_eq!(example::skin_folder(&path("in"), &path("example")).expect("skinned"), 3);
+    assert_eq!(meniscus(folder.path(), &["convert", "in", "--out", "command"]).status, 0);
+    let names = names_in(&path("command"));
+    assert_eq!(names.len(), 6);
+    assert_eq!(names_in(&path("example")), names);
+    for name in names {
+        let [ours, theirs] =
+            ["example", "command"].map(|out| fs::read(path(out).join(&name)).expect("readable"));
+        assert!(ours == theirs, "{name} differs");
+    }
+}
+
+#[test]
+fn a_frame_becomes_a_mesh() {
+    let folder = tempdir().expect("a folder");
+    write_sequence(folder.path(), 1, 1);
+    let (from, to) = (folder.path().join("dam.1.ply"), folder.path().join("dam.glb"));
+    example::skin_file(&from, &to).expect("skinned");
+    let mesh = read_mesh(&fs::read(to).expect("readable"), &Limits::default()).expect("a mesh");
+    assert!(mesh.triangles.len() > 100);
+}

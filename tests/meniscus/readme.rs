@@ -1,0 +1,276 @@
+//! Every command in the README is run, as it stands there, in a folder with the files that it names.
+//!
+//! Commands are the lines of the blocks of code, up to their remarks: two blanks or more. `meniscus` is run through a shell
+//! and has to end well. Of what begins with `cargo`, the program is run with the same arguments, and of examples it is
+//! known that they are there. A line of another kind is an error, so that no command is added that nobody has tried.
+
+#![cfg(target_os = "linux")]
+
+use std::env;
+use std::fs::{self, File};
+use std::io::{BufWriter, ErrorKind};
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use glam::{IVec3, Vec3};
+use meniscus::particles::Particles;
+use meniscus::pipeline::encode_level_set;
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::skin;
+use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, vdb};
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{block, meniscus, write_ply};
+
+const README: &str = include_str!("../../README.md");
+
+/// Far longer than anything here takes.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Frames of `cache/` and of the same name beside it.
+const FRAMES: [usize; 3] = [11, 12, 13];
+
+/// So many frames are in `shot/` that the shard of the README has one, of 60.
+const SHOT_FRAMES: usize = 18;
+
+#[test]
+fn every_command_does_what_it_says() {
+    let scene = Scene::new();
+    let commands = commands(README);
+    assert!(commands.len() > 30, "only {} commands were found", commands.len());
+    for command in commands {
+        let words: Vec<&str> = command.split_whitespace().collect();
+        match words[..] {
+            ["cargo", "test", "--workspace"] => {}
+            ["cargo", "run", "--release", "--example", example, "--", ..] => assert!(
+                Path::new(env!("CARGO_MANIFEST_DIR"))
+                    .join("examples")
+                    .join(example)
+                    .join("main.rs")
+                    .is_file(),
+                "{command}: there is no such example"
+            ),
+            ["cargo", "run", "--release", "--", ..] => {
+                let arguments = command.split_once(" -- ").expect("just seen").1;
+                scene.runs(&format!("meniscus {arguments}"));
+            }
+            ["meniscus", "watch", ..] => scene.watches(command),
+            ["meniscus", ..] => {
+                if command.starts_with("meniscus verify ") {
+                    scene.runs_other_shards();
+                }
+                scene.runs(command);
+            }
+            _ => panic!("a command in the README that this test does not know how to run: {command}"),
+        }
+        for made in made_by(&words) {
+            assert!(scene.path().join(made).exists(), "{command}: {made} is not there");
+        }
+    }
+    // What the README says of the first of them.
+    assert!(
+        scene.path().join("out/dam.0001.glb").is_file() && scene.path().join("out/dam.0001.vdb").is_file()
+    );
+}
+
+/// The commands in the blocks of code, without their remarks.
+fn commands(text: &str) -> Vec<&str> {
+    let blocks = text.split("```").skip(1).step_by(2);
+    let lines = blocks.flat_map(str::lines).map(str::trim).filter(|line| !line.is_empty());
+    lines.map(|line| line.split("  ").next().unwrap_or(line)).collect()
+}
+
+/// What a command makes: files, and folders.
+fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
+    let names = |option: &&str| {
+        let makes = words[0] == "meniscus" && !matches!(words[1], "status" | "why");
+        makes && ["--out", "-o", "--report", "--sequence-glb"].contains(option)
+    };
+    words.windows(2).filter(|pair| names(&pair[0])).map(|pair| pair[1]).collect()
+}
+
+/// A folder with all files that the README's commands name.
+struct Scene {
+    folder: TempDir,
+}
+
+impl Scene {
+    fn new() -> Scene {
+        let folder = tempdir().expect("a folder");
+        let path = folder.path();
+        for name in ["cache", "shot"] {
+            fs::create_dir(path.join(name)).expect("made");
+        }
+        for number in FRAMES {
+            let name = format!("dam.{number:04}.bgeo");
+            write_bgeo(&path.join("cache").join(&name), 6, number);
+            write_bgeo(&path.join(&name), 6, number);
+        }
+        (1..=SHOT_FRAMES)
+            .for_each(|number| write_bgeo(&path.join(format!("shot/shot.{number:04}.bgeo")), 4, number));
+        write_bgeo(&path.join("dam.bgeo"), 6, 0);
+        write_ply(&path.join("frame.ply"), &block(6, 0.0));
+        for number in [1, 2] {
+            write_ply(&path.join(format!("spray.{number:04}.ply")), &block(4, 0.02 * number as f64));
+        }
+        write_beads(&path.join("beads.ply"));
+        write_dump(&path.join("dump.lammpstrj"));
+        write_ship(&path.join("ship.obj"));
+        write_level_set(&path.join("dam.0012.vdb"));
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
+        std::os::unix::fs::symlink(examples, path.join("examples")).expect("linked");
+        Scene { folder }
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// A shell that finds the program under its name.
+    fn shell(&self, command: &str) -> Command {
+        let program = Path::new(env!("CARGO_BIN_EXE_meniscus")).parent().expect("a folder").to_owned();
+        let others = env::var_os("PATH").unwrap_or_default();
+        let folders: Vec<PathBuf> = [program].into_iter().chain(env::split_paths(&others)).collect();
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &format!("exec {command}")]).current_dir(self.path()).stdin(Stdio::null());
+        shell.env("PATH", env::join_paths(folders).expect("a list of folders"));
+        shell
+    }
+
+    /// Runs a command to its end.
+    fn runs(&self, command: &str) {
+        let Output { status, stdout, stderr } = self.shell(command).output().expect("the shell starts");
+        let (out, err) = (String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr));
+        assert_eq!(status.code(), Some(0), "{command}\n{out}{err}");
+        assert!(!err.contains("changes no file"), "{command}\n{err}");
+    }
+
+    /// Runs a daemon until it has done what is there, and ends it.
+    fn watches(&self, command: &str) {
+        let socket = self.path().join("notify");
+        let manager = UnixDatagram::bind(&socket).expect("a socket");
+        manager.set_read_timeout(Some(PATIENCE)).expect("a socket");
+        let mut shell = self.shell(command);
+        let daemon = shell.env("NOTIFY_SOCKET", &socket).stdout(Stdio::null()).stderr(Stdio::null());
+        let mut daemon = Ended(daemon.spawn().expect("the shell starts"));
+        wait_for(&manager, &format!("STATUS={} done, 0 queued", FRAMES.len()));
+        let sent = Command::new("kill").args(["-s", "TERM", &daemon.0.id().to_string()]).status();
+        assert!(sent.expect("the signal is sent").success());
+        assert_eq!(daemon.0.wait().expect("it ends").code(), Some(0), "{command}");
+        fs::remove_file(socket).expect("removed");
+    }
+
+    /// The shards of the README's plan but the one that it runs itself.
+    fn runs_other_shards(&self) {
+        for shard in 0..SHOT_FRAMES - 1 {
+            let ran =
+                meniscus(self.path(), &["convert", "--plan", "plan.json", "--shard", &shard.to_string()]);
+            assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
+        }
+    }
+}
+
+/// Waits until the daemon has said this to its service manager.
+fn wait_for(manager: &UnixDatagram, start: &str) {
+    let mut bytes = [0; 4096];
+    loop {
+        match manager.recv(&mut bytes) {
+            Ok(count) if String::from_utf8_lossy(&bytes[..count]).starts_with(start) => return,
+            Ok(_) => {}
+            // A child of another test has ended.
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) => panic!("no {start}: {error}"),
+        }
+    }
+}
+
+/// A daemon that does not outlive the test.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        // It has ended, unless the test has failed.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A moving block with velocities and colours.
+fn write_bgeo(path: &Path, edge_count: usize, number: usize) {
+    let particles = block(edge_count, 0.01 * number as f64);
+    let vector = |name: &str, role, value: [f32; 3]| Attribute {
+        name: name.into(),
+        arity: 3,
+        role: Some(role),
+        values: Values::F32(value.repeat(particles.len())),
+    };
+    let frame = ParticleFrame {
+        positions: Positions::F32(particles.iter().map(|position| position.map(|x| x as f32)).collect()),
+        attributes: vec![
+            vector("v", Role::Velocity, [0.24, 0.0, 0.0]),
+            vector("Cd", Role::Color, [0.1, 0.4, 0.8]),
+        ],
+        ..ParticleFrame::default()
+    };
+    bgeo::write(&frame, &mut BufWriter::new(File::create(path).expect("made"))).expect("written");
+}
+
+/// Particles of two sizes.
+fn write_beads(path: &Path) {
+    let particles = block(4, 0.0);
+    let lines = particles
+        .iter()
+        .zip([0.05, 0.06].iter().cycle())
+        .map(|([x, y, z], radius)| format!("{x:.2} {y:.2} {z:.2} {radius}\n"));
+    let properties = ["x", "y", "z", "pscale"].map(|name| format!("property float {name}\n")).concat();
+    let header =
+        format!("ply\nformat ascii 1.0\nelement vertex {}\n{properties}end_header\n", particles.len());
+    fs::write(path, header + &lines.collect::<String>()).expect("written");
+}
+
+/// Two steps.
+fn write_dump(path: &Path) {
+    let step = |number: usize| {
+        let particles = block(4, 0.01 * number as f64);
+        let atoms = particles.iter().enumerate();
+        let atoms: String = atoms.map(|(id, [x, y, z])| format!("{id} 1 {x:.2} {y:.2} {z:.2}\n")).collect();
+        format!(
+            "ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{}\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\n\
+             ITEM: ATOMS id type x y z\n{atoms}",
+            particles.len()
+        )
+    };
+    fs::write(path, [0, 10].map(step).concat()).expect("written");
+}
+
+/// A box that stands in the block.
+fn write_ship(path: &Path) {
+    let corner = |index: i32| IVec3::new(index & 1, index >> 1 & 1, index >> 2 & 1).as_vec3();
+    let place = |index| Vec3::new(0.2, 0.2, -0.2) + corner(index) * Vec3::new(0.2, 0.2, 1.0);
+    let vertices = (0..8).map(|index| {
+        let [x, y, z] = place(index).to_array();
+        format!("v {x:.2} {y:.2} {z:.2}\n")
+    });
+    let sides = ["1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6"];
+    let sides = sides.map(|side| format!("f {side}\n")).concat();
+    fs::write(path, vertices.collect::<String>() + &sides).expect("written");
+}
+
+/// The level set of a block.
+fn write_level_set(path: &Path) {
+    let settings = Settings::resolve(0.05, &Choices::default()).expect("sound");
+    let surface = skin(&Particles::Double(block(4, 0.0)), &settings);
+    let encoded = encode_level_set(&surface, settings.voxel_size, &vdb::WriteOptions::default(), &[]);
+    let mut out = BufWriter::new(File::create(path).expect("made"));
+    encoded.expect("it fits").write(&mut out).expect("written");
+}
+
+#[test]
+fn commands_are_found_without_their_remarks() {
+    let text = "Words.\n\n```\nmeniscus a b     remark\n\nmeniscus d.##.e   # more\n```\nWords.\n```\ncargo test\n```\n";
+    assert_eq!(commands(text), ["meniscus a b", "meniscus d.##.e", "cargo test"]);
+    assert_eq!(made_by(&["meniscus", "render", "a", "-o", "b.png", "--out", "c"]), ["b.png", "c"]);
+    assert_eq!(made_by(&["meniscus", "status", "--out", "c"]), [""; 0]);
+}
