@@ -91,10 +91,9 @@ pub struct Smoothed {
 ///
 /// let settings = Settings::resolve(0.1, &Choices::default())?;
 /// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
-/// // A particle by itself stays a ball between its two radii.
-/// let volume = |radius: f64| 4.0 / 3.0 * std::f64::consts::PI * radius.powi(3);
-/// let inside = drop.mesh.measure().volume;
-/// assert!(volume(settings.radius_min) < inside && inside < volume(settings.radius_max));
+/// // A particle by itself becomes a ball, and its certificate says that it is between the particle's two radii.
+/// assert!(drop.report.certificate.holds());
+/// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
 /// # Ok::<(), meniscus::settings::SettingsError>(())
 /// ```
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
