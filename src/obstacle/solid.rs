@@ -84,6 +84,15 @@ impl Solid {
         Some((depth, outside))
     }
 
+    /// The signed distance of a point, in world units: negative inside. `None` where there is no surface.
+    ///
+    /// Patches over holes count for the side only.
+    pub fn distance(&self, point: DVec3) -> Option<f64> {
+        let tree = &self.surface.tree;
+        let distance = tree.nearest(point, f64::INFINITY)?.distance(point);
+        Some(if winding(tree, point) > 0.5 { -distance } else { distance })
+    }
+
     /// Whether the surface may come within `margin_voxels` of a leaf's voxels.
     pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
         let view = View::new(&self.surface, origin, lattice);

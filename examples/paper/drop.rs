@@ -1,0 +1,122 @@
+//! A pool that stands still, and a drop that flies over it: what changes in the pool.
+//!
+//! ```text
+//!        o ──▶ o ──▶ o           the drop, in 24 frames
+//!   ≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈≈    the pool: the same particles in each frame
+//! ```
+//!
+//! Each frame is skinned by itself, on a grid that stands where it stands whatever the particles do, and smoothing couples nothing through
+//! air. So the pool comes out with the same bits each time.
+
+use std::collections::HashSet;
+use std::path::Path;
+
+use glam::{DVec3, IVec3};
+use meniscus::obstacle::Solid;
+use meniscus::smooth::Integrator;
+
+use crate::output::Page;
+use crate::samples::Random;
+use crate::splashsurf::{Post, Splashsurf};
+use crate::surfaces::{Program, Scale, mesh_of};
+use crate::{Length, Outcome};
+
+const FRAMES: usize = 24;
+
+/// Particles along the pool, down into it, and across.
+const POOL: [i32; 3] = [48, 6, 32];
+
+/// From the middle of the drop to the top of the pool, in spacings.
+const HEIGHT: f64 = 14.0;
+
+/// Of the drop, in spacings.
+const RADIUS: f64 = 4.0;
+
+const INTRODUCTION: &str = "\
+9 216 particles of a pool stand still while a drop of about 270 flies over it through 24 frames, always 10 spacings above. The vertices of the pool are compared \
+from one frame to the next: one has changed if the other frame has none with the same bits at all. How far it moved is told by its distance to the surface of the other frame.";
+
+/// The pool, by each program.
+pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+    let peer = Splashsurf::find()?;
+    let mut page = Page::new(folder, "drop", "A pool and a drop");
+    page.say(INTRODUCTION);
+    let programs = [
+        Program::Meniscus(Integrator::Fast),
+        Program::Meniscus(Integrator::Explicit),
+        Program::Splashsurf(Post::Plain),
+        Program::Splashsurf(Post::Processed),
+    ];
+    let rows = programs.map(|program| Ok(changes(program, &peer)?.row(program)));
+    page.table(
+        &["program", "vertices of the pool", "changed, at least in a frame", "at most", "moved at most, h"],
+        &rows.into_iter().collect::<Outcome<Vec<_>>>()?,
+    );
+    page.finish()
+}
+
+/// What happened to the vertices of the pool.
+struct Changes {
+    vertex_count: usize,
+    least: usize,
+    most: usize,
+    /// In units of h.
+    farthest: f64,
+}
+
+impl Changes {
+    fn row(&self, program: Program) -> Vec<String> {
+        let Changes { vertex_count, least, most, farthest } = self;
+        let farthest = if *farthest == 0.0 { "0".to_owned() } else { format!("{farthest:.4}") };
+        vec![program.name().into(), vertex_count.to_string(), least.to_string(), most.to_string(), farthest]
+    }
+}
+
+fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
+    let scale = Scale::usual(1.0);
+    let pool = pool();
+    let mut changes = Changes { vertex_count: 0, least: usize::MAX, most: 0, farthest: 0.0 };
+    let mut before: Option<(HashSet<[u64; 3]>, Solid)> = None;
+    for frame in 0..FRAMES {
+        let particles = [&pool[..], &drop_at(frame)].concat();
+        let mesh = mesh_of(program, Some(peer), &particles, scale)?;
+        let vertices: Vec<DVec3> = mesh.positions.iter().map(|&position| position.into()).collect();
+        let vertices: Vec<DVec3> = vertices.into_iter().filter(|vertex| vertex.y < 0.5 * HEIGHT).collect();
+        if let Some((known, surface)) = &before {
+            let changed: Vec<&DVec3> =
+                vertices.iter().filter(|vertex| !known.contains(&bits(vertex))).collect();
+            let distances = changed.iter().filter_map(|vertex| surface.distance(**vertex));
+            let farthest = distances.map(f64::abs).fold(0.0, f64::max) / scale.voxel_size;
+            changes.farthest = changes.farthest.max(farthest);
+            changes.least = changes.least.min(changed.len());
+            changes.most = changes.most.max(changed.len());
+        }
+        changes.vertex_count = vertices.len();
+        before = Some((vertices.iter().map(bits).collect(), Solid::new(&mesh.positions, &mesh.triangles)));
+    }
+    Ok(changes)
+}
+
+fn bits(vertex: &DVec3) -> [u64; 3] {
+    vertex.to_array().map(f64::to_bits)
+}
+
+/// A lattice whose points are each up to a fifth of a spacing away, at most 0 high.
+fn pool() -> Vec<DVec3> {
+    let mut random = Random::new(20);
+    let [along, down, across] = POOL;
+    let places = (0..along * down * across)
+        .map(|index| IVec3::new(index % along, -(index / along % down), index / (along * down)));
+    places.map(|place| place.as_dvec3() + random.in_ball(0.2)).collect()
+}
+
+/// It flies along the pool, by no whole number of voxels a frame.
+fn drop_at(frame: usize) -> Vec<DVec3> {
+    let reach = RADIUS as i32;
+    let middle = DVec3::new(4.0 + 1.7 * frame as f64, HEIGHT, 0.5 * f64::from(POOL[2]));
+    let lattice = -reach..=reach;
+    let points = lattice.clone().flat_map(|x| {
+        lattice.clone().flat_map(move |y| (-reach..=reach).map(move |z| IVec3::new(x, y, z).as_dvec3()))
+    });
+    points.filter(|point| point.length() <= RADIUS).map(|point| middle + point).collect()
+}

@@ -1,0 +1,79 @@
+//! The paper's experiments, from generated data: tables, plots and pictures.
+//!
+//! ```text
+//! cargo run --release --example paper                     all of them, into docs/results
+//! cargo run --release --example paper -- flows            one of them
+//! cargo run --release --example paper -- --long           and what takes hours
+//! ```
+//!
+//! Some stand beside splashsurf, which `benches/peers` installs, or which `SPLASHSURF` names.
+
+mod drop;
+mod flicker;
+mod flow;
+mod flows;
+mod frame;
+mod output;
+mod random_ball;
+mod samples;
+mod spheres;
+mod splashsurf;
+mod surfaces;
+
+use std::error::Error;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What an experiment comes to, or why it did not.
+pub(crate) type Outcome<T> = Result<T, Box<dyn Error>>;
+
+/// How much is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Length {
+    /// What takes minutes.
+    Short,
+    /// And what takes hours.
+    Long,
+}
+
+type Experiment = fn(&Path, Length) -> Outcome<()>;
+
+/// In the order of docs/results.md.
+const EXPERIMENTS: [(&str, Experiment); 5] = [
+    ("frame", frame::run),
+    ("spheres", spheres::run),
+    ("flows", flows::run),
+    ("drop", drop::run),
+    ("random_ball", random_ball::run),
+];
+
+fn main() -> Outcome<()> {
+    let (options, names): (Vec<String>, Vec<String>) =
+        std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
+    let length = match options.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        [] => Length::Short,
+        ["--long"] => Length::Long,
+        _ => return Err("usage: paper [EXPERIMENT...] [--long]".into()),
+    };
+    let known = EXPERIMENTS.map(|(name, _)| name);
+    if let Some(name) = names.iter().find(|name| !known.contains(&&***name)) {
+        return Err(format!("no experiment {name}; there are: {}", known.join(", ")).into());
+    }
+    let folder = PathBuf::from("docs/results");
+    fs::create_dir_all(&folder)?;
+    for (name, run) in EXPERIMENTS {
+        if names.is_empty() || names.iter().any(|asked| asked == name) {
+            let start = Instant::now();
+            run(&folder, length)?;
+            told(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;
+        }
+    }
+    Ok(())
+}
+
+/// What is under way takes minutes: those who wait are told.
+pub(crate) fn told(line: &str) -> Outcome<()> {
+    Ok(writeln!(std::io::stdout(), "{line}")?)
+}

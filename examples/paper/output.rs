@@ -1,0 +1,177 @@
+//! What an experiment leaves: a page with its tables, plots and pictures.
+
+use std::fmt::Write as _;
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use meniscus::preview::{Block, Cell, Picture, Sheet, Shown};
+use meniscus_formats::{PictureView, png};
+use plotters::prelude::*;
+
+use crate::Outcome;
+
+/// A page under way.
+pub(crate) struct Page {
+    folder: PathBuf,
+    name: &'static str,
+    text: String,
+}
+
+impl Page {
+    /// An empty one.
+    pub(crate) fn new(folder: &Path, name: &'static str, title: &str) -> Page {
+        Page { folder: folder.to_owned(), name, text: format!("# {title}\n") }
+    }
+
+    /// A paragraph.
+    pub(crate) fn say(&mut self, text: &str) {
+        let _ = write!(self.text, "\n{text}\n");
+    }
+
+    /// A table. Each row has a cell for each column.
+    pub(crate) fn table(&mut self, columns: &[&str], rows: &[Vec<String>]) {
+        self.text.push('\n');
+        let mut line = |cells: &mut dyn Iterator<Item = &str>| {
+            self.text.push('|');
+            cells.for_each(|cell| {
+                let _ = write!(self.text, " {cell} |");
+            });
+            self.text.push('\n');
+        };
+        line(&mut columns.iter().copied());
+        line(&mut columns.iter().map(|_| "---"));
+        rows.iter().for_each(|row| line(&mut row.iter().map(String::as_str)));
+    }
+
+    /// A plot, and the link to it.
+    pub(crate) fn plot(&mut self, part: &str, plot: &Plot) -> Outcome<()> {
+        let file = format!("{}_{part}.svg", self.name);
+        plot.write(&self.folder.join(&file))?;
+        self.say(&format!("![{}]({file})", plot.title));
+        Ok(())
+    }
+
+    /// Pictures in rows, each with what is said below it.
+    pub(crate) fn pictures(
+        &mut self,
+        part: &str,
+        caption: &str,
+        rows: Vec<Vec<(Picture, String)>>,
+    ) -> Outcome<()> {
+        let place = rows.iter().flatten().map(|(picture, _)| picture.size).next().unwrap_or([1, 1]);
+        let columns = rows.iter().map(Vec::len).max().unwrap_or(1);
+        let cell = |(picture, line)| Cell { shown: Shown::Picture(picture), lines: vec![line] };
+        let block =
+            |row: Vec<_>| Block { title: String::new(), cells: row.into_iter().map(cell).collect(), columns };
+        let blocks = rows.into_iter().map(block).collect();
+        let sheet = Sheet { title: String::new(), place, blocks, foot: Vec::new() }.picture();
+        let file = format!("{}_{part}.png", self.name);
+        let mut out = BufWriter::new(File::create(self.folder.join(&file))?);
+        let Picture { size, color, .. } = &sheet;
+        png::write(
+            &PictureView { size: *size, color, layers: &[], camera: None, provenance: &[] },
+            &mut out,
+        )?;
+        self.say(&format!("![{caption}]({file})"));
+        Ok(())
+    }
+
+    /// Writes the page.
+    pub(crate) fn finish(self) -> Outcome<()> {
+        Ok(fs::write(self.folder.join(format!("{}.md", self.name)), self.text)?)
+    }
+}
+
+/// Curves over one axis.
+pub(crate) struct Plot {
+    /// What it shows.
+    pub(crate) title: String,
+    /// What is along the axes, with units.
+    pub(crate) axes: [&'static str; 2],
+    /// Which of the axes count by powers of ten.
+    pub(crate) is_log: [bool; 2],
+    /// Names and points.
+    pub(crate) curves: Vec<(String, Vec<[f64; 2]>)>,
+}
+
+const SIZE: (u32, u32) = (760, 420);
+
+/// Dark enough on white, and told apart by those who see no red or no green.
+const COLORS: [RGBColor; 6] = [
+    RGBColor(0, 114, 178),
+    RGBColor(213, 94, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(120, 120, 120),
+    RGBColor(230, 159, 0),
+];
+
+impl Plot {
+    fn write(&self, path: &Path) -> Outcome<()> {
+        let area = SVGBackend::new(path, SIZE).into_drawing_area();
+        area.fill(&WHITE)?;
+        let [x, y] = [0, 1].map(|axis| self.range(axis));
+        let mut chart = ChartBuilder::on(&area)
+            .caption(&self.title, ("sans-serif", 16))
+            .margin(12)
+            .x_label_area_size(42)
+            .y_label_area_size(64)
+            .build_cartesian_2d(x, y)?;
+        // Logarithms are plotted; what is written along an axis is what they are of.
+        let told = |axis: usize| {
+            move |value: &f64| match self.is_log[axis] {
+                true => number(10f64.powf(*value)),
+                false => number(*value),
+            }
+        };
+        chart
+            .configure_mesh()
+            .x_desc(self.axes[0])
+            .y_desc(self.axes[1])
+            .x_label_formatter(&told(0))
+            .y_label_formatter(&told(1))
+            .light_line_style(WHITE)
+            .label_style(("sans-serif", 13))
+            .draw()?;
+        for (index, (name, points)) in self.curves.iter().enumerate() {
+            let color = COLORS[index % COLORS.len()];
+            let points = points.iter().map(|point| (self.placed(point, 0), self.placed(point, 1)));
+            chart
+                .draw_series(LineSeries::new(points, color.stroke_width(2)))?
+                .label(name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+        }
+        chart
+            .configure_series_labels()
+            .background_style(WHITE.mix(0.85))
+            .border_style(BLACK.mix(0.3))
+            .label_font(("sans-serif", 13))
+            .draw()?;
+        Ok(area.present()?)
+    }
+
+    fn placed(&self, point: &[f64; 2], axis: usize) -> f64 {
+        if self.is_log[axis] { point[axis].log10() } else { point[axis] }
+    }
+
+    /// All points, and a little more.
+    fn range(&self, axis: usize) -> std::ops::Range<f64> {
+        let values = self.curves.iter().flat_map(|(_, points)| points).map(|point| self.placed(point, axis));
+        let (low, high) = values
+            .filter(|value| value.is_finite())
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+        let margin = if high > low { 0.04 * (high - low) } else { 1.0 };
+        low - margin..high + margin
+    }
+}
+
+fn number(value: f64) -> String {
+    match value.abs() {
+        0.0 => "0".into(),
+        size if !(0.001..100_000.0).contains(&size) => format!("{value:.1e}"),
+        size if size < 0.1 => format!("{value:.4}"),
+        size if size < 10.0 => format!("{value:.2}"),
+        _ => format!("{value:.0}"),
+    }
+}

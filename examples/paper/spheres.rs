@@ -1,0 +1,205 @@
+//! A sphere with noise under the flows: what each makes of it (paper, Fig. 5 and 10).
+//!
+//! ```text
+//!      radius 16 ──────  upper bound of φ
+//!      radius 20 ─∿∿∿──  φ: the distance, ±1 voxel of noise at every voxel
+//!      radius 24 ──────  lower bound of φ
+//! ```
+
+use std::f64::consts::PI;
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DVec3, IVec3};
+use meniscus::contour::contour;
+use meniscus::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
+use meniscus::level_set::{Bounds, NarrowBand};
+use meniscus::mesh::MeshMeasures;
+use meniscus::preview::{Layers, Picture, Placement, View, render};
+use meniscus::settings::Contouring;
+use meniscus::smooth::{Act, Config, Integrator, Memory, Work, acts, smooth, smooth_laplacian_only};
+use meniscus::space::Lattice;
+
+use crate::output::{Page, Plot};
+use crate::samples::Random;
+use crate::{Length, Outcome};
+
+const RADIUS: f32 = 20.0;
+const BOUND_RADII: [f32; 2] = [16.0, 24.0];
+
+/// Values that a step reads, and how far the surface may move.
+const HALF_WIDTH: f32 = 9.0;
+
+const LATTICE: Lattice = Lattice { voxel_size: 1.0 };
+
+/// Laplacian steps of 0.1 h², and explicit biharmonic ones of 0.01 h⁴.
+const LAPLACIAN_STEPS: [u32; 9] = [0, 5, 15, 50, 100, 200, 400, 700, 1000];
+const BIHARMONIC_STEPS: [u32; 9] = [0, 20, 50, 150, 500, 1000, 2000, 5000, 10_000];
+
+const LAPLACIAN: &str = "\
+A sphere of radius 20 h whose field has ± 1 h of noise at every voxel may move between spheres of 16 and 24 h. Laplacian smoothing takes the noise away at once, \
+and then shrinks the sphere until the inner bound holds it. Thin-plate smoothing takes longer and ends at the sphere that was there.";
+
+const DISTANCE: &str = "\
+## Where φ is no distance
+
+The same sphere, with a field that rises quickly away from the surface where x < 0: the farther to the left, the quicker. The flow of the thin-plate energy is linear in φ, so what is steep is moved less. \
+Without redistancing the left side stays rough and the right one comes out smooth; with it, both do.";
+
+/// Both flows over time, and what redistancing is for.
+pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+    let mut page = Page::new(folder, "spheres", "A noisy sphere under both flows");
+    page.say(LAPLACIAN);
+    let laplacian = LAPLACIAN_STEPS.map(|steps| {
+        let (mut band, bounds) = noisy_sphere(|distance, _| distance);
+        if steps > 0 {
+            smooth_laplacian_only(&mut band, &bounds, steps);
+        }
+        (steps, band)
+    });
+    let biharmonic = BIHARMONIC_STEPS.map(|steps| {
+        let (mut band, bounds) = noisy_sphere(|distance, _| distance);
+        if steps > 0 {
+            smooth(&mut band, &bounds, &explicit(steps));
+        }
+        (steps, band)
+    });
+    let mut rows = Vec::new();
+    let mut curves: [Vec<(String, Vec<[f64; 2]>)>; 2] = Default::default();
+    for (flow, bands) in [("Laplacian", &laplacian), ("thin-plate", &biharmonic)] {
+        let measured: Vec<(u32, MeshMeasures)> =
+            bands.iter().map(|(steps, band)| (*steps, measured(band))).collect();
+        for (steps, measures) in &measured {
+            let [volume, energy] = relative(measures);
+            rows.push(vec![flow.into(), steps.to_string(), format!("{volume:.4}"), format!("{energy:.4}")]);
+        }
+        for (curves, index) in curves.iter_mut().zip(0..) {
+            let points =
+                measured.iter().map(|(steps, measures)| [f64::from(steps + 1), relative(measures)[index]]);
+            curves.push((flow.to_owned(), points.collect()));
+        }
+    }
+    page.table(&["flow", "steps", "volume / the sphere's", "∫H² / 4π"], &rows);
+    let [volumes, energies] = curves;
+    for (part, title, axis, is_log, curves) in [
+        ("volume", "Volume, in parts of the sphere's", "volume", false, volumes),
+        ("energy", "Bending energy, in parts of a sphere's", "∫H² / 4π", true, energies),
+    ] {
+        let axes = ["steps of a flow, and one", axis];
+        page.plot(part, &Plot { title: title.into(), axes, is_log: [true, is_log], curves })?;
+    }
+    let shown = |bands: &[(u32, NarrowBand)], flow: &str| -> Vec<(Picture, String)> {
+        let some = [0, 2, 4, 8].into_iter().filter_map(|index| bands.get(index));
+        some.map(|(steps, band)| (picture(band), format!("{flow}, {steps} steps"))).collect()
+    };
+    page.pictures(
+        "flows",
+        "Above Laplacian smoothing, below thin-plate smoothing",
+        vec![shown(&laplacian, "Laplacian"), shown(&biharmonic, "thin-plate")],
+    )?;
+    distances(&mut page)?;
+    page.finish()
+}
+
+/// Fig. 10.
+fn distances(page: &mut Page) -> Outcome<()> {
+    page.say(DISTANCE);
+    let start = || noisy_sphere(|distance, at| distance * (1.0 + 0.4 * (-at.x).max(0.0)));
+    let mut rows = Vec::new();
+    let mut pictures = Vec::new();
+    for (name, redistances) in [("without redistancing", false), ("redistanced", true)] {
+        let (mut band, bounds) = start();
+        let config = explicit(10_000);
+        let mut memory = Memory::new(band.topology.len());
+        // Restoring comes first, and would make distances of what is none.
+        let acts = acts(&config, u32::MAX)
+            .into_iter()
+            .filter(|act| redistances || !matches!(act, Act::Restore | Act::Redistance));
+        for act in acts {
+            Work { config: &config, band: &mut band, bounds: &bounds, memory: &mut memory, own: None }
+                .perform(act);
+        }
+        let [left, right] = [-1.0, 1.0].map(|side| roughness(&band, side));
+        rows.push(vec![name.into(), format!("{left:.3}"), format!("{right:.3}")]);
+        pictures.push((picture(&band), name.to_owned()));
+    }
+    page.table(
+        &["10 000 explicit steps", "deviation of the radius for x < −5 h, h", "for x > 5 h, h"],
+        &rows,
+    );
+    page.pictures("distance", "Without redistancing and with it", vec![pictures])
+}
+
+fn explicit(steps: u32) -> Config {
+    Config {
+        laplacian_steps: 0,
+        integrator: Integrator::Explicit,
+        steps,
+        step_size: 0.01,
+        redistance_every: 50,
+        cg_tolerance: 0.0,
+        keeps_spheres: false,
+    }
+}
+
+/// The noisy sphere and its bounds, its field changed by `field`: from the distance, and where that is.
+fn noisy_sphere(field: impl Fn(f32, glam::Vec3) -> f32) -> (NarrowBand, Bounds) {
+    let topology = Topology::new(leaf_origins());
+    let sphere = |radius: f32| {
+        let leaf = |&origin: &IVec3| {
+            let distance = |offset| (origin + voxel_in_leaf(offset)).as_vec3().length() - radius;
+            Leaf { values: std::array::from_fn(distance).map(|d: f32| d.clamp(-HALF_WIDTH, HALF_WIDTH)) }
+        };
+        Field { leaves: topology.origins().iter().map(leaf).collect() }
+    };
+    let mut phi = sphere(RADIUS);
+    let mut random = Random::new(5);
+    for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
+        for (offset, value) in leaf.values.iter_mut().enumerate() {
+            let at = (*origin + voxel_in_leaf(offset)).as_vec3();
+            *value = field(*value + 2.0 * random.unit() as f32 - 1.0, at).clamp(-HALF_WIDTH, HALF_WIDTH);
+        }
+    }
+    let bounds = Bounds { lower: sphere(BOUND_RADII[1]), upper: sphere(BOUND_RADII[0]) };
+    (NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH }, bounds)
+}
+
+/// The leaves with a voxel whose distance is within the half width.
+fn leaf_origins() -> Vec<IVec3> {
+    let near = |offset: usize, origin: IVec3| {
+        ((origin + voxel_in_leaf(offset)).as_vec3().length() - RADIUS).abs() < HALF_WIDTH
+    };
+    let origins = (0..8 * 8 * 8).map(|i| (IVec3::new(i / 64, i / 8 % 8, i % 8) - 4) * 8);
+    origins.filter(|&origin| (0..LEAF_VOXELS).any(|offset| near(offset, origin))).collect()
+}
+
+fn measured(band: &NarrowBand) -> MeshMeasures {
+    contour(band, &LATTICE, Contouring::Dual).measure()
+}
+
+/// Volume and bending energy in parts of the sphere's.
+fn relative(measures: &MeshMeasures) -> [f64; 2] {
+    let sphere = 4.0 / 3.0 * PI * f64::from(RADIUS).powi(3);
+    [measures.volume / sphere, measures.bending_energy / (4.0 * PI)]
+}
+
+/// The standard deviation of the radius on one side, in voxels. What is between the sides belongs to neither.
+fn roughness(band: &NarrowBand, side: f64) -> f64 {
+    let mesh = contour(band, &LATTICE, Contouring::Dual);
+    let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
+    let radii: Vec<f64> = places.filter(|at| at.x * side > 5.0).map(DVec3::length).collect();
+    let mean = radii.iter().sum::<f64>() / radii.len().max(1) as f64;
+    (radii.iter().map(|radius| (radius - mean).powi(2)).sum::<f64>() / radii.len().max(1) as f64).sqrt()
+}
+
+fn picture(band: &NarrowBand) -> Picture {
+    let reach = DVec3::splat(f64::from(RADIUS) + 1.0);
+    let placement = Placement { azimuth_degrees: 0.0, ..Placement::AUTO };
+    let view = View {
+        size: [260, 260],
+        camera: placement.around([-reach, reach], 1.0),
+        up: placement.up,
+        ground: None,
+    };
+    render(band, &LATTICE, &view, Layers { data: false, velocity: None })
+}

@@ -1,0 +1,105 @@
+//! The programs that skin: this one with each of its integrators, and splashsurf.
+
+use glam::DVec3;
+use meniscus::particles::Particles;
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::{Surface, skin};
+use meniscus::smooth::Integrator;
+use meniscus_formats::MeshData;
+
+use crate::Outcome;
+use crate::splashsurf::{Post, Splashsurf};
+
+/// What makes a surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Program {
+    /// This one.
+    Meniscus(Integrator),
+    /// The other one.
+    Splashsurf(Post),
+}
+
+impl Program {
+    /// All of them.
+    pub(crate) const ALL: [Program; 5] = [
+        Program::Meniscus(Integrator::Fast),
+        Program::Meniscus(Integrator::Implicit),
+        Program::Meniscus(Integrator::Explicit),
+        Program::Splashsurf(Post::Plain),
+        Program::Splashsurf(Post::Processed),
+    ];
+
+    /// As it is called in tables.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Program::Meniscus(Integrator::Fast) => "meniscus, fast",
+            Program::Meniscus(Integrator::Implicit) => "meniscus, implicit",
+            Program::Meniscus(Integrator::Explicit) => "meniscus, explicit",
+            Program::Meniscus(Integrator::Adaptive) => "meniscus, adaptive",
+            Program::Splashsurf(Post::Plain) => "splashsurf, plain",
+            Program::Splashsurf(Post::Processed) => "splashsurf, post-processed",
+        }
+    }
+}
+
+/// The grid, and the room of a particle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scale {
+    /// Between neighbouring particles, world units.
+    pub(crate) spacing: f64,
+    /// The edge of a voxel, or of a cell, world units.
+    pub(crate) voxel_size: f64,
+    /// What is not left to follow from the voxel size.
+    choices: fn(f64) -> Choices,
+}
+
+impl Scale {
+    /// As meniscus chooses it: half the spacing.
+    pub(crate) fn usual(spacing: f64) -> Scale {
+        Scale { spacing, voxel_size: 0.5 * spacing, choices: |_| Choices::default() }
+    }
+
+    /// Half of that: the cell that splashsurf recommends. Radii that followed from it would not reach from a particle to the next one.
+    pub(crate) fn fine(spacing: f64) -> Scale {
+        let choices =
+            |spacing| Choices { radius_min: Some(spacing), laplacian_steps: Some(30), ..Choices::default() };
+        Scale { spacing, voxel_size: 0.25 * spacing, choices }
+    }
+
+    fn settings(self, integrator: Integrator) -> Outcome<Settings> {
+        let choices = Choices { integrator: Some(integrator), ..(self.choices)(self.spacing) };
+        Ok(Settings::resolve(self.voxel_size, &choices)?)
+    }
+}
+
+/// The surface that a program makes of particles.
+pub(crate) fn mesh_of(
+    program: Program,
+    peer: Option<&Splashsurf>,
+    particles: &[DVec3],
+    scale: Scale,
+) -> Outcome<MeshData> {
+    match program {
+        Program::Meniscus(integrator) => Ok(data(&skinned(particles, scale, integrator)?)),
+        Program::Splashsurf(post) => {
+            let peer = peer.ok_or("splashsurf is not there")?;
+            peer.reconstruct(particles, scale.spacing, scale.voxel_size, post)
+        }
+    }
+}
+
+/// The surface that this program makes of particles, with all that is known of it.
+pub(crate) fn skinned(particles: &[DVec3], scale: Scale, integrator: Integrator) -> Outcome<Surface> {
+    let positions = particles.iter().map(|particle| particle.to_array()).collect();
+    Ok(skin(&Particles::Double(positions), &scale.settings(integrator)?))
+}
+
+/// The mesh of a surface, in the world.
+fn data(surface: &Surface) -> MeshData {
+    let mesh = &surface.mesh;
+    MeshData {
+        positions: mesh.positions.iter().map(|at| (mesh.origin + at.as_dvec3()).to_array()).collect(),
+        normals: Vec::new(),
+        triangles: mesh.triangles.clone(),
+    }
+}
