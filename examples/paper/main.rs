@@ -16,6 +16,7 @@ mod frame;
 mod output;
 mod random_ball;
 mod samples;
+mod shapes;
 mod spheres;
 mod splashsurf;
 mod surfaces;
@@ -41,9 +42,10 @@ pub(crate) enum Length {
 type Experiment = fn(&Path, Length) -> Outcome<()>;
 
 /// In the order of docs/results.md.
-const EXPERIMENTS: [(&str, Experiment); 5] = [
+const EXPERIMENTS: [(&str, Experiment); 6] = [
     ("frame", frame::run),
     ("spheres", spheres::run),
+    ("shapes", shapes::run),
     ("flows", flows::run),
     ("drop", drop::run),
     ("random_ball", random_ball::run),

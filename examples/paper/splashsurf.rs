@@ -16,6 +16,8 @@ pub(crate) enum Post {
     Plain,
     /// Weighted Laplacian smoothing, as its authors recommend it.
     Processed,
+    /// The same, with a kernel twice as wide: for particles that leave gaps.
+    Wide,
 }
 
 /// Smooths and cleans up; the same as in `benches/peers`.
@@ -58,13 +60,18 @@ impl Splashsurf {
         let [input, output] = ["in.ply", "out.ply"].map(|name| self.folder.path().join(name));
         write(particles, &input)?;
         let radius = 0.5 * spacing;
-        let settings = [("-r", radius), ("-l", 2.0), ("-c", cell / radius), ("-t", 0.6)];
+        let settings = [
+            ("-r", radius),
+            ("-l", if post == Post::Wide { 4.0 } else { 2.0 }),
+            ("-c", cell / radius),
+            ("-t", 0.6),
+        ];
         let mut command = Command::new(&self.program);
         command.arg("reconstruct").arg(&input).arg("-o").arg(&output).arg("-q");
         for (option, value) in settings {
             command.args([option, &value.to_string()]);
         }
-        if post == Post::Processed {
+        if post != Post::Plain {
             command.args(PROCESSED);
         }
         let ran = command.output()?;

@@ -29,6 +29,13 @@ impl Program {
         Program::Splashsurf(Post::Processed),
     ];
 
+    /// The one that is used, and the other program.
+    pub(crate) const USUAL: [Program; 3] = [
+        Program::Meniscus(Integrator::Fast),
+        Program::Splashsurf(Post::Plain),
+        Program::Splashsurf(Post::Processed),
+    ];
+
     /// As it is called in tables.
     pub(crate) fn name(self) -> &'static str {
         match self {
@@ -38,6 +45,7 @@ impl Program {
             Program::Meniscus(Integrator::Adaptive) => "meniscus, adaptive",
             Program::Splashsurf(Post::Plain) => "splashsurf, plain",
             Program::Splashsurf(Post::Processed) => "splashsurf, post-processed",
+            Program::Splashsurf(Post::Wide) => "splashsurf, post-processed, kernel twice as wide",
         }
     }
 }

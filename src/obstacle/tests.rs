@@ -548,7 +548,8 @@ fn what_encloses_nothing_is_told() {
 fn distances_of_points_are_negative_inside() {
     let solid = |mesh: &Mesh| Solid::new(&mesh.positions, &mesh.triangles);
     let torus = solid(&Mesh::torus(DVec3::new(1.0, 2.0, 3.0), 5.0, 1.5, 96));
-    for at in [DVec3::ZERO, DVec3::new(6.0, 2.0, 3.0), DVec3::new(1.0, 2.0, 3.0), DVec3::new(40.0, -7.0, 3.5)] {
+    for at in [DVec3::ZERO, DVec3::new(6.0, 2.0, 3.0), DVec3::new(1.0, 2.0, 3.0), DVec3::new(40.0, -7.0, 3.5)]
+    {
         let from_middle = at - DVec3::new(1.0, 2.0, 3.0);
         let truth = (from_middle.truncate().length() - 5.0).hypot(from_middle.z) - 1.5;
         let distance = torus.distance(at).expect("a surface");

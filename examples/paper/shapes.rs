@@ -1,0 +1,226 @@
+//! Particles of their own shapes and sizes, and an obstacle around them (paper, Fig. 11, 13 and 15).
+
+use std::f64::consts::TAU;
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::{DMat3, DQuat, DVec3, EulerRot};
+use meniscus::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+use meniscus::preview::{Layers, Picture, Placement, View, render, render_particles};
+use meniscus::settings::{AnisotropyKind, Choices, Settings};
+use meniscus::skin::{Surface, skin_cloud};
+use meniscus::space::Lattice;
+
+use crate::output::Page;
+use crate::samples::Random;
+use crate::{Length, Outcome};
+
+const CROWN: &str = "\
+## Anisotropy
+
+A crown, such as a drop throws up: a thin sheet that opens and ends in threads, of particles that are one layer and move along it. From left to right the particles, the surface of balls, \
+of particles that are stretched by their neighbours, and by their velocities. All have the same voxels.";
+
+const SIZES: &str = "\
+## Radii of the particles' own
+
+A heap of particles of four sizes. From left to right the particles, the surface with one radius for all, which is that of the least, and with their own. r_max is 1.25 r_min.";
+
+const TETRAHEDRON: &str = "\
+## An obstacle all around
+
+Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is where nothing is said.";
+
+/// Pictures, with what can be counted below them.
+pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+    let mut page = Page::new(folder, "shapes", "Particles of their own shapes and sizes, and an obstacle");
+    page.say(CROWN);
+    crown(&mut page)?;
+    page.say(SIZES);
+    sizes(&mut page)?;
+    page.say(TETRAHEDRON);
+    tetrahedron(&mut page)?;
+    page.finish()
+}
+
+fn crown(page: &mut Page) -> Outcome<()> {
+    let mut random = Random::new(11);
+    let (mut positions, mut velocities) = (Vec::new(), Vec::new());
+    for row in 0..26 {
+        let height = f64::from(row);
+        let radius = 16.0 + 0.012 * height.powi(2) + 0.18 * height;
+        let slope = 0.024 * height + 0.18;
+        let count = (TAU * radius).round() as usize;
+        for index in 0..count {
+            let angle = TAU * index as f64 / count as f64;
+            // Above the rim there are only threads.
+            if height > 13.0 + 12.0 * (12.0 * angle).cos() {
+                continue;
+            }
+            let outward = DVec3::new(angle.cos(), 0.0, angle.sin());
+            let place = radius * outward + height * DVec3::Y + random.in_ball(0.3);
+            positions.push(place.to_array());
+            velocities.push((slope * outward + DVec3::Y).normalize() * 45.0);
+        }
+    }
+    let numbers = velocities.iter().flat_map(|velocity| velocity.as_vec3().to_array()).collect();
+    let cloud = with(Particles::Double(positions), "v", Meaning::Velocity, 3, numbers);
+    let voxel_size = 0.5;
+    let view = around([DVec3::new(-28.0, -1.0, -28.0), DVec3::new(28.0, 26.0, 28.0)], [300, 230]);
+    let mut pictures = vec![(render_particles(&cloud.positions, 0.45, &view), "particles".to_owned())];
+    let mut rows = Vec::new();
+    for (name, kind) in [
+        ("balls", AnisotropyKind::None),
+        ("by neighbours", AnisotropyKind::Neighbors),
+        ("by velocity", AnisotropyKind::Velocity),
+    ] {
+        let choices = Choices { anisotropy: Some(kind), ..Choices::default() };
+        let surface = skinned(&cloud, voxel_size, &choices, &Obstacles::default())?;
+        let measures = &surface.report.mesh;
+        rows.push(vec![
+            name.into(),
+            format!("{:.0}", measures.bending_energy),
+            format!("{:.0}", measures.volume),
+            measures.component_count.to_string(),
+            holds(&surface),
+        ]);
+        pictures.push((picture(&surface, voxel_size, &view), name.to_owned()));
+    }
+    page.table(&["particles", "∫H²", "volume", "pieces", "certificate"], &rows);
+    page.pictures("crown", "A crown: particles, balls, stretched by neighbours, by velocity", vec![pictures])
+}
+
+fn sizes(page: &mut Page) -> Outcome<()> {
+    let mut random = Random::new(13);
+    let (mut places, mut radii): (Vec<DVec3>, Vec<f64>) = (Vec::new(), Vec::new());
+    // The largest first: what is thrown in later takes the room that is left.
+    for (radius, tries) in [(4.0, 400), (2.4, 3000), (1.5, 12_000), (0.9, 40_000)] {
+        for _ in 0..tries {
+            let place = random.in_ball(16.0) * DVec3::new(1.0, 0.5, 1.0);
+            let touches = |(other, size): (&DVec3, &f64)| other.distance(place) < 0.92 * (radius + size);
+            if place.y > -4.0 && !places.iter().zip(&radii).any(touches) {
+                places.push(place);
+                radii.push(radius);
+            }
+        }
+    }
+    let positions = Particles::Double(places.iter().map(|place| place.to_array()).collect());
+    let numbers = radii.iter().map(|radius| *radius as f32).collect();
+    let cloud = with(positions, "pscale", Meaning::Radius, 1, numbers);
+    let voxel_size = 0.45;
+    let view = around([DVec3::new(-17.0, -7.0, -17.0), DVec3::new(17.0, 9.0, 17.0)], [400, 260]);
+    let close = Choices { radius_ratio: Some(1.25), ..Choices::default() };
+    let own = Choices { radius_attribute: Some("pscale".to_owned()), ..close.clone() };
+    let one = Choices { radius_min: Some(0.9), ..close };
+    let mut pictures = vec![(balls(&places, &radii, &view)?, "particles".to_owned())];
+    for (name, choices) in [("one radius", one), ("their own radii", own)] {
+        let surface = skinned(&cloud, voxel_size, &choices, &Obstacles::default())?;
+        pictures
+            .push((picture(&surface, voxel_size, &view), format!("{name}, certificate {}", holds(&surface))));
+    }
+    page.pictures(
+        "sizes",
+        "A heap of particles of four sizes: particles, one radius, their own",
+        vec![pictures],
+    )
+}
+
+/// Particles as they are: balls that hardly anything smooths.
+fn balls(places: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
+    let positions = Particles::Double(places.iter().map(|place| place.to_array()).collect());
+    let numbers = radii.iter().map(|radius| *radius as f32).collect();
+    let cloud = with(positions, "pscale", Meaning::Radius, 1, numbers);
+    let choices = Choices {
+        radius_attribute: Some("pscale".to_owned()),
+        radius_ratio: Some(1.0),
+        steps: Some(0),
+        laplacian_steps: Some(0),
+        ..Choices::default()
+    };
+    let voxel_size = 0.25;
+    Ok(picture(&skinned(&cloud, voxel_size, &choices, &Obstacles::default())?, voxel_size, view))
+}
+
+fn tetrahedron(page: &mut Page) -> Outcome<()> {
+    let turn = DMat3::from_quat(DQuat::from_euler(EulerRot::XYZ, 0.3, 0.2, 0.5));
+    let corners = [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]
+        .map(|corner| turn * DVec3::from(corner));
+    let faces = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
+    let voxel_size = 0.04;
+    let particles = on_faces(&corners, &faces, 3.2 * voxel_size);
+    let obstacles = mould(&corners, &faces);
+    let positions = Particles::Double(particles.iter().map(|place| place.to_array()).collect());
+    let cloud = Cloud::from(positions);
+    let view = around([DVec3::splat(-1.25), DVec3::splat(1.25)], [400, 360]);
+    let mut pictures = Vec::new();
+    for (name, threshold, obstacles) in [
+        ("no obstacle", None, &Obstacles::default()),
+        ("walls taken away", Some(0.0), &obstacles),
+        ("and gaps filled", None, &obstacles),
+    ] {
+        let choices = Choices { void_threshold: threshold, ..Choices::default() };
+        let surface = skinned(&cloud, voxel_size, &choices, obstacles)?;
+        pictures
+            .push((picture(&surface, voxel_size, &view), format!("{name}, certificate {}", holds(&surface))));
+    }
+    page.pictures("tetrahedron", "No obstacle, walls taken away, and gaps filled", vec![pictures])
+}
+
+/// Points on the faces, none nearer to another than this; then some a little outside, more of them inside.
+fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DVec3> {
+    let mut random = Random::new(7);
+    let mut places: Vec<DVec3> = Vec::new();
+    for index in 0..40_000 {
+        let [a, b, c] = faces[index % 4].map(|corner| corners[corner]);
+        let (mut u, mut v) = (random.unit(), random.unit());
+        if u + v > 1.0 {
+            (u, v) = (1.0 - u, 1.0 - v);
+        }
+        let place = a + u * (b - a) + v * (c - a);
+        if places.iter().all(|other| other.distance(place) > apart) {
+            places.push(place);
+        }
+    }
+    places.iter().map(|place| *place * (1.05 - 0.11 * random.unit())).collect()
+}
+
+/// A block with a hole as the tetrahedron: its faces look inward.
+fn mould(corners: &[DVec3; 4], faces: &[[usize; 3]; 4]) -> Obstacles {
+    let mut positions: Vec<[f64; 3]> = corners.iter().map(|corner| corner.to_array()).collect();
+    let side = |bit: u32, corner: u32| if corner >> bit & 1 == 0 { -2.0 } else { 2.0 };
+    positions.extend((0..8).map(|corner| [side(2, corner), side(1, corner), side(0, corner)]));
+    let mut triangles: Vec<[u32; 3]> =
+        faces.iter().map(|&[a, b, c]| [c, b, a].map(|corner| corner as u32)).collect();
+    let quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    for [a, b, c, d] in quads.map(|quad: [u32; 4]| quad.map(|corner| corner + 4)) {
+        triangles.extend([[a, b, c], [a, c, d]]);
+    }
+    let kept_bytes = 64 << 20;
+    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&positions, &triangles)), kept_bytes);
+    Obstacles { members: vec![Arc::new(obstacle)] }
+}
+
+fn with(positions: Particles, name: &str, meaning: Meaning, arity: usize, numbers: Vec<f32>) -> Cloud {
+    let values = AttributeValues::Numbers(numbers);
+    let attribute = Attribute { name: name.to_owned(), meaning, arity, values };
+    Cloud { attributes: vec![attribute], ..Cloud::from(positions) }
+}
+
+fn skinned(cloud: &Cloud, voxel_size: f64, choices: &Choices, obstacles: &Obstacles) -> Outcome<Surface> {
+    Ok(skin_cloud(cloud.clone(), &Settings::resolve(voxel_size, choices)?, obstacles))
+}
+
+fn holds(surface: &Surface) -> String {
+    if surface.report.certificate.holds() { "holds" } else { "does not hold" }.to_owned()
+}
+
+fn around(bounds: [DVec3; 2], size: [usize; 2]) -> View {
+    let placement = Placement { zoom: 1.35, ..Placement::AUTO };
+    let camera = placement.around(bounds, size[0] as f64 / size[1] as f64);
+    View { size, camera, up: Placement::AUTO.up, ground: None }
+}
+
+fn picture(surface: &Surface, voxel_size: f64, view: &View) -> Picture {
+    render(&surface.band, &Lattice { voxel_size }, view, Layers { data: false, velocity: None })
+}
