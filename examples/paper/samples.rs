@@ -30,7 +30,8 @@ fn inside(flow: Flow, spacing: f64) -> Vec<DVec3> {
     points
 }
 
-/// So many points on a surface about the body at first, of which the distances are given: evenly on a spiral around its middle.
+/// Points on a surface about the body at first, of which the distances are given: so many or, where it is open, fewer, evenly on a
+/// spiral around its middle.
 pub(crate) fn on_surface(flow: Flow, count: usize, distance: impl Fn(DVec3) -> f64) -> Vec<DVec3> {
     let [low, high] = flow.bounds();
     let (middle, radius) = (0.5 * (low + high), 0.5 * (high - low).max_element());
@@ -40,17 +41,21 @@ pub(crate) fn on_surface(flow: Flow, count: usize, distance: impl Fn(DVec3) -> f
         let (sine, cosine) = (golden * index as f64).sin_cos();
         DVec3::new((1.0 - z * z).sqrt() * cosine, (1.0 - z * z).sqrt() * sine, z)
     };
-    (0..count).map(|index| towards(&distance, middle, on_sphere(index), radius)).collect()
+    (0..count).filter_map(|index| towards(&distance, middle, on_sphere(index), radius)).collect()
 }
 
-/// Where a ray from outside meets it.
-fn towards(distance: &impl Fn(DVec3) -> f64, middle: DVec3, direction: DVec3, radius: f64) -> DVec3 {
-    let mut at = middle + 1.5 * radius * direction;
+/// Where a ray from outside meets it; `None` for one that comes to the middle through an opening.
+fn towards(distance: &impl Fn(DVec3) -> f64, middle: DVec3, direction: DVec3, radius: f64) -> Option<DVec3> {
+    let mut left = 1.5 * radius;
     // Distances are never too long, so no step leads through the surface.
-    for _ in 0..200 {
-        at -= distance(at).max(0.0) * direction;
+    while left > 0.0 {
+        let step = distance(middle + left * direction);
+        if step < 1e-9 * radius {
+            return Some(middle + left * direction);
+        }
+        left -= step;
     }
-    at
+    None
 }
 
 /// Numbers that come out the same everywhere.
