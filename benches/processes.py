@@ -7,6 +7,8 @@ turns, so that each of them sees the machine as it is in that minute.
 
 import argparse
 import datetime
+import importlib.machinery
+import importlib.util
 import json
 import os
 import re
@@ -18,7 +20,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TARGET = Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target")).resolve()
-PROGRAM = TARGET / "release" / "meniscus"
+# Built where MENISCUS does not name one that is there.
+PROGRAM = Path(os.environ.get("MENISCUS") or TARGET / "release" / "meniscus").resolve()
 # Solids of generated particles, kept from run to run.
 SOLIDS = TARGET / "solids"
 # Frames of other programs. They are not part of the project.
@@ -37,9 +40,18 @@ class Run:
 
 
 def build():
-    """The program, and the generator of solids."""
-    command = ["cargo", "build", "--release", "--quiet", "--bin", "meniscus", "--example", "solid"]
-    subprocess.run(command, cwd=ROOT, check=True)
+    """The program, where MENISCUS does not name one."""
+    if not os.environ.get("MENISCUS"):
+        subprocess.run(["cargo", "build", "--release", "--quiet", "--bin", "meniscus"], cwd=ROOT, check=True)
+
+
+def script(name):
+    """Another of the benchmarks, as a module."""
+    loader = importlib.machinery.SourceFileLoader(name, str(ROOT / "benches" / name))
+    module = importlib.util.module_from_spec(importlib.util.spec_from_loader(name, loader))
+    sys.modules[name] = module  # where its data classes look for it
+    loader.exec_module(module)
+    return module
 
 
 def measured(command):
@@ -53,10 +65,10 @@ def measured(command):
     return Run(*figures)
 
 
-def meniscus(frame, voxel_size, out, *options):
-    """The command that skins one frame."""
-    ours = [PROGRAM, "convert", frame, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
-    return [*ours, "--threads", THREADS, *options]
+def meniscus(frames, voxel_size, out, *options, threads=THREADS):
+    """The command that skins one frame, or the frames of a pattern."""
+    ours = [PROGRAM, "convert", frames, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
+    return [*ours, "--threads", threads, *options]
 
 
 def solid(count):
@@ -65,7 +77,8 @@ def solid(count):
     path = SOLIDS / f"solid_{count:.0f}.ply"
     if not path.exists():
         print(f"writing {path}", flush=True)
-        subprocess.run([TARGET / "release" / "examples" / "solid", str(count), path], check=True)
+        generator = ["cargo", "run", "--release", "--quiet", "--example", "solid", "--", str(count), path]
+        subprocess.run(generator, cwd=ROOT, check=True)
     with path.open("rb") as file:
         header = file.read(300).decode("ascii", errors="replace")
     return path, float(re.search(r"^comment spacing (\S+)$", header, re.MULTILINE)[1])
