@@ -97,16 +97,23 @@ def spread(values, form):
 
 
 def conditions():
-    """The machine, the day and the commit, in one line."""
+    """The machine, the day and the program, in one line."""
     model = "processor of unknown name"
     if Path("/proc/cpuinfo").exists():
         names = re.findall(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
         model = names[0] if names else model
+    return f"{model}, {os.cpu_count()} cores; {datetime.date.today()}; {program()}"
+
+
+def program():
+    """What is measured: the commit that it is built from, where it is."""
+    if os.environ.get("MENISCUS"):
+        version = subprocess.run([PROGRAM, "--version"], capture_output=True, text=True).stdout.strip()
+        return f"{version}, built before"
     git = ["git", "-C", ROOT]
     commit = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True).stdout.strip()
     changed = subprocess.run([*git, "status", "--porcelain", "src", "formats"], capture_output=True).stdout
-    commit = f"{commit or 'unknown'}{' and changes' if changed else ''}"
-    return f"{model}, {os.cpu_count()} cores; {datetime.date.today()}; commit {commit}"
+    return f"commit {commit or 'unknown'}{' and changes' if changed else ''}"
 
 
 class Table:
