@@ -185,7 +185,7 @@ def show(obj, scene):
         elif stamp != source.shown:
             refill(obj.data, *read_glb(path, source.up))
         source.shown = stamp
-    except (OSError, ValueError, LookupError, TypeError, OverflowError) as error:
+    except (OSError, ValueError, LookupError, AttributeError, TypeError, OverflowError) as error:
         tell(f"{path} could not be read, {obj.name} stays as it is: {error}")
 
 
@@ -386,14 +386,16 @@ class MENISCUS_OT_reload(bpy.types.Operator):
         # Blender keeps what it has read of a .vdb, even where the file is another now, up to a limit: so there is none.
         system = context.preferences.system
         limit, system.memory_cache_limit = system.memory_cache_limit, 0
-        for obj in sequences_of(context.scene):
-            look_again(obj, context.scene)
-            if obj.type == "VOLUME":
-                obj.data.filepath = obj.data.filepath
-            obj.meniscus.shown = ""
-            show(obj, context.scene)
-        context.view_layer.update()
-        system.memory_cache_limit = limit
+        try:
+            for obj in sequences_of(context.scene):
+                look_again(obj, context.scene)
+                if obj.type == "VOLUME":
+                    obj.data.filepath = obj.data.filepath
+                obj.meniscus.shown = ""
+                show(obj, context.scene)
+            context.view_layer.update()
+        finally:
+            system.memory_cache_limit = limit
         return {"FINISHED"}
 
 

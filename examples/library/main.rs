@@ -31,6 +31,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let (from, to) = (Path::new(from), Path::new(to));
     if !from.is_dir() {
+        if let Some(folder) = to.parent() {
+            fs::create_dir_all(folder)?;
+        }
         return skin_file(from, to);
     }
     let done_count = skin_folder(from, to)?;
@@ -51,7 +54,7 @@ pub(crate) fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
     Ok(pipeline::write_whole(to, |out| gltf::write_glb(&mesh, &options, &[], out))?)
 }
 
-/// The sequences in a folder become meshes and level sets in another, as `meniscus convert FROM --out TO` makes them.
+/// The sequences in a folder become meshes and level sets in another, as `meniscus convert FROM --out TO` makes them
 /// where there is nothing else among them. Returns the number of frames.
 pub(crate) fn skin_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error>> {
     let outputs = Arc::new(OutputOptions::new(to, &[OutputFormat::Glb, OutputFormat::Vdb]));

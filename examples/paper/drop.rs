@@ -34,7 +34,7 @@ const RADIUS: f64 = 4.0;
 
 const INTRODUCTION: &str = "\
 9 216 particles of a pool stand still while a drop of about 270 flies over it through 24 frames, always 10 spacings above. The vertices of the pool are compared \
-from one frame to the next: one has changed if the other frame has none with the same bits at all. How far it moved is told by its distance to the surface of the other frame.";
+from one frame to the next: one has changed if the other frame has none with the same bits at all, be it new or gone. How far it moved is told by its distance to the surface of the other frame.";
 
 /// The pool, by each program.
 pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
@@ -79,7 +79,7 @@ fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
     let mut before: Option<(HashSet<[u64; 3]>, Solid)> = None;
     for frame in 0..FRAMES {
         let particles = [&pool[..], &drop_at(frame)].concat();
-        let mesh = mesh_of(program, Some(peer), &particles, scale)?;
+        let mesh = mesh_of(program, peer, &particles, scale)?;
         let vertices: Vec<DVec3> = mesh.positions.iter().map(|&position| position.into()).collect();
         let vertices: Vec<DVec3> = vertices.into_iter().filter(|vertex| vertex.y < 0.5 * HEIGHT).collect();
         if let Some((known, surface)) = &before {
@@ -88,8 +88,11 @@ fn changes(program: Program, peer: &Splashsurf) -> Outcome<Changes> {
             let distances = changed.iter().filter_map(|vertex| surface.distance(**vertex));
             let farthest = distances.map(f64::abs).fold(0.0, f64::max) / scale.voxel_size;
             changes.farthest = changes.farthest.max(farthest);
-            changes.least = changes.least.min(changed.len());
-            changes.most = changes.most.max(changed.len());
+            // What is there no more has changed, too.
+            let kept_count = vertices.len() - changed.len();
+            let changed_count = changed.len().max(known.len().saturating_sub(kept_count));
+            changes.least = changes.least.min(changed_count);
+            changes.most = changes.most.max(changed_count);
         }
         changes.vertex_count = vertices.len();
         before = Some((vertices.iter().map(bits).collect(), Solid::new(&mesh.positions, &mesh.triangles)));

@@ -114,7 +114,7 @@ pub(crate) fn run(folder: &Path, length: Length) -> Outcome<()> {
 }
 
 const INTRODUCTION: &str = "\
-Particles on a lattice fill a body and are carried by a flow that is known everywhere, so that nothing of what a surface does but follow them is their doing. \
+Particles on a lattice fill a body, but for half a spacing below its surface, so there are some less than their name says, and are carried by a flow that is known everywhere, so that nothing of what a surface does but follow them is their doing. \
 300 frames make a cycle: twelve and a half seconds of film. 4000 points begin on the first surface of each program, and are carried as well. The flicker is the root of the mean square of the second \
 difference in time of their signed distances to the surface, in units of h. It has two parts: a trembling of all the surface, which the median tells, \
 and jumps where a sheet tears, or where two meet, which are the greatest.
@@ -163,7 +163,7 @@ fn follow(
     // In the second half of the test of Enright all frames of the first come back.
     let is_half = case.flow == Flow::Enright && length == Length::Short;
     for frame in 0..=if is_half { FRAMES / 2 } else { FRAMES } {
-        let mesh = mesh_of(program, Some(peer), &particles, scale)?;
+        let mesh = mesh_of(program, peer, &particles, scale)?;
         let solid = Solid::new(&mesh.positions, &mesh.triangles);
         if frame == 0 {
             points = on_surface(case.flow, POINTS, |at| solid.distance(at).unwrap_or(f64::INFINITY));

@@ -18,8 +18,8 @@ use crate::{Length, Outcome};
 
 const INTRODUCTION: &str = "\
 Particles are thrown into a ball of radius 1, anywhere in it with the same probability, so that some are close together and some leave gaps. \
-Three measures tell how rough the surface is: the standard deviation of the vertices' distances from the middle, in parts of the radius; the root of the mean square \
-of the angle between a triangle and the ball, in degrees, by area; and the integral of H² in parts of a ball's, 4π. Inner surfaces, around gaps, are left out of the first two. splashsurf is meant for particles that simulations have spread evenly; so it is also given a kernel twice as wide, which reaches over the gaps.";
+Three measures tell how rough the surface is: the standard deviation of the triangles' distances from the middle, by area, in parts of the radius; the root of the mean square \
+of the angle between a triangle and the ball, in degrees, by area; and the integral of H² in parts of a ball's, 4π. Inner surfaces, around gaps, are left out of the first two: what faces inward, or is nearer to the middle than three quarters of the radius. splashsurf is meant for particles that simulations have spread evenly; so it is also given a kernel twice as wide, which reaches over the gaps.";
 
 /// Ours at 50 000, and splashsurf at 50 000 and at 1 000 000.
 pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
@@ -41,7 +41,7 @@ pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
     ];
     let rows = rows.map(|(count, program)| {
         let (particles, scale) = ball(count);
-        let roughness = Roughness::of(&mesh_of(program, Some(&peer), &particles, scale)?);
+        let roughness = Roughness::of(&mesh_of(program, &peer, &particles, scale)?);
         Ok(roughness.row(count, program))
     });
     page.table(

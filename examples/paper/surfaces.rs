@@ -83,16 +83,13 @@ impl Scale {
 /// The surface that a program makes of particles.
 pub(crate) fn mesh_of(
     program: Program,
-    peer: Option<&Splashsurf>,
+    peer: &Splashsurf,
     particles: &[DVec3],
     scale: Scale,
 ) -> Outcome<MeshData> {
     match program {
         Program::Meniscus(integrator) => Ok(data(&skinned(particles, scale, integrator)?)),
-        Program::Splashsurf(post) => {
-            let peer = peer.ok_or("splashsurf is not there")?;
-            peer.reconstruct(particles, scale.spacing, scale.voxel_size, post)
-        }
+        Program::Splashsurf(post) => peer.reconstruct(particles, scale.spacing, scale.voxel_size, post),
     }
 }
 

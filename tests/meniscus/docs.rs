@@ -23,13 +23,15 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// README.md and all pages of `docs`, with what they say.
+/// README.md and all pages of `docs` and of the examples, with what they say.
 fn pages() -> Vec<(PathBuf, String)> {
-    let docs = fs::read_dir(root().join("docs")).expect("the docs are there");
-    let docs = docs.map(|entry| entry.expect("an entry").path());
-    let paths = docs.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    let folders =
+        ["docs", "docs/results", "examples/blender", "examples/farm"].map(|folder| root().join(folder));
+    let files = folders.iter().flat_map(|folder| fs::read_dir(folder).expect("the folder is there"));
+    let files = files.map(|entry| entry.expect("an entry").path());
+    let paths = files.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
     let paths: Vec<PathBuf> = paths.chain([root().join("README.md")]).collect();
-    assert!(paths.len() > 10, "{paths:?}");
+    assert!(paths.len() > 20, "{paths:?}");
     let read = |path: PathBuf| {
         let text = fs::read_to_string(&path).expect("readable");
         (path, text)

@@ -133,6 +133,8 @@ impl Scene {
         let program = Path::new(env!("CARGO_BIN_EXE_meniscus")).parent().expect("a folder").to_owned();
         let others = env::var_os("PATH").unwrap_or_default();
         let folders: Vec<PathBuf> = [program].into_iter().chain(env::split_paths(&others)).collect();
+        // Quotes and patterns are the shell's; what else it could do is not the program's.
+        assert!(!command.contains([';', '&', '|', '<', '>', '$', '`']), "{command}");
         let mut shell = Command::new("sh");
         shell.args(["-c", &format!("exec {command}")]).current_dir(self.path()).stdin(Stdio::null());
         shell.env("PATH", env::join_paths(folders).expect("a list of folders"));
