@@ -105,7 +105,9 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
         let taken = surfaces.iter().skip(1).map(|(_, s)| [seconds(s), energy(s)]);
         over_seconds.push((name.to_owned(), taken.collect()));
         let some = [0, 2, 4, 6].into_iter().filter_map(|index| surfaces.get(index));
-        let shown = some.map(|(time, surface)| (picture(surface, [300, 200]), format!("{name}, {time} h⁴")));
+        // The letters of sheets are Latin-1, which has no ⁴.
+        let shown =
+            some.map(|(time, surface)| (picture(surface, [300, 200]), format!("{name}, time {time}")));
         pictures.push(shown.collect());
     }
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
