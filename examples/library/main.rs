@@ -1,4 +1,4 @@
-//! meniscus from another program: one frame to a mesh in ten lines, and a folder to a folder in ten more.
+//! meniscus from another program: one frame to a mesh in ten lines, and a folder to a folder in twenty.
 //!
 //! ```text
 //! cargo run --release --example library -- examples/frames/dam.0001.bgeo out/dam.0001.glb

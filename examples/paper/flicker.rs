@@ -7,17 +7,20 @@
 //!   d₀ ─── d₁ ─── d₂       the second difference d₀ − 2 d₁ + d₂, in units of h
 //! ```
 //!
-//! and the score is the root of the mean of its squares, over all points and times.
+//! and the score is the root of the mean of its squares, over all points and times. Frames may be left out, if three in a
+//! row are there now and then.
 
 use glam::DVec3;
 use meniscus::obstacle::Solid;
 use rayon::prelude::*;
 
+use crate::Outcome;
+
 /// What is kept of a sequence while its frames come by.
 #[derive(Debug, Default)]
 pub(crate) struct Flicker {
-    /// The distances of each frame.
-    frames: Vec<Vec<f64>>,
+    /// The frames that were taken, by their numbers, with the distances of the points in each.
+    frames: Vec<(usize, Vec<f64>)>,
 }
 
 /// What a sequence comes to, in units of h.
@@ -27,37 +30,54 @@ pub(crate) struct Score {
     pub(crate) rms: f64,
     /// Half of all are less.
     pub(crate) median: f64,
+    /// Of a hundred, one is more.
+    pub(crate) most: f64,
     /// The greatest of all.
     pub(crate) max: f64,
 }
 
 impl Flicker {
-    /// Takes in the next frame: a mesh, and the points at that time.
-    pub(crate) fn add(&mut self, surface: &Solid, points: &[DVec3]) {
-        self.frames
-            .push(points.par_iter().map(|point| surface.distance(*point).unwrap_or(f64::NAN)).collect());
+    /// Takes in a later frame: its mesh, and the points at that time.
+    ///
+    /// # Errors
+    /// A mesh without triangles, and no points: of these nothing can be said.
+    pub(crate) fn add(&mut self, frame: usize, surface: &Solid, points: &[DVec3]) -> Outcome<()> {
+        if points.is_empty() {
+            return Err(format!("frame {frame}: there are no points on the first surface").into());
+        }
+        let distances = points.par_iter().map(|point| surface.distance(*point)).collect::<Option<Vec<f64>>>();
+        let distances = distances.ok_or_else(|| format!("frame {frame}: its mesh has no triangles"))?;
+        self.frames.push((frame, distances));
+        Ok(())
     }
 
-    /// The second differences, frame by frame, in units of h.
-    fn changes(&self, voxel_size: f64) -> impl Iterator<Item = Vec<f64>> {
-        self.frames.windows(3).map(move |three| {
-            let points = three[0].iter().zip(&three[1]).zip(&three[2]);
-            points.map(|((first, second), third)| (first - 2.0 * second + third).abs() / voxel_size).collect()
+    /// The second differences around each frame that has both of its neighbours, in units of h.
+    fn changes(&self, voxel_size: f64) -> impl Iterator<Item = (usize, Vec<f64>)> {
+        self.frames.windows(3).filter_map(move |three| match three {
+            [(before, first), (frame, second), (after, third)] if after - before == 2 => {
+                let points = first.iter().zip(second).zip(third);
+                let change = |((first, second), third)| (first - 2.0 * second + third) / voxel_size;
+                Some((*frame, points.map(change).map(f64::abs).collect()))
+            }
+            _ => None,
         })
     }
 
     /// The score of all frames.
-    pub(crate) fn score(&self, voxel_size: f64) -> Score {
-        let mut changes: Vec<f64> = self.changes(voxel_size).flatten().collect();
+    ///
+    /// # Errors
+    /// Where no three frames are in a row.
+    pub(crate) fn score(&self, voxel_size: f64) -> Outcome<Score> {
+        let mut changes: Vec<f64> = self.changes(voxel_size).flat_map(|(_, changes)| changes).collect();
         changes.sort_by(f64::total_cmp);
-        let max = changes.last().copied().unwrap_or(0.0);
-        Score { rms: rms(&changes), median: changes.get(changes.len() / 2).copied().unwrap_or(0.0), max }
+        let max = *changes.last().ok_or("no three frames in a row")?;
+        let percentile = |part: usize| changes[changes.len() * part / 100];
+        Ok(Score { rms: rms(&changes), median: percentile(50), most: percentile(99), max })
     }
 
     /// The frames, and what each comes to.
     pub(crate) fn over_time(&self, voxel_size: f64) -> Vec<[f64; 2]> {
-        let scores = self.changes(voxel_size).map(|changes| rms(&changes));
-        scores.enumerate().map(|(index, score)| [(index + 1) as f64, score]).collect()
+        self.changes(voxel_size).map(|(frame, changes)| [frame as f64, rms(&changes)]).collect()
     }
 }
 

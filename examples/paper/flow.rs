@@ -12,7 +12,7 @@ pub(crate) enum Flow {
     /// Douglas Enright, Ronald Fedkiw, Joel Ferziger, Ian Mitchell. A hybrid particle level set method for improved
     /// interface capturing. 2002
     Enright,
-    /// Turns a sphere with a notch once around.
+    /// Turns a sphere with a notch once around: of the radius 0.15, a notch 0.05 wide and 0.125 deep.
     ///
     /// Steven T. Zalesak. Fully multidimensional flux-corrected transport algorithms for fluids. 1979; as a body in the
     /// work above
@@ -72,14 +72,14 @@ impl Flow {
             Flow::Zalesak => {
                 let center = DVec3::new(0.5, 0.75, 0.5);
                 let beside = (at.x - center.x).abs() - 0.025;
-                let above = at.y - (center.y + 0.075);
+                let above = at.y - (center.y - 0.025);
                 let notch = beside.max(above);
                 sphere(center, 0.15).max(-notch)
             }
         }
     }
 
-    /// What encloses the body at first.
+    /// A box around the body at first.
     pub(crate) fn bounds(self) -> [DVec3; 2] {
         let center = match self {
             Flow::Enright => DVec3::splat(0.35),

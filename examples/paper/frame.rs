@@ -17,8 +17,9 @@ use crate::{Length, Outcome};
 /// Made by the dam break of the examples.
 const FRAME: &str = "examples/frames/dam.0006.bgeo";
 
-/// Half the spacing of its particles.
-const VOXEL_SIZE: f64 = 0.025;
+const VOXEL_SIZE: f64 = 0.5 * SPACING;
+
+const SPACING: f64 = 0.05;
 
 const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 
@@ -32,11 +33,17 @@ const INTRODUCTION: &str = "\
 
 r_min is √3 h, r_max is so many times as much, and r_init is their mean. The larger it is, the farther the surface may leave the particles to be smooth.";
 
+const VOXELS: &str = "\
+## The voxel size
+
+h as large as the spacing, half of it, which is what it is where nothing is said, and a quarter. With a quarter the radii \
+would shrink too, and the spheres of neighbours would not meet; so there they are those of the second.";
+
 const ENERGY: &str = "\
 ## Bending energy over time
 
-The same frame after more and more fictitious time, in units of h⁴. Implicit and fast steps are 20 h⁴ long, the last one shorter where the time is; explicit ones 0.01 h⁴. \
-A frame usually gets 100 h⁴ by implicit and fast steps, and 5 h⁴ by explicit ones. Seconds are those of the smoothing alone, on the machine that made this page.";
+The same frame after more and more fictitious time, in units of h⁴, which begins after the 15 Laplacian steps. Implicit and fast steps are 20 h⁴ long, the last one shorter where the time is; explicit ones 0.01 h⁴. \
+A frame usually gets 100 h⁴ by implicit and fast steps, and 5 h⁴ by explicit ones. Seconds are those of the smoothing alone, the least of three runs.";
 
 /// Ratios, and energies over time.
 pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
@@ -44,6 +51,8 @@ pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
     let particles = particles()?;
     page.say(INTRODUCTION);
     ratios(&mut page, &particles)?;
+    page.say(VOXELS);
+    voxels(&mut page, &particles)?;
     page.say(ENERGY);
     energies(&mut page, &particles)?;
     page.finish()
@@ -63,11 +72,36 @@ fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
             measures.component_count.to_string(),
             if surface.report.certificate.holds() { "holds" } else { "does not hold" }.to_owned(),
         ]);
-        pictures.push((picture(&surface, [400, 260]), format!("r_max / r_min = {ratio}")));
+        pictures.push((picture(&surface, VOXEL_SIZE, [400, 260]), format!("r_max / r_min = {ratio}")));
     }
     page.table(&["r_max / r_min", "∫H²", "volume, m³", "pieces", "certificate"], &rows);
     let second = pictures.split_off(3);
     page.pictures("ratios", "Ratios 1, 1.25, 1.5, 2 and 4", vec![pictures, second])
+}
+
+fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
+    let mut rows = Vec::new();
+    let mut pictures = Vec::new();
+    let usual = Settings::resolve(VOXEL_SIZE, &Choices::default())?;
+    let radii = Choices {
+        radius_min: Some(usual.radius_min),
+        radius_init: Some(usual.radius_init),
+        ..Choices::default()
+    };
+    for (part, choices) in [(1.0, Choices::default()), (0.5, Choices::default()), (0.25, radii)] {
+        let voxel_size = part * SPACING;
+        let surface = skin(particles, &Settings::resolve(voxel_size, &choices)?);
+        let measures = &surface.report.mesh;
+        rows.push(vec![
+            part.to_string(),
+            format!("{:.0}", measures.bending_energy),
+            format!("{:.4}", measures.volume),
+            surface.mesh.triangles.len().to_string(),
+        ]);
+        pictures.push((picture(&surface, voxel_size, [400, 260]), format!("h = {part} spacings")));
+    }
+    page.table(&["h / spacing", "∫H²", "volume, m³", "triangles"], &rows);
+    page.pictures("voxels", "A spacing, a half and a quarter of it", vec![pictures])
 }
 
 fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
@@ -106,10 +140,14 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
         over_seconds.push((name.to_owned(), taken.collect()));
         let some = [0, 2, 4, 6].into_iter().filter_map(|index| surfaces.get(index));
         // The letters of sheets are Latin-1, which has no ⁴.
-        let shown =
-            some.map(|(time, surface)| (picture(surface, [300, 200]), format!("{name}, time {time}")));
+        let shown = some.map(|(time, surface)| {
+            (picture(surface, VOXEL_SIZE, [300, 200]), format!("{name}, time {time}"))
+        });
         pictures.push(shown.collect());
     }
+    let choices = Choices { laplacian_steps: Some(0), steps: Some(0), ..Choices::default() };
+    let first = skin(particles, &Settings::resolve(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
+    page.say(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
     let title = "Bending energy over integration time".to_owned();
     let axes = ["time, h⁴", "∫H²"];
@@ -140,11 +178,10 @@ fn particles() -> Outcome<Particles> {
     })
 }
 
-fn picture(surface: &Surface, size: [usize; 2]) -> Picture {
+fn picture(surface: &Surface, voxel_size: f64, size: [usize; 2]) -> Picture {
     let tank = [DVec3::ZERO, DVec3::new(1.6, 0.9, 0.6)];
     let aspect = size[0] as f64 / size[1] as f64;
     let camera = Placement::AUTO.around(tank, aspect);
     let view = View { size, camera, up: Placement::AUTO.up, ground: Some(0.0) };
-    let lattice = Lattice { voxel_size: VOXEL_SIZE };
-    render(&surface.band, &lattice, &view, Layers { data: false, velocity: None })
+    render(&surface.band, &Lattice { voxel_size }, &view, Layers { data: false, velocity: None })
 }

@@ -27,10 +27,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use crate::splashsurf::Splashsurf;
+
 /// What an experiment comes to, or why it did not.
 pub(crate) type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// How much is done.
+/// How much is done. Only flows have a longer form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Length {
     /// What takes minutes.
@@ -41,7 +43,6 @@ pub(crate) enum Length {
 
 type Experiment = fn(&Path, Length) -> Outcome<()>;
 
-/// In the order of docs/results.md.
 const EXPERIMENTS: [(&str, Experiment); 6] = [
     ("frame", frame::run),
     ("spheres", spheres::run),
@@ -50,6 +51,8 @@ const EXPERIMENTS: [(&str, Experiment); 6] = [
     ("drop", drop::run),
     ("random_ball", random_ball::run),
 ];
+
+const BESIDE_SPLASHSURF: [&str; 3] = ["flows", "drop", "random_ball"];
 
 fn main() -> Outcome<()> {
     let (options, names): (Vec<String>, Vec<String>) =
@@ -63,14 +66,20 @@ fn main() -> Outcome<()> {
     if let Some(name) = names.iter().find(|name| !known.contains(&&***name)) {
         return Err(format!("no experiment {name}; there are: {}", known.join(", ")).into());
     }
+    let is_asked = |name: &str| names.is_empty() || names.iter().any(|asked| asked == name);
+    if length == Length::Long && !is_asked("flows") {
+        return Err("--long is for flows".into());
+    }
+    // Missed before the first experiment takes its minutes.
+    if BESIDE_SPLASHSURF.into_iter().any(is_asked) {
+        Splashsurf::find()?;
+    }
     let folder = PathBuf::from("docs/results");
     fs::create_dir_all(&folder)?;
-    for (name, run) in EXPERIMENTS {
-        if names.is_empty() || names.iter().any(|asked| asked == name) {
-            let start = Instant::now();
-            run(&folder, length)?;
-            told(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;
-        }
+    for (name, run) in EXPERIMENTS.into_iter().filter(|(name, _)| is_asked(name)) {
+        let start = Instant::now();
+        run(&folder, length)?;
+        told(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;
     }
     Ok(())
 }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use meniscus::preview::{Block, Cell, Picture, Sheet, Shown};
 use meniscus_formats::{PictureView, png};
@@ -78,9 +79,30 @@ impl Page {
     }
 
     /// Writes the page.
-    pub(crate) fn finish(self) -> Outcome<()> {
+    pub(crate) fn finish(mut self) -> Outcome<()> {
+        self.say(&format!(
+            "Made by `cargo run --release --example paper -- {}`: {}.",
+            self.name,
+            conditions()
+        ));
         Ok(fs::write(self.folder.join(format!("{}.md", self.name)), self.text)?)
     }
+}
+
+/// The machine, the commit and its day.
+fn conditions() -> String {
+    let processors = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = processors.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let model = model.map_or("a processor of unknown name", |(_, name)| name);
+    let git = |arguments: &[&str]| {
+        let said = Command::new("git").args(arguments).output();
+        said.map_or(String::new(), |said| String::from_utf8_lossy(&said.stdout).trim().to_owned())
+    };
+    let commit = git(&["log", "-1", "--format=commit %h of %cs"]);
+    let commit = if commit.is_empty() { "no known commit" } else { &commit };
+    let is_changed = !git(&["status", "--porcelain", "src", "formats", "examples"]).is_empty();
+    let changes = if is_changed { ", and changes" } else { "" };
+    format!("{model}, {} threads; {commit}{changes}", rayon::current_num_threads())
 }
 
 /// Curves over one axis.
@@ -95,7 +117,12 @@ pub(crate) struct Plot {
     pub(crate) curves: Vec<(String, Vec<[f64; 2]>)>,
 }
 
-const SIZE: (u32, u32) = (760, 420);
+const SIZE: (u32, u32) = (960, 420);
+
+/// Where the names of the curves begin, beside the axes.
+const NAMES_FROM: u32 = 750;
+
+const NAME_HEIGHT: i32 = 22;
 
 /// Dark enough on white, and told apart by those who see no red or no green.
 const COLORS: [RGBColor; 6] = [
@@ -111,8 +138,9 @@ impl Plot {
     fn write(&self, path: &Path) -> Outcome<()> {
         let area = SVGBackend::new(path, SIZE).into_drawing_area();
         area.fill(&WHITE)?;
+        let (axes, names) = area.split_horizontally(NAMES_FROM);
         let [x, y] = [0, 1].map(|axis| self.range(axis));
-        let mut chart = ChartBuilder::on(&area)
+        let mut chart = ChartBuilder::on(&axes)
             .caption(&self.title, ("sans-serif", 16))
             .margin(12)
             .x_label_area_size(42)
@@ -137,17 +165,14 @@ impl Plot {
         for (index, (name, points)) in self.curves.iter().enumerate() {
             let color = COLORS[index % COLORS.len()];
             let points = points.iter().map(|point| (self.placed(point, 0), self.placed(point, 1)));
-            chart
-                .draw_series(LineSeries::new(points, color.stroke_width(2)))?
-                .label(name)
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+            // Of nothing there is no logarithm.
+            let points = points.filter(|(x, y)| x.is_finite() && y.is_finite());
+            chart.draw_series(LineSeries::new(points, color.stroke_width(2)))?;
+            // Within the axes they would lie over a curve sooner or later.
+            let y = 60 + NAME_HEIGHT * index as i32;
+            names.draw(&PathElement::new([(6, y), (24, y)], color.stroke_width(2)))?;
+            names.draw(&Text::new(name.as_str(), (30, y - 7), ("sans-serif", 13)))?;
         }
-        chart
-            .configure_series_labels()
-            .background_style(WHITE.mix(0.85))
-            .border_style(BLACK.mix(0.3))
-            .label_font(("sans-serif", 13))
-            .draw()?;
         Ok(area.present()?)
     }
 

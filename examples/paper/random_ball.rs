@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use meniscus::mesh::Mesh;
-use meniscus::preview::{Layers, Picture, Placement, View, render};
+use meniscus::preview::{Layers, Placement, View, render};
 use meniscus::smooth::Integrator;
 use meniscus::space::Lattice;
 use meniscus_formats::MeshData;
@@ -13,13 +13,19 @@ use meniscus_formats::MeshData;
 use crate::output::Page;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
-use crate::surfaces::{Program, Scale, mesh_of, skinned};
+use crate::surfaces::{Program, Scale, band_of, mesh_of};
 use crate::{Length, Outcome};
 
 const INTRODUCTION: &str = "\
-Particles are thrown into a ball of radius 1, anywhere in it with the same probability, so that some are close together and some leave gaps. \
-Three measures tell how rough the surface is: the standard deviation of the triangles' distances from the middle, by area, in parts of the radius; the root of the mean square \
-of the angle between a triangle and the ball, in degrees, by area; and the integral of H² in parts of a ball's, 4π. Inner surfaces, around gaps, are left out of the first two: what faces inward, or is nearer to the middle than three quarters of the radius. splashsurf is meant for particles that simulations have spread evenly; so it is also given a kernel twice as wide, which reaches over the gaps.";
+Particles are thrown into a ball of radius 1, anywhere in it with the same probability, so that some are close together \
+and some leave gaps. The spacing is the edge of the cube that each of them has on average. Three measures tell how rough \
+the surface is: the standard deviation of the triangles' distances from the middle, by area, in parts of the radius; the \
+root of the mean square of the angle between a triangle and the ball, in degrees, by area; and the integral of H² in parts \
+of a ball's, 4π, where slivers leave a meaning to it.
+
+Inner surfaces, around gaps, are left out of the first two: what faces inward, or is nearer to the middle than three \
+quarters of the radius. splashsurf is meant for particles that simulations have spread evenly; so it also has the cell that \
+its authors recommend, and a kernel twice as wide, which reaches over the gaps.";
 
 /// Ours at 50 000, and splashsurf at 50 000 and at 1 000 000.
 pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
@@ -27,56 +33,74 @@ pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
     let mut page = Page::new(folder, "random_ball", "Particles at random in a ball");
     page.say(INTRODUCTION);
     let (few, many) = (50_000, 1_000_000);
-    let rows = [
-        (few, Program::Meniscus(Integrator::Fast)),
-        (few, Program::Meniscus(Integrator::Implicit)),
-        (few, Program::Meniscus(Integrator::Explicit)),
-        (few, Program::Splashsurf(Post::Plain)),
-        (few, Program::Splashsurf(Post::Processed)),
-        (few, Program::Splashsurf(Post::Wide)),
-        (many, Program::Meniscus(Integrator::Fast)),
-        (many, Program::Splashsurf(Post::Plain)),
-        (many, Program::Splashsurf(Post::Processed)),
-        (many, Program::Splashsurf(Post::Wide)),
+    let (usual, fine): (Grid, Grid) = (Scale::usual, Scale::fine);
+    let ball_by = [
+        (few, Program::Meniscus(Integrator::Fast), usual),
+        (few, Program::Meniscus(Integrator::Implicit), usual),
+        (few, Program::Meniscus(Integrator::Explicit), usual),
+        (few, Program::Splashsurf(Post::Plain), usual),
+        (few, Program::Splashsurf(Post::Processed), usual),
+        (few, Program::Splashsurf(Post::Processed), fine),
+        (few, Program::Splashsurf(Post::Wide), usual),
+        (many, Program::Meniscus(Integrator::Fast), usual),
+        (many, Program::Splashsurf(Post::Plain), usual),
+        (many, Program::Splashsurf(Post::Processed), usual),
+        (many, Program::Splashsurf(Post::Processed), fine),
+        (many, Program::Splashsurf(Post::Wide), usual),
     ];
-    let rows = rows.map(|(count, program)| {
-        let (particles, scale) = ball(count);
-        let roughness = Roughness::of(&mesh_of(program, &peer, &particles, scale)?);
-        Ok(roughness.row(count, program))
-    });
+    let mut rows = Vec::new();
+    let mut pictures = [Vec::new(), Vec::new()];
+    for (count, program, grid) in ball_by {
+        let particles = ball(count);
+        let scale = grid((4.0 / 3.0 * PI / count as f64).cbrt());
+        let mesh = mesh_of(program, &peer, &particles, scale)?;
+        rows.push(Roughness::of(&mesh).row(count, program, scale));
+        if grid as usize == usual as usize && PICTURED.contains(&program) {
+            let voxel_size = 0.5 * scale.voxel_size;
+            let picture = render(&band_of(&mesh, voxel_size), &Lattice { voxel_size }, &view(), LAYERS);
+            let name = if program == Program::Splashsurf(Post::Wide) {
+                "splashsurf, wide kernel"
+            } else {
+                program.name()
+            };
+            pictures[usize::from(count == many)].push((picture, format!("{name}, {count} particles")));
+        }
+    }
     page.table(
         &[
             "particles",
             "program",
+            "h or cell, spacings",
             "mean radius",
             "deviation of the radius",
             "angle, degrees",
             "∫H² / 4π",
             "triangles",
         ],
-        &rows.into_iter().collect::<Outcome<Vec<_>>>()?,
+        &rows,
     );
-    let pictures = [few, many].map(|count| {
-        let (particles, scale) = ball(count);
-        let surface = skinned(&particles, scale, Integrator::Fast)?;
-        let lattice = Lattice { voxel_size: scale.voxel_size };
-        let layers = Layers { data: false, velocity: None };
-        Ok((render(&surface.band, &lattice, &view(), layers), format!("meniscus, {count} particles")))
-    });
-    let pictures: Vec<(Picture, String)> = pictures.into_iter().collect::<Outcome<_>>()?;
-    page.pictures("ball", "The ball", vec![pictures])?;
+    page.pictures("ball", "Above 50 000 particles, below 1 000 000", pictures.into())?;
     page.finish()
 }
 
-fn ball(count: usize) -> (Vec<DVec3>, Scale) {
+type Grid = fn(f64) -> Scale;
+
+const PICTURED: [Program; 3] = [
+    Program::Meniscus(Integrator::Fast),
+    Program::Splashsurf(Post::Processed),
+    Program::Splashsurf(Post::Wide),
+];
+
+const LAYERS: Layers<'_> = Layers { data: false, velocity: None };
+
+fn ball(count: usize) -> Vec<DVec3> {
     let mut random = Random::new(12);
-    let particles = (0..count).map(|_| random.in_ball(1.0)).collect();
-    (particles, Scale::usual((4.0 / 3.0 * PI / count as f64).cbrt()))
+    (0..count).map(|_| random.in_ball(1.0)).collect()
 }
 
 fn view() -> View {
     let camera = Placement::AUTO.around([DVec3::splat(-1.0), DVec3::splat(1.0)], 1.0);
-    View { size: [420, 420], camera, up: Placement::AUTO.up, ground: None }
+    View { size: [380, 380], camera, up: Placement::AUTO.up, ground: None }
 }
 
 /// How far from a ball.
@@ -123,15 +147,17 @@ impl Roughness {
         }
     }
 
-    fn row(&self, count: usize, program: Program) -> Vec<String> {
+    fn row(&self, count: usize, program: Program, scale: Scale) -> Vec<String> {
         let Roughness { mean_radius, deviation, angle_degrees, energy, triangle_count } = self;
         vec![
             count.to_string(),
             program.name().into(),
+            format!("{:.2}", scale.voxel_size / scale.spacing),
             format!("{mean_radius:.4}"),
             format!("{deviation:.5}"),
             format!("{angle_degrees:.2}"),
-            format!("{energy:.2}"),
+            // Slivers: there is no telling what of it is the surface's.
+            if *energy > 1000.0 { "> 1000".into() } else { format!("{energy:.2}") },
             triangle_count.to_string(),
         ]
     }

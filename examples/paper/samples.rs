@@ -1,16 +1,24 @@
-//! Particles within a body, and points on its surface.
+//! Particles within a body, and points on a mesh.
 
 use glam::{DVec3, IVec3};
+use meniscus_formats::MeshData;
 
 use super::flow::Flow;
 
 /// The points of a cubic lattice that are inside, about so many, and their spacing.
 pub(crate) fn particles_in(flow: Flow, count: usize) -> (Vec<DVec3>, f64) {
-    // The volume tells the spacing; and a first lattice tells the volume.
-    let first = 0.15 / 40.0;
-    let volume = inside(flow, first).len() as f64 * first.powi(3);
-    let spacing = (volume / count as f64).cbrt();
-    (inside(flow, spacing), spacing)
+    let mut spacing = 0.15 / 20.0;
+    let mut nearest = (inside(flow, spacing), spacing);
+    // What one lattice has tells the spacing of the next. Counts jump by layers, so the last is not always the nearest.
+    for _ in 0..20 {
+        let points = inside(flow, spacing);
+        let found = points.len();
+        if found.abs_diff(count) < nearest.0.len().abs_diff(count) {
+            nearest = (points, spacing);
+        }
+        spacing *= (found as f64 / count as f64).cbrt();
+    }
+    nearest
 }
 
 fn inside(flow: Flow, spacing: f64) -> Vec<DVec3> {
@@ -30,38 +38,37 @@ fn inside(flow: Flow, spacing: f64) -> Vec<DVec3> {
     points
 }
 
-/// Points on a surface about the body at first, of which the distances are given: so many or, where it is open, fewer, evenly on a
-/// spiral around its middle.
-pub(crate) fn on_surface(flow: Flow, count: usize, distance: impl Fn(DVec3) -> f64) -> Vec<DVec3> {
-    let [low, high] = flow.bounds();
-    let (middle, radius) = (0.5 * (low + high), 0.5 * (high - low).max_element());
-    let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
-    let on_sphere = |index: usize| {
-        let z = 1.0 - (2.0 * index as f64 + 1.0) / count as f64;
-        let (sine, cosine) = (golden * index as f64).sin_cos();
-        DVec3::new((1.0 - z * z).sqrt() * cosine, (1.0 - z * z).sqrt() * sine, z)
+/// Points on a mesh, so many, evenly by area.
+pub(crate) fn on_mesh(mesh: &MeshData, count: usize) -> Vec<DVec3> {
+    let corners = |triangle: &[u32; 3]| triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
+    let area = |triangle: &[u32; 3]| {
+        let [a, b, c] = corners(triangle);
+        0.5 * (b - a).cross(c - a).length()
     };
-    (0..count).filter_map(|index| towards(&distance, middle, on_sphere(index), radius)).collect()
+    let total: f64 = mesh.triangles.iter().map(area).sum();
+    let mut points = Vec::with_capacity(count);
+    let mut passed = 0.0;
+    for triangle in &mesh.triangles {
+        passed += area(triangle);
+        while points.len() < count && (points.len() as f64 + 0.5) * total <= passed * count as f64 {
+            let [a, b, c] = corners(triangle);
+            let [mut u, mut v] = SPREAD.map(|step| (step * points.len() as f64).fract());
+            if u + v > 1.0 {
+                (u, v) = (1.0 - u, 1.0 - v);
+            }
+            points.push(a + u * (b - a) + v * (c - a));
+        }
+    }
+    points
 }
 
-/// Where a ray from outside meets it; `None` for one that comes to the middle through an opening.
-fn towards(distance: &impl Fn(DVec3) -> f64, middle: DVec3, direction: DVec3, radius: f64) -> Option<DVec3> {
-    let mut left = 1.5 * radius;
-    // Distances are never too long, so no step leads through the surface.
-    while left > 0.0 {
-        let step = distance(middle + left * direction);
-        if step < 1e-9 * radius {
-            return Some(middle + left * direction);
-        }
-        left -= step;
-    }
-    None
-}
+/// The inverse of the plastic number, and its square: multiples of them, less their whole parts, fill a square evenly.
+const SPREAD: [f64; 2] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_2];
 
 /// Numbers that come out the same everywhere.
 ///
-/// Melissa E. O'Neill. PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for Random Number Generation.
-/// 2014
+/// Melissa E. O'Neill. PCG: A Family of Simple Fast Space-Efficient Statistically Good Algorithms for Random Number
+/// Generation. 2014
 pub(crate) struct Random {
     state: u64,
 }

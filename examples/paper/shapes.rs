@@ -25,12 +25,13 @@ of particles that are stretched by their neighbours, and by their velocities. Al
 const SIZES: &str = "\
 ## Radii of the particles' own
 
-A heap of particles of four sizes. From left to right the particles, the surface with one radius for all, which is that of the least, and with their own. r_max is 1.25 r_min.";
+A heap of particles of four sizes. From left to right the particles, the surface with one radius for all, which is that of the least, and with their own. r_max is 1.25 r_min. \
+The other method that the paper has beside its own was not run.";
 
 const TETRAHEDRON: &str = "\
 ## An obstacle all around
 
-Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is where nothing is said.";
+Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is where nothing is said. How far the outer side is from the walls is measured at its vertices.";
 
 /// Pictures, with what can be counted below them.
 pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
@@ -154,6 +155,11 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
     let cloud = Cloud::from(positions);
     let view = around([DVec3::splat(-1.25), DVec3::splat(1.25)], [400, 360]);
     let mut pictures = Vec::new();
+    let mut rows = Vec::new();
+    let wall = Solid::new(
+        &corners.map(|corner| corner.to_array()),
+        &faces.map(|face| face.map(|index| index as u32)),
+    );
     for (name, threshold, obstacles) in [
         ("no obstacle", None, &Obstacles::default()),
         ("walls taken away", Some(0.0), &obstacles),
@@ -161,11 +167,38 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
     ] {
         let choices = Choices { void_threshold: threshold, ..Choices::default() };
         let surface = skinned(&cloud, voxel_size, &choices, obstacles)?;
-        pictures
-            .push((picture(&surface, voxel_size, &view), format!("{name}, certificate {}", holds(&surface))));
+        let off = Off::of(&surface, &wall);
+        let number = |value: f64| format!("{:.3}", value / voxel_size);
+        rows.push(vec![name.to_owned(), number(off.beyond), number(off.rms), holds(&surface)]);
+        pictures.push((picture(&surface, voxel_size, &view), name.to_owned()));
     }
+    page.table(&["surface", "beyond the walls by at most, h", "off them, rms, h", "certificate"], &rows);
     page.pictures("tetrahedron", "No obstacle, walls taken away, and gaps filled", vec![pictures])
 }
+
+/// How far the outer surface is from the walls of the mould, world units.
+struct Off {
+    beyond: f64,
+    rms: f64,
+}
+
+impl Off {
+    /// What is far inside is the inner side of the layer of particles, and left out.
+    fn of(surface: &Surface, wall: &Solid) -> Off {
+        let mesh = &surface.mesh;
+        let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
+        let distances = places.filter_map(|place| wall.distance(place));
+        let outer: Vec<f64> = distances.filter(|distance| *distance > -OUTER).collect();
+        let squares: f64 = outer.iter().map(|distance| distance * distance).sum();
+        Off {
+            beyond: outer.iter().copied().fold(0.0, f64::max),
+            rms: (squares / outer.len().max(1) as f64).sqrt(),
+        }
+    }
+}
+
+/// Half of how thick the layer of particles on the walls is, about, world units.
+const OUTER: f64 = 0.06;
 
 /// Points on the faces, none nearer to another than this; then some a little outside, more of them inside.
 fn on_faces(corners: &[DVec3; 4], faces: &[[usize; 3]; 4], apart: f64) -> Vec<DVec3> {

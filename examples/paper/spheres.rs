@@ -38,7 +38,8 @@ const BIHARMONIC_STEPS: [u32; 9] = [0, 20, 50, 150, 500, 1000, 2000, 5000, 10_00
 
 const LAPLACIAN: &str = "\
 A sphere of radius 20 h whose field has ± 1 h of noise at every voxel may move between spheres of 16 and 24 h. Laplacian smoothing takes the noise away at once, \
-and then shrinks the sphere until the inner bound holds it. Thin-plate smoothing takes longer and ends at the sphere that was there.";
+and then shrinks the sphere until the inner bound holds it. Thin-plate smoothing takes longer and ends at the sphere that was there. \
+A Laplacian step is 0.1 h² long, a thin-plate step 0.01 h⁴: steps of one are not steps of the other.";
 
 const DISTANCE: &str = "\
 ## Where φ is no distance

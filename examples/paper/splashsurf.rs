@@ -1,5 +1,6 @@
 //! splashsurf, as a program beside this one.
 
+use std::env;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -37,10 +38,11 @@ pub(crate) struct Splashsurf {
 }
 
 impl Splashsurf {
-    /// What `SPLASHSURF` names, else what `benches/peers` has installed.
+    /// What `SPLASHSURF` names, else what `benches/peers` has installed beside what cargo builds.
     pub(crate) fn find() -> Outcome<Splashsurf> {
-        let installed = || "target/peers/bin/splashsurf".into();
-        let program: PathBuf = std::env::var_os("SPLASHSURF").map_or_else(installed, PathBuf::from);
+        let built = env::var_os("CARGO_TARGET_DIR").map_or_else(|| "target".into(), PathBuf::from);
+        let installed = || built.join("peers/bin/splashsurf");
+        let program = env::var_os("SPLASHSURF").map_or_else(installed, PathBuf::from);
         if !program.is_file() {
             return Err(
                 format!("{}: no splashsurf there; benches/peers installs it", program.display()).into()

@@ -1,11 +1,19 @@
 //! The programs that skin: this one with each of its integrators, and splashsurf.
 
-use glam::DVec3;
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
+
+use glam::{DVec3, IVec3};
+use meniscus::grid::{Field, LEAF_EDGE, Leaf, Topology};
+use meniscus::level_set::NarrowBand;
+use meniscus::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
 use meniscus::particles::Particles;
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::{Surface, skin};
 use meniscus::smooth::Integrator;
+use meniscus::space::Lattice;
 use meniscus_formats::MeshData;
+use rayon::prelude::*;
 
 use crate::Outcome;
 use crate::splashsurf::{Post, Splashsurf};
@@ -67,7 +75,8 @@ impl Scale {
         Scale { spacing, voxel_size: 0.5 * spacing, choices: |_| Choices::default() }
     }
 
-    /// Half of that: the cell that splashsurf recommends. Radii that followed from it would not reach from a particle to the next one.
+    /// Half of that: the cell that splashsurf recommends. Radii that followed from it would not reach from a particle to
+    /// the next one.
     pub(crate) fn fine(spacing: f64) -> Scale {
         let choices =
             |spacing| Choices { radius_min: Some(spacing), laplacian_steps: Some(30), ..Choices::default() };
@@ -98,6 +107,39 @@ pub(crate) fn skinned(particles: &[DVec3], scale: Scale, integrator: Integrator)
     let positions = particles.iter().map(|particle| particle.to_array()).collect();
     Ok(skin(&Particles::Double(positions), &scale.settings(integrator)?))
 }
+
+/// The level set of a closed mesh, for pictures of it: voxels half as large as its cells leave its edges as they are.
+pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
+    let lattice = Lattice { voxel_size };
+    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)), 0);
+    let leaf_of =
+        |vertex: &[f64; 3]| (DVec3::from(*vertex) / (voxel_size * LEAF_EDGE as f64)).floor().as_ivec3();
+    let leaves: BTreeSet<[i32; 3]> = mesh.positions.iter().map(|vertex| leaf_of(vertex).to_array()).collect();
+    // Triangles reach into the leaves beside those of their corners.
+    let around = |leaf: &[i32; 3]| {
+        let leaf = IVec3::from(*leaf);
+        (0..27).map(move |side| leaf + IVec3::new(side % 3, side / 3 % 3, side / 9) - 1)
+    };
+    let near: BTreeSet<[i32; 3]> = leaves.iter().flat_map(around).map(|leaf| leaf.to_array()).collect();
+    let near: Vec<[i32; 3]> = near.into_iter().collect();
+    let known: Vec<(IVec3, Leaf)> = near
+        .par_iter()
+        .filter_map(|leaf| {
+            let origin = IVec3::from(*leaf) * LEAF_EDGE as i32;
+            match obstacle.leaf(origin, &lattice, HALF_WIDTH) {
+                ObstacleLeaf::Near(leaf) => Some((origin, Leaf::clone(&leaf))),
+                ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
+            }
+        })
+        .collect();
+    let topology = Topology::new(known.iter().map(|(origin, _)| *origin).collect());
+    let values: HashMap<IVec3, Leaf> = known.into_iter().collect();
+    let leaves = topology.origins().iter().filter_map(|origin| values.get(origin).cloned()).collect();
+    NarrowBand { topology: Arc::new(topology), phi: Field { leaves }, half_width: HALF_WIDTH }
+}
+
+/// As wide as the band of a surface of ours is, in voxels.
+const HALF_WIDTH: f32 = 4.0;
 
 /// The mesh of a surface, in the world.
 fn data(surface: &Surface) -> MeshData {

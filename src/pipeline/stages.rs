@@ -84,7 +84,8 @@ pub struct Conduct<'a> {
 
 impl<'a> Conduct<'a> {
     /// On these threads, as `meniscus convert` does it where nobody asks for anything: it goes on when a frame fails,
-    /// makes again what is done, writes no certificates, and takes half of the machine's memory.
+    /// makes again what is done, writes no certificates, and has [so many](default_in_flight) frames under way and
+    /// [so much](default_memory_bytes) memory.
     pub fn new(pool: &'a ThreadPool) -> Conduct<'a> {
         Conduct {
             pool,

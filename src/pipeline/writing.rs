@@ -225,8 +225,8 @@ fn quads_of(surface: &Surface, frame: &Frame) -> Arc<[bool]> {
     if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() }
 }
 
-/// A mesh as the writers of the formats take it, in world units, with what is known of its
-/// [vertices](vertex_attributes).
+/// A mesh as the writers of the formats take it: in world units, relative to its origin, with what is known of its
+/// [vertices](vertex_attributes): for each of them as many values as the attribute's arity, in the mesh's order.
 pub fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
     MeshView {
         positions: bytemuck::cast_slice(&mesh.positions),
@@ -241,7 +241,7 @@ fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
     band.topology.origins().iter().map(|origin| origin.to_array()).collect()
 }
 
-/// What is known of the vertices of a mesh, as the writers of the formats take it.
+/// What is known of the vertices of a mesh, as the writers of the formats take it: a value for each vertex.
 pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
     let view = |attribute: &'a Attribute| VertexAttribute {
         name: &attribute.name,

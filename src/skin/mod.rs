@@ -84,6 +84,9 @@ pub struct Smoothed {
 /// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
 /// and counted in the report.
 ///
+/// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
+/// Bhattacharya, Gao and Bargteil.
+///
 /// ```
 /// use meniscus::particles::Particles;
 /// use meniscus::settings::{Choices, Settings};

@@ -115,7 +115,7 @@ def faults_of(obj, number, turn=TURN):
         # Blender's mesher puts vertices elsewhere in their cells, and bounds with them.
         allowed = (0.3 if is_level_set else 1e-4) * h
         off = max(abs(getattr(points, end)(axis=0) - getattr(expected, end)(axis=0)).max() for end in ("min", "max"))
-        if off > allowed:
+        if not off <= allowed:
             faults.append(f"its bounds are off by {off / h:.2g} voxels")
     if not is_level_set and not faults:
         faults += vertex_faults(mesh, points, expected, number, turn)
@@ -127,18 +127,18 @@ def vertex_faults(mesh, points, expected, number, turn):
     h = voxel_size()
     turn = np.array(turn)[:3, :3]
     faults = []
-    if abs(points - expected).max() > 1e-4 * h:
+    if not abs(points - expected).max() <= 1e-4 * h:
         faults.append("its vertices are elsewhere")
     velocity = np.stack([read_column(number, name) for name in ("vx", "vy", "vz")], axis=1) @ turn.T
     away = abs(numbers_of(mesh, "velocity") - velocity).max()
-    if away > 1e-5 * (1 + abs(velocity).max()):
+    if not away <= 1e-5 * (1 + abs(velocity).max()):
         faults.append(f"velocities are off by {away:.2g}")
     normals = np.stack([read_column(number, name) for name in ("nx", "ny", "nz")], axis=1) @ turn.T
     corners = np.empty(3 * len(mesh.loops), np.float32)
     mesh.corner_normals.foreach_get("vector", corners)
     vertices = np.empty(len(mesh.loops), np.int64)
     mesh.loops.foreach_get("vertex_index", vertices)
-    if abs(corners.reshape(-1, 3) - normals[vertices]).max() > 1e-4:
+    if not abs(corners.reshape(-1, 3) - normals[vertices]).max() <= 1e-4:
         faults.append("normals are not the file's")
     if mesh.validate():
         faults.append("Blender had to repair it")
@@ -285,7 +285,7 @@ def turned():
         obj = example.import_sequence(scene, out, None, up)
         points, _ = read_ply(own(5, "ply"))
         off = abs(transformed(positions_of(obj.data), obj.matrix_world) - points).max() / np.ptp(points)
-        if off > 2e-5:
+        if not off <= 2e-5:
             faults.append(f"up {up}: off by {off:.2g} of its size")
     obj = example.import_sequence(scene, own(5, "vdb"), None, "Z")
     return "vertices are where those of the .ply are", faults + faults_of(obj, 5, Matrix())
@@ -338,9 +338,9 @@ def pictures():
     for kind in ("glb", "vdb"):
         placed(own(1, kind), 5)
         images[kind] = render(WORK / f"example_{kind}.png", SIZE, SAMPLES)
-    faults = [f"example_{kind}.png shows nothing" for kind, image in images.items() if image.std() < 0.05]
+    faults = [f"example_{kind}.png shows nothing" for kind, image in images.items() if not image.std() >= 0.05]
     difference = abs(images["glb"] - images["vdb"]).mean()
-    if difference > PICTURE_DIFFERENCE_MAX:
+    if not difference <= PICTURE_DIFFERENCE_MAX:
         faults.append(f"the pictures differ by {difference:.4f} in the mean")
     return f"mean difference {difference:.4f}: {WORK.name}/example_glb.png, {WORK.name}/example_vdb.png", faults
 
@@ -362,7 +362,7 @@ def animation(kind):
     is_each = [np.argmin(row) == index and row[index] < 1e-3 for index, row in enumerate(away)]
     changes = min(away[0][1], away[1][2])
     faults = [f"frame {frame} is another" for frame, is_own in zip((3, 4, 5), is_each) if not is_own]
-    if changes < 5e-3:
+    if not changes >= 5e-3:
         faults.append("frames that should differ are the same")
     return f"neighbours differ by {changes:.4f}: {WORK.name}/example_{kind}_0003.png to 0005", faults
 

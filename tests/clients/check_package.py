@@ -2,7 +2,7 @@
 
 It is made as `.debian/build` makes it, twice, with the same bytes. Debian's own checks find nothing in it.
 Installed, the program converts frames, also as the service and under the service's account; man shows its
-pages without a warning; bash, zsh and fish complete its commands; systemd takes its unit, which is not
+pages without a warning; every link in the documentation leads somewhere; bash, zsh and fish complete its commands; systemd takes its unit, which is not
 enabled. Removed, nothing of it is left. The machine is as it was also when something fails.
 
 Nothing is done where a meniscus is installed already: that one is not ours to remove.
@@ -29,6 +29,7 @@ PROGRAM = Path("/usr/bin/meniscus")
 CONFIG = Path("/etc/meniscus/meniscus.toml")
 UNIT = "/usr/lib/systemd/system/meniscus.service"
 PAGES = Path("/usr/share/man/man1")
+DOCS = Path("/usr/share/doc/meniscus")
 # What is typed before the tab, and what must be among the answers.
 TYPED = {"conv": "convert", "convert --vox": "--voxel-size", "convert --preset gra": "granular"}
 # Where systemd's helpers would remember the unit.
@@ -120,6 +121,7 @@ def used(check):
         check.line("convert", *converts(folder / "converted"))
         check.line("service", *serves(folder))
     check.line("man", *pages_are_clean())
+    check.line("docs", *links_lead_somewhere())
     for shell, ask in {"bash": ask_bash, "zsh": ask_zsh, "fish": ask_fish}.items():
         check.line(shell, *completes(ask))
     check.line("unit", *unit_is_sound())
@@ -133,6 +135,21 @@ def converts(out):
     if written != wanted or not wanted:
         faults.append(f"there are {written}")
     return f"{len(written)} of {len(wanted)} frames", faults
+
+
+def links_lead_somewhere():
+    """Of all that is installed of the documentation."""
+    faults, count = [], 0
+    for page in DOCS.rglob("*.md"):
+        code_aside = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for target in re.findall(r"\]\(([^)\s]+)", code_aside):
+            if "://" not in target and not target.startswith("#"):
+                count += 1
+                if not (page.parent / target.partition("#")[0]).exists():
+                    faults.append(f"{page.relative_to(DOCS)}: {target} is not there")
+    if count < 50:
+        faults.append("there are hardly any links")
+    return f"{count} links", faults
 
 
 def serves(folder):

@@ -1,14 +1,16 @@
-//! Every command in the README is run, as it stands there, in a folder with the files that it names.
+//! Every command in the README's blocks of code is run, as it stands there, in a folder with the files that it names.
 //!
-//! Commands are the lines of the blocks of code, up to their remarks: two blanks or more. `meniscus` is run through a shell
-//! and has to end well. Of what begins with `cargo`, the program is run with the same arguments, and of examples it is
-//! known that they are there. A line of another kind is an error, so that no command is added that nobody has tried.
+//! Commands are the lines of the blocks of code, up to their remarks: two blanks or more. `meniscus` is run through a shell,
+//! has to end well, and to make what it names. Of what begins with `cargo`, the program or the example is run with the same
+//! arguments, as tests are built. A line of another kind is an error, so that no command is added that nobody has tried.
 
 #![cfg(target_os = "linux")]
 
+use std::collections::BTreeMap;
 use std::env;
 use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind};
+use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -42,16 +44,14 @@ fn every_command_does_what_it_says() {
     assert!(commands.len() > 30, "only {} commands were found", commands.len());
     for command in commands {
         let words: Vec<&str> = command.split_whitespace().collect();
+        let made = made_by(&words);
+        let before = scene.outputs(&made);
         match words[..] {
             ["cargo", "test", "--workspace"] => {}
-            ["cargo", "run", "--release", "--example", example, "--", ..] => assert!(
-                Path::new(env!("CARGO_MANIFEST_DIR"))
-                    .join("examples")
-                    .join(example)
-                    .join("main.rs")
-                    .is_file(),
-                "{command}: there is no such example"
-            ),
+            ["cargo", "run", "--release", "--example", example, "--", ..] => {
+                let arguments = command.split_once(" -- ").expect("just seen").1;
+                scene.runs(&format!("{} {arguments}", example_program(example).display()));
+            }
             ["cargo", "run", "--release", "--", ..] => {
                 let arguments = command.split_once(" -- ").expect("just seen").1;
                 scene.runs(&format!("meniscus {arguments}"));
@@ -65,8 +65,9 @@ fn every_command_does_what_it_says() {
             }
             _ => panic!("a command in the README that this test does not know how to run: {command}"),
         }
-        for made in made_by(&words) {
-            assert!(scene.path().join(made).exists(), "{command}: {made} is not there");
+        let after = scene.outputs(&made);
+        for (made, (before, after)) in made.iter().zip(before.iter().zip(&after)) {
+            assert!(before != after && !after.is_empty(), "{command}: nothing new in {made}");
         }
     }
     // What the README says of the first of them.
@@ -82,14 +83,73 @@ fn commands(text: &str) -> Vec<&str> {
     lines.map(|line| line.split("  ").next().unwrap_or(line)).collect()
 }
 
+/// Commands within sentences, and who tries them: a file, and what it has of them.
+const IN_SENTENCES: [(&str, &str, &str); 7] = [
+    ("cargo install --path . --locked", ".ci/install", "cargo install --path . --locked"),
+    (".debian/build", "tests/clients/check_package.py", "\".debian\" / \"build\""),
+    (
+        "blender --python examples/blender/import_sequence.py -- surfaces",
+        "tests/clients/check_blender_example.py",
+        "\"import_sequence.py\"",
+    ),
+    ("cargo doc --open", ".ci/run", "cargo doc"),
+    ("meniscus tune INPUT -o tune.png", "README.md", "\nmeniscus tune cache/ -o tune.png"),
+    ("meniscus convert --help", "tests/meniscus/manual.rs", "--help"),
+    (
+        "cargo run --release --example solid -- 38.6e6 FILE.ply",
+        "benches/processes.py",
+        "\"--example\", \"solid\", \"--\", str(count), path",
+    ),
+];
+
+#[test]
+fn commands_in_sentences_are_tried_elsewhere() {
+    let sentences: String = README.split("```").step_by(2).collect();
+    let begins = ["cargo ", "meniscus ", "blender ", ".debian/", "benches/"];
+    let commands =
+        sentences.split('`').skip(1).step_by(2).filter(|code| begins.iter().any(|b| code.starts_with(b)));
+    let mut known = IN_SENTENCES.map(|(command, ..)| command);
+    let mut commands: Vec<&str> = commands.collect();
+    known.sort_unstable();
+    commands.sort_unstable();
+    assert_eq!(commands, known);
+    for (command, file, part) in IN_SENTENCES {
+        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).expect("readable");
+        assert!(text.contains(part), "{command}: {file} has no {part}");
+    }
+}
+
 /// What a command makes: files, and folders.
 fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
-    let names = |option: &&str| {
-        let makes = words[0] == "meniscus" && !matches!(words[1], "status" | "why");
-        makes && ["--out", "-o", "--report", "--sequence-glb"].contains(option)
+    // Examples take no options: what they make comes last.
+    if words.contains(&"--example") {
+        return words.last().copied().into_iter().collect();
+    }
+    let options: &[&str] = match words[..] {
+        [_, "status" | "why", ..] => &[],
+        // Its `--out` is where shards will write.
+        [_, "plan", ..] => &["-o"],
+        _ => &["--out", "-o", "--report", "--sequence-glb"],
     };
-    words.windows(2).filter(|pair| names(&pair[0])).map(|pair| pair[1]).collect()
+    words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
+
+/// An example, built as this test is.
+fn example_program(name: &str) -> PathBuf {
+    let build = Command::new(env!("CARGO"))
+        .args(["build", "--locked", "--workspace", "--example", name, "--message-format", "json"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo starts");
+    let (out, err) = (String::from_utf8_lossy(&build.stdout), String::from_utf8_lossy(&build.stderr));
+    assert!(build.status.success(), "{name}: {err}");
+    let messages = out.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
+    let mut programs = messages.filter_map(|message| Some(message["executable"].as_str()?.into()));
+    programs.next_back().unwrap_or_else(|| panic!("{name} is no program"))
+}
+
+/// Files by their names, and what tells one version from the next.
+type Outputs = BTreeMap<PathBuf, (u64, i64, u64)>;
 
 /// A folder with all files that the README's commands name.
 struct Scene {
@@ -149,8 +209,17 @@ impl Scene {
         assert!(!err.contains("changes no file"), "{command}\n{err}");
     }
 
-    /// Runs a daemon until it has done what is there, and ends it.
+    /// What is there of some files and folders.
+    fn outputs(&self, made: &[&str]) -> Vec<Outputs> {
+        made.iter().map(|made| files_below(&self.path().join(made))).collect()
+    }
+
+    /// Runs a daemon until it has done what is there, and ends it. It begins with nothing: what is done stays as it is.
     fn watches(&self, command: &str) {
+        let surfaces = self.path().join("surfaces");
+        if surfaces.exists() {
+            fs::remove_dir_all(surfaces).expect("removed");
+        }
         let socket = self.path().join("notify");
         let manager = UnixDatagram::bind(&socket).expect("a socket");
         manager.set_read_timeout(Some(PATIENCE)).expect("a socket");
@@ -172,6 +241,16 @@ impl Scene {
             assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
         }
     }
+}
+
+/// A file, or all files below a folder; none where nothing is.
+fn files_below(path: &Path) -> Outputs {
+    if let Ok(entries) = fs::read_dir(path) {
+        let paths = entries.map(|entry| entry.expect("an entry").path());
+        return paths.flat_map(|path| files_below(&path)).collect();
+    }
+    let version = |file: fs::Metadata| (path.to_owned(), (file.ino(), file.mtime_nsec(), file.len()));
+    fs::metadata(path).ok().map(version).into_iter().collect()
 }
 
 /// Waits until the daemon has said this to its service manager.
@@ -275,4 +354,6 @@ fn commands_are_found_without_their_remarks() {
     assert_eq!(commands(text), ["meniscus a b", "meniscus d.##.e", "cargo test"]);
     assert_eq!(made_by(&["meniscus", "render", "a", "-o", "b.png", "--out", "c"]), ["b.png", "c"]);
     assert_eq!(made_by(&["meniscus", "status", "--out", "c"]), [""; 0]);
+    assert_eq!(made_by(&["meniscus", "plan", "a", "--out", "c", "-o", "p"]), ["p"]);
+    assert_eq!(made_by(&["cargo", "run", "--example", "e", "--", "in", "out"]), ["out"]);
 }
