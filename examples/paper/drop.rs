@@ -17,11 +17,11 @@ use meniscus::preview::{Layers, Picture, Placement, View, render};
 use meniscus::smooth::Integrator;
 use meniscus::space::Lattice;
 
+use crate::Outcome;
 use crate::output::Page;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, mesh_of, skinned};
-use crate::{Length, Outcome};
 
 const FRAMES: usize = 24;
 
@@ -39,7 +39,7 @@ const INTRODUCTION: &str = "\
 from one frame to the next: one has changed if the other frame has none with the same bits at all, be it new or gone. How far it moved is told by its distance to the surface of the other frame.";
 
 /// The pool, by each program.
-pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "drop", "A pool and a drop");
     page.say(INTRODUCTION);

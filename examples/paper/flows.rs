@@ -24,7 +24,7 @@ use crate::output::{Page, Plot};
 use crate::samples::{on_mesh, particles_in};
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
-use crate::{Length, Outcome, told};
+use crate::{Outcome, told};
 
 /// Frames of a whole cycle. The quickest of 5 000 particles moves by a spacing and a half between two.
 const FRAMES: usize = 300;
@@ -38,11 +38,23 @@ const PICTURES: [usize; 4] = [0, FRAMES / 6, FRAMES / 3, FRAMES / 2];
 struct Case {
     flow: Flow,
     count: usize,
+    /// In the second half of the test of Enright all frames of the first come back.
+    is_whole: bool,
     /// Three frames in a row of each so many are skinned: the score of some moments stands for all.
     every: usize,
 }
 
 impl Case {
+    /// All frames that differ.
+    fn short(flow: Flow, count: usize) -> Case {
+        Case { flow, count, is_whole: flow != Flow::Enright, every: 1 }
+    }
+
+    /// The whole cycle, of which some frames are skinned.
+    fn sampled(flow: Flow, count: usize) -> Case {
+        Case { flow, count, is_whole: true, every: 10 }
+    }
+
     fn name(&self) -> &'static str {
         match self.flow {
             Flow::Enright => "Enright",
@@ -50,60 +62,112 @@ impl Case {
         }
     }
 
-    fn is_plotted(&self) -> bool {
-        self.flow == Flow::Enright && self.count == 5_000
+    fn is_pictured(&self, program: Program) -> bool {
+        let is_beside = program == Program::Splashsurf(Post::Processed) && self.is_first();
+        program == Program::Meniscus(Integrator::Fast) || is_beside
     }
 
-    fn is_pictured(&self, program: Program) -> bool {
-        let is_beside = program == Program::Splashsurf(Post::Processed) && self.is_plotted();
-        program == Program::Meniscus(Integrator::Fast) || is_beside
+    /// The first case of each page is plotted, and pictured beside splashsurf.
+    fn is_first(&self) -> bool {
+        self.flow == Flow::Enright && self.count >= 5_000
     }
 
     /// Multiples of `every`, and the frames beside them.
     fn takes(&self, frame: usize) -> bool {
         (frame + 1) % self.every <= 2
     }
+
+    fn frame_count(&self) -> usize {
+        if self.is_whole { FRAMES } else { FRAMES / 2 }
+    }
 }
 
 /// How large voxels are.
+#[derive(Clone, Copy)]
 struct Grid {
     part: &'static str,
     heading: &'static str,
     scale: fn(f64) -> Scale,
 }
 
-const GRIDS: [Grid; 2] = [
-    Grid { part: "fine", heading: FINE, scale: Scale::fine },
-    Grid { part: "usual", heading: USUAL, scale: Scale::usual },
-];
+const FINE: Grid = Grid { part: "fine", heading: ON_FINE, scale: Scale::fine };
+const USUAL: Grid = Grid { part: "usual", heading: ON_USUAL, scale: Scale::usual };
+
+/// What a page is about.
+struct Study {
+    name: &'static str,
+    title: &'static str,
+    introduction: &'static str,
+    cases: Vec<Case>,
+    programs: &'static [Program],
+    grids: &'static [Grid],
+}
 
 /// The flicker of programs, on either grid.
-pub(crate) fn run(folder: &Path, length: Length) -> Outcome<()> {
-    let peer = Splashsurf::find()?;
-    let mut page = Page::new(folder, "flows", "Sequences in known flows");
-    page.say(INTRODUCTION);
-    let programs = if length == Length::Long { &Program::ALL[..] } else { &Program::USUAL };
-    let case = |flow, count| Case { flow, count, every: 1 };
-    let mut cases = vec![case(Flow::Enright, 5_000), case(Flow::Enright, 500), case(Flow::Zalesak, 5_000)];
-    if length == Length::Long {
-        cases.push(Case { every: 10, ..case(Flow::Enright, 50_000) });
+pub(crate) fn run(folder: &Path) -> Outcome<()> {
+    let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
+    let study = Study {
+        name: "flows",
+        title: "Sequences in known flows",
+        introduction: INTRODUCTION,
+        cases: cases.map(|(flow, count)| Case::short(flow, count)).into(),
+        programs: &Program::USUAL,
+        grids: &[FINE, USUAL],
+    };
+    study.publish(folder)
+}
+
+/// The same with our three integrators.
+pub(crate) fn run_integrators(folder: &Path) -> Outcome<()> {
+    let cases = [(Flow::Enright, 5_000), (Flow::Enright, 500), (Flow::Zalesak, 5_000)];
+    let study = Study {
+        name: "flows_integrators",
+        title: "Sequences in known flows, by three integrators",
+        introduction: SAMPLED,
+        cases: cases.map(|(flow, count)| Case::sampled(flow, count)).into(),
+        programs: &Program::OURS,
+        grids: &[FINE, USUAL],
+    };
+    study.publish(folder)
+}
+
+/// And of more particles by all programs. The paper's finest set is on such a grid.
+pub(crate) fn run_many(folder: &Path) -> Outcome<()> {
+    let study = Study {
+        name: "flows_many",
+        title: "50 000 particles in a known flow",
+        introduction: SAMPLED,
+        cases: vec![Case::sampled(Flow::Enright, 50_000)],
+        programs: &Program::ALL,
+        grids: &[USUAL],
+    };
+    study.publish(folder)
+}
+
+impl Study {
+    fn publish(&self, folder: &Path) -> Outcome<()> {
+        let peer = Splashsurf::find()?;
+        let mut page = Page::new(folder, self.name, self.title);
+        page.say(self.introduction);
+        for grid in self.grids {
+            self.publish_grid(grid, &peer, &mut page)?;
+        }
+        page.finish()
     }
-    for Grid { part, heading, scale } in GRIDS {
-        page.say(heading);
+
+    fn publish_grid(&self, grid: &Grid, peer: &Splashsurf, page: &mut Page) -> Outcome<()> {
+        page.say(grid.heading);
         let mut rows = Vec::new();
         let mut curves = Vec::new();
         let mut pictures = Vec::new();
-        for case in &cases {
-            for &program in programs {
+        for case in &self.cases {
+            for &program in self.programs {
                 let start = Instant::now();
-                let sequence = follow(case, program, &peer, scale, length)?;
-                rows.push(sequence.row(case, program));
-                told(&format!(
-                    "{}: {:.0} s",
-                    rows.last().unwrap_or(&Vec::new()).join(", "),
-                    start.elapsed().as_secs_f64()
-                ))?;
-                if case.is_plotted() && Program::USUAL.contains(&program) {
+                let sequence = follow(case, program, peer, grid.scale)?;
+                let row = sequence.row(case, program);
+                told(&format!("{}: {:.0} s", row.join(", "), start.elapsed().as_secs_f64()))?;
+                rows.push(row);
+                if case.is_first() {
                     curves.push((program.name().to_owned(), sequence.over_time));
                 }
                 if case.is_pictured(program) {
@@ -111,31 +175,23 @@ pub(crate) fn run(folder: &Path, length: Length) -> Outcome<()> {
                 }
             }
         }
-        page.table(
-            &[
-                "sequence",
-                "particles",
-                "program",
-                "flicker, h",
-                "median, h",
-                "99 of 100 are less than, h",
-                "greatest, h",
-            ],
-            &rows,
-        );
-        page.plot(
-            part,
-            &Plot {
-                title: "Enright, 5 000 particles: flicker around each frame".to_owned(),
-                axes: ["frame", "flicker, h"],
-                is_log: [false, true],
-                curves,
-            },
-        )?;
-        page.pictures(part, "Sequences at four times, one of them beside splashsurf's", pictures)?;
+        page.table(&COLUMNS, &rows);
+        let title = "The first of them: flicker around each frame".to_owned();
+        let axes = ["frame", "flicker, h"];
+        page.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
+        page.pictures(grid.part, "Sequences at four times", pictures)
     }
-    page.finish()
 }
+
+const COLUMNS: [&str; 7] = [
+    "sequence",
+    "particles",
+    "program",
+    "flicker, h",
+    "median, h",
+    "99 of 100 are less than, h",
+    "greatest, h",
+];
 
 const INTRODUCTION: &str = "\
 Particles on a lattice fill a body, but for half a spacing below its surface, and are carried by a flow that is known \
@@ -147,19 +203,24 @@ surface, in units of h. It has two parts: a trembling of all the surface, which 
 sheet tears or two meet, which are the greatest. Since it is counted in h, only scores on one grid can be compared.
 
 In the second half of the test of Enright all frames of the first come back in reverse, so a whole cycle has nearly the \
-score of its half. It is run whole with `--long`, as are the other integrators and 50 000 particles; of these, three \
-frames in a row are skinned of each ten. Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.";
+score of its half, which stands here. Zalesak's sphere has the radius 0.15, and a notch 0.05 wide and 0.125 deep.";
 
-const FINE: &str = "\
+const SAMPLED: &str = "\
+[The flows](flows.md) again. Here all of a cycle is run, and three frames in a row are skinned of each ten: 30 moments \
+of the 299 stand for all.";
+
+const ON_FINE: &str = "\
 ## On a fine grid
 
 h is a quarter of the spacing, which is the cell that splashsurf recommends, and splashsurf runs as its authors \
 recommend it. As the paper does it, the radii of meniscus do not follow such a grid: r_min is the spacing, r_max twice as \
 much. There are 30 Laplacian steps, between the 15 of the usual grid and the 60 that would reach as far in the world. \
 r_min and these steps were chosen for sequences by this very score, among a few: with r_min at 0.87 spacings and 15 \
-steps, which is what the usual grid comes to, the flicker of 5 000 particles was a sixth larger.";
+steps, which is what the usual grid comes to, the flicker of 5 000 particles was a fifth larger. For a spacing of 1 these are \
+`--voxel-size 0.25 --radius-min 1 --laplacian-steps 30`. As time steps are counted in h, smoothing reaches less far here \
+than on the usual grid: at frame 0 the steps of the lattice show.";
 
-const USUAL: &str = "\
+const ON_USUAL: &str = "\
 ## On the usual grid
 
 h is half the spacing, and all else is as meniscus has it where nothing is said. splashsurf's cells are as large, which is \
@@ -168,7 +229,6 @@ twice what it recommends.";
 /// What came of a sequence.
 struct Sequence {
     particle_count: usize,
-    is_whole: bool,
     score: Score,
     over_time: Vec<[f64; 2]>,
     pictures: Vec<(Picture, String)>,
@@ -178,7 +238,7 @@ impl Sequence {
     fn row(&self, case: &Case, program: Program) -> Vec<String> {
         let Score { rms, median, most, max } = self.score;
         let number = |value: f64| format!("{value:.4}");
-        let sequence = if self.is_whole { "a whole cycle" } else { "half a cycle" };
+        let sequence = if case.is_whole { "a whole cycle" } else { "half a cycle" };
         vec![
             format!("{}, {sequence}", case.name()),
             self.particle_count.to_string(),
@@ -191,22 +251,14 @@ impl Sequence {
     }
 }
 
-fn follow(
-    case: &Case,
-    program: Program,
-    peer: &Splashsurf,
-    scale: fn(f64) -> Scale,
-    length: Length,
-) -> Outcome<Sequence> {
+fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Scale) -> Outcome<Sequence> {
     let (mut particles, spacing) = particles_in(case.flow, case.count);
     let scale = scale(spacing);
     let mut points = Vec::new();
     let mut flicker = Flicker::default();
     let mut pictures = Vec::new();
     let time = |frame: usize| case.flow.period() * frame as f64 / FRAMES as f64;
-    // In the second half of the test of Enright all frames of the first come back.
-    let is_half = case.flow == Flow::Enright && length == Length::Short;
-    for frame in 0..=if is_half { FRAMES / 2 } else { FRAMES } {
+    for frame in 0..=case.frame_count() {
         if case.takes(frame) {
             let mesh = mesh_of(program, peer, &particles, scale)?;
             let solid = Solid::new(&mesh.positions, &mesh.triangles);
@@ -226,7 +278,7 @@ fn follow(
     }
     let over_time = flicker.over_time(scale.voxel_size);
     let score = flicker.score(scale.voxel_size)?;
-    Ok(Sequence { particle_count: particles.len(), is_whole: !is_half, score, over_time, pictures })
+    Ok(Sequence { particle_count: particles.len(), score, over_time, pictures })
 }
 
 /// All of the unit cube that bodies come to.

@@ -11,8 +11,8 @@ use meniscus::smooth::Integrator;
 use meniscus::space::Lattice;
 use meniscus_formats::{Limits, Positions, read_particles};
 
+use crate::Outcome;
 use crate::output::{Page, Plot};
-use crate::{Length, Outcome};
 
 /// Made by the dam break of the examples.
 const FRAME: &str = "examples/frames/dam.0006.bgeo";
@@ -27,7 +27,7 @@ const RATIOS: [f64; 5] = [1.0, 1.25, 1.5, 2.0, 4.0];
 const TIMES: [f64; 7] = [0.0, 5.0, 20.0, 40.0, 60.0, 80.0, 100.0];
 
 const INTRODUCTION: &str = "\
-3 072 particles of a dam break, as it splashes up: `examples/frames/dam.0006.bgeo`, made by `examples/dam_break`. The voxels are half a spacing.
+3 072 particles of a dam break, as it splashes up: `examples/frames/dam.0006.bgeo`, made by `examples/dam_break`. The voxels are half a spacing: `--voxel-size 0.025`.
 
 ## The ratio of the radii
 
@@ -46,7 +46,7 @@ The same frame after more and more fictitious time, in units of h⁴, which begi
 A frame usually gets 100 h⁴ by implicit and fast steps, and 5 h⁴ by explicit ones. Seconds are those of the smoothing alone, the least of three runs.";
 
 /// Ratios, and energies over time.
-pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "frame", "A frame under other settings");
     let particles = particles()?;
     page.say(INTRODUCTION);
@@ -151,10 +151,10 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
     let title = "Bending energy over integration time".to_owned();
     let axes = ["time, h⁴", "∫H²"];
-    page.plot("time", &Plot { title, axes, is_log: [false, true], curves: over_time })?;
+    page.plot("time", &Plot { title, axes, is_log: [false; 2], curves: over_time })?;
     let title = "Bending energy over seconds".to_owned();
     let axes = ["seconds of smoothing", "∫H²"];
-    page.plot("seconds", &Plot { title, axes, is_log: [true, true], curves: over_seconds })?;
+    page.plot("seconds", &Plot { title, axes, is_log: [true, false], curves: over_seconds })?;
     page.pictures("time", "Above explicit, then implicit, then fast", pictures)
 }
 

@@ -32,53 +32,58 @@ use crate::splashsurf::Splashsurf;
 /// What an experiment comes to, or why it did not.
 pub(crate) type Outcome<T> = Result<T, Box<dyn Error>>;
 
-/// How much is done. Only flows have a longer form.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Length {
-    /// What takes minutes.
-    Short,
-    /// And what takes hours.
-    Long,
+/// Writes a page into a folder.
+#[derive(Clone, Copy)]
+struct Experiment {
+    name: &'static str,
+    run: fn(&Path) -> Outcome<()>,
+    /// It takes hours, not minutes.
+    is_long: bool,
 }
 
-type Experiment = fn(&Path, Length) -> Outcome<()>;
+const fn short(name: &'static str, run: fn(&Path) -> Outcome<()>) -> Experiment {
+    Experiment { name, run, is_long: false }
+}
 
-const EXPERIMENTS: [(&str, Experiment); 6] = [
-    ("frame", frame::run),
-    ("spheres", spheres::run),
-    ("shapes", shapes::run),
-    ("flows", flows::run),
-    ("drop", drop::run),
-    ("random_ball", random_ball::run),
+const EXPERIMENTS: [Experiment; 8] = [
+    short("frame", frame::run),
+    short("spheres", spheres::run),
+    short("shapes", shapes::run),
+    short("flows", flows::run),
+    short("drop", drop::run),
+    short("random_ball", random_ball::run),
+    Experiment { name: "flows_integrators", run: flows::run_integrators, is_long: true },
+    Experiment { name: "flows_many", run: flows::run_many, is_long: true },
 ];
 
-const BESIDE_SPLASHSURF: [&str; 3] = ["flows", "drop", "random_ball"];
+const WITHOUT_SPLASHSURF: [&str; 3] = ["frame", "spheres", "shapes"];
 
 fn main() -> Outcome<()> {
     let (options, names): (Vec<String>, Vec<String>) =
         std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
-    let length = match options.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        [] => Length::Short,
-        ["--long"] => Length::Long,
-        _ => return Err("usage: paper [EXPERIMENT...] [--long]".into()),
+    let is_long = match options.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        [] => false,
+        ["--long"] if names.is_empty() => true,
+        _ => return Err("usage: paper --long | [EXPERIMENT...]".into()),
     };
-    let known = EXPERIMENTS.map(|(name, _)| name);
+    let known = EXPERIMENTS.map(|experiment| experiment.name);
     if let Some(name) = names.iter().find(|name| !known.contains(&&***name)) {
         return Err(format!("no experiment {name}; there are: {}", known.join(", ")).into());
     }
-    let is_asked = |name: &str| names.is_empty() || names.iter().any(|asked| asked == name);
-    if length == Length::Long && !is_asked("flows") {
-        return Err("--long is for flows".into());
-    }
+    let is_asked = |experiment: &Experiment| match names.is_empty() {
+        true => is_long || !experiment.is_long,
+        false => names.iter().any(|name| name == experiment.name),
+    };
+    let asked: Vec<Experiment> = EXPERIMENTS.into_iter().filter(is_asked).collect();
     // Missed before the first experiment takes its minutes.
-    if BESIDE_SPLASHSURF.into_iter().any(is_asked) {
+    if asked.iter().any(|experiment| !WITHOUT_SPLASHSURF.contains(&experiment.name)) {
         Splashsurf::find()?;
     }
     let folder = PathBuf::from("docs/results");
     fs::create_dir_all(&folder)?;
-    for (name, run) in EXPERIMENTS.into_iter().filter(|(name, _)| is_asked(name)) {
+    for Experiment { name, run, .. } in asked {
         let start = Instant::now();
-        run(&folder, length)?;
+        run(&folder)?;
         told(&format!("{name}: {:.0} s", start.elapsed().as_secs_f64()))?;
     }
     Ok(())

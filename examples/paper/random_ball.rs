@@ -10,11 +10,11 @@ use meniscus::smooth::Integrator;
 use meniscus::space::Lattice;
 use meniscus_formats::MeshData;
 
+use crate::Outcome;
 use crate::output::Page;
 use crate::samples::Random;
 use crate::splashsurf::{Post, Splashsurf};
 use crate::surfaces::{Program, Scale, band_of, mesh_of};
-use crate::{Length, Outcome};
 
 const INTRODUCTION: &str = "\
 Particles are thrown into a ball of radius 1, anywhere in it with the same probability, so that some are close together \
@@ -28,7 +28,7 @@ quarters of the radius. splashsurf is meant for particles that simulations have 
 its authors recommend, and a kernel twice as wide, which reaches over the gaps.";
 
 /// Ours at 50 000, and splashsurf at 50 000 and at 1 000 000.
-pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let peer = Splashsurf::find()?;
     let mut page = Page::new(folder, "random_ball", "Particles at random in a ball");
     page.say(INTRODUCTION);
@@ -99,7 +99,8 @@ fn ball(count: usize) -> Vec<DVec3> {
 }
 
 fn view() -> View {
-    let camera = Placement::AUTO.around([DVec3::splat(-1.0), DVec3::splat(1.0)], 1.0);
+    let camera =
+        Placement { zoom: 1.6, ..Placement::AUTO }.around([DVec3::splat(-1.0), DVec3::splat(1.0)], 1.0);
     View { size: [380, 380], camera, up: Placement::AUTO.up, ground: None }
 }
 

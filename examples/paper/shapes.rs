@@ -12,9 +12,9 @@ use meniscus::settings::{AnisotropyKind, Choices, Settings};
 use meniscus::skin::{Surface, skin_cloud};
 use meniscus::space::Lattice;
 
+use crate::Outcome;
 use crate::output::Page;
 use crate::samples::Random;
-use crate::{Length, Outcome};
 
 const CROWN: &str = "\
 ## Anisotropy
@@ -34,7 +34,7 @@ const TETRAHEDRON: &str = "\
 Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is where nothing is said. How far the outer side is from the walls is measured at its vertices.";
 
 /// Pictures, with what can be counted below them.
-pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "shapes", "Particles of their own shapes and sizes, and an obstacle");
     page.say(CROWN);
     crown(&mut page)?;

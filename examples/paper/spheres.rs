@@ -20,9 +20,9 @@ use meniscus::settings::Contouring;
 use meniscus::smooth::{Act, Config, Integrator, Memory, Work, acts, smooth, smooth_laplacian_only};
 use meniscus::space::Lattice;
 
+use crate::Outcome;
 use crate::output::{Page, Plot};
 use crate::samples::Random;
-use crate::{Length, Outcome};
 
 const RADIUS: f32 = 20.0;
 const BOUND_RADII: [f32; 2] = [16.0, 24.0];
@@ -48,7 +48,7 @@ The same sphere, with a field that rises quickly away from the surface where x <
 Without redistancing the left side stays rough and the right one comes out smooth; with it, both do.";
 
 /// Both flows over time, and what redistancing is for.
-pub(crate) fn run(folder: &Path, _: Length) -> Outcome<()> {
+pub(crate) fn run(folder: &Path) -> Outcome<()> {
     let mut page = Page::new(folder, "spheres", "A noisy sphere under both flows");
     page.say(LAPLACIAN);
     let laplacian = LAPLACIAN_STEPS.map(|steps| {

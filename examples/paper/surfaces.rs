@@ -37,6 +37,13 @@ impl Program {
         Program::Splashsurf(Post::Processed),
     ];
 
+    /// This one with each of its integrators.
+    pub(crate) const OURS: [Program; 3] = [
+        Program::Meniscus(Integrator::Fast),
+        Program::Meniscus(Integrator::Implicit),
+        Program::Meniscus(Integrator::Explicit),
+    ];
+
     /// The one that is used, and the other program.
     pub(crate) const USUAL: [Program; 3] = [
         Program::Meniscus(Integrator::Fast),
@@ -113,7 +120,7 @@ pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
     let lattice = Lattice { voxel_size };
     let obstacle = Obstacle::new(Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)), 0);
     let leaf_of =
-        |vertex: &[f64; 3]| (DVec3::from(*vertex) / (voxel_size * LEAF_EDGE as f64)).floor().as_ivec3();
+        |vertex: &[f64; 3]| (DVec3::from(*vertex) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();
     let leaves: BTreeSet<[i32; 3]> = mesh.positions.iter().map(|vertex| leaf_of(vertex).to_array()).collect();
     // Triangles reach into the leaves beside those of their corners.
     let around = |leaf: &[i32; 3]| {
@@ -125,7 +132,7 @@ pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
     let known: Vec<(IVec3, Leaf)> = near
         .par_iter()
         .filter_map(|leaf| {
-            let origin = IVec3::from(*leaf) * LEAF_EDGE as i32;
+            let origin = IVec3::from(*leaf) * LEAF_EDGE;
             match obstacle.leaf(origin, &lattice, HALF_WIDTH) {
                 ObstacleLeaf::Near(leaf) => Some((origin, Leaf::clone(&leaf))),
                 ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
