@@ -218,6 +218,18 @@ async function playRuns(watching, page) {
   );
 }
 
+/** Where an element is, once it no longer moves: what is above it may still be coming. */
+async function boxAtRest(page, selector) {
+  const box = async () => (await page.$(selector)).boundingBox();
+  let before = await box();
+  for (;;) {
+    await new Promise((done) => setTimeout(done, 300));
+    const now = await box();
+    if (JSON.stringify(now) === JSON.stringify(before)) return now;
+    before = now;
+  }
+}
+
 async function framesAreChosen(page) {
   const last = FIRST_COUNT + 4;
   const told = [];
@@ -237,7 +249,7 @@ async function framesAreChosen(page) {
     await page.keyboard.press(key);
     await expect(key, name);
   }
-  const slider = await (await page.$("#scrub")).boundingBox();
+  const slider = await boxAtRest(page, "#scrub");
   const middle = slider.y + slider.height / 2;
   await page.mouse.move(slider.x + slider.width - 8, middle);
   await page.mouse.down();
