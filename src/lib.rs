@@ -77,3 +77,5 @@ pub mod particles;
 pub mod space;
 
 pub mod simd;
+
+mod words;

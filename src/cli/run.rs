@@ -8,12 +8,12 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
-    ShotSource, gist, output_path,
+    ShotSource, gist, notes, output_path, standing_notes,
 };
 
 use super::Verdict;
 use super::console::Console;
-use super::wording::{FRAMES_IN_VIEW, counted, described, notes, standing_notes};
+use super::wording::{FRAMES_IN_VIEW, counted, described};
 
 /// A frame that was asked for.
 struct AskedFrame {

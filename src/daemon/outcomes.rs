@@ -5,7 +5,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use crate::pipeline::{
-    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, gist, output_path,
+    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, gist, notes, output_path,
+    standing_notes,
 };
 
 use super::frames::{FrameId, FrameState, Phase};
@@ -50,16 +51,14 @@ impl Daemon<'_> {
             queue = self.queue.len(),
             "converted"
         );
-        for note in &report.notes {
-            // What is so with one frame is so with the next, as a rule.
-            let sequence = self.frames.get(id).map(|frame| frame.sequence);
-            if sequence.is_some_and(|index| !self.sequences.get_mut(index).told.insert(gist(note))) {
-                continue;
-            }
+        let sequence = self.frames.get(id).map(|frame| frame.sequence);
+        // What is so with one frame is so with the next, as a rule.
+        let is_new = |note: &String| {
+            sequence.is_none_or(|index| self.sequences.get_mut(index).told.insert(gist(note)))
+        };
+        let standing: Vec<String> = standing_notes(report).into_iter().filter(is_new).collect();
+        for note in standing.into_iter().chain(notes(report)) {
             tracing::warn!(frame = %id.path.display(), "{note}");
-        }
-        if !skin.certificate.holds() {
-            tracing::warn!(frame = %id.path.display(), "the certificate does not hold: see the report of `convert`");
         }
         self.room.was_enough();
         let outputs = report.outputs.iter().zip(&report.output_bytes);

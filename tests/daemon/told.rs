@@ -90,6 +90,20 @@ fn why_tells_of_each_frame() {
 
 /// Other programs read it: line by line, each an object, and one for each frame.
 #[test]
+fn what_is_odd_about_a_frame_is_in_the_log() {
+    let scene = Scene::new();
+    let mut particles = moving(1);
+    particles[0] = [f32::NAN; 3];
+    scene.write("in/dam.1.ply", ply(&particles));
+    let daemon = scene.watch(&FORMATS);
+    daemon.await_line("what was left out is told", |line| {
+        line.level == "WARN" && line.is_about("dam.1.ply") && line.message.starts_with("1 particle left out")
+    });
+    daemon.await_converted("dam.1.ply");
+    daemon.finish();
+}
+
+#[test]
 fn the_log_tells_of_every_frame() {
     let (_scene, daemon) = scene();
     let line = daemon.await_converted("dam.1.ply");

@@ -31,6 +31,14 @@ fn particles_are_described() {
 }
 
 #[test]
+fn what_the_system_says_is_told_once() {
+    let folder = tempdir().expect("a folder");
+    let ran = meniscus(folder.path(), &["info", "nowhere.ply"]);
+    assert_eq!(ran.status, 2, "{}", ran.err);
+    assert_eq!(ran.err.matches("os error 2").count(), 1, "{}", ran.err);
+}
+
+#[test]
 fn attributes_are_described() {
     let folder = tempdir().expect("a folder");
     fs::write(folder.path().join("t.csv"), "x,y,z,density,id\n0,0,0,1.5,7\n1,0,0,-2.5,9007199254740993\n")

@@ -27,6 +27,7 @@ use super::Verdict;
 use super::args::InfoArgs;
 use super::console::Console;
 use super::inputs::find_inputs;
+use super::wording::with_causes;
 
 use mesh::MeshInfo;
 use particles::ParticlesInfo;
@@ -119,7 +120,7 @@ fn file_info(path: &Path) -> FileInfo {
     // A fault in a reader costs this file only.
     let result = catch_unwind(AssertUnwindSafe(|| info.fill(path)))
         .unwrap_or_else(|_| Err(anyhow!("a fault in this program")));
-    info.error = result.err().map(|error| format!("{error:#}"));
+    info.error = result.err().map(|error| with_causes(&error));
     info
 }
 

@@ -31,7 +31,7 @@ use crate::window::{Listen, Window};
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
 use super::studio::level_sets_in;
-use super::wording::{FRAMES_IN_VIEW, counted};
+use super::wording::{FRAMES_IN_VIEW, counted, with_causes};
 
 use plan::Plan;
 pub(super) use plan::make_plan;
@@ -188,8 +188,9 @@ impl Control {
                 }
             }
             Err(error) => {
-                error!("nothing is changed: {error:#}");
-                service::tell_not_reloaded(&format!("goes on with the old configuration: {error:#}"));
+                let error = with_causes(&error);
+                error!("nothing is changed: {error}");
+                service::tell_not_reloaded(&format!("goes on with the old configuration: {error}"));
             }
         }
     }
