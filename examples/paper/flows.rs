@@ -223,7 +223,7 @@ than on the usual grid: at frame 0 the steps of the lattice show.";
 const ON_USUAL: &str = "\
 ## On the usual grid
 
-h is half the spacing, and all else is as meniscus has it where nothing is said. splashsurf's cells are as large, which is \
+h is half the spacing, and all else is the default of meniscus. splashsurf's cells are as large, which is \
 twice what it recommends.";
 
 /// What came of a sequence.
@@ -267,7 +267,7 @@ fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Sc
             }
             flicker.add(frame, &solid, &points)?;
             if case.is_pictured(program) && PICTURES.contains(&frame) {
-                let name = if let Program::Splashsurf(_) = program { "splashsurf" } else { case.name() };
+                let name = if let Program::Splashsurf(_) = program { program.name() } else { case.name() };
                 let label = format!("{name}, {} particles, frame {frame}", particles.len());
                 let voxel_size = 0.5 * scale.voxel_size;
                 pictures.push((picture(&band_of(&mesh, voxel_size), voxel_size), label));

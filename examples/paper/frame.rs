@@ -36,7 +36,7 @@ r_min is √3 h, r_max is so many times as much, and r_init is their mean. The l
 const VOXELS: &str = "\
 ## The voxel size
 
-h as large as the spacing, half of it, which is what it is where nothing is said, and a quarter. With a quarter the radii \
+h as large as the spacing, half of it, which is the default, and a quarter. With a quarter the radii \
 would shrink too, and the spheres of neighbours would not meet; so there they are those of the second.";
 
 const ENERGY: &str = "\
@@ -170,7 +170,8 @@ fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f6
     Ok(skin(particles, &Settings::resolve(VOXEL_SIZE, &choices)?))
 }
 
-fn particles() -> Outcome<Particles> {
+/// The frame.
+pub(crate) fn particles() -> Outcome<Particles> {
     let frame = read_particles(&std::fs::read(FRAME)?, FRAME, &Limits::default())?;
     Ok(match frame.positions {
         Positions::F32(positions) => Particles::Single(positions),

@@ -19,6 +19,7 @@ mod samples;
 mod shapes;
 mod spheres;
 mod splashsurf;
+mod submerged;
 mod surfaces;
 
 use std::error::Error;

@@ -1,4 +1,4 @@
-//! Particles of their own shapes and sizes, and an obstacle around them (paper, Fig. 11, 13 and 15).
+//! Particles of their own shapes and sizes, and an obstacle around them (paper, Fig. 11, 13, 15 and 16).
 
 use std::f64::consts::TAU;
 use std::path::Path;
@@ -15,6 +15,7 @@ use meniscus::space::Lattice;
 use crate::Outcome;
 use crate::output::Page;
 use crate::samples::Random;
+use crate::submerged;
 
 const CROWN: &str = "\
 ## Anisotropy
@@ -31,7 +32,7 @@ The other method that the paper has beside its own was not run.";
 const TETRAHEDRON: &str = "\
 ## An obstacle all around
 
-Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is where nothing is said. How far the outer side is from the walls is measured at its vertices.";
+Particles on the inside of a tetrahedral mould, some a little outside of it. From left to right without the mould; with what is inside of the mould's walls taken away; and with the gaps below h filled, as it is by default. How far the outer side is from the walls is measured at its vertices.";
 
 /// Pictures, with what can be counted below them.
 pub(crate) fn run(folder: &Path) -> Outcome<()> {
@@ -42,6 +43,7 @@ pub(crate) fn run(folder: &Path) -> Outcome<()> {
     sizes(&mut page)?;
     page.say(TETRAHEDRON);
     tetrahedron(&mut page)?;
+    submerged::publish(&mut page)?;
     page.finish()
 }
 
@@ -240,11 +242,11 @@ fn with(positions: Particles, name: &str, meaning: Meaning, arity: usize, number
     Cloud { attributes: vec![attribute], ..Cloud::from(positions) }
 }
 
-fn skinned(cloud: &Cloud, voxel_size: f64, choices: &Choices, obstacles: &Obstacles) -> Outcome<Surface> {
+pub(crate) fn skinned(cloud: &Cloud, voxel_size: f64, choices: &Choices, obstacles: &Obstacles) -> Outcome<Surface> {
     Ok(skin_cloud(cloud.clone(), &Settings::resolve(voxel_size, choices)?, obstacles))
 }
 
-fn holds(surface: &Surface) -> String {
+pub(crate) fn holds(surface: &Surface) -> String {
     if surface.report.certificate.holds() { "holds" } else { "does not hold" }.to_owned()
 }
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
-use meniscus::grid::{Field, LEAF_EDGE, Leaf, Topology};
+use meniscus::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
 use meniscus::level_set::NarrowBand;
 use meniscus::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
 use meniscus::particles::Particles;
@@ -117,26 +117,64 @@ pub(crate) fn skinned(particles: &[DVec3], scale: Scale, integrator: Integrator)
 
 /// The level set of a closed mesh, for pictures of it: voxels half as large as its cells leave its edges as they are.
 pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
-    let lattice = Lattice { voxel_size };
-    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)), 0);
+    let all = |_: DVec3| f64::NEG_INFINITY;
+    intersection(mesh, voxel_size, leaves_near(mesh.positions.iter().copied(), voxel_size), all)
+}
+
+/// The same without what lies at a greater z.
+pub(crate) fn cut_open(mesh: &MeshData, voxel_size: f64, z: f64) -> NarrowBand {
+    let mesh_leaves = leaves_near(mesh.positions.iter().copied(), voxel_size);
+    let columns: BTreeSet<[i32; 2]> = mesh_leaves.iter().map(|[x, y, _]| [*x, *y]).collect();
+    let edge = voxel_size * f64::from(LEAF_EDGE);
+    // Where the mesh is far above and below, its inside may be in the cut all the same.
+    let sides = [0, 1].map(|axis| {
+        let along = || columns.iter().map(|column| column[axis]);
+        along().min().unwrap_or(0)..=along().max().unwrap_or(0)
+    });
+    let [across, up] = &sides;
+    let in_cut =
+        across.clone().flat_map(|x| up.clone().map(move |y| [f64::from(x) * edge, f64::from(y) * edge, z]));
+    let mut leaves = mesh_leaves;
+    leaves.extend(leaves_near(in_cut, voxel_size));
+    intersection(mesh, voxel_size, leaves, |at| at.z - z)
+}
+
+/// The leaves with these places, and those beside them: triangles reach beyond the leaves of their corners.
+fn leaves_near(places: impl Iterator<Item = [f64; 3]>, voxel_size: f64) -> BTreeSet<[i32; 3]> {
     let leaf_of =
-        |vertex: &[f64; 3]| (DVec3::from(*vertex) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();
-    let leaves: BTreeSet<[i32; 3]> = mesh.positions.iter().map(|vertex| leaf_of(vertex).to_array()).collect();
-    // Triangles reach into the leaves beside those of their corners.
+        |place: [f64; 3]| (DVec3::from(place) / (voxel_size * f64::from(LEAF_EDGE))).floor().as_ivec3();
+    let leaves: BTreeSet<[i32; 3]> = places.map(|place| leaf_of(place).to_array()).collect();
     let around = |leaf: &[i32; 3]| {
         let leaf = IVec3::from(*leaf);
-        (0..27).map(move |side| leaf + IVec3::new(side % 3, side / 3 % 3, side / 9) - 1)
+        (0..27).map(move |side| (leaf + IVec3::new(side % 3, side / 3 % 3, side / 9) - 1).to_array())
     };
-    let near: BTreeSet<[i32; 3]> = leaves.iter().flat_map(around).map(|leaf| leaf.to_array()).collect();
-    let near: Vec<[i32; 3]> = near.into_iter().collect();
-    let known: Vec<(IVec3, Leaf)> = near
+    leaves.iter().flat_map(around).collect()
+}
+
+/// What is inside of a mesh and, by its signed distance, of another body: in these leaves.
+fn intersection(
+    mesh: &MeshData,
+    voxel_size: f64,
+    leaves: BTreeSet<[i32; 3]>,
+    other: impl Fn(DVec3) -> f64 + Sync,
+) -> NarrowBand {
+    let lattice = Lattice { voxel_size };
+    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)), 0);
+    let leaves: Vec<[i32; 3]> = leaves.into_iter().collect();
+    let known: Vec<(IVec3, Leaf)> = leaves
         .par_iter()
         .filter_map(|leaf| {
             let origin = IVec3::from(*leaf) * LEAF_EDGE;
-            match obstacle.leaf(origin, &lattice, HALF_WIDTH) {
-                ObstacleLeaf::Near(leaf) => Some((origin, Leaf::clone(&leaf))),
-                ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
+            let mut leaf = match obstacle.leaf(origin, &lattice, HALF_WIDTH) {
+                ObstacleLeaf::Near(leaf) => Leaf::clone(&leaf),
+                ObstacleLeaf::Inside => Leaf::splat(-HALF_WIDTH),
+                ObstacleLeaf::Outside => return None,
+            };
+            for (offset, phi) in leaf.values.iter_mut().enumerate() {
+                let at = (origin + voxel_in_leaf(offset)).as_dvec3() * voxel_size;
+                *phi = phi.max((other(at) / voxel_size) as f32).min(HALF_WIDTH);
             }
+            Some((origin, leaf))
         })
         .collect();
     let topology = Topology::new(known.iter().map(|(origin, _)| *origin).collect());
@@ -149,7 +187,7 @@ pub(crate) fn band_of(mesh: &MeshData, voxel_size: f64) -> NarrowBand {
 const HALF_WIDTH: f32 = 4.0;
 
 /// The mesh of a surface, in the world.
-fn data(surface: &Surface) -> MeshData {
+pub(crate) fn data(surface: &Surface) -> MeshData {
     let mesh = &surface.mesh;
     MeshData {
         positions: mesh.positions.iter().map(|at| (mesh.origin + at.as_dvec3()).to_array()).collect(),

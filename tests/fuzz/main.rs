@@ -9,7 +9,7 @@
 //!
 //! No target may panic, take more than ten seconds, or hold more than four bytes for each of its input's and 64 MiB;
 //! what is packed counts as what the limits let out of it. `long/run` searches for bytes that break this with libFuzzer:
-//! what it finds is put into `corpus`, and so becomes a test. docs/results.md has what it has done.
+//! what it finds is put into `corpus`, and so becomes a test. docs/trials.md has what it has done.
 
 mod bar;
 mod damage;

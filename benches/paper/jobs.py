@@ -1,0 +1,92 @@
+"""Table 2: many frames by processes with one thread each, or by fewer with more."""
+
+import os
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import processes
+from paper import figures
+from paper.measuring import UPPER_RIGHT, in_seconds
+from processes import Table, spread
+
+ABOUT = """The same surface again and again, of 4.8 million particles at h = spacing: by as many processes as there are threads in all, or by fewer
+processes with more threads each. The last row of ours is one process that is given all frames by one command: there a thread takes a frame
+of its own as long as there are enough (`src/pipeline/crew.rs`).
+
+The paper's text says 120 jobs, its caption 12. With what a job takes in its Table 3, it was 120."""
+
+
+def table(asked):
+    path, spacing = processes.solid(UPPER_RIGHT)
+    cores = os.cpu_count()
+    ways = [(count, cores // count) for count in range(cores, 0, -1) if cores % count == 0]
+    taken = {way: [] for way in ways}
+    together = []
+    with tempfile.TemporaryDirectory(dir=processes.SOLIDS) as folder:
+        frames = [Path(folder) / f"job.{number:04}.ply" for number in range(1, asked.jobs + 1)]
+        for frame in frames:
+            frame.symlink_to(path)
+        path.read_bytes()  # into the system's cache
+        for _ in range(asked.rounds):
+            for way in ways:
+                taken[way].append(at_once(frames, spacing, *way))
+                print(".", end="", flush=True)
+            together.append(in_one(Path(folder) / "job.####.ply", spacing, cores))
+            print(".", end="", flush=True)
+    print()
+    return "\n\n".join([ABOUT, papers(), ours(asked.jobs, taken, together, cores)])
+
+
+def at_once(frames, voxel_size, count, threads):
+    """So many processes at a time, each with so many threads, until all frames are done: seconds of the clock, and bytes
+    that all of them held at most if they held them at one time."""
+
+    def job(frame):
+        with tempfile.TemporaryDirectory() as out:
+            return processes.measured(processes.meniscus(frame, voxel_size, out, threads=threads))
+
+    start = time.perf_counter()
+    with ThreadPoolExecutor(count) as pool:
+        runs = list(pool.map(job, frames))
+    seconds = time.perf_counter() - start
+    return seconds, count * max(run.memory_bytes for run in runs)
+
+
+def in_one(pattern, voxel_size, threads):
+    """All frames by one command: seconds and bytes."""
+    with tempfile.TemporaryDirectory() as out:
+        run = processes.measured(processes.meniscus(pattern, voxel_size, out, threads=threads))
+    return run.seconds, run.memory_bytes
+
+
+def papers():
+    table = Table(
+        f"The paper's, {figures.JOBS} jobs, on {figures.MACHINE}. The last two columns follow from the times: what a job took while"
+        " so many ran, and how many times faster it is than with one thread.",
+        *("processes at once", "threads of each", "time, h:min", "beside the first", "seconds of a job", "times faster"),
+    )
+    least = figures.PROCESSES[0][2]
+    for (processes_at_once, threads, minutes), (_, speedup) in zip(figures.PROCESSES, figures.speedups()):
+        job = figures.job_seconds(processes_at_once, minutes)
+        told = f"{minutes // 60}:{minutes % 60:02}"
+        table.row(processes_at_once, threads, told, f"{minutes / least:.2f}", f"{job:.0f}", f"{speedup:.2f}")
+    return table.markdown()
+
+
+def ours(jobs, taken, together, cores):
+    table = Table(
+        f"Ours, {jobs} jobs, whole processes from a .ply to a .glb: medians (least–greatest).",
+        *("processes at once", "threads of each", "seconds", "beside the first", "memory of all, GB"),
+    )
+    first = [seconds for seconds, _ in next(iter(taken.values()))]
+    rows = [*((count, threads, rounds) for (count, threads), rounds in taken.items())]
+    rows.append(("1, all jobs in one command", cores, together))
+    for count, threads, rounds in rows:
+        # Round by round: in a round the machine was the same for all.
+        beside = [seconds / other for (seconds, _), other in zip(rounds, first)]
+        memory = max(size for _, size in rounds) / 1e9
+        told = in_seconds([seconds for seconds, _ in rounds])
+        table.row(count, threads, told, spread(beside, ".2f"), f"{memory:.2f}")
+    return table.markdown()

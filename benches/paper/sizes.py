@@ -1,0 +1,104 @@
+"""Table 3: from 0.6 to 309 million particles."""
+
+import statistics
+import sys
+from dataclasses import dataclass
+
+import processes
+from paper import figures
+from paper.measuring import (
+    COMPUTING,
+    LARGE,
+    LARGEST,
+    SMALL,
+    UPPER_RIGHT,
+    in_seconds,
+    section_of_performance,
+    skinned,
+)
+from processes import THREADS, Table, spread
+
+ABOUT = """The dragon of the paper's Fig. 17 on finer and finer lattices, and a solid with about its area and volume (`examples/solid`), both with
+h = spacing. A row with ¹ is that of [performance.md](../performance.md#large-frames), with the machine and commit that it names; the others were
+measured now, that of 38.6 million once."""
+
+
+def table(asked):
+    rows = [measured_solid(count, asked.rounds) for count in (SMALL, UPPER_RIGHT)]
+    rows.append(measured_solid(LARGE, 1))
+    rows.append(measured_solid(LARGEST, 1) if asked.long else told_of_large_solid(LARGEST))
+    return "\n\n".join([ABOUT, papers(), ours(rows)])
+
+
+@dataclass
+class Large:
+    """A large solid, as a row of text."""
+
+    particles: str
+    free_voxels: str
+    stages: list
+    seconds: float | None  # of those that are measured now
+    whole: str
+    cpu: str
+    memory: str
+
+
+def told_of_large_solid(count):
+    """What `benches/scale` printed, for docs/performance.md."""
+    for line in section_of_performance("Large frames").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        digits = cells[0].replace(",", "")
+        if digits.isdigit() and f"{float(digits):.3g}" == f"{count:.3g}":
+            particles, free, _, rasterize, smooth, contour, _, whole, cpu, memory, *_ = cells
+            return Large(f"{particles} ¹", free, [rasterize, smooth, contour], None, whole, cpu, memory)
+    sys.exit(f"tables: docs/performance.md has no row of {count:.3g} particles; --long measures it")
+
+
+def measured_solid(count, rounds):
+    path, spacing = processes.solid(count)
+    processes.script("scale").read_once(path)
+    taken = []
+    for _ in range(rounds):
+        taken.append(skinned(path, spacing))
+        print(".", end="", flush=True)
+    print()
+    stages = [in_seconds([one.stage(stage) for one in taken]) for stage in COMPUTING]
+    seconds = [one.run.seconds for one in taken]
+    cpu = spread([one.run.cpu_seconds for one in taken], ".1f")
+    memory = f"{max(one.run.memory_bytes for one in taken) / 1e9:.2f}"
+    report = taken[0].report
+    counts = f"{report['particles']:,}", f"{report['free_voxels']:,}"
+    return Large(*counts, stages, statistics.median(seconds), in_seconds(seconds), cpu, memory)
+
+
+def papers():
+    table = Table(
+        f"The paper's dragon at h = spacing, implicit, without reading and writing, on {figures.MACHINE}; and the authors'"
+        f" program as it is published, whole processes, on two threads ({figures.PROGRAM_MACHINE}).",
+        *("particles", "seconds", "beside the row above", "of it rasterization", "CPU seconds", "memory, GB"),
+        *("CG iterations", "the published program: seconds", "memory, GB"),
+    )
+    above = None
+    for particles, seconds, rasterization, cpu_percent, memory, iterations in figures.DRAGONS:
+        growth = f"{seconds / above:.1f}" if above else "–"
+        cpu = f"{seconds * cpu_percent / 100:,.0f}"
+        program = (f"{figure:g}" for figure in figures.PROGRAM_DRAGONS.get(particles, ()))
+        program = list(program) or ["–", "–"]
+        millions = f"{particles / 1e6:g} M"
+        table.row(millions, f"{seconds:g}", growth, f"{rasterization:g}", cpu, f"{memory:g}", iterations, *program)
+        above = seconds
+    return table.markdown()
+
+
+def ours(rows):
+    table = Table(
+        f"Our solid at h = spacing, fast, whole processes from a .ply to a .glb on {THREADS} threads.",
+        *("particles", "free voxels", "rasterize", "smooth", "contour", "process in all", "beside the row above"),
+        *("CPU seconds", "memory, GB"),
+    )
+    above = None
+    for row in rows:
+        growth = f"{row.seconds / above:.1f}" if above and row.seconds else "–"
+        table.row(row.particles, row.free_voxels, *row.stages, row.whole, growth, row.cpu, row.memory)
+        above = row.seconds
+    return table.markdown()

@@ -1,0 +1,165 @@
+"""Figures 18 to 20: what threads come to, and what the serial share makes of more of them."""
+
+import os
+import statistics
+import sys
+
+import plot
+import processes
+from paper import figures
+from paper.measuring import COMPUTING, NEIGHBOURS_MAX, SMALL, UPPER_RIGHT, Neighbours, in_seconds
+from paper.measuring import section_of_performance, skinned
+from processes import Table, spread
+
+PICTURE = "tables_speedup.svg"  # beside the page
+
+ABOUT = f"""The paper's figures are drawings without numbers. What they show, how fast {figures.CORES} threads are, follows from its Table 2 as well: there a job
+of many threads stands beside jobs of one thread. (Twelve of those at once were a little slower than one alone, says the paper: so all of them
+are a little too good here.)
+
+**What stands here for more cores than were measured is a projection**, and no measurement. The serial share s is what makes Amdahl's law,
+T(n) = T(1)·(s + (1 − s)/n), fit one thread and the most that there were, round by round; the projection is that law. It knows nothing of memory
+and caches that more cores share, of processors far from each other, or of loops with too few pieces for so many cores. All of these take
+from it. A share of 0, which noise can bring about, gives the number of cores."""
+
+NOTHING_PROJECTED = """Other work took a part of the cores while the first of these two tables was measured, so that two threads got hardly more of
+them than one. Nothing is taken from it: the table and the picture below have the second one only."""
+
+
+def table(asked):
+    cores = os.cpu_count()
+    counts = [threads for threads in (1, 2, 3, 4, 6, 8, 12) if threads <= cores]
+    if len(counts) < 2:
+        sys.exit("tables: with one core nothing can be said of threads")
+    neighbours = Neighbours()
+    taken = {particles: on_threads(particles, counts, asked.rounds) for particles in (SMALL, UPPER_RIGHT)}
+    is_shared = neighbours.share() > NEIGHBOURS_MAX
+    told = told_of_threads()
+    tables = [
+        stages_on_threads(
+            "Measured now, h = spacing: seconds, medians (least–greatest).",
+            {f"{count / 1e6:g} M": rounds for count, rounds in taken.items()},
+            is_shared,
+        ),
+        stages_on_threads(
+            "The same from what `cargo bench --bench stages` printed for [performance.md](../performance.md#stages), with the machine"
+            " and commit named there: another solid with h = half the spacing, so that many more voxels are free.",
+            told,
+        ),
+    ]
+    # The largest of either; of a shared machine nothing can be projected.
+    sources = {} if is_shared else {"now": taken[UPPER_RIGHT]}
+    sources["stages"] = list(told.values())[-1]
+    asked.markdown.parent.mkdir(parents=True, exist_ok=True)
+    picture = plot.svg("threads", "times faster than one thread", figures.CORES, figures.CORES, 2, speedup_lines(sources))
+    asked.markdown.with_name(PICTURE).write_text(picture, encoding="utf-8")
+    left_out = [NOTHING_PROJECTED] if is_shared else []
+    tables += [*left_out, projected(sources), f"![Times faster than one thread]({PICTURE})"]
+    return "\n\n".join([ABOUT, *tables])
+
+
+def on_threads(particles, counts, rounds):
+    """A solid by turns on so many threads: for each number of them the seconds of stages, round by round."""
+    path, spacing = processes.solid(particles)
+    path.read_bytes()  # into the system's cache
+    taken = {threads: [] for threads in counts}
+    for _ in range(rounds):
+        for threads in counts:
+            one = skinned(path, spacing, threads=threads)
+            taken[threads].append(with_sum([one.stage(stage) for stage in COMPUTING]))
+            print(".", end="", flush=True)
+    print()
+    return taken
+
+
+def told_of_threads():
+    """The rows of docs/performance.md of stages on one thread and on two: particles, and what `on_threads` returns."""
+    rows = {}
+    for line in section_of_performance("Stages").splitlines():
+        words = line.split()
+        if len(words) == 9 and words[0].isdigit():
+            threads, particles, _, *seconds = words
+            taken = rows.setdefault(f"{float(particles) / 1e6:.2f} M", {})
+            taken[int(threads)] = [with_sum(map(float, seconds[: len(COMPUTING)]))]
+    return rows
+
+
+def with_sum(seconds):
+    """By stage, and of all of them."""
+    stages = dict(zip(COMPUTING, seconds))
+    return stages | {"all three": sum(stages.values())}
+
+
+def serial_shares(rounds, many, stage):
+    """By Amdahl's law T(n) = T(1)·(s + (1 − s)/n), round by round."""
+    ratios = [one[stage] / alone[stage] for one, alone in zip(rounds[many], rounds[1])]
+    return [max(0, (ratio - 1 / many) / (1 - 1 / many)) for ratio in ratios]
+
+
+def speedups(rounds, threads, stage="all three"):
+    """How many times faster than one thread, round by round."""
+    return [alone[stage] / one[stage] for one, alone in zip(rounds[threads], rounds[1])]
+
+
+def amdahl(share, threads):
+    """Times faster than one thread."""
+    return 1 / (share + (1 - share) / threads)
+
+
+def stages_on_threads(title, taken, is_shared=False):
+    """Fig. 18 and 19: seconds on each number of threads, and what they say of twelve, unless the machine was shared."""
+    counts = list(next(iter(taken.values())))
+    table = Table(
+        title,
+        *("particles", "stage", *(f"{count} thread{'s' * (count > 1)}" for count in counts)),
+        *(f"{counts[-1]} threads, times faster", "serial share, %", f"projected to {figures.CORES} cores, times faster"),
+    )
+    for particles, rounds in taken.items():
+        for stage in next(iter(rounds.values()))[0]:
+            shares = serial_shares(rounds, counts[-1], stage)
+            table.row(
+                *(particles, stage),
+                *(in_seconds([one[stage] for one in rounds[threads]]) for threads in counts),
+                spread(speedups(rounds, counts[-1], stage), ".2f"),
+                "–" if is_shared else spread([100 * share for share in shares], ".1f"),
+                "–" if is_shared else spread([amdahl(share, figures.CORES) for share in shares], ".1f"),
+            )
+    return table.markdown()
+
+
+def projected(sources):
+    """Fig. 18 and 20: the paper's, and ours at the same numbers of threads."""
+    names = [name for source in sources for name in (f"measured, {source}", f"projected, {source}")]
+    table = Table(
+        "Times faster than one thread, all three stages. The paper's follow from its Table 2; ours are those of the largest"
+        " solids above.",
+        *("threads", "the paper's", *names),
+    )
+    for threads, theirs in sorted(figures.speedups()):
+        cells = []
+        for ours in sources.values():
+            is_measured = threads in ours
+            cells.append(spread(speedups(ours, threads), ".2f") if is_measured else "–")
+            cells.append("–" if is_measured else f"{amdahl(share_of(ours), threads):.1f}")
+        table.row(threads, f"{theirs:.2f}", *cells)
+    return table.markdown()
+
+
+def share_of(rounds):
+    """The serial share of all stages."""
+    return statistics.median(serial_shares(rounds, max(rounds), "all three"))
+
+
+def speedup_lines(sources):
+    """Fig. 20, and what is projected."""
+    counts = range(1, figures.CORES + 1)
+    lines = [
+        plot.Line("as many as threads", "#bbb", [(count, count) for count in counts], is_dashed=True),
+        plot.Line("the paper, from Table 2", "#c60", figures.speedups(), is_marked=True),
+    ]
+    for (name, ours), colour in zip(sources.items(), ("#06c", "#393")):
+        projection = [(count, amdahl(share_of(ours), count)) for count in counts]
+        measured = [(threads, statistics.median(speedups(ours, threads))) for threads in ours]
+        lines.append(plot.Line(f"projected, {name}", colour, projection, is_dashed=True))
+        lines.append(plot.Line(f"measured, {name}", colour, measured, is_marked=True))
+    return lines

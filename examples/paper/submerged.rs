@@ -1,0 +1,104 @@
+//! A ball in water, cut open (paper, Fig. 16).
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use meniscus::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::particles::{Cloud, Particles};
+use meniscus::preview::{Layers, Placement, View, render};
+use meniscus::settings::Choices;
+use meniscus::skin::Surface;
+use meniscus::space::Lattice;
+
+use crate::Outcome;
+use crate::frame;
+use crate::output::Page;
+use crate::shapes::{holds, skinned};
+use crate::surfaces::{cut_open, data};
+
+const INTRODUCTION: &str = "\
+## An obstacle in water
+
+The dam break of `examples/frames`, with a ball where the water is deep; no particle is in it, as after a simulation. All is cut open where the ball is thickest, and the ball is not shown: \
+the hole is where it is. From left to right without the ball, so that the water reaches into its room; with what is inside of it taken away; and with the gaps below h filled, as it is by default. \
+How far the water is from the ball is measured at the vertices within 2 h of it and below the waterline.";
+
+const VOXEL_SIZE: f64 = 0.0264;
+
+const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);
+
+const RADIUS: f64 = 0.15;
+
+pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
+    page.say(INTRODUCTION);
+    let is_out = |position: &[f64; 3]| DVec3::from(*position).distance(CENTER) > RADIUS + 1.5 * VOXEL_SIZE;
+    let particles = frame::particles()?;
+    let positions = (0..particles.len()).map(|index| particles.position(index).to_array()).filter(is_out);
+    let cloud = Cloud::from(Particles::Double(positions.collect()));
+    let obstacles = ball();
+    // From above and a little from the left.
+    let bounds = [CENTER - 0.29, CENTER + 0.29];
+    let placement =
+        Placement { azimuth_degrees: -14.0, elevation_degrees: 19.0, zoom: 1.45, ..Placement::AUTO };
+    let size = [400, 340];
+    let camera = placement.around(bounds, size[0] as f64 / size[1] as f64);
+    let view = View { size, camera, up: Placement::AUTO.up, ground: None };
+    let (mut rows, mut pictures) = (Vec::new(), Vec::new());
+    for (name, threshold, obstacles) in [
+        ("no obstacle", None, &Obstacles::default()),
+        ("the ball taken away", Some(0.0), &obstacles),
+        ("and gaps filled", None, &obstacles),
+    ] {
+        let choices = Choices { void_threshold: threshold, ..Choices::default() };
+        let surface = skinned(&cloud, VOXEL_SIZE, &choices, obstacles)?;
+        let [deepest, rms] = off(&surface).map(|distance| format!("{:.2}", distance / VOXEL_SIZE));
+        rows.push(vec![name.to_owned(), deepest, rms, holds(&surface)]);
+        let fine = 0.5 * VOXEL_SIZE;
+        let band = cut_open(&data(&surface), fine, CENTER.z);
+        let layers = Layers { data: false, velocity: None };
+        pictures.push((render(&band, &Lattice { voxel_size: fine }, &view, layers), name.to_owned()));
+    }
+    page.table(&["surface", "in the ball by at most, h", "off it, rms, h", "certificate"], &rows);
+    page.pictures("submerged", "No obstacle, a ball taken away, and gaps filled", vec![pictures])
+}
+
+/// A sphere of triangles, finer than the voxels.
+fn ball() -> Obstacles {
+    let (rows, columns) = (64u32, 128u32);
+    let mut positions = vec![(CENTER + RADIUS * DVec3::Y).to_array(), (CENTER - RADIUS * DVec3::Y).to_array()];
+    for row in 1..rows {
+        let down = std::f64::consts::PI * f64::from(row) / f64::from(rows);
+        for column in 0..columns {
+            let around = std::f64::consts::TAU * f64::from(column) / f64::from(columns);
+            let outward =
+                DVec3::new(down.sin() * around.cos(), down.cos(), down.sin() * around.sin());
+            positions.push((CENTER + RADIUS * outward).to_array());
+        }
+    }
+    let at = |row: u32, column: u32| 2 + (row - 1) * columns + column % columns;
+    let mut triangles = Vec::new();
+    for column in 0..columns {
+        triangles.push([0, at(1, column + 1), at(1, column)]);
+        triangles.push([1, at(rows - 1, column), at(rows - 1, column + 1)]);
+        for row in 1..rows - 1 {
+            let [a, b] = [at(row, column), at(row, column + 1)];
+            let [c, d] = [at(row + 1, column), at(row + 1, column + 1)];
+            triangles.extend([[a, b, d], [a, d, c]]);
+        }
+    }
+    let kept_bytes = 64 << 20;
+    let obstacle = Obstacle::new(Shape::Solid(Solid::new(&positions, &triangles)), kept_bytes);
+    Obstacles { members: vec![Arc::new(obstacle)] }
+}
+
+/// The deepest vertex in the ball, and the mean square distance of those near it that are under water.
+fn off(surface: &Surface) -> [f64; 2] {
+    let mesh = &surface.mesh;
+    let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
+    let under = places.filter(|place| place.y < CENTER.y);
+    let distances: Vec<f64> = under.map(|place| place.distance(CENTER) - RADIUS).collect();
+    let deepest = distances.iter().copied().fold(0.0, |deepest: f64, distance| deepest.max(-distance));
+    let near: Vec<f64> = distances.into_iter().filter(|distance| distance.abs() < 2.0 * VOXEL_SIZE).collect();
+    let squares: f64 = near.iter().map(|distance| distance * distance).sum();
+    [deepest, (squares / near.len().max(1) as f64).sqrt()]
+}
