@@ -242,7 +242,12 @@ fn with(positions: Particles, name: &str, meaning: Meaning, arity: usize, number
     Cloud { attributes: vec![attribute], ..Cloud::from(positions) }
 }
 
-pub(crate) fn skinned(cloud: &Cloud, voxel_size: f64, choices: &Choices, obstacles: &Obstacles) -> Outcome<Surface> {
+pub(crate) fn skinned(
+    cloud: &Cloud,
+    voxel_size: f64,
+    choices: &Choices,
+    obstacles: &Obstacles,
+) -> Outcome<Surface> {
     Ok(skin_cloud(cloud.clone(), &Settings::resolve(voxel_size, choices)?, obstacles))
 }
 

@@ -51,7 +51,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
     ] {
         let choices = Choices { void_threshold: threshold, ..Choices::default() };
         let surface = skinned(&cloud, VOXEL_SIZE, &choices, obstacles)?;
-        let [deepest, rms] = off(&surface).map(|distance| format!("{:.2}", distance / VOXEL_SIZE));
+        let [deepest, rms] = off(&surface).map(|distance| format!("{:.3}", distance / VOXEL_SIZE));
         rows.push(vec![name.to_owned(), deepest, rms, holds(&surface)]);
         let fine = 0.5 * VOXEL_SIZE;
         let band = cut_open(&data(&surface), fine, CENTER.z);
@@ -65,13 +65,13 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
 /// A sphere of triangles, finer than the voxels.
 fn ball() -> Obstacles {
     let (rows, columns) = (64u32, 128u32);
-    let mut positions = vec![(CENTER + RADIUS * DVec3::Y).to_array(), (CENTER - RADIUS * DVec3::Y).to_array()];
+    let mut positions =
+        vec![(CENTER + RADIUS * DVec3::Y).to_array(), (CENTER - RADIUS * DVec3::Y).to_array()];
     for row in 1..rows {
         let down = std::f64::consts::PI * f64::from(row) / f64::from(rows);
         for column in 0..columns {
             let around = std::f64::consts::TAU * f64::from(column) / f64::from(columns);
-            let outward =
-                DVec3::new(down.sin() * around.cos(), down.cos(), down.sin() * around.sin());
+            let outward = DVec3::new(down.sin() * around.cos(), down.cos(), down.sin() * around.sin());
             positions.push((CENTER + RADIUS * outward).to_array());
         }
     }
