@@ -34,11 +34,13 @@
 //!
 //! [`pipeline`] is frames from files to files, several at once, as the command has them. `examples/library` has both,
 //! with the files: a frame to a .glb, and a folder to a folder. A program that is to follow a simulation runs
-//! [`daemon::run`], as `examples/dam_break` does.
+//! [`daemon::run`], as `examples/dam_break` does. `default-features = false` leaves out the command line, and the ten crates
+//! that only it needs.
 //!
 //! Bytes become particles, and meshes bytes, in a crate of its own, `meniscus-formats`. Nothing starts threads but what says
 //! so: loops run in the rayon pool that the caller is in.
 
+#[cfg(feature = "cli")]
 pub mod cli;
 
 pub mod daemon;
