@@ -66,6 +66,7 @@ mod inspection;
 mod level_set_file;
 mod memory;
 mod method;
+mod misfit;
 mod names;
 mod notes;
 mod number_pattern;
