@@ -383,7 +383,7 @@ fn printed_settings_are_keys_of_a_file() {
             &["anisotropy = \"neighbors\"\n", "fill_cavities = 200\n", "formats = [\"glb\", \"vdb\"]\n"][..],
         ),
         (
-            &[&["--preset", "granular", "--voxel-size", ".03"][..], &obstacle].concat(),
+            &[&["--preset", "granular", "--voxel-size", ".04"][..], &obstacle].concat(),
             &["up = \"z\"\n", "vdb_half = true\n", "vdb_compression = \"none\"\n", "void_threshold = 1\n"],
         ),
         (&["--preset", "smooth"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
