@@ -1,12 +1,12 @@
 //! `meniscus verify`: whether what was planned is there.
 
-use std::path::absolute;
+use std::path::{Path, absolute};
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
 use crate::farm::{FrameVerdict, Plan, PlannedFrame, VerdictRecord, Verdicts, verify as verify_plan};
-use crate::pipeline::FrameState;
+use crate::pipeline::{FrameState, entry};
 
 use super::Verdict;
 use super::args::VerifyArgs;
@@ -30,7 +30,9 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
         .join(".")
         .metadata()
         .with_context(|| format!("{}: what is in this folder cannot be looked at", args.folder.display()))?;
-    let plan = Plan::read(&args.plan).with_context(|| args.plan.display().to_string())?.with_out(&folder);
+    let plan = Plan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
+    let planned = plan.out().filter(|planned| entry(planned) != entry(&folder)).map(Path::to_owned);
+    let plan = plan.with_out(&folder);
     refuse_report_of_plan(args.report.as_deref(), &plan, &args.plan)?;
     let verdicts = thread_pool(args.threads)?.install(|| verify_plan(&plan));
     let frames: Vec<(&PlannedFrame, &FrameVerdict)> = plan.frames.iter().zip(&verdicts.frames).collect();
@@ -40,6 +42,14 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
         }
     }
     summarize(&verdicts, start.elapsed().as_secs_f64(), console);
+    if let Some(planned) = planned.filter(|_| !verdicts.shards_to_run().is_empty()) {
+        console.warn(format_args!(
+            "warning: the plan's results go to {}, and these were looked for in {}: shards that run again write there, \
+             and not here",
+            planned.display(),
+            args.folder.display()
+        ));
+    }
     if let Some(path) = &args.report {
         let record = VerdictRecord::new(&plan, &verdicts, &args.plan, &folder);
         // Through a link, what it names is replaced and not the link.

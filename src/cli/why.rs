@@ -71,7 +71,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
     })
     .with_context(|| frame.display().to_string())?;
     console.say(text(&frame, record, &explanation, asked.is_known, now_ms()));
-    if !asked.is_known {
+    if !asked.is_known && !matches!(explanation.verdict, Fate::Found(_)) {
         console.say(UNKNOWN);
     }
     let is_to_come = matches!(explanation.verdict, Fate::Waits(_) | Fate::Converted(_));
@@ -180,9 +180,7 @@ fn text(
         None => line("journal", "nothing"),
         Some(record) => {
             line("journal", &recorded(record, now_ms));
-            if let Some(reason) = &record.reason {
-                line("", reason);
-            }
+            record.reason.iter().chain(&record.flaws).for_each(|told| line("", told));
             line(
                 "input",
                 match file.as_ref().and_then(|file| file.change) {

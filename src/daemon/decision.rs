@@ -171,6 +171,7 @@ mod tests {
             at_ms: 0,
             particle_count: None,
             seconds: None,
+            flaws: Vec::new(),
         }
     }
 

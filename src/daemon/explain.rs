@@ -8,6 +8,7 @@
 //! The loop asks in this order, and the first that says no decides. Here all are asked, so that
 //! all can be told. Nothing is written, and a running daemon is not disturbed.
 
+use std::ffi::OsStr;
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -15,7 +16,7 @@ use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::{file_of, is_missing_step, read_file};
+use crate::pipeline::{FrameFile, file_of, is_missing_step, outputs_made_from, read_file};
 
 use super::config::{Patience, Watch};
 use super::decision::{ConvertReason, Decision, SkipReason, decide, decide_by_content};
@@ -96,6 +97,8 @@ pub enum Verdict {
     Waits(WaitReason),
     /// It is complete, and holds no particles.
     NoFrame(Content),
+    /// Nothing is recorded of it, and these files say that they were made from it as it is.
+    Found(Vec<PathBuf>),
     /// It is, or will be, converted. The decision says why.
     Converted(Decision),
 }
@@ -121,7 +124,7 @@ pub fn explain(question: &Question<'_>) -> Result<Explanation, ExplainError> {
             let (file, decision) =
                 facts(question, &seen, output_missing.as_deref()).map_err(ExplainError::Io)?;
             let verdict = if is_taken { verdict(&file, decision) } else { Verdict::NotTaken };
-            (Some(file), verdict)
+            (Some(file), found_done(question, verdict).map_err(ExplainError::Io)?)
         }
     };
     Ok(Explanation { is_taken, file, settings_hold, output_missing, verdict })
@@ -135,6 +138,19 @@ fn verdict(file: &FileFacts, decision: Decision) -> Verdict {
         (_, _, other @ (Content::OwnOutput | Content::NotParticles)) => Verdict::NoFrame(other),
         (decision, _, Content::Particles) => Verdict::Converted(decision),
     }
+}
+
+/// The same verdict, unless it is to convert what `convert`, or a daemon whose journal was lost, has converted.
+fn found_done(question: &Question<'_>, verdict: Verdict) -> io::Result<Verdict> {
+    let Question { frame, watch, .. } = *question;
+    if verdict != Verdict::Converted(Decision::Convert(ConvertReason::New)) {
+        return Ok(verdict);
+    }
+    let within = file_of(frame).parent().and_then(|folder| folder.strip_prefix(&watch.input).ok());
+    let folder = watch.outputs.folder.join(within.unwrap_or(Path::new("")));
+    let stem = FrameFile::new(frame.to_owned()).stem();
+    let found = outputs_made_from(&folder, &stem, || hash_of(frame))?;
+    Ok(if found.is_empty() { verdict } else { Verdict::Found(found) })
 }
 
 fn facts(
@@ -174,7 +190,7 @@ fn facts(
 }
 
 /// Whether the file's times are by the clock of this machine.
-fn trust_clock(path: &Path) -> bool {
+pub(super) fn trust_clock(path: &Path) -> bool {
     let folder = file_of(path).parent().unwrap_or(path);
     network_file_system(folder).is_ok_and(|network| network.is_none())
 }
@@ -202,6 +218,17 @@ impl fmt::Display for Verdict {
                 f.write_str("is not converted because this program made it")
             }
             Verdict::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
+            Verdict::Found(outputs) => {
+                let names: Vec<_> =
+                    outputs.iter().filter_map(|path| path.file_name()).map(OsStr::to_string_lossy).collect();
+                let were = if names.len() == 1 { "was" } else { "were" };
+                write!(
+                    f,
+                    "is converted already: nothing is recorded of it, but {} {were} made from it as it is; a daemon converts \
+                     it again only where its settings or formats are others",
+                    names.join(", ")
+                )
+            }
             // What is recorded is that they were there; whether they still are is not looked at here.
             Verdict::Converted(Decision::Convert(ConvertReason::WasRefused)) => f.write_str(
                 "will be converted once the files that kept it from that are gone, or now if they are",
@@ -307,6 +334,7 @@ mod tests {
                 at_ms: 0,
                 particle_count: None,
                 seconds: None,
+                flaws: Vec::new(),
             }
         }
 

@@ -51,6 +51,7 @@ mod sequences;
 mod showing;
 mod steps;
 mod stores;
+pub mod waiting;
 pub mod watcher;
 
 use std::fmt;

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use crate::pipeline::{
-    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, gist, notes, output_path,
+    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, flaws, gist, notes, output_path,
     standing_notes,
 };
 
@@ -67,6 +67,7 @@ impl Daemon<'_> {
             outputs: outputs.collect(),
             particle_count: Some(skin.particle_count),
             seconds: Some(rounded(seconds)),
+            flaws: flaws(report),
             ..self.record(id, Standing::Done, report.input.stamp)
         };
         self.note_done(id, FrameRecord { hash: Some(report.input.hash), ..record });
@@ -262,6 +263,7 @@ impl Daemon<'_> {
             at_ms: now_ms(),
             particle_count: None,
             seconds: None,
+            flaws: Vec::new(),
         }
     }
 }

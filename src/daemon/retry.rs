@@ -32,7 +32,7 @@ pub(super) fn remedy(error: &FrameError) -> Remedy {
         Cause::Scratch(_) | Cause::Changed => Remedy::Retry,
         Cause::Obstacle(error) => remedy_of_obstacle(error),
         Cause::TooLarge(_) => Remedy::AwaitRestart,
-        Cause::Missing(_) | Cause::Panic(_) => Remedy::GiveUp,
+        Cause::TooFine(_) | Cause::Missing(_) | Cause::Panic(_) => Remedy::GiveUp,
     }
 }
 

@@ -65,6 +65,26 @@ pub(super) fn join_pieces(mesh: &Mesh, parents: &mut [u32]) -> usize {
     pairs.into_iter().flatten().filter(|&[one, other]| join(parents, one, other)).count()
 }
 
+/// The volume of each component, in the order of their first vertices: below zero where it is the inside of a cavity.
+/// On the thread that asks: for meshes of which it is known that they are in many pieces.
+pub(super) fn component_volumes(mesh: &Mesh) -> Vec<f64> {
+    let mut parents: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    for &[a, b, c] in &mesh.triangles {
+        join(&mut parents, a, b);
+        join(&mut parents, b, c);
+    }
+    let mut volumes = vec![None; parents.len()];
+    for &[a, b, c] in &mesh.triangles {
+        let root = find(&mut parents, a);
+        // From a vertex of its own, a small piece that is far away loses nothing.
+        let corner =
+            |vertex: u32| (mesh.positions[vertex as usize] - mesh.positions[root as usize]).as_dvec3();
+        let volume = corner(a).dot(corner(b).cross(corner(c))) / 6.0;
+        *volumes[root as usize].get_or_insert(0.0) += volume;
+    }
+    volumes.into_iter().flatten().collect()
+}
+
 /// Joins the trees of two vertices, and tells whether they were apart. The lesser root stays one.
 fn join(parents: &mut [u32], one: u32, other: u32) -> bool {
     let (one, other) = (find(parents, one), find(parents, other));

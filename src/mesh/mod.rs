@@ -88,6 +88,14 @@ impl MeshMeasures {
 }
 
 impl Mesh {
+    /// The volume that each of its components encloses, in world units, in the order of their first vertices: below zero
+    /// for the inside of a cavity.
+    ///
+    /// Panics if a triangle names a vertex that does not exist.
+    pub fn component_volumes(&self) -> Vec<f64> {
+        components::component_volumes(self)
+    }
+
     /// Measures the mesh. The same mesh gives the same bits on any number of threads.
     ///
     /// Panics if a triangle names a vertex that does not exist.

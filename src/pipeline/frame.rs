@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use crate::report::SkinReport;
 use crate::settings::Settings;
-use crate::skin::TooLarge;
+use crate::skin::{TooFine, TooLarge};
 
 use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
@@ -156,6 +156,8 @@ pub enum Cause {
     Missing(String),
     /// The frame does not fit into the memory that it may take.
     TooLarge(TooLarge),
+    /// The voxels are too small for the frame.
+    TooFine(TooFine),
     /// What does not fit into memory could not be put on the disk, beside the outputs.
     Scratch(io::Error),
     /// This program: a broken invariant, told by the panic's message.
@@ -236,6 +238,7 @@ impl fmt::Display for FrameError {
             Cause::Obstacle(error) => write!(f, "{}: {error}", path.display()),
             Cause::Missing(what) => write!(f, "{}: {what}", path.display()),
             Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
+            Cause::TooFine(too_fine) => write!(f, "{}: {too_fine}", path.display()),
             Cause::Scratch(source) => {
                 write!(f, "{}: cannot keep what does not fit into memory here: {source}", path.display())
             }
@@ -252,6 +255,7 @@ impl std::error::Error for FrameError {
             Cause::File(source) => Some(source),
             Cause::Obstacle(error) => error.source.as_ref().map(|source| source as _),
             Cause::TooLarge(source) => Some(source),
+            Cause::TooFine(source) => Some(source),
             Cause::Scratch(source) => Some(source),
             Cause::Changed | Cause::Missing(_) | Cause::Panic(_) => None,
         }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::settings::Settings;
 use crate::skin::tiled::{self, TiledError, TiledFrame};
-use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Surroundings, Targets, TooLarge};
+use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Surroundings, Targets, TooLarge, Unfit};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
@@ -87,9 +87,12 @@ impl Method for LevelSetSkinning {
             },
             allowed_bytes.saturating_sub(given_bytes),
         )?;
-        planned.map_err(|too_large| {
-            let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
-            Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })
+        planned.map_err(|unfit| match unfit {
+            Unfit::TooLarge(too_large) => {
+                let least_bytes = too_large.least_bytes.saturating_add(given_bytes);
+                Cause::TooLarge(TooLarge { least_bytes, allowed_bytes, ..too_large })
+            }
+            Unfit::TooFine(too_fine) => Cause::TooFine(too_fine),
         })
     }
 

@@ -66,6 +66,7 @@ mod inspection;
 mod level_set_file;
 mod memory;
 mod method;
+mod misfit;
 mod names;
 mod notes;
 mod number_pattern;
@@ -102,7 +103,7 @@ pub use level_set_file::LevelSetFile;
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::{LevelSetSkinning, Method};
 pub(crate) use names::text_of_name;
-pub use notes::{notes, standing_notes};
+pub use notes::{flaws, notes, standing_notes};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path};
@@ -111,7 +112,7 @@ pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, v
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{
     CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, compression_name, is_own_output,
-    picture_provenance, settings_fingerprint, sheet_provenance, up_name,
+    outputs_made_from, picture_provenance, settings_fingerprint, sheet_provenance, up_name,
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};

@@ -16,12 +16,7 @@ pub fn standing_notes(report: &FrameReport) -> Vec<String> {
 pub fn notes(report: &FrameReport) -> Vec<String> {
     let mut notes = Vec::new();
     let skin = &report.skin;
-    if skin.dropped_count > 0 {
-        notes.push(format!(
-            "{} left out: not finite, or too far away for the grid",
-            counted(skin.dropped_count, "particle")
-        ));
-    }
+    notes.extend(left_out(skin));
     if skin.contact.particle_count > 0 {
         let particles = counted(skin.contact.particle_count, "particle");
         let is_most = 2 * skin.contact.particle_count > skin.particle_count;
@@ -44,9 +39,24 @@ pub fn notes(report: &FrameReport) -> Vec<String> {
             significant(skin.certificate.position_rounding)
         ));
     }
-    let broken = broken_guarantees(skin).into_iter();
-    notes.extend(broken.map(|what| format!("the result breaks a guarantee: {what}")));
+    notes.extend(broken(skin));
     notes
+}
+
+/// What of this frame is not as it should be, whatever it was converted with: particles that were left out, and guarantees
+/// that are broken.
+pub fn flaws(report: &FrameReport) -> Vec<String> {
+    left_out(&report.skin).into_iter().chain(broken(&report.skin)).collect()
+}
+
+fn left_out(report: &SkinReport) -> Option<String> {
+    let left_out = counted(report.dropped_count, "particle");
+    (report.dropped_count > 0)
+        .then(|| format!("{left_out} left out: not finite, or too far away for the grid"))
+}
+
+fn broken(report: &SkinReport) -> impl Iterator<Item = String> {
+    broken_guarantees(report).into_iter().map(|what| format!("the result breaks a guarantee: {what}"))
 }
 
 /// What a user should know of the shapes of particles. That stretched ones are raised to what the grid can hold is

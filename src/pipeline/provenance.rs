@@ -6,7 +6,7 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::wholeness::is_whole;
@@ -150,6 +150,30 @@ pub(super) fn records(
     let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
     let is_same = recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair));
     Ok(is_same && is_whole(kind, &mut file)?)
+}
+
+/// The files in a folder that have this stem, are in a format of outputs, and say that they were made from an input with the
+/// hash that `hash` finds, which is not asked where there are no such files. With which settings is not looked at.
+pub fn outputs_made_from<E>(
+    folder: &Path,
+    stem: &str,
+    hash: impl FnOnce() -> Result<u128, E>,
+) -> Result<Vec<PathBuf>, E> {
+    let mut outputs: Vec<(OutputFormat, PathBuf)> =
+        OutputFormat::ALL.iter().map(|&format| (format, output_path(folder, stem, format))).collect();
+    // Opening a pipe would wait for its other end.
+    outputs.retain(|(_, path)| path.metadata().is_ok_and(|metadata| metadata.is_file()));
+    if outputs.is_empty() {
+        return Ok(Vec::new());
+    }
+    let wanted = ("input_hash".to_owned(), hash_text(hash()?));
+    let is_made_from = |(format, path): &(OutputFormat, PathBuf)| {
+        let recorded = File::open(path)
+            .map_err(meniscus_formats::Error::from)
+            .and_then(|file| read_provenance(provenance_kind(*format), &file));
+        recorded.is_ok_and(|pairs| pairs.contains(&wanted))
+    };
+    Ok(outputs.into_iter().filter(is_made_from).map(|(_, path)| path).collect())
 }
 
 /// Whether a file is an output of this program, of whatever version, by what it says of itself; what cannot

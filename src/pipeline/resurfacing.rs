@@ -106,7 +106,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     let slack = band.slack_voxels as f32;
     let mut surface = conduct.pool.install(|| resurface(file.into_band(), slack, &frame.settings));
     surface.mesh.origin += origin;
-    notes.extend(surface_notes(&surface, &frame.outputs, frame.settings.voxel_size));
+    notes.extend(surface_notes(&surface, &frame.outputs, &frame.settings));
     let surface = Arc::new(surface);
     let tasks = Tasks::default();
     let written = conduct.pool.in_place_scope(|scope| {

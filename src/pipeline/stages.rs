@@ -559,8 +559,7 @@ impl<'a, 'scope, 'env: 'scope, M: Method> Line<'a, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: [known.notes, surface_notes(&surface, &frame.outputs, frame.settings.voxel_size)]
-                    .concat(),
+                notes: [known.notes, surface_notes(&surface, &frame.outputs, &frame.settings)].concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }

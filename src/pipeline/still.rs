@@ -97,7 +97,7 @@ impl StillFrame {
         let rasterized = stage(path, Stage::Rasterize, rasterize)?;
         let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings))?;
         let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
-        notes.extend(surface_notes(&surface, outputs, settings.voxel_size));
+        notes.extend(surface_notes(&surface, outputs, settings));
         let dropped_count = surface.report.dropped_count;
         if dropped_count > 0 {
             notes.push(format!(

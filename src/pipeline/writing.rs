@@ -5,7 +5,6 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use glam::Vec3;
 use meniscus_formats::{
     BandGrid, LeafValues, LevelSetView, MeshView, Provenance, Role, VertexAttribute, VertexValues, gltf, obj,
     ply, stl, usda, vdb, vtk,
@@ -15,6 +14,7 @@ use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::particles::{Attribute, AttributeValues, Meaning};
 use crate::report::SkinReport;
+use crate::settings::Settings;
 use crate::skin::Surface;
 use crate::space::Lattice;
 use crate::transfer::BandAttribute;
@@ -23,6 +23,7 @@ use super::bounds::NOTHING;
 use super::certificate_file::{certificate_path, write_certificate};
 use super::crew::Crew;
 use super::frame::{Frame, FrameError, Stage};
+use super::misfit::misfit_notes;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
@@ -285,11 +286,10 @@ fn role(meaning: Meaning) -> Option<Role> {
 }
 
 /// What a user should know of a surface and of its files.
-pub(super) fn surface_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<String> {
-    let why_empty = why_empty(&surface.report).map(str::to_owned);
-    let misfit = misfit(&surface.mesh, &surface.report, voxel_size);
-    let notes = why_empty.into_iter().chain(misfit).chain(attribute_notes(surface, &outputs.formats));
-    notes.chain(position_notes(surface, outputs, voxel_size)).collect()
+pub(super) fn surface_notes(surface: &Surface, outputs: &OutputOptions, settings: &Settings) -> Vec<String> {
+    let misfit = misfit_notes(&surface.mesh, &surface.report, settings);
+    let notes = misfit.into_iter().chain(attribute_notes(surface, &outputs.formats));
+    notes.chain(position_notes(surface, outputs, settings.voxel_size)).collect()
 }
 
 /// What a user should know of positions that a file has no room for as they are.
@@ -311,62 +311,6 @@ fn position_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -
 
 /// A file that moves vertices by more than this is told of, in voxels.
 const TOLD_FROM_VOXELS: f64 = 0.02;
-
-/// Why nothing is left of the surface of a frame that has particles.
-fn why_empty(report: &SkinReport) -> Option<&'static str> {
-    let SkinReport { edits, contact, .. } = report;
-    if report.particle_count == 0 || report.mesh.vertex_count > 0 {
-        return None;
-    }
-    // What came last had something left to take.
-    Some(if edits.clipped_voxel_count > 0 {
-        "the clip box holds nothing of the surface: the mesh is empty"
-    } else if edits.island_count > 0 {
-        "every piece of the surface was dropped, for none has as many particles as was asked for: the mesh is empty"
-    } else if contact.particle_count > 0 || contact.taken_count > 0 {
-        "all of the surface is inside obstacles: the mesh is empty"
-    } else {
-        "the particles are too small for the grid to have a surface: the mesh is empty"
-    })
-}
-
-/// What tells of voxels that do not fit the particles: most of these are drops by themselves, or all are one blob.
-fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
-    let SkinReport { particle_count, edits, contact, certificate, .. } = report;
-    let is_whole = edits.clipped_voxel_count == 0
-        && edits.island_count == 0
-        && contact.particle_count == 0
-        && contact.taken_count == 0;
-    if *particle_count < CROWD || !is_whole {
-        return None;
-    }
-    // Six digits are as many as anybody reads.
-    let shown: f64 = format!("{voxel_size:.5e}").parse().unwrap_or(voxel_size);
-    let remedy = "half their spacing is taken without --voxel-size";
-    let piece_count = report.mesh.component_count;
-    if 2 * piece_count > *particle_count {
-        return Some(format!(
-            "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels \
-             of {shown} are small beside what is between them; {remedy}"
-        ));
-    }
-    if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
-        return None;
-    }
-    let low = mesh.positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
-    let high = mesh.positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
-    let width = f64::from((high - low).max_element()) / voxel_size - 2.0 * certificate.vertex_distance_min;
-    (width <= BLOB_VOXELS).then(|| {
-        format!("all of the {particle_count} particles are within {BLOB_VOXELS} voxels: voxels of {shown} are large beside them; {remedy}")
-    })
-}
-
-/// Fewer particles may be drops, or one.
-const CROWD: usize = 33;
-
-/// As wide as a blob is without what is around its particles, in voxels, and what its mesh has at most.
-const BLOB_VOXELS: f64 = 4.0;
-const BLOB_VERTICES: usize = 1 << 12;
 
 /// What a user should know of attributes that the files do not hold as they are.
 fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {

@@ -33,6 +33,7 @@ mod region;
 mod shards;
 mod signed_distance;
 mod sphere;
+mod spread;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -7,6 +7,7 @@
 
 mod attributes;
 mod band;
+mod fineness;
 mod finish;
 mod plan;
 mod shape;
@@ -19,7 +20,8 @@ use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use band::{SLACK_MAX_VOXELS, resurface};
-pub use plan::{Plan, Surroundings, TooLarge, plan};
+pub use fineness::{SPREAD_MAX_VOXELS, TooFine};
+pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
@@ -82,7 +84,7 @@ pub struct Smoothed {
 
 /// Skins one frame: rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
 /// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
-/// and counted in the report.
+/// and counted in the report; [`plan`] tells of voxels that are too small for a frame.
 ///
 /// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
 /// Bhattacharya, Gao and Bargteil.

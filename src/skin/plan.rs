@@ -5,6 +5,7 @@ use std::fmt;
 use glam::IVec3;
 use rustc_hash::FxHashMap;
 
+use super::fineness::{TooFine, too_fine};
 use super::tiles::{HALO_LEAVES, tiles_around};
 use super::{TOPOLOGY_LEAF_BYTES, radii, scene};
 use crate::grid::Leaf;
@@ -70,25 +71,39 @@ pub struct Surroundings<'a> {
     pub attribute_bytes: f64,
 }
 
+/// Why a frame cannot be skinned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Unfit {
+    /// It does not fit into the memory that it may take.
+    TooLarge(TooLarge),
+    /// Its voxels are so small that positions cannot tell them apart.
+    TooFine(TooFine),
+}
+
 /// How to skin a frame in `allowed_bytes`: in memory whole if that will do, and in the largest tiles that will
 /// if not. It looks at each particle once.
 ///
 /// # Errors
-/// Those of the source; and, within, that it cannot be done.
+/// Those of the source; and, within, that it cannot be done: there is too little memory, or the voxels are
+/// [too small](TooFine) for it.
 pub fn plan<S: ParticleSource>(
     source: &S,
     settings: &Settings,
     surroundings: Surroundings,
     allowed_bytes: u64,
-) -> Result<Result<Plan, TooLarge>, S::Error> {
+) -> Result<Result<Plan, Unfit>, S::Error> {
     let Surroundings { obstacles, attribute_bytes } = surroundings;
     let footprint = rasterize::footprint(source, &scene(settings, obstacles))?;
+    if let Some(too_fine) = too_fine(source, settings, &footprint)? {
+        return Ok(Err(Unfit::TooFine(too_fine)));
+    }
     let whole = whole_bytes(&footprint, settings, attribute_bytes);
     if whole <= allowed_bytes {
         return Ok(Ok(Plan { memory_bytes: whole, tile_leaves: None, whole_bytes: whole }));
     }
     if matches!(settings.integrator, Integrator::Implicit | Integrator::Adaptive) {
-        return Ok(Err(TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true }));
+        let too_large = TooLarge { least_bytes: whole, allowed_bytes, is_coupled: true };
+        return Ok(Err(Unfit::TooLarge(too_large)));
     }
     let mut least_bytes = whole;
     for tile_leaves in TILE_EDGES {
@@ -99,7 +114,7 @@ pub fn plan<S: ParticleSource>(
         }
         least_bytes = least_bytes.min(memory_bytes);
     }
-    Ok(Err(TooLarge { least_bytes, allowed_bytes, is_coupled: false }))
+    Ok(Err(Unfit::TooLarge(TooLarge { least_bytes, allowed_bytes, is_coupled: false })))
 }
 
 /// Fields of a frame in memory while it is rasterized, with what they are swept in. Particles with shapes of their own
@@ -218,7 +233,8 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
 const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
 fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
-    let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count } = footprint;
+    let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count, .. } =
+        footprint;
     let kept_count = if settings.drop_islands > 0 { particle_count } else { near_particle_count };
     [surface.len(), *area_voxels, *occupied_count, *kept_count].map(|count| count as f64)
 }

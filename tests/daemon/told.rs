@@ -41,9 +41,20 @@ fn status_tells_of_running_and_of_stopped_daemons() {
         "{running}"
     );
     let reason = running["failed"][0]["reason"].as_str().expect("a reason");
+    let waiting = running["waiting"].as_array().expect("a list");
+    let told = |key: &str| waiting[0][key].as_str().expect("text");
+    assert!(waiting.len() == 1 && told("input").ends_with("dam.4.ply"), "{running}");
+    assert!(told("reason").starts_with("it is not complete: 1000 of at least"), "{running}");
     let text = scene.run(&["status", "--out", "out"]);
     assert_eq!(text.status, Some(1), "{}", text.err);
-    for told in ["2 ", "dam.3.ply", reason, &daemon.pid().to_string()] {
+    for told in [
+        "2 ",
+        "waiting for the writers of 1 file:",
+        "dam.4.ply: it is not",
+        "dam.3.ply",
+        reason,
+        &daemon.pid().to_string(),
+    ] {
         assert!(text.out.contains(told), "{told}: {}", text.out);
     }
     daemon.finish();
@@ -51,6 +62,7 @@ fn status_tells_of_running_and_of_stopped_daemons() {
     assert_eq!(stopped["daemon"]["running"], false, "{stopped}");
     assert_eq!(stopped["counts"], running["counts"]);
     assert_eq!(stopped["failed"], running["failed"]);
+    assert_eq!(stopped["waiting"], serde_json::json!([]), "nobody waits");
     // Killed, it cannot say that it ends; and still nobody takes it for running.
     let daemon = scene.watch(&FORMATS);
     await_that("it is told", || status(&scene)["daemon"]["running"] == true);
@@ -100,7 +112,13 @@ fn what_is_odd_about_a_frame_is_in_the_log() {
         line.level == "WARN" && line.is_about("dam.1.ply") && line.message.starts_with("1 particle left out")
     });
     daemon.await_converted("dam.1.ply");
+    let left_out = "1 particle left out: not finite";
+    await_that("it is recorded", || status(&scene)["flawed"][0]["flaws"][0].as_str().is_some());
+    let text = scene.run(&["status", "--out", "out"]).out;
+    assert!(text.contains("not as it should be") && text.contains(left_out), "{text}");
+    assert!(why(&scene, "in/dam.1.ply").contains(left_out), "{}", why(&scene, "in/dam.1.ply"));
     daemon.finish();
+    assert_eq!(status(&scene)["flawed"].as_array().map(Vec::len), Some(1));
 }
 
 #[test]

@@ -473,8 +473,16 @@ fn outputs_are_verified_wherever_they_lie() {
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
     succeeded(&ran);
     assert!(ran.err.contains("2 inputs not to be read"), "{}", ran.err);
+    let elsewhere = "and these were looked for in elsewhere: shards that run again write there";
+    assert!(!ran.err.contains(elsewhere), "{}", ran.err);
     fs::create_dir(folder.join("out")).expect("made");
-    assert_eq!(verify(folder).status, 2, "nothing is there");
+    let nothing = verify(folder);
+    assert_eq!(nothing.status, 2, "nothing is there");
+    assert!(!nothing.err.contains("looked for"), "{}", nothing.err);
+    fs::remove_file(folder.join("elsewhere/dam.2.glb")).expect("removed");
+    let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains(elsewhere), "{}", ran.err);
     assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
 }
 

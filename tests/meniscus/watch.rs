@@ -169,6 +169,7 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
         at_ms: 1,
         particle_count: result.ok().map(|_| 216),
         seconds: None,
+        flaws: Vec::new(),
     };
     let mut journal = Journal::open(&out.join(".meniscus")).expect("a journal");
     journal.note_frame(&frame.canonicalize().expect("a path"), record).expect("noted");
@@ -259,6 +260,32 @@ fn why_tells_everything_that_decides() {
         assert_eq!(ran.status, 2);
         assert!(ran.err.contains(words), "{}", ran.err);
     }
+}
+
+#[test]
+fn why_knows_what_convert_has_converted() {
+    let folder = tempdir().expect("a folder");
+    let path = &folder.path().canonicalize().expect("a path");
+    fs::create_dir(path.join("in")).expect("made");
+    write_sequence(&path.join("in"), 1, 2);
+    let ran = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    // Until it has been left alone for half a second, it waits.
+    let settled = |frame: &str| loop {
+        let ran = meniscus(path, &["why", frame, "--out", "out"]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        if !ran.out.contains("is not converted yet") {
+            return ran.out;
+        }
+    };
+    let done = settled("in/dam.1.ply");
+    assert!(done.contains("It is converted already"), "{done}");
+    assert!(done.contains("dam.1.glb, dam.1.ply were made from it as it is"), "{done}");
+    assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
+    assert!(settled("in/dam.2.ply").contains("It will be converted because"));
+    // Outputs of what was there before say nothing of what is there now.
+    fs::copy(path.join("in/dam.2.ply"), path.join("in/dam.1.ply")).expect("copied");
+    assert!(settled("in/dam.1.ply").contains("It will be converted because"));
 }
 
 #[test]
@@ -356,7 +383,7 @@ fn printed_settings_are_keys_of_a_file() {
             &["anisotropy = \"neighbors\"\n", "fill_cavities = 200\n", "formats = [\"glb\", \"vdb\"]\n"][..],
         ),
         (
-            &[&["--preset", "granular", "--voxel-size", ".03"][..], &obstacle].concat(),
+            &[&["--preset", "granular", "--voxel-size", ".04"][..], &obstacle].concat(),
             &["up = \"z\"\n", "vdb_half = true\n", "vdb_compression = \"none\"\n", "void_threshold = 1\n"],
         ),
         (&["--preset", "smooth"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),

@@ -57,8 +57,11 @@ JSON: an object with
   watches          the folders that are, or were last, watched for these results, each with input,
                    pattern, recursive, sentinel and formats; null where the journal does not say
   counts           how many frames are done, queued, retrying, failed
-  failed, retrying, last_done
+  failed, retrying, last_done, flawed
                    frames, each with input, outputs, attempts and at_ms, and where they are known
-                   reason, particles and seconds. last_done: the newest first, five at most
+                   reason, particles, seconds and flaws. last_done: the newest first, five at most;
+                   flawed: those done with particles left out, or with a guarantee that is broken
+  waiting          files whose writers have not finished, as far as a daemon at work can tell, each
+                   with input and reason
   damaged_lines    lines of the journal that cannot be read; they cost work and nothing else
 Times that end in _ms are milliseconds since 1970.";

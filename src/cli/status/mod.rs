@@ -3,6 +3,8 @@
 //! It reads the journal, and asks the lock whether a daemon is there: what the journal says last of
 //! a daemon that was killed is that it runs.
 //!
+//! What still waits for its writer is in no journal: that is looked for in the folders that are watched.
+//!
 //! The structs here are those of the JSON; the text shows the same.
 
 mod text;
@@ -16,6 +18,7 @@ use serde::{Serialize, Serializer};
 use crate::daemon::Watch;
 use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
 use crate::daemon::lock::{LockError, OutputLock};
+use crate::daemon::waiting::waiting;
 use crate::pipeline::{FileStamp, file_of, is_missing_step, natural_order};
 
 use super::Verdict;
@@ -38,8 +41,12 @@ struct StatusRecord {
     failed: Vec<FrameStatus>,
     /// In natural order.
     retrying: Vec<FrameStatus>,
+    /// Files that a daemon takes for frames once their writers have finished, in natural order.
+    waiting: Vec<WaitingStatus>,
     /// The newest first.
     last_done: Vec<FrameStatus>,
+    /// Those that are done, and not as they should be, in natural order.
+    flawed: Vec<FrameStatus>,
     damaged_lines: usize,
 }
 
@@ -90,10 +97,19 @@ struct FrameStatus {
     particles: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     seconds: Option<f64>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    flaws: Vec<String>,
     at_ms: u64,
     /// Whether it failed, and the next start of the daemon tries it again though its file is the same.
     #[serde(skip)]
     is_for_next_start: bool,
+}
+
+#[derive(Debug, PartialEq, Serialize)]
+struct WaitingStatus {
+    #[serde(serialize_with = "path_as_text")]
+    input: PathBuf,
+    reason: String,
 }
 
 /// A path as it is shown: JSON has no place for one that is no text.
@@ -167,7 +183,8 @@ impl Holder {
 
 impl StatusRecord {
     fn new(output: &Path, journal: &Path, state: &State, holder: Holder) -> StatusRecord {
-        let files = Files::new(state, matches!(holder, Holder::Daemon(_)));
+        let has_daemon = matches!(holder, Holder::Daemon(_));
+        let files = Files::new(state, has_daemon);
         let in_standing = |standing| {
             let mut frames: Vec<_> = state
                 .frames
@@ -191,6 +208,7 @@ impl StatusRecord {
             retrying: retrying.len(),
             failed: failed.len(),
         };
+        let flawed: Vec<_> = done.iter().copied().filter(|(_, frame)| !frame.flaws.is_empty()).collect();
         // Stable: of those that are equally new, the last in natural order comes first.
         done.reverse();
         done.sort_by_key(|(_, frame)| std::cmp::Reverse(frame.at_ms));
@@ -203,7 +221,10 @@ impl StatusRecord {
             counts,
             failed: told(&failed),
             retrying: told(&retrying),
+            // Nobody waits where no daemon is.
+            waiting: if has_daemon { WaitingStatus::all(state) } else { Vec::new() },
             last_done: told(&done),
+            flawed: told(&flawed),
             damaged_lines: state.damaged_line_count,
         }
     }
@@ -287,6 +308,14 @@ impl WatchStatus {
     }
 }
 
+impl WaitingStatus {
+    fn all(state: &State) -> Vec<WaitingStatus> {
+        let mut files = waiting(state);
+        files.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+        files.into_iter().map(|(input, why)| WaitingStatus { input, reason: why.to_string() }).collect()
+    }
+}
+
 impl FrameStatus {
     fn new(input: &Path, frame: &FrameRecord) -> FrameStatus {
         FrameStatus {
@@ -296,6 +325,7 @@ impl FrameStatus {
             attempts: frame.attempt_count,
             particles: frame.particle_count,
             seconds: frame.seconds,
+            flaws: frame.flaws.clone(),
             at_ms: frame.at_ms,
             is_for_next_start: matches!(frame.standing, Standing::Refused | Standing::GivenUp),
         }

@@ -18,6 +18,7 @@ fn frame(standing: Standing, at_ms: u64) -> FrameRecord {
         at_ms,
         particle_count: None,
         seconds: None,
+        flaws: Vec::new(),
     }
 }
 
@@ -112,6 +113,13 @@ fn text_tells_what_json_tells() {
         given_up,
         "/sim/cut.ply: PLY, at byte 9: too short (4 attempts, tried again at the next start, 55s ago)"
     );
+    let mut flawed = state();
+    let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
+    two.flaws = vec!["1 particle left out".into(), "the result breaks a guarantee".into()];
+    let text = record(&flawed, Holder::Nobody).text(64_000);
+    let marked = "done, and not as it should be:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
+                  1 particle left out; the result breaks a guarantee";
+    assert!(text.ends_with(marked), "{text}");
     let damaged = State { damaged_line_count: 2, ..state() };
     assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
 }
@@ -150,7 +158,7 @@ fn json_has_the_documented_fields() {
     let record = record(&state, Holder::Daemon("pid 12 on render-04".into()));
     let json = serde_json::to_value(&record).expect("JSON");
     let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();
-    assert_eq!(keys.len(), 9);
+    assert_eq!(keys.len(), 11);
     let help = <crate::cli::args::Typed as clap::CommandFactory>::command()
         .find_subcommand_mut("status")
         .expect("the command")

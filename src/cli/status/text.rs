@@ -5,7 +5,7 @@ use std::fmt::Write;
 use crate::cli::clock::ago;
 use crate::cli::wording::{counted, significant};
 
-use super::{Counts, DaemonStatus, FrameStatus, StatusRecord, WatchStatus};
+use super::{Counts, DaemonStatus, FrameStatus, StatusRecord, WaitingStatus, WatchStatus};
 
 /// More than so many are counted and not told: `--json` has all.
 const TOLD_MAX: usize = 20;
@@ -28,15 +28,25 @@ impl StatusRecord {
                 text += &format!("\n  {}", watch.text());
             }
         }
-        let lists = [("failed", &self.failed), ("to retry", &self.retrying), ("done last", &self.last_done)];
+        if !self.waiting.is_empty() {
+            text += &format!("\nwaiting for the writers of {}:", counted(self.waiting.len(), "file"));
+            for WaitingStatus { input, reason } in self.waiting.iter().take(TOLD_MAX) {
+                text += &format!("\n  {}: {reason}", input.display());
+            }
+            text += &more(self.waiting.len());
+        }
+        let lists = [
+            ("failed", &self.failed),
+            ("to retry", &self.retrying),
+            ("done last", &self.last_done),
+            ("done, and not as it should be", &self.flawed),
+        ];
         for (title, frames) in lists.into_iter().filter(|(_, frames)| !frames.is_empty()) {
             text += &format!("\n{title}:");
             for frame in frames.iter().take(TOLD_MAX) {
                 text += &format!("\n  {}", frame.text(now_ms));
             }
-            if frames.len() > TOLD_MAX {
-                text += &format!("\n  and {} more: --json has them all", frames.len() - TOLD_MAX);
-            }
+            text += &more(frames.len());
         }
         if self.damaged_lines > 0 {
             let lines = counted(self.damaged_lines, "line");
@@ -45,6 +55,14 @@ impl StatusRecord {
                 write!(text, "\n{lines} of the journal cannot be read: what they said is found out again");
         }
         text
+    }
+}
+
+/// A line on those of a list that are not told.
+fn more(count: usize) -> String {
+    match count.checked_sub(TOLD_MAX) {
+        None | Some(0) => String::new(),
+        Some(more) => format!("\n  and {more} more: --json has them all"),
     }
 }
 
@@ -102,7 +120,7 @@ impl FrameStatus {
             // A reason mostly names its file.
             Some(reason) if reason.contains(&input) => format!("{reason} ({})", about.join(", ")),
             Some(reason) => format!("{input}: {reason} ({})", about.join(", ")),
-            None => format!("{input}: {}", about.join(", ")),
+            None => [&[format!("{input}: {}", about.join(", "))], &*self.flaws].concat().join("; "),
         }
     }
 }

@@ -89,6 +89,8 @@ struct WireFrame {
     particles: Option<usize>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     seconds: Option<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    flaws: Vec<String>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -189,6 +191,7 @@ impl WireFrame {
             at_ms: record.at_ms,
             particles: record.particle_count,
             seconds: record.seconds,
+            flaws: record.flaws.clone(),
         }
     }
 
@@ -211,6 +214,7 @@ impl WireFrame {
             at_ms: self.at_ms,
             particle_count: self.particles,
             seconds: self.seconds,
+            flaws: self.flaws,
         };
         Some(Entry::Frame(self.input.into_path()?, record))
     }
@@ -368,6 +372,7 @@ mod tests {
             at_ms: 1_760_000_000_000,
             particle_count: Some(250_000),
             seconds: Some(0.25),
+            flaws: vec!["1 particle left out".to_owned()],
         };
         Entry::Frame(input.into(), record)
     }
@@ -392,6 +397,7 @@ mod tests {
             reason: None,
             particle_count: None,
             seconds: None,
+            flaws: Vec::new(),
             ..record
         };
         comes_back(&Entry::Frame(input, bare));

@@ -46,6 +46,8 @@ pub struct FrameRecord {
     pub particle_count: Option<usize>,
     /// How long it took, in seconds, where it was converted.
     pub seconds: Option<f64>,
+    /// What is not as it should be though it was converted, a sentence each.
+    pub flaws: Vec<String>,
 }
 
 /// How far a frame has come.

@@ -27,6 +27,7 @@ fn frame_record(standing: Standing, attempt_count: u32) -> FrameRecord {
         at_ms: 1_760_000_000_000,
         particle_count: Some(250_000),
         seconds: Some(0.5),
+        flaws: Vec::new(),
     }
 }
 

@@ -1,0 +1,133 @@
+//! What tells of voxels and radii that do not fit the particles.
+//!
+//! ```text
+//!   ●   ●   ●      spheres that do not touch: drops; that barely do: a sponge, or one that is full of hollows
+//!   ●▬●▬▬●  ●
+//!   (●●●●●●●●)     spheres that overlap well: few holes, and nearly all of it in one piece, with or without spray
+//! ```
+//!
+//! It is told from the surface as it is. The spacing would say less: of spray it is large, and nothing is wrong.
+
+use glam::Vec3;
+
+use crate::mesh::Mesh;
+use crate::report::SkinReport;
+use crate::settings::Settings;
+use crate::words::significant;
+
+/// What a user should know of a surface that is empty, in pieces, full of holes, or one blob.
+pub(super) fn misfit_notes(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<String> {
+    why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size))
+}
+
+/// Why nothing is left of the surface of a frame that has particles.
+fn why_empty(report: &SkinReport, settings: &Settings) -> Option<String> {
+    let SkinReport { edits, contact, .. } = report;
+    if report.particle_count == 0 || report.mesh.vertex_count > 0 {
+        return None;
+    }
+    // What came last had something left to take.
+    let why = if edits.clipped_voxel_count > 0 {
+        "the clip box holds nothing of the surface: the mesh is empty"
+    } else if edits.island_count > 0 {
+        "every piece of the surface was dropped, for none has as many particles as was asked for: the mesh is empty"
+    } else if contact.particle_count > 0 || contact.taken_count > 0 {
+        "all of the surface is inside obstacles: the mesh is empty"
+    } else {
+        return Some(why_none(settings));
+    };
+    Some(why.to_owned())
+}
+
+/// Balls of √3 voxels and more hold voxels wherever they are. So these are smaller.
+fn why_none(settings: &Settings) -> String {
+    let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
+    let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
+    let [radius, size] = [3f64.sqrt() * voxel_size, radius_min / 3f64.sqrt()].map(significant);
+    format!(
+        "all particles fall between the voxels: the mesh is empty; r_min and r_max are {least} and {most} voxels, and every \
+         particle is held from √3 on: by --radius-min {radius}, or --voxel-size {size}"
+    )
+}
+
+/// What tells of voxels that do not fit the particles: most of these are drops by themselves, or the surface is torn, or
+/// all are one blob.
+fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
+    let SkinReport { particle_count, edits, contact, .. } = report;
+    let is_whole = edits.clipped_voxel_count == 0
+        && edits.island_count == 0
+        && contact.particle_count == 0
+        && contact.taken_count == 0;
+    if *particle_count < CROWD || !is_whole {
+        return None;
+    }
+    // Six digits are as many as anybody reads.
+    let shown: f64 = format!("{voxel_size:.5e}").parse().unwrap_or(voxel_size);
+    let remedy = "half their spacing is taken without --voxel-size";
+    let piece_count = report.mesh.component_count;
+    if 2 * piece_count > *particle_count {
+        return Some(format!(
+            "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels \
+             of {shown} are small beside what is between them; {remedy}"
+        ));
+    }
+    if let Some(torn) = torn(mesh, report) {
+        return Some(format!(
+            "{torn}: voxels of {shown}, or the radii, are small beside what is between particles; by default voxels are \
+             half of that, and the radii follow"
+        ));
+    }
+    is_blob(mesh, report, voxel_size).then(|| {
+        format!("all of the {particle_count} particles are within {BLOB_VOXELS} voxels: voxels of {shown} are large beside them; {remedy}")
+    })
+}
+
+/// What a surface is that came of spheres which do not overlap, where it looks so.
+fn torn(mesh: &Mesh, report: &SkinReport) -> Option<String> {
+    let SkinReport { particle_count, mesh: measures, .. } = report;
+    let few = particle_count / HOLED_ONE_IN;
+    // Twice the handles of all components; of a mesh that is open it tells nothing.
+    let handles = 2 * measures.component_count as i64 - measures.euler_characteristic;
+    if !measures.is_closed_manifold() || (measures.component_count <= few && handles <= 2 * few as i64) {
+        return None;
+    }
+    let volumes = mesh.component_volumes();
+    let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
+    let hole_count = hollow_count + usize::try_from(handles / 2).unwrap_or(0);
+    if hole_count > few {
+        return Some(format!(
+            "the surface of {particle_count} particles has {hole_count} holes, through it and within"
+        ));
+    }
+    let filled = || volumes.iter().copied().filter(|volume| *volume > 0.0);
+    let piece_count = filled().count();
+    let is_torn = piece_count > particle_count / PIECES_ONE_IN
+        && 2.0 * filled().fold(0.0, f64::max) < filled().sum::<f64>();
+    is_torn.then(|| {
+        format!("{particle_count} particles became {piece_count} pieces, none of them the half of all: they are spray, or torn")
+    })
+}
+
+/// Whether all particles are in one blob, as large as one particle's.
+fn is_blob(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> bool {
+    if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
+        return false;
+    }
+    let low = mesh.positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
+    let high = mesh.positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
+    let width = f64::from((high - low).max_element()) / voxel_size;
+    width - 2.0 * report.certificate.vertex_distance_min <= BLOB_VOXELS
+}
+
+/// Fewer particles may be drops, or one.
+const CROWD: usize = 33;
+
+/// A surface is torn that has a hole for so many particles. At half the spacing, of random particles, there is none.
+const HOLED_ONE_IN: usize = 50;
+
+/// A surface may be torn that is in a piece for so many particles: it is where no piece is most of it.
+const PIECES_ONE_IN: usize = 8;
+
+/// As wide as a blob is without what is around its particles, in voxels, and what its mesh has at most.
+const BLOB_VOXELS: f64 = 4.0;
+const BLOB_VERTICES: usize = 1 << 12;

@@ -1,0 +1,170 @@
+//! Voxels and radii that do not fit the particles: what cannot be is refused, what looks wrong is told, and what makes sense
+//! is neither.
+
+use std::fs;
+use std::path::Path;
+
+use meniscus::obstacle::Obstacles;
+use meniscus::particles::Particles;
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::{Plan, Surroundings, Unfit, plan};
+use tempfile::tempdir;
+
+use crate::scene::{Ran, block, meniscus, names_in, write_ply};
+
+/// The plan for these particles, and voxels of so many of their spacings, 0.1; with r_min at 0.87 spacings where the radii would
+/// be smaller.
+fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<Plan, Unfit> {
+    let voxel_size = 0.1 * spacings;
+    let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
+    let radius_ratio = (spacings < 0.1).then_some(1.25);
+    let choices = Choices { radius_min, radius_ratio, ..Choices::default() };
+    let settings = Settings::resolve(voxel_size, &choices).expect("settings");
+    let around = Surroundings { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
+    let Ok(planned) = plan(&Particles::Double(particles.to_vec()), &settings, around, u64::MAX);
+    planned
+}
+
+fn is_too_fine(particles: &[[f64; 3]], spacings: f64) -> bool {
+    matches!(planned(particles, spacings), Err(Unfit::TooFine(_)))
+}
+
+#[test]
+fn voxels_are_too_small_where_positions_cannot_tell_them_apart() {
+    let cloud = block(12, 0.0);
+    for spacings in [1.0, 0.5, 0.125, 1.0 / 16.0, 1.0 / 50.0, 1e-3, 1e-5] {
+        assert!(!is_too_fine(&cloud, spacings), "{spacings}");
+    }
+    for spacings in [1e-6, 1e-8, 1e-10, 1e-12, 1e-30] {
+        let Err(Unfit::TooFine(too_fine)) = planned(&cloud, spacings) else { panic!("{spacings}") };
+        assert!((too_fine.spacing / 0.1 - 1.0).abs() < 0.2, "{too_fine}");
+        let named = [too_fine.least, 0.999 * too_fine.least].map(|size| is_too_fine(&cloud, 10.0 * size));
+        assert_eq!(named, [false, true], "{too_fine}");
+    }
+}
+
+#[test]
+fn particles_astray_do_not_make_voxels_too_small() {
+    let cloud = block(6, 0.0);
+    let with = |others: &[[f64; 3]]| [&cloud[..], others].concat();
+    let astray = [1e7, -1e12, f64::NAN].map(|x| [x, 1.0, -x]);
+    // As many again, all over the place; or in a second cloud.
+    let sprayed: Vec<[f64; 3]> =
+        (0..200).map(|index| [1e6, 3e5, -7e5].map(|step| step * f64::from(index))).collect();
+    for others in [&astray[..], &vec![[f64::NAN; 3]; 1000], &block(5, 1e7), &sprayed] {
+        assert!(!is_too_fine(&with(others), 0.5), "{:?}", others[0]);
+        assert!(is_too_fine(&with(others), 1e-8), "{:?}", others[0]);
+    }
+    // So few that they have no spacing.
+    assert!(!is_too_fine(&sprayed[..32], 0.5));
+    assert!(is_too_fine(&sprayed[..40], 0.5));
+    // Wherever it is; but not where the grid has no indices.
+    assert!(!is_too_fine(&block(6, 1e7), 0.5));
+    assert!(is_too_fine(&block(6, 1e9), 0.5));
+}
+
+#[test]
+fn every_command_refuses_voxels_that_are_too_small() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    write_ply(&path.join("in/a.ply"), &block(6, 0.0));
+    for command in [
+        &["convert", "in/a.ply", "--out", "out"][..],
+        &["render", "in/a.ply", "-o", "a.png"],
+        &["tune", "in/a.ply", "-o", "tune.png"],
+        &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
+    ] {
+        let ran = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
+        assert_ne!(ran.status, 0, "{command:?}: {}{}", ran.out, ran.err);
+        for word in
+            ["a.ply", "the voxel size 1e-9 (--voxel-size) is too small", "particles are 0.1", "at least"]
+        {
+            assert!(ran.err.contains(word), "{command:?} does not say {word}: {}{}", ran.out, ran.err);
+        }
+    }
+    assert_eq!(names_in(path), ["in", "out", "seen"]);
+    assert_eq!(names_in(&path.join("out")), [""; 0]);
+}
+
+/// What the command says of these particles.
+fn told(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
+    write_ply(&folder.join("a.ply"), particles);
+    let Ran { status, err, .. } =
+        meniscus(folder, &[&["convert", "a.ply", "--out", "out", "--format", "glb"], options].concat());
+    assert_eq!(status, 0, "{err}");
+    err
+}
+
+#[test]
+fn a_surface_that_is_empty_says_why_and_what_would_help() {
+    let folder = tempdir().expect("a folder");
+    let said = told(folder.path(), &block(6, 0.013), &["--voxel-size", "0.05", "--radius-min", "0.001"]);
+    for word in
+        ["all particles fall between the voxels", "are 0.02 and 0.04 voxels", "--voxel-size 0.00057735"]
+    {
+        assert!(said.contains(word), "it does not say {word}: {said}");
+    }
+    let (_, named) = said.split_once("by --radius-min ").expect("a radius");
+    let radius: String = named.chars().take_while(|&c| c != ',').collect();
+    assert_eq!(told(folder.path(), &block(6, 0.013), &["--voxel-size", "0.05", "--radius-min", &radius]), "");
+}
+
+/// A block whose particles are moved by up to 0.03, a third of what is between them.
+fn shaken_block() -> Vec<[f64; 3]> {
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / (1u64 << 24) as f64 - 0.5
+    };
+    block(9, 0.0).into_iter().map(|place| place.map(|x| x + 0.06 * random())).collect()
+}
+
+#[test]
+fn a_torn_surface_is_told_and_no_other() {
+    let folder = tempdir().expect("a folder");
+    let is_told = |particles: &[[f64; 3]], options: &[&str]| {
+        let said = told(folder.path(), particles, options);
+        assert_eq!(said.contains("beside what is between"), said.contains("warning"), "{said}");
+        said.contains("beside what is between")
+    };
+    let shaken = shaken_block();
+    let mut spray = shaken.clone();
+    spray.extend((0..150).map(|i| [1.0 + 0.7 * f64::from(i), f64::from(i % 7), f64::from(i % 5)]));
+    for (particles, options, expected) in [
+        (&shaken, &["--voxel-size", "0.015"][..], true),
+        (&shaken, &["--voxel-size", "0.02"], true),
+        (&shaken, &["--voxel-size", "0.05", "--radius-min", "0.09"], false),
+        (&shaken, &["--voxel-size", "0.02", "--radius-min", "0.087"], false),
+        (&shaken, &["--voxel-size", "0.03"], false),
+        (&shaken, &[], false),
+        (&shaken, &["--preset", "granular"], false),
+        (&spray, &["--voxel-size", "0.05"], false),
+        (&spray, &["--voxel-size", "0.02"], true),
+    ] {
+        assert_eq!(is_told(particles, options), expected, "{} {options:?}", particles.len());
+    }
+}
+
+#[test]
+fn the_examples_are_torn_by_small_voxels_only() {
+    let folder = tempdir().expect("a folder");
+    let frames = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/frames");
+    for (name, size, expected) in [
+        ("dam.0001.bgeo", "0.01", "holes, through it and within"),
+        ("dam.0001.bgeo", "0.0125", "holes, through it and within"),
+        ("dam.0008.bgeo", "0.01", "holes, through it and within"),
+        ("dam.0001.bgeo", "0.015", ""),
+        ("dam.0008.bgeo", "0.015", ""),
+        ("dam.0008.bgeo", "0.025", ""),
+    ] {
+        let frame = frames.join(name);
+        let frame = frame.to_str().expect("text");
+        let ran = meniscus(folder.path(), &["convert", frame, "--out", "out", "--voxel-size", size]);
+        assert!(
+            ran.err.contains(expected) && ran.err.is_empty() == expected.is_empty(),
+            "{name} {size}: {}",
+            ran.err
+        );
+    }
+}
