@@ -116,7 +116,7 @@ fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>>
     })?;
     write_whole(&path("vdb"), |out| {
         let options = vdb::WriteOptions::default();
-        pool.install(|| encode_level_set(&surface, frame.settings.voxel_size, &options, &[]))?.write(out)
+        pool.install(|| encode_level_set(&surface, &frame.settings, &options, &[]))?.write(out)
     })?;
     Ok(())
 }

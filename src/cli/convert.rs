@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
     Conduct, Frame, FrameState, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
-    check_outputs, file_of, inspect, size_bytes,
+    check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
 use crate::simd::level_warning;
 
@@ -64,8 +64,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let obstacles = Arc::new(obstacle_files(&args.method)?);
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
-    let out_folder = OutFolder::make(&outputs.folder)
-        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    let out_folder = OutFolder::make(&outputs.folder)?;
     let shots = Shots::asked_for(&args.shot, &outputs, sequences.len(), args.frames.is_some())?;
     let report = args.report.as_deref();
     refuse_conflicts(&sequences, &found, &obstacles, &outputs, report.map(|path| ("the report", path)))?;
@@ -172,6 +171,7 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
             out.display()
         );
     }
+    check_out_folder(out)?;
     refuse_report_of_plan(args.report.as_deref(), &plan, path)?;
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;

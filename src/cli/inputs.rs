@@ -34,8 +34,8 @@ use crate::pipeline::{
 pub(super) struct Found {
     /// Each once.
     pub(super) files: Vec<FrameFile>,
-    /// Files in folders that are no frames.
-    pub(super) passed_over_count: usize,
+    /// Files in folders that are no frames: the first by name, and how many.
+    pub(super) passed_over: Option<(PathBuf, usize)>,
     /// What could not be looked at, a sentence each.
     pub(super) warnings: Vec<String>,
 }
@@ -95,8 +95,16 @@ impl Found {
     pub(super) fn add(&mut self, found: Found) {
         let mut seen: HashSet<PathBuf> = self.files.iter().map(|file| entry(&file.path)).collect();
         self.files.extend(found.files.into_iter().filter(|file| seen.insert(entry(&file.path))));
-        self.passed_over_count += found.passed_over_count;
+        if let Some((first, count)) = found.passed_over {
+            self.pass_over(first, count);
+        }
         self.warnings.extend(found.warnings);
+    }
+
+    /// Counts files that are no frames, of which this is the first by name.
+    fn pass_over(&mut self, first: PathBuf, count: usize) {
+        let (before, count_before) = self.passed_over.take().unwrap_or_else(|| (first.clone(), 0));
+        self.passed_over = Some((before.min(first), count_before + count));
     }
 
     fn add_folder(&mut self, folder: &Path) -> Result<()> {
@@ -107,7 +115,7 @@ impl Found {
         for path in files {
             match is_frame(&path) {
                 Ok(true) => self.files.push(FrameFile::new(path)),
-                Ok(false) => self.passed_over_count += 1,
+                Ok(false) => self.pass_over(path, 1),
                 Err(error) => self.warnings.push(cannot_read(&path, &error)),
             }
         }

@@ -45,8 +45,7 @@ pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Resu
 /// # Errors
 /// When the folder cannot be made, or a page cannot be written.
 pub(super) fn man(args: &ManArgs) -> Result<Verdict> {
-    let folder = OutFolder::make(&args.out)
-        .with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    let folder = OutFolder::make(&args.out)?;
     let mut program = Typed::command().disable_help_subcommand(true);
     program.build();
     write_page(program.clone(), &args.out)?;

@@ -16,6 +16,7 @@ mod info;
 mod inputs;
 mod interrupt;
 mod manual;
+mod misspelt;
 mod out_folder;
 mod particles_only;
 mod plan;
@@ -68,10 +69,12 @@ pub fn check_config(text: &str) -> anyhow::Result<()> {
 
 /// Runs the command in `arguments`, the program's name first. The exit status is 0 when all was
 /// done, 1 when some of it failed, 2 when nothing was done or the command makes no sense.
-pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> ExitCode {
-    let typed = match Typed::try_parse_from(arguments) {
+pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
+    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    let typed = match Typed::try_parse_from(&arguments) {
         Ok(typed) => typed,
         Err(help_or_error) => {
+            let help_or_error = misspelt::with_what_was_meant(help_or_error, &arguments);
             // A closed output is no error, and there is nobody to tell of any other.
             let _ = help_or_error.print();
             return ExitCode::from(u8::try_from(help_or_error.exit_code()).unwrap_or(2));

@@ -1,10 +1,11 @@
 //! The folder of the results, made where it is missing.
 
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 
-/// A folder that exists. Whatever had to be made for it is removed again unless it is kept.
+use crate::pipeline::{OutFolderError, make_out_folder};
+
+/// A folder that exists, and takes files. Whatever had to be made for it is removed again unless it is kept.
 #[derive(Debug)]
 pub(super) struct OutFolder {
     /// The innermost first.
@@ -15,15 +16,17 @@ impl OutFolder {
     /// Makes a folder, and those that it lies in.
     ///
     /// # Errors
-    /// When the system refuses.
-    pub(super) fn make(folder: &Path) -> io::Result<OutFolder> {
+    /// When it cannot be made, or nothing can be written into it.
+    pub(super) fn make(folder: &Path) -> Result<OutFolder, OutFolderError> {
+        // No name at all is where one is.
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         let missing = folder
             .ancestors()
             .take_while(|part| !part.as_os_str().is_empty() && part.symlink_metadata().is_err())
             // What ends in `..` is there already, by another name.
             .filter(|part| part.file_name().is_some());
         let made = OutFolder { made: missing.map(Path::to_owned).collect() };
-        fs::create_dir_all(folder)?;
+        make_out_folder(folder)?;
         Ok(made)
     }
 

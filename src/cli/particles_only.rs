@@ -31,8 +31,7 @@ pub(super) fn write_particles(args: &ConvertArgs, start: Instant, console: &mut 
         formats: formats.iter().map(|format| format.output()).collect(),
         ..output_options(folder, None, &args.formats)
     };
-    let out_folder = OutFolder::make(&outputs.folder)
-        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    let out_folder = OutFolder::make(&outputs.folder)?;
     refuse_conflicts(&sequences, &found, &obstacle_files(&args.method)?, &outputs, None)?;
     let frames: Vec<ParticlesToWrite> = sequences
         .iter()

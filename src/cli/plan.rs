@@ -39,8 +39,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     let folder = absolute(&args.out).with_context(|| format!("`{}` is no path", args.out.display()))?;
     let outputs = output_options(folder, args.format.as_deref(), &args.formats);
     // It stays, and shards do not make it: one that finds none knows that something is not mounted.
-    let out_folder = OutFolder::make(&outputs.folder)
-        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    let out_folder = OutFolder::make(&outputs.folder)?;
     refuse_conflicts(&sequences, &found, &obstacles, &outputs, Some(("the plan", &args.output)))?;
 
     let pool = thread_pool(None)?;

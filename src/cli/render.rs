@@ -44,8 +44,7 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict
     let shots = Shots::new(args, &sequences)?;
     let outputs = &shots.studio.outputs;
     shots.studio.warn_of_ignored(&outputs.formats, console);
-    let folder = OutFolder::make(&outputs.folder)
-        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    let folder = OutFolder::make(&outputs.folder)?;
     let planned = sequences.iter().flat_map(|sequence| shots.selected(sequence));
     let planned: Vec<(PathBuf, String)> = planned
         .flat_map(|file| shots.stems(file).into_iter().map(|stem| (file.path.clone(), stem)))

@@ -135,7 +135,8 @@ fn say_settings(
     let [radius_min, radius_init, radius_max] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
     console.say(format_args!(
-        "{}: {frames}, voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}",
-        sequence.name
+        "{}: {frames}, voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}, {}",
+        sequence.name,
+        counted(settings.steps as usize, "step")
     ));
 }

@@ -58,8 +58,7 @@ pub(super) fn convert_level_sets(
     }
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = output_options(folder, args.format.as_deref(), &args.formats);
-    let out_folder = OutFolder::make(&outputs.folder)
-        .with_context(|| format!("cannot make the folder {}", outputs.folder.display()))?;
+    let out_folder = OutFolder::make(&outputs.folder)?;
     refuse_conflicts(sequences, found, &obstacle_files(&args.method)?, &outputs, None)?;
     let (outputs, choices): (Arc<_>, Choices) = (Arc::new(outputs), choices(&args.method));
     // What makes no sense with any voxel is no fault of a file.

@@ -46,9 +46,15 @@ pub(super) fn select_frames(
     for warning in &found.warnings {
         console.warn(format_args!("warning: {warning}"));
     }
-    if found.passed_over_count > 0 {
-        let passed_over = counted(found.passed_over_count, "other file");
-        console.say(format_args!("passed over {passed_over}: no frames of particles"));
+    if let Some((first, count)) = &found.passed_over {
+        let name = first.file_name().unwrap_or_default().to_string_lossy();
+        match count {
+            1 => console.say(format_args!("passed over {name}: no frame of particles")),
+            _ => {
+                let others = counted(count - 1, "other file");
+                console.say(format_args!("passed over {name} and {others}: no frames of particles"));
+            }
+        }
     }
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences: Vec<SelectedSequence> = pipeline::sequences(found.files)

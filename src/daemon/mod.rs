@@ -66,7 +66,9 @@ use rayon::ThreadPoolBuilder;
 pub use config::{Config, Order, Patience, Poll, Watch};
 
 use crate::board::Board;
-use crate::pipeline::{Conduct, Frame, LevelSetSkinning, OnError, Stage, StepsFoundBy, stream_seen};
+use crate::pipeline::{
+    Conduct, Frame, LevelSetSkinning, OnError, OutFolderError, Stage, StepsFoundBy, stream_seen,
+};
 
 use frames::FrameId;
 use lock::LockError;
@@ -135,7 +137,9 @@ pub enum Ended {
 /// Why a daemon cannot run.
 #[derive(Debug)]
 pub enum DaemonError {
-    /// A folder of outputs cannot be made, or its journal not be opened.
+    /// A folder takes no outputs.
+    Out(OutFolderError),
+    /// A folder of outputs cannot be looked at, or its journal not be opened.
     Folder {
         /// Which.
         folder: PathBuf,
@@ -160,6 +164,7 @@ pub enum DaemonError {
 impl fmt::Display for DaemonError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            DaemonError::Out(error) => write!(f, "{error}"),
             DaemonError::Folder { folder, source } => write!(f, "{}: {source}", folder.display()),
             DaemonError::Locked(error) => write!(f, "{error}"),
             DaemonError::Pattern(error) => write!(f, "{error}"),

@@ -7,7 +7,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use crate::pipeline::sweep_temporaries;
+use crate::pipeline::{make_out_folder, sweep_temporaries};
 
 use super::DaemonError;
 use super::config::{Config, Patience, Watch};
@@ -102,11 +102,8 @@ impl Stores {
 }
 
 fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
-    let make = || {
-        fs::create_dir_all(folder)?;
-        folder.canonicalize()
-    };
-    make().map_err(|source| DaemonError::Folder { folder: folder.to_owned(), source })
+    make_out_folder(folder).map_err(DaemonError::Out)?;
+    folder.canonicalize().map_err(|source| DaemonError::Folder { folder: folder.to_owned(), source })
 }
 
 impl Store {

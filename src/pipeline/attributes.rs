@@ -24,12 +24,14 @@ struct Needed {
     arity: usize,
     /// What asks for it.
     option: &'static str,
+    /// Whether it must be a positive number for one particle at least.
+    is_length: bool,
 }
 
 impl Needed {
     /// What to say where it is not among these attributes, of which it is told which there are.
     fn why_missing(&self, all: &[Attribute], there: &str) -> String {
-        let Needed { name, arity, option } = self;
+        let Needed { name, arity, option, .. } = self;
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
         match all.iter().find(|attribute| attribute.is_called(name)) {
             None => format!("the particles have no attribute `{name}`, which {option} needs: {there}"),
@@ -50,6 +52,24 @@ impl Needed {
     fn is(&self, attribute: &Attribute) -> bool {
         attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
     }
+
+    /// Which of these attributes it is: the one of that very name before others with its meaning.
+    fn among<'a>(&self, all: &'a [Attribute]) -> Option<&'a Attribute> {
+        let fitting = || all.iter().filter(|attribute| self.is(attribute));
+        fitting().find(|attribute| attribute.name == self.name).or_else(|| fitting().next())
+    }
+
+    /// What to say where it is there, and of no use for any particle.
+    fn why_useless(&self, attribute: &Attribute) -> Option<String> {
+        let numbers = attribute.values.numbers().unwrap_or_default();
+        let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
+        let is_useless = self.is_length && !numbers.is_empty() && !numbers.iter().any(is_useful);
+        let Needed { option, .. } = self;
+        let name = &attribute.name;
+        is_useless.then(|| {
+            format!("the particles' attribute `{name}` has no positive number for any of them, and {option} needs a radius")
+        })
+    }
 }
 
 impl Wanted {
@@ -58,15 +78,19 @@ impl Wanted {
         let mut needed = Wanted::radii(settings.own_radii.as_ref()).needed;
         if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
             let name = "velocity".to_owned();
-            needed.push(Needed { name, arity: 3, option: "--anisotropy velocity" });
+            needed.push(Needed { name, arity: 3, option: "--anisotropy velocity", is_length: false });
         }
         Wanted { needed, selected: settings.attributes.clone() }
     }
 
     /// The particles' own radii only.
     pub(super) fn radii(own: Option<&OwnRadii>) -> Wanted {
-        let needed =
-            |own: &OwnRadii| Needed { name: own.attribute.clone(), arity: 1, option: "--radius-attribute" };
+        let needed = |own: &OwnRadii| Needed {
+            name: own.attribute.clone(),
+            arity: 1,
+            option: "--radius-attribute",
+            is_length: true,
+        };
         Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
@@ -78,7 +102,7 @@ impl Wanted {
     /// Those of a file's attributes that are wanted, and what a user should know of them.
     ///
     /// # Errors
-    /// What is missing, where the frame cannot be skinned without.
+    /// What is missing, or of no use, where the frame cannot be skinned without.
     pub(super) fn of(&self, attributes: Vec<FileAttribute>) -> Result<(Vec<Attribute>, Vec<String>), String> {
         if self.is_nothing() {
             return Ok((Vec::new(), Vec::new()));
@@ -92,9 +116,14 @@ impl Wanted {
             }
         };
         let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
-        let is_missing = |needed: &&Needed| !all.iter().any(|attribute| needed.is(attribute));
-        if let Some(needed) = self.needed.iter().find(is_missing) {
-            return Err(needed.why_missing(&all, &there()));
+        for needed in &self.needed {
+            let why = match needed.among(&all) {
+                Some(attribute) => needed.why_useless(attribute),
+                None => Some(needed.why_missing(&all, &there())),
+            };
+            if let Some(why) = why {
+                return Err(why);
+            }
         }
         let named: &[String] = match &self.selected {
             Some(AttributeSelection::Named(names)) => names,
@@ -210,6 +239,14 @@ mod tests {
             Values::Strings { table: vec!["a".to_owned()], indices: vec![0] },
         )]);
         assert!(error.expect_err("words").contains("`kind` is text"));
+        let useless = |values: &[f32]| {
+            let radii = file_attribute("pscale", Some(Role::Radius), 1, Values::F32(values.to_vec()));
+            by_radius("radius").of(vec![radii])
+        };
+        let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");
+        assert!(error.contains("`pscale` has no positive number") && error.contains("--radius-attribute"));
+        // One will do, and where there are no particles there are no radii.
+        assert!(useless(&[0.0, 0.5]).is_ok() && useless(&[]).is_ok());
         let error = by_radius("size").of(two_particles()).expect_err("not there");
         assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
     }

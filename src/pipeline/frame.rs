@@ -12,6 +12,7 @@ use crate::settings::Settings;
 use crate::skin::{TooFine, TooLarge};
 
 use super::obstacles::ObstacleFiles;
+use super::out_folder::is_disk_full;
 use super::outputs::OutputOptions;
 use super::source::FrameFile;
 use super::stamp::FileStamp;
@@ -152,7 +153,7 @@ pub enum Cause {
     Changed,
     /// An obstacle.
     Obstacle(Box<ObstacleError>),
-    /// The particles lack an attribute without which they cannot be skinned as asked.
+    /// The particles lack an attribute, or any use of it, without which they cannot be skinned as asked.
     Missing(String),
     /// The frame does not fit into the memory that it may take.
     TooLarge(TooLarge),
@@ -197,7 +198,7 @@ impl FrameError {
             Cause::Scratch(source) => source,
             _ => return false,
         };
-        matches!(source.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+        is_disk_full(source)
     }
 
     /// A failure of a stage of the method.

@@ -72,6 +72,7 @@ mod notes;
 mod number_pattern;
 mod obstacle_notes;
 mod obstacles;
+mod out_folder;
 mod outputs;
 mod particles_only;
 mod picture;
@@ -106,6 +107,9 @@ pub(crate) use names::text_of_name;
 pub use notes::{flaws, notes, standing_notes};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
+pub use out_folder::{
+    OutFolderError, check_out_folder, is_disk_full, make_out_folder, refuse_file_for_folder,
+};
 pub use outputs::{Conflict, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path};
 pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
 pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};

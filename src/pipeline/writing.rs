@@ -190,17 +190,17 @@ fn encode_levels(
         compression: frame.outputs.vdb_compression,
         ..vdb::WriteOptions::default()
     };
-    encode_level_set(surface, frame.settings.voxel_size, &options, provenance)
+    encode_level_set(surface, &frame.settings, &options, provenance)
 }
 
 /// The level set of a surface as a .vdb, with those attributes that are known in its band: what is left is to
-/// [write](vdb::Encoded::write) it. `voxel_size` is that of the settings that it was skinned with, world units.
+/// [write](vdb::Encoded::write) it. The settings are those that it was skinned with: its values are in their voxels.
 ///
 /// # Errors
 /// When the format has no place for so much.
 pub fn encode_level_set(
     surface: &Surface,
-    voxel_size: f64,
+    settings: &Settings,
     options: &vdb::WriteOptions,
     provenance: &Provenance,
 ) -> meniscus_formats::Result<vdb::Encoded> {
@@ -211,7 +211,7 @@ pub fn encode_level_set(
         origins: &origins,
         leaves: surface.band.phi.as_arrays(),
         half_width_voxels: VDB_HALF_WIDTH_VOXELS,
-        voxel_size,
+        voxel_size: settings.voxel_size,
         grids: &grids,
     };
     vdb::encode(&levels, options, provenance)

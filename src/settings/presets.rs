@@ -10,11 +10,11 @@ pub enum Preset {
     Water,
     /// Sheets, threads and drops: particles stretched along them.
     Splash,
-    /// Sand, snow, grain: every bump is meant.
+    /// Sand, snow, grain: near the particles and hardly smoothed, for every bump is meant.
     Granular,
     /// A quick look.
     Preview,
-    /// As near to the particles as can be.
+    /// As near to the particles as `Granular`, and smoothed in full within that.
     Faithful,
     /// As smooth as can be.
     Smooth,

@@ -53,6 +53,29 @@ fn outputs_beside_the_frames_are_no_inputs() {
     assert_eq!(names_in(&scene.path("in")).len(), 7);
 }
 
+/// In one line, before any frame is looked at.
+#[test]
+fn a_folder_that_takes_no_outputs_is_refused() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    scene.write("taken", "a file");
+    let mut places = vec![("taken", "this is a file"), ("taken/deep", "taken is a file")];
+    #[cfg(target_os = "linux")]
+    // Nobody may write there, not even root.
+    places.push(("/proc", "nothing can be written into it: "));
+    for (out, why) in places {
+        let ran = scene.run(&["watch", "in", "--out", out, "--once"]);
+        assert_eq!(ran.status, Some(2), "{out}: {}", ran.err);
+        assert!(
+            ran.err.contains(&format!("{out}: expected a folder for the results, and "))
+                && ran.err.contains(why),
+            "{out}: {}",
+            ran.err
+        );
+        assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+    }
+}
+
 /// Also where it is not there yet, or is another frame's.
 #[test]
 fn an_obstacle_is_never_replaced() {

@@ -7,7 +7,7 @@ use meniscus_formats::{Attribute, Limits, ParticleFrame, Positions, Values, bgeo
 use serde_json::Value;
 use tempfile::tempdir;
 
-use crate::scene::{Ran, block, command, meniscus, write_ply};
+use crate::scene::{Ran, block, command, meniscus, names_in, write_ply};
 
 const FORMATS: [&str; 5] = ["glb", "gltf", "obj", "ply", "vdb"];
 
@@ -237,6 +237,33 @@ fn voxels_are_small_enough_for_the_radii_that_are_told() {
     let watched = ["watch", "in", "--out", "w", "--once", "--radius-attribute", "pscale", "--log", "json"];
     let ran = meniscus(folder, &watched);
     assert!(ran.status == 0 && ran.err.contains("\"voxel_size\":0.0288675"), "{}", ran.err);
+}
+
+/// Where some particles have a radius the others get the least, and that is told; where none has, nothing is meant.
+#[test]
+fn a_frame_needs_one_radius_at_least() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    let write = |name: &str, radii: Vec<f32>| {
+        let mut frame = frame(6);
+        frame.attributes = vec![attribute("pscale", 1, Values::F32(radii))];
+        let mut bytes = Vec::new();
+        bgeo::write(&frame, &mut bytes).expect("written");
+        fs::write(folder.join(name), bytes).expect("written");
+    };
+    let useless = [0.0, -0.05, f32::NAN, f32::INFINITY];
+    write("f.1.bgeo", useless.repeat(54));
+    write("f.2.bgeo", (0..216).map(|index| if index == 7 { 0.05 } else { useless[index % 4] }).collect());
+    let typed = ["convert", ".", "--out", "o", "--format", "obj", "--radius-attribute", "pscale"];
+    for more in [&[][..], &["--voxel-size", "0.05"]] {
+        let ran = meniscus(folder, &[&typed[..], more].concat());
+        assert_eq!(ran.status, 1, "{}", ran.err);
+        let told = "f.1.bgeo: the particles' attribute `pscale` has no positive number for any of them, and \
+                    --radius-attribute needs a radius";
+        assert!(ran.err.contains(told), "{}", ran.err);
+        assert!(ran.err.contains("215 particles without a radius that is a positive number"), "{}", ran.err);
+        assert_eq!(names_in(&folder.join("o")), ["f.2.obj"]);
+    }
 }
 
 #[test]

@@ -63,6 +63,99 @@ fn what_makes_no_sense_is_refused() {
     }
 }
 
+/// Every command that writes says so at once: before any frame is read, and with nothing left behind.
+#[test]
+fn a_folder_that_takes_no_results_is_refused() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    fs::write(path.join("taken"), "a file").expect("written");
+    let expected = "expected a folder for the results, and ";
+    let mut places = vec![
+        ("taken", "taken: ".to_owned() + expected + "this is a file"),
+        ("taken/deep", "taken/deep: ".to_owned() + expected + "it cannot be made: taken is a file"),
+    ];
+    #[cfg(target_os = "linux")]
+    places.extend([
+        // Nobody may write there, not even root.
+        ("/proc", "/proc: ".to_owned() + expected + "nothing can be written into it: "),
+        ("/proc/a/b", "/proc/a/b: ".to_owned() + expected + "it cannot be made: "),
+    ]);
+    for (out, told) in places {
+        for command in [
+            &["convert", "dam.#.ply"][..],
+            &["convert", "dam.#.ply", "--particles-only"],
+            &["render", "dam.#.ply"],
+            &["plan", "dam.#.ply", "--shards", "2", "-o", "plan.json"],
+            &["man"],
+        ] {
+            let ran = meniscus(path, &[command, &["--out", out]].concat());
+            assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?} {out}: {}", ran.err);
+            // A plan has whole paths.
+            let err = ran.err.replace(&format!("{}/", path.display()), "");
+            assert!(err.contains(&told), "{command:?} {out}: {err}");
+            assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
+        }
+    }
+    assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "taken"]);
+}
+
+/// Root may write everywhere: then there is nothing to see here.
+#[test]
+#[cfg(unix)]
+fn a_folder_without_the_right_to_write_is_refused() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    fs::create_dir(path.join("out")).expect("made");
+    fs::set_permissions(path.join("out"), fs::Permissions::from_mode(0o500)).expect("changed");
+    if fs::write(path.join("out/file"), "").is_ok() {
+        return;
+    }
+    for out in ["out", "out/deep"] {
+        let ran = meniscus(path, &["convert", "dam.#.ply", "--out", out]);
+        assert_eq!((ran.status, &*ran.out), (2, ""), "{}", ran.err);
+        assert!(ran.err.contains(out) && ran.err.contains("Permission denied"), "{}", ran.err);
+    }
+}
+
+#[test]
+fn a_slip_in_the_name_of_an_option_is_told_with_what_was_meant() {
+    let folder = folder();
+    for (typed, meant) in [
+        (&["convert", "a.ply", "--ouput", "o"][..], "'--out'"),
+        (&["convert", "a.ply", "--output=o"], "'--out'"),
+        (&["watch", "in", "--outptu", "o"], "'--out'"),
+        (&["convert", "a.ply", "--upp", "z"], "'--up'"),
+        (&["convert", "a.ply", "--presett", "water"], "'--preset'"),
+        (&["tune", "a.ply", "--ouput", "t.png"], "'--output'"),
+    ] {
+        let ran = meniscus(folder.path(), typed);
+        assert_eq!(ran.status, 2);
+        let tip = ran.err.lines().find(|line| line.contains("similar argument"));
+        assert!(tip.is_some_and(|tip| tip.ends_with(meant)), "{typed:?}: {}", ran.err);
+        assert!(
+            ran.err.contains("Usage: ") && !ran.err.contains("--up <AXIS>") || meant == "'--up'",
+            "{}",
+            ran.err
+        );
+    }
+}
+
+/// Two presets with the same radii are told apart by how long they smooth.
+#[test]
+fn presets_are_told_apart() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    let told = |preset: &str| {
+        let out = meniscus(folder.path(), &["convert", "dam.1.ply", "--out", "o", "--preset", preset]).out;
+        out.lines().find(|line| line.contains("voxel size")).expect("the settings").to_owned()
+    };
+    let [granular, faithful] = ["granular", "faithful"].map(told);
+    assert!(granular.ends_with(", 1 step") && faithful.ends_with(", 5 steps"), "{granular} {faithful}");
+}
+
 #[test]
 fn help_and_version_are_no_errors() {
     let folder = folder();
@@ -354,7 +447,16 @@ fn what_lies_beside_the_frames_is_passed_over() {
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("passed over 6 other files"), "{}", ran.out);
+    assert!(
+        ran.out.contains("passed over Makefile and 5 other files: no frames of particles"),
+        "{}",
+        ran.out
+    );
+    for name in others.map(|(name, _)| name).iter().filter(|name| **name != "notes.txt") {
+        fs::remove_file(path.join(name)).expect("removed");
+    }
+    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
+    assert!(ran.out.contains("passed over notes.txt: no frame of particles"), "{}", ran.out);
     assert_eq!(names_in(&path.join("o")), ["bare.ply", "dam.1.ply", "dam.2.ply", "table.ply"]);
 }
 
@@ -369,7 +471,7 @@ fn results_in_a_folder_of_frames_are_no_frames() {
     write_sequence(&path.join("shot"), 3, 3);
     let ran = meniscus(path, &["convert", "shot", "--out", "o", "--format", "ply"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("passed over 10 other files"), "{}", ran.out);
+    assert!(ran.out.contains("passed over dam.1.glb and 9 other files"), "{}", ran.out);
     assert_eq!(names_in(&path.join("o")), ["dam.3.ply"]);
 }
 

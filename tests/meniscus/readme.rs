@@ -343,7 +343,7 @@ fn write_ship(path: &Path) {
 fn write_level_set(path: &Path) {
     let settings = Settings::resolve(0.05, &Choices::default()).expect("sound");
     let surface = skin(&Particles::Double(block(4, 0.0)), &settings);
-    let encoded = encode_level_set(&surface, settings.voxel_size, &vdb::WriteOptions::default(), &[]);
+    let encoded = encode_level_set(&surface, &settings, &vdb::WriteOptions::default(), &[]);
     let mut out = BufWriter::new(File::create(path).expect("made"));
     encoded.expect("it fits").write(&mut out).expect("written");
 }

@@ -78,9 +78,10 @@ fn a_sequence_is_seen_at_a_glance() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 6);
-    let ran = sheet_of(path, &[".", "--columns", "4", "--no-seconds"]);
+    let ran = sheet_of(path, &[".", "--columns", "4"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
-    assert!(ran.out.contains("dam: 6 frames, from particles, voxel size "), "{}", ran.out);
+    let title = ran.out.lines().find(|line| line.starts_with("dam: 6 frames, from particles, voxel size "));
+    assert!(title.is_some_and(|title| title.ends_with(" s")), "{}", ran.out);
     let seen = Seen::read(&path.join("sheet.png"));
     assert_eq!(seen.width, GAP + 4 * (CELL[0] + GAP));
     // The name, and the number of particles.
@@ -92,9 +93,9 @@ fn a_sequence_is_seen_at_a_glance() {
     }
     assert!(!has_fluid(&seen.cell(2, 1, line_count)) && seen.ink(2, 1, line_count) == 0);
     let first = fs::read(path.join("sheet.png")).expect("there");
-    let ran = sheet_of(path, &[".", "--columns", "4", "--no-seconds", "--threads", "1"]);
+    let ran = sheet_of(path, &[".", "--columns", "4", "--threads", "1"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(fs::read(path.join("sheet.png")).expect("there") == first, "threads change the bytes");
+    assert!(fs::read(path.join("sheet.png")).expect("there") == first, "another run has other bytes");
 
     let ran = sheet_of(path, &["dam.#.ply", "--count", "3"]);
     assert!(ran.status == 0 && ran.out.contains("dam: 3 of 6 frames, from particles"), "{}", ran.out);
@@ -141,7 +142,7 @@ fn a_frame_that_fails_leaves_the_others() {
     let path = folder.path();
     write_sequence(path, 1, 4);
     fs::write(path.join("dam.3.ply"), "ply\nformat ascii 1.0\nelement vertex 9\n").expect("written");
-    let ran = sheet_of(path, &["dam.#.ply", "--columns", "4", "--no-seconds"]);
+    let ran = sheet_of(path, &["dam.#.ply", "--columns", "4"]);
     assert_eq!(ran.status, 1, "{} {}", ran.out, ran.err);
     assert!(ran.err.contains("dam.3.ply") && ran.err.matches("error").count() == 1, "{}", ran.err);
     let seen = Seen::read(&path.join("sheet.png"));
@@ -173,8 +174,8 @@ fn sequences_are_one_after_another() {
 }
 
 /// The commands that were printed.
-fn commands(ran: &Ran) -> Vec<Vec<&str>> {
-    let lines = ran.out.lines().filter(|line| line.starts_with("meniscus convert "));
+fn commands(out: &str) -> Vec<Vec<&str>> {
+    let lines = out.lines().filter(|line| line.starts_with("meniscus convert "));
     lines.map(|line| line.split_whitespace().skip(2).collect()).collect()
 }
 
@@ -187,16 +188,18 @@ fn commands_make_what_cells_show() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_ply(&path.join("dam.7.ply"), &block(8, 0.0));
-    let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--no-seconds", "--vary"];
+    let tune = ["tune", "dam.7.ply", "-o", "tune.png", "--size", SIZE, "--out", "my meshes", "--vary"];
     let tune = [&tune[..], &["ratio=1.25,3,time=0,5,h=1x,0.6x", "--preset", "water", "--clip"]].concat();
     let tune = [&tune[..], &["-1,-1,-1,0.6,2,2", "--smooth-normals=2"]].concat();
     let ran = meniscus(path, &[&tune[..], &["--threads", "1"]].concat());
     assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
     let first = fs::read(path.join("tune.png")).expect("there");
     assert_eq!(meniscus(path, &tune).status, 0);
-    assert!(fs::read(path.join("tune.png")).expect("there") == first, "threads change the bytes");
+    assert!(fs::read(path.join("tune.png")).expect("there") == first, "another run has other bytes");
 
-    let commands = commands(&ran);
+    assert_eq!(ran.out.matches("--out 'my meshes' --").count(), 8, "{}", ran.out);
+    let out = ran.out.replace("'my meshes'", "meshes");
+    let commands = commands(&out);
     assert_eq!(commands.len(), 8);
     let seen = Seen::read(&path.join("tune.png"));
     let mut cells: Vec<Vec<[u8; 3]>> = Vec::new();
@@ -241,13 +244,10 @@ fn a_setting_that_is_refused_leaves_the_others() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     write_sequence(path, 1, 3);
-    let ran = meniscus(
-        path,
-        &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2", "--no-seconds"],
-    );
+    let ran = meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "ratio=0.5,2"]);
     assert_eq!(ran.status, 1, "{} {}", ran.out, ran.err);
     assert!(ran.err.contains("cell 1: ratio 0.5: the radius ratio is 0.5"), "{}", ran.err);
-    assert!(ran.out.contains("dam.2.ply: of 3 frames") && commands(&ran).len() == 1, "{}", ran.out);
+    assert!(ran.out.contains("dam.2.ply: of 3 frames") && commands(&ran.out).len() == 1, "{}", ran.out);
     let ran =
         meniscus(path, &["tune", ".", "-o", "t.png", "--size", SIZE, "--vary", "time=0", "--frames", "3"]);
     assert_eq!(ran.status, 0, "{}", ran.err);

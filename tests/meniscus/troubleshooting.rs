@@ -31,7 +31,7 @@ fn quoted(page: &str) -> Vec<&str> {
         .collect()
 }
 
-/// All sources below a folder without their tests and comments; text that goes on in the next line is one.
+/// What all sources below a folder may say, without their tests.
 fn messages_below(folder: &Path) -> String {
     let mut text = String::new();
     for entry in fs::read_dir(folder).expect("the folder is there") {
@@ -45,20 +45,64 @@ fn messages_below(folder: &Path) -> String {
     text
 }
 
-/// What a source says when it runs.
+/// What a source may say when it runs: its literals of text, each on a line; one that goes on in the next line of the source is
+/// one.
 fn said_in(source: &str) -> String {
     let source = source.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
-    let code = source.lines().filter(|line| !line.trim_start().starts_with("//"));
-    code.fold(String::new(), |text, line| match text.strip_suffix('\\') {
-        Some(begun) => format!("{begun}{}", line.trim_start()),
-        None => text + "\n" + line,
-    })
+    let mut said = String::new();
+    let mut rest = source;
+    while let Some(start) = rest.find(['"', '\'', '/', 'r']) {
+        let (before, from) = rest.split_at(start);
+        rest = if from.starts_with("//") {
+            from.split_once('\n').map_or("", |(_, after)| after)
+        } else if let Some(after) = from.strip_prefix("'\"'").or(from.strip_prefix("'\\\"'")) {
+            after
+        } else if let Some(text) = from.strip_prefix('"') {
+            said.push('\n');
+            unescaped(text, &mut said)
+        } else if let Some((text, after)) = raw(from).filter(|_| !before.ends_with(is_of_a_name)) {
+            said += &format!("\n{text}");
+            after
+        } else {
+            &from[1..]
+        };
+    }
+    said
+}
+
+/// Appends the text up to the quote that ends it; what is behind that.
+fn unescaped<'s>(text: &'s str, said: &mut String) -> &'s str {
+    let mut characters = text.chars();
+    while let Some(character) = characters.next() {
+        match character {
+            '"' => return characters.as_str(),
+            '\\' => match characters.next() {
+                Some('\n') => characters = characters.as_str().trim_start().chars(),
+                Some('n') => said.push('\n'),
+                other => said.extend(other),
+            },
+            _ => said.push(character),
+        }
+    }
+    ""
+}
+
+/// The text of a raw literal, and what is behind it.
+fn raw(from: &str) -> Option<(&str, &str)> {
+    let after = from.strip_prefix('r')?;
+    let opened = after.trim_start_matches('#');
+    let end = format!("\"{}", &after[..after.len() - opened.len()]);
+    opened.strip_prefix('"')?.split_once(&*end)
+}
+
+fn is_of_a_name(character: char) -> bool {
+    character.is_alphanumeric() || character == '_'
 }
 
 #[test]
 fn messages_are_found() {
-    let source = "/// Said.\nf(\"one \\\n    two\"); g()\n    // never\n#[cfg(test)]\nmod tests {\nthree";
-    assert_eq!(said_in(source), "\nf(\"one two\"); g()");
+    let source = "/// \"Said\".\nf(\"one \\\n    two\"); g('\"', 5 / 3, \"a \\\"b\\\"\")\n    // \"never\"\nh(r#\"c\"d\"#, r\"\\e\", for\"f\")\n#[cfg(test)]\nmod tests {\n\"g\"";
+    assert_eq!(said_in(source), "\none two\na \"b\"\nc\"d\n\\e\nf");
     let page =
         "Words `like this`.\n| `it is … not` | `--set 1` | `meniscus info F`, `done` and `all gone` |\n";
     assert_eq!(quoted(page), ["it is … not", "all gone"]);

@@ -187,11 +187,11 @@ pub(in crate::cli) enum PresetChoice {
     Water,
     /// Sheets, threads and drops: as water, and particles stretched along their neighbours
     Splash,
-    /// Sand, snow, grain: near the particles, and little smoothing
+    /// Sand, snow, grain: near the particles, and hardly smoothed
     Granular,
-    /// A quick look: little smoothing
+    /// A quick look: the defaults, hardly smoothed
     Preview,
-    /// As near to the particles as can be
+    /// As near to the particles as granular, and smoothed as much as water
     Faithful,
     /// As smooth as can be
     Smooth,

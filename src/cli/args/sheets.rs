@@ -41,10 +41,6 @@ pub(in crate::cli) struct ContactSheetArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "240x180")]
     pub(in crate::cli) size: PictureSize,
 
-    /// Leave out how long frames took: then the same input gives the same bytes
-    #[arg(long)]
-    pub(in crate::cli) no_seconds: bool,
-
     #[command(flatten)]
     pub(in crate::cli) view: ViewArgs,
 
@@ -80,9 +76,9 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(long, value_name = "SIZE", value_parser = parse_picture_size, default_value = "480x360")]
     pub(in crate::cli) size: PictureSize,
 
-    /// Leave out how long cells took: then the same input gives the same bytes
-    #[arg(long)]
-    pub(in crate::cli) no_seconds: bool,
+    /// Folder for the results in the commands that are printed; none is made here
+    #[arg(long, value_name = "DIR", default_value = "surfaces")]
+    pub(in crate::cli) out: PathBuf,
 
     #[command(flatten)]
     pub(in crate::cli) view: ViewArgs,
@@ -117,8 +113,8 @@ What to vary:
   The first differs from row to row, the second from column to column, the third from block to block.
   For an h smaller than without, r_min is held at what it is without, or spheres would come apart.
 
-  All other options hold for every cell. The command of each cell is printed, and on the sheet: it
-  converts INPUT as the cell shows it.
+  All other options hold for every cell. The command of each cell is printed, with how long the cell
+  took, and is on the sheet: it converts INPUT as the cell shows it.
 
 Exit status:
   0    every cell has its picture

@@ -13,14 +13,18 @@ pub(super) struct CommandLine {
 }
 
 impl CommandLine {
-    /// The command that converts these inputs with these options.
-    pub(super) fn convert(inputs: &[PathBuf], method: &MethodArgs, up: Option<UpChoice>) -> CommandLine {
+    /// The command that converts these inputs into this folder with these options.
+    pub(super) fn convert(
+        (inputs, out): (&[PathBuf], &Path),
+        method: &MethodArgs,
+        up: Option<UpChoice>,
+    ) -> CommandLine {
         let mut line = CommandLine { words: Vec::new(), short_words: Vec::new() };
         line.add("meniscus");
         line.add("convert");
         inputs.iter().for_each(|input| line.add_path(input));
         line.add("--out");
-        line.add(OUT);
+        line.add_path(out);
         if let Some(voxel_size) = method.first.voxel_size {
             line.add_option("voxel_size", &voxel_size.to_string());
         }
@@ -76,9 +80,6 @@ impl CommandLine {
     }
 }
 
-/// The folder for the results: everybody has another.
-const OUT: &str = "surfaces";
-
 /// A path that is long by its last name only.
 fn abbreviated(text: &str, path: &Path) -> String {
     match path.file_name() {
@@ -124,10 +125,11 @@ mod tests {
         method.surface.radius_ratio = Some(1.5);
         method.mesh.smooth_normals = Some(3);
         method.surface.clip = "-1,0,0,1,1,1".parse().ok();
-        let line = CommandLine::convert(&[long.into(), "-x.ply".into()], &method, Some(UpChoice::Z));
+        let inputs = [long.into(), "-x.ply".into()];
+        let line = CommandLine::convert((&inputs, Path::new("my meshes")), &method, Some(UpChoice::Z));
         let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals=3 --up z";
-        assert_eq!(line.text(), format!("meniscus convert '{long}' ./-x.ply --out surfaces {options}"));
-        let short = format!("meniscus convert '.../dam.####.bgeo' ./-x.ply --out surfaces {options}");
+        assert_eq!(line.text(), format!("meniscus convert '{long}' ./-x.ply --out 'my meshes' {options}"));
+        let short = format!("meniscus convert '.../dam.####.bgeo' ./-x.ply --out 'my meshes' {options}");
         assert_eq!(line.short_text(), short);
     }
 }

@@ -48,7 +48,7 @@ pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Conso
     console.hide_bar();
     if tally.done_count > 0 {
         for part in &parts {
-            console.say(part.title());
+            console.say(part.told());
         }
         let made_from: Vec<SheetPart> = parts.iter().map(Part::made_from).collect();
         console.say(file.write(&contact.sheet(parts), "contact-sheet", &made_from)?);
@@ -106,6 +106,8 @@ struct Part {
     cells: Vec<Cell>,
     settings: Option<Settings>,
     options: Option<PictureOptions>,
+    /// What taking the pictures took.
+    seconds: f64,
 }
 
 impl Part {
@@ -116,6 +118,14 @@ impl Part {
 
     fn title(&self) -> String {
         format!("{}: {}", self.shown.strip.name, self.what())
+    }
+
+    /// The title, and how long it took: that differs from run to run, and is no part of the picture.
+    fn told(&self) -> String {
+        match self.shown.strip.kind {
+            Kind::Pictures => self.title(),
+            Kind::LevelSets | Kind::Particles => format!("{}, {:.2} s", self.title(), self.seconds),
+        }
     }
 
     /// How many frames, and what they were made from.
@@ -152,12 +162,12 @@ struct Contact<'a> {
 impl Contact<'_> {
     /// The cells of a sequence. Where it has no settings or no camera, none has a picture.
     fn part(&self, shown: ShownStrip, tally: &mut Tally, console: &mut Console) -> Part {
+        let start = Instant::now();
         let prepared = self.prepared(&shown.strip, console);
         if let Err(error) = &prepared {
             console.warn(format_args!("error: {}", with_causes(error)));
         }
         let cells = shown.frames.iter().map(|file| {
-            let start = Instant::now();
             let taken = match &prepared {
                 Ok(prepared) => {
                     caught(&file.path, || self.picture(file, shown.strip.kind, prepared, console))
@@ -174,13 +184,12 @@ impl Contact<'_> {
                     }
                 }
             }
-            let seconds = start.elapsed().as_secs_f64();
-            self.cell(file, shown.strip.kind, taken, seconds)
+            cell(file, shown.strip.kind, taken)
         });
         let cells = cells.collect();
         let (settings, viewpoint) = prepared.unwrap_or_default();
         let options = viewpoint.map(|viewpoint| fixed(&self.studio, viewpoint));
-        Part { shown, cells, settings, options }
+        Part { shown, cells, settings, options, seconds: start.elapsed().as_secs_f64() }
     }
 
     /// What all pictures of a sequence have in common, where they are yet to be taken.
@@ -217,30 +226,6 @@ impl Contact<'_> {
         Ok((subject.picture(viewpoint, size, false), particle_count))
     }
 
-    fn cell(
-        &self,
-        file: &FrameFile,
-        kind: Kind,
-        taken: Result<(Picture, Option<usize>)>,
-        seconds: f64,
-    ) -> Cell {
-        let mut lines = vec![without_extension(&file.name(), kind)];
-        let shown = match taken {
-            Ok((picture, particle_count)) => {
-                let particles = particle_count.map(|count| counted(count, "particle"));
-                let has_seconds = !self.args.no_seconds && kind != Kind::Pictures;
-                let seconds = has_seconds.then(|| format!("{seconds:.2} s"));
-                let figures: Vec<String> = particles.into_iter().chain(seconds).collect();
-                if !figures.is_empty() {
-                    lines.push(figures.join(", "));
-                }
-                Shown::Picture(picture)
-            }
-            Err(error) => Shown::Words(reason(&error, &file.path)),
-        };
-        Cell { shown, lines }
-    }
-
     /// Sequences one after another, and files that belong to none side by side.
     fn sheet(&self, parts: Vec<Part>) -> Sheet {
         let block = |title: String, cells: Vec<Cell>| {
@@ -268,6 +253,19 @@ impl Contact<'_> {
         };
         Sheet { title, place: self.args.size.map(usize::from), blocks, foot: Vec::new() }
     }
+}
+
+/// A picture with its frame's name, and with the number of particles if that is known.
+fn cell(file: &FrameFile, kind: Kind, taken: Result<(Picture, Option<usize>)>) -> Cell {
+    let mut lines = vec![without_extension(&file.name(), kind)];
+    let shown = match taken {
+        Ok((picture, particle_count)) => {
+            lines.extend(particle_count.map(|count| counted(count, "particle")));
+            Shown::Picture(picture)
+        }
+        Err(error) => Shown::Words(reason(&error, &file.path)),
+    };
+    Cell { shown, lines }
 }
 
 #[cfg(test)]

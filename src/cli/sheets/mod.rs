@@ -47,8 +47,7 @@ impl SheetFile {
 
     /// Makes the folder, and sure that nothing is lost which these files are.
     fn prepare(&self, studio: &Studio, inputs: &[PathBuf]) -> Result<()> {
-        let folder = OutFolder::make(&self.folder)
-            .with_context(|| format!("cannot make the folder {}", self.folder.display()))?;
+        let folder = OutFolder::make(&self.folder)?;
         let planned = [(inputs.first().cloned().unwrap_or_default(), self.stem.clone())];
         check_outputs(&planned, inputs, &studio.obstacles, &studio.outputs, None)?;
         folder.keep();

@@ -199,10 +199,13 @@ impl<'a> Tuning<'a> {
                             console.warn(format_args!("warning: cell {number}: {note}"));
                         }
                     }
-                    let figures = self.figures(&still);
-                    let command = CommandLine::convert(&self.args.inputs, &method, self.args.view.up);
-                    console.say(format_args!("{label}: {figures}\n{}", command.text()));
-                    lines.push(figures);
+                    let triangles = counted(still.surface.report.mesh.triangle_count, "triangle");
+                    let places = (&*self.args.inputs, &*self.args.out);
+                    let command = CommandLine::convert(places, &method, self.args.view.up);
+                    // That differs from run to run, and is no part of the picture.
+                    let seconds = seconds(&still);
+                    console.say(format_args!("{label}: {seconds:.2} s, {triangles}\n{}", command.text()));
+                    lines.push(triangles);
                     (Shown::Picture(picture), Some(command))
                 }
                 Err(error) => {
@@ -244,14 +247,6 @@ impl<'a> Tuning<'a> {
         format!("{number}: {}{without}", labels.join(", "))
     }
 
-    /// What a user compares beside the picture.
-    fn figures(&self, still: &Still) -> String {
-        let report = &still.surface.report;
-        let triangles = counted(report.mesh.triangle_count, "triangle");
-        let seconds = report.seconds.rasterize + report.seconds.smooth + report.seconds.contour;
-        if self.args.no_seconds { triangles } else { format!("{seconds:.2} s, {triangles}") }
-    }
-
     fn sheet(&self, grid: &Grid, cells: Vec<(Cell, Option<CommandLine>)>) -> Sheet {
         let particles = counted(self.frame.particles().len(), "particle");
         let title = format!("{}: {particles}; {}", self.name(), grid.meaning());
@@ -283,4 +278,10 @@ impl<'a> Tuning<'a> {
     fn name(&self) -> String {
         self.frame.path().file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
+}
+
+/// What skinning took.
+fn seconds(still: &Still) -> f64 {
+    let seconds = &still.surface.report.seconds;
+    seconds.rasterize + seconds.smooth + seconds.contour
 }

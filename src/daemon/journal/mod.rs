@@ -38,7 +38,7 @@ use std::io::{self, BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::{FileStamp, is_disk_full};
 
 use line::{parse_line, push_line};
 use state::{Entry, Key};
@@ -378,8 +378,4 @@ fn write_fresh(path: &Path, state: &State) -> io::Result<u64> {
     }
     out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
     Ok(whole_bytes)
-}
-
-fn is_disk_full(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }

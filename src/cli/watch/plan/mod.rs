@@ -27,7 +27,7 @@ use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
 use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
-use crate::pipeline::default_in_flight;
+use crate::pipeline::{default_in_flight, refuse_file_for_folder};
 use crate::settings::Settings;
 use crate::window::{Listen, Token};
 
@@ -143,9 +143,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         bail!("{}: a folder is watched, and this is a file: `meniscus convert` does files", input.display());
     }
     let folder = absolute(output)?;
-    if folder.exists() && !folder.is_dir() {
-        bail!("the output {} is there and is no folder", folder.display());
-    }
+    refuse_file_for_folder(&folder)?;
     Ok(Watch {
         input: absolute(input)?,
         pattern: frames.pattern.clone(),

@@ -192,7 +192,10 @@ fn what_makes_no_sense_is_refused_before_the_first_frame() {
     assert_refused(plan(&["--out", "o"]), &["DIR"]);
     assert_refused(plan(&[]), &["DIR"]);
     let file = bench.config_path();
-    assert_refused(plan(&["in", "--out", file.to_str().expect("text")]), &["is no folder"]);
+    assert_refused(
+        plan(&["in", "--out", file.to_str().expect("text")]),
+        &["expected a folder for the results"],
+    );
 }
 
 #[test]

@@ -1,0 +1,141 @@
+//! The folder of the results: made, and known to take files, before any frame is read.
+//!
+//! Without it every frame would be read and skinned, and fail when it is written.
+
+use std::fmt;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::temporary::Temporary;
+
+/// Why a folder takes no results.
+#[derive(Debug)]
+pub enum OutFolderError {
+    /// A file is in its place, or in that of a folder which it would lie in.
+    File {
+        /// The folder.
+        folder: PathBuf,
+        /// The file.
+        file: PathBuf,
+    },
+    /// The system refuses to make it.
+    Make {
+        /// The folder.
+        folder: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// It is there, and the system refuses to write into it.
+    Write {
+        /// The folder.
+        folder: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// Makes a folder, and those that it lies in, where they are missing, and sees that files can be written into it. A full
+/// disk is no error here: there may be room in time.
+///
+/// # Errors
+/// When it takes no results: what is wrong, and what was expected.
+pub fn make_out_folder(folder: &Path) -> Result<(), OutFolderError> {
+    refuse_file_for_folder(folder)?;
+    match fs::create_dir_all(folder) {
+        Err(source) if !is_disk_full(&source) => {
+            Err(OutFolderError::Make { folder: folder.to_owned(), source })
+        }
+        _ => check_out_folder(folder),
+    }
+}
+
+/// Refuses what cannot be a folder, for a file is in its place, or in that of one which it would lie in. Nothing is made.
+///
+/// # Errors
+/// Which file.
+pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
+    let file = folder.ancestors().find(|part| part.metadata().is_ok_and(|there| !there.is_dir()));
+    match file {
+        Some(file) => Err(OutFolderError::File { folder: folder.to_owned(), file: file.to_owned() }),
+        None => Ok(()),
+    }
+}
+
+/// Sees that files can be written into a folder that is there, as [`make_out_folder`] does.
+///
+/// # Errors
+/// When they cannot.
+pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
+    // As outputs are begun: rights alone do not say whether that can be.
+    match Temporary::create(&folder.join(TRIED)) {
+        Err(source) if !is_disk_full(&source) => {
+            Err(OutFolderError::Write { folder: folder.to_owned(), source })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A file that is never there under this name.
+const TRIED: &str = "tried";
+
+/// Whether the disk, or what its owner may use of it, is full: it will go better once there is room.
+pub fn is_disk_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+}
+
+impl fmt::Display for OutFolderError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (OutFolderError::File { folder, .. }
+        | OutFolderError::Make { folder, .. }
+        | OutFolderError::Write { folder, .. }) = self;
+        write!(f, "{}: expected a folder for the results, and ", folder.display())?;
+        match self {
+            OutFolderError::File { folder, file } if folder == file => f.write_str("this is a file"),
+            OutFolderError::File { file, .. } => write!(f, "it cannot be made: {} is a file", file.display()),
+            OutFolderError::Make { source, .. } => write!(f, "it cannot be made: {source}"),
+            OutFolderError::Write { source, .. } => write!(f, "nothing can be written into it: {source}"),
+        }
+    }
+}
+
+impl std::error::Error for OutFolderError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            OutFolderError::File { .. } => None,
+            OutFolderError::Make { source, .. } | OutFolderError::Write { source, .. } => Some(source),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_takes_no_results_is_told_with_what_was_expected() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("file");
+        fs::write(&file, "").expect("written");
+        make_out_folder(&folder.path().join("a/b")).expect("made");
+        check_out_folder(&folder.path().join("a/b")).expect("there");
+        for (place, words) in [
+            (file.clone(), "file: expected a folder for the results, and this is a file"),
+            (file.join("deep"), "deep: expected a folder for the results, and it cannot be made: "),
+        ] {
+            let error = make_out_folder(&place).expect_err("a file is in the way");
+            assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");
+            assert!(error.to_string().contains(words), "{error}");
+        }
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn folders_that_take_no_files_are_told() {
+        // Nobody may make anything there, not even root.
+        let error = make_out_folder(Path::new("/proc")).expect_err("no file can be made there");
+        assert!(matches!(&error, OutFolderError::Write { .. }), "{error}");
+        let error = make_out_folder(Path::new("/proc/deep/down")).expect_err("no folder can be made there");
+        assert!(matches!(&error, OutFolderError::Make { .. }), "{error}");
+    }
+}
