@@ -34,6 +34,8 @@ pub(crate) struct Score {
     pub(crate) most: f64,
     /// The greatest of all.
     pub(crate) max: f64,
+    /// The part of the sum of squares that the worst twentieth of the points makes.
+    pub(crate) worst: f64,
 }
 
 impl Flicker {
@@ -72,7 +74,20 @@ impl Flicker {
         changes.sort_by(f64::total_cmp);
         let max = *changes.last().ok_or("no three frames in a row")?;
         let percentile = |part: usize| changes[changes.len() * part / 100];
-        Ok(Score { rms: rms(&changes), median: percentile(50), most: percentile(99), max })
+        let worst = self.worst(voxel_size);
+        Ok(Score { rms: rms(&changes), median: percentile(50), most: percentile(99), max, worst })
+    }
+
+    /// What the worst twentieth of the points makes of the sum of squares: whether all of a surface trembles, or a part.
+    fn worst(&self, voxel_size: f64) -> f64 {
+        let mut squares = Vec::new();
+        for (_, changes) in self.changes(voxel_size) {
+            squares.resize(changes.len(), 0.0);
+            squares.iter_mut().zip(changes).for_each(|(square, change)| *square += change * change);
+        }
+        squares.sort_by(|one, other| f64::total_cmp(other, one));
+        let of_worst: f64 = squares.iter().take(squares.len() / 20).sum();
+        of_worst / squares.iter().sum::<f64>()
     }
 
     /// The frames, and what each comes to.

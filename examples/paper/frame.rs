@@ -17,7 +17,8 @@ use crate::output::{Page, Plot};
 /// Made by the dam break of the examples.
 const FRAME: &str = "examples/frames/dam.0006.bgeo";
 
-const VOXEL_SIZE: f64 = 0.5 * SPACING;
+/// Half the spacing.
+pub(crate) const VOXEL_SIZE: f64 = 0.5 * SPACING;
 
 const SPACING: f64 = 0.05;
 

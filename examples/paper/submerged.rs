@@ -11,7 +11,7 @@ use meniscus::skin::Surface;
 use meniscus::space::Lattice;
 
 use crate::Outcome;
-use crate::frame;
+use crate::frame::{self, VOXEL_SIZE};
 use crate::output::Page;
 use crate::shapes::{holds, skinned};
 use crate::surfaces::{cut_open, data};
@@ -19,12 +19,11 @@ use crate::surfaces::{cut_open, data};
 const INTRODUCTION: &str = "\
 ## An obstacle in water
 
-The dam break of `examples/frames`, with a ball where the water is deep; no particle is in it, as after a simulation. All is cut open where the ball is thickest, and the ball is not shown: \
+The same frame of a dam break as in [the first of these pages](frame.md), `examples/frames/dam.0006.bgeo`, with a ball where the water is deep; no particle is in it, as after a simulation. All is cut open where the ball is thickest, and the ball is not shown: \
 the hole is where it is. From left to right without the ball, so that the water reaches into its room; with what is inside of it taken away; and with the gaps below h filled, as it is by default. \
-How far the water is from the ball is measured at the vertices within 2 h of it and below the waterline.";
+How far the water is from the ball is measured at the vertices within 2 h of it and below its middle, where there is water all around.";
 
-const VOXEL_SIZE: f64 = 0.0264;
-
+/// Between the floor of the tank and the waterline, which it breaks through.
 const CENTER: DVec3 = DVec3::new(0.62, 0.24, 0.3);
 
 const RADIUS: f64 = 0.15;
@@ -91,7 +90,8 @@ fn ball() -> Obstacles {
     Obstacles { members: vec![Arc::new(obstacle)] }
 }
 
-/// The deepest vertex in the ball, and the mean square distance of those near it that are under water.
+/// How deep a vertex is in the ball at most, and how far those near it and below its middle are from it, root mean
+/// square: world units.
 fn off(surface: &Surface) -> [f64; 2] {
     let mesh = &surface.mesh;
     let places = mesh.positions.iter().map(|position| mesh.origin + position.as_dvec3());
