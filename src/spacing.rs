@@ -66,6 +66,12 @@ pub fn estimate_spacing(particles: &Particles) -> Option<f64> {
     (spacing.is_finite() && spacing > 0.0).then_some(spacing)
 }
 
+/// The median, the lower of the two in the middle where there are two; `None` where there is nothing.
+pub(crate) fn median(mut numbers: Vec<f64>) -> Option<f64> {
+    let middle = numbers.len().checked_sub(1)? / 2;
+    Some(*numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 fn finite_positions(particles: &Particles) -> Vec<DVec3> {
     (0..particles.len())
         // Adding zero makes −0 and 0 one position bit for bit.

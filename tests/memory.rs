@@ -72,7 +72,9 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let conduct = Conduct { in_flight: 8, memory_bytes, ..Conduct::new(&pool) };
     run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
-        let Outcome::Converted(report) = outcome else { panic!("frame {index}: {outcome:?}") };
+        let Outcome::Converted(mut report) = outcome else { panic!("frame {index}: {outcome:?}") };
+        // Spray that is full of holes is told of.
+        report.notes.retain(|note| !note.contains("holes, through it and within"));
         assert_eq!((report.notes, report.obstacle_open_edge_count), (vec![], 0), "frame {index}");
     });
     let taken = peak_bytes() as f64 / memory_bytes as f64;

@@ -60,6 +60,14 @@ impl Attribute {
     }
 }
 
+/// The attribute among these that goes by this name and has so many numbers for each particle: one whose own it is before
+/// one that means it.
+pub fn attribute_of<'a>(all: &'a [Attribute], name: &str, arity: usize) -> Option<&'a Attribute> {
+    let fitting = || all.iter().filter(|attribute| attribute.has_numbers(arity));
+    let own = fitting().find(|attribute| attribute.name == name);
+    own.or_else(|| fitting().find(|attribute| attribute.is_called(name)))
+}
+
 impl Meaning {
     /// What users call it.
     fn names(self) -> &'static [&'static str] {

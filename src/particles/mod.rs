@@ -16,7 +16,7 @@ use std::convert::Infallible;
 
 use glam::DVec3;
 
-pub use attributes::{Attribute, AttributeValues, Meaning};
+pub use attributes::{Attribute, AttributeValues, Meaning, attribute_of};
 pub use shapes::{Ellipsoid, Shapes};
 
 /// Particle positions in world units, in the precision they came in.
@@ -43,9 +43,7 @@ impl Cloud {
     /// The attribute that goes by this name and has so many numbers for each particle: one whose own it is before one
     /// that means it.
     pub fn attribute_of(&self, name: &str, arity: usize) -> Option<&Attribute> {
-        let fitting = || self.attributes.iter().filter(|attribute| attribute.has_numbers(arity));
-        let own = fitting().find(|attribute| attribute.name == name);
-        own.or_else(|| fitting().find(|attribute| attribute.is_called(name)))
+        attribute_of(&self.attributes, name, arity)
     }
 
     /// The memory that they take, in bytes.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
-use crate::particles::{Attribute, AttributeValues, Cloud, Meaning};
+use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, attribute_of};
 use crate::settings::{Anisotropy, AttributeSelection, OwnRadii, Settings};
 
 /// What a frame needs of the attributes in its file.
@@ -51,12 +51,6 @@ impl Needed {
 
     fn is(&self, attribute: &Attribute) -> bool {
         attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
-    }
-
-    /// Which of these attributes it is: the one of that very name before others with its meaning.
-    fn among<'a>(&self, all: &'a [Attribute]) -> Option<&'a Attribute> {
-        let fitting = || all.iter().filter(|attribute| self.is(attribute));
-        fitting().find(|attribute| attribute.name == self.name).or_else(|| fitting().next())
     }
 
     /// What to say where it is there, and of no use for any particle.
@@ -117,7 +111,7 @@ impl Wanted {
         };
         let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
         for needed in &self.needed {
-            let why = match needed.among(&all) {
+            let why = match attribute_of(&all, &needed.name, needed.arity) {
                 Some(attribute) => needed.why_useless(attribute),
                 None => Some(needed.why_missing(&all, &there())),
             };

@@ -13,7 +13,7 @@ use glam::Vec3;
 use crate::mesh::Mesh;
 use crate::report::SkinReport;
 use crate::settings::Settings;
-use crate::words::significant;
+use crate::words::{counted, significant};
 
 /// What a user should know of a surface that is empty, in pieces, full of holes, or one blob.
 pub(super) fn misfit_notes(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<String> {
@@ -73,8 +73,8 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
     }
     if let Some(torn) = torn(mesh, report) {
         return Some(format!(
-            "{torn}: voxels of {shown}, or the radii, are small beside what is between particles; by default voxels are \
-             half of that, and the radii follow"
+            "{torn} where voxels of {shown}, or the radii, are small beside what is between particles; by default voxels \
+             are half of that, and the radii follow"
         ));
     }
     is_blob(mesh, report, voxel_size).then(|| {
@@ -85,18 +85,20 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
 /// What a surface is that came of spheres which do not overlap, where it looks so.
 fn torn(mesh: &Mesh, report: &SkinReport) -> Option<String> {
     let SkinReport { particle_count, mesh: measures, .. } = report;
-    let few = particle_count / HOLED_ONE_IN;
-    // Twice the handles of all components; of a mesh that is open it tells nothing.
-    let handles = 2 * measures.component_count as i64 - measures.euler_characteristic;
-    if !measures.is_closed_manifold() || (measures.component_count <= few && handles <= 2 * few as i64) {
+    let few = (particle_count / HOLED_ONE_IN).max(FEW_HOLES);
+    // Of all components together; of a mesh that is open it tells nothing.
+    let handle_count = (2 * measures.component_count as i64 - measures.euler_characteristic) / 2;
+    let handle_count = usize::try_from(handle_count).unwrap_or(0);
+    if !measures.is_closed_manifold() || measures.component_count.max(handle_count) <= few {
         return None;
     }
     let volumes = mesh.component_volumes();
     let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
-    let hole_count = hollow_count + usize::try_from(handles / 2).unwrap_or(0);
+    let hole_count = hollow_count + handle_count;
     if hole_count > few {
+        let holes = counted(hole_count, "hole");
         return Some(format!(
-            "the surface of {particle_count} particles has {hole_count} holes, through it and within"
+            "the surface of {particle_count} particles has {holes}, through it and within: they are a net, or it is torn"
         ));
     }
     let filled = || volumes.iter().copied().filter(|volume| *volume > 0.0);
@@ -124,6 +126,9 @@ const CROWD: usize = 33;
 
 /// A surface is torn that has a hole for so many particles. At half the spacing, of random particles, there is none.
 const HOLED_ONE_IN: usize = 50;
+
+/// Rings, shells and jugs have some that are their own.
+const FEW_HOLES: usize = 8;
 
 /// A surface may be torn that is in a piece for so many particles: it is where no piece is most of it.
 const PIECES_ONE_IN: usize = 8;

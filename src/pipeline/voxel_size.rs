@@ -11,7 +11,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use crate::settings::OwnRadii;
-use crate::spacing::estimate_spacing;
+use crate::spacing::{estimate_spacing, median};
 
 use super::attributes::{Wanted, own_radii_min};
 use super::frame::{FrameError, Stage};
@@ -110,12 +110,6 @@ fn measured(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Opti
     let least = spacing / VOXELS_PER_SPACING_MAX;
     let voxel_size = radius_median.map_or(by_spacing, |radius| (radius / 3f64.sqrt()).max(least));
     Some(AutomaticVoxelSize { voxel_size, spacing, radius_median, measured_on: path.to_owned() })
-}
-
-/// The median, the lower of the two in the middle where there are two.
-fn median(mut numbers: Vec<f64>) -> Option<f64> {
-    let middle = numbers.len().checked_sub(1)? / 2;
-    Some(*numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

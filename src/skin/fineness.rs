@@ -17,15 +17,15 @@ use crate::particles::{ParticleSource, Particles, Positions};
 use crate::rasterize::Footprint;
 use crate::settings::Settings;
 use crate::space::INDEX_LIMIT;
-use crate::spacing::estimate_spacing;
+use crate::spacing::{estimate_spacing, median};
 use crate::words::significant;
 
 /// A frame is refused where most of its particles are farther from their middle, in voxels: 32-bit positions would be off
 /// by a sixteenth of a voxel, and more.
 pub const SPREAD_MAX_VOXELS: u32 = 1 << 20;
 
-/// The voxels are too small for a frame: most of its particles are more than [`SPREAD_MAX_VOXELS`] from their middle, or so
-/// far from the origin that the grid does not reach there.
+/// The voxels are too small for a frame: for how widely most of its particles are spread, or for how far they are from
+/// the origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TooFine {
     /// The voxel size, world units.
@@ -34,19 +34,42 @@ pub struct TooFine {
     pub spacing: f64,
     /// The voxel size with which the frame could be skinned, at least, world units.
     pub least: f64,
+    /// What they are too small for.
+    pub limit: Limit,
+}
+
+/// What bounds voxels from below.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Limit {
+    /// Most particles are more than [`SPREAD_MAX_VOXELS`] from their middle.
+    Spread,
+    /// Most particles are more than [`INDEX_LIMIT`] voxels from the origin: the grid does not reach there.
+    Reach,
 }
 
 impl fmt::Display for TooFine {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let TooFine { voxel_size, spacing, least } = *self;
-        let [voxels, half, h, least, spacing] =
-            [spacing / voxel_size, 0.5 * spacing, voxel_size, 1.001 * least, spacing].map(significant);
-        write!(
-            f,
-            "the voxel size {h} (--voxel-size) is too small: particles are {spacing} apart, which is {voxels} voxels, and \
-             positions of 32 bits cannot tell so many apart over the whole frame; it must be at least {least}, and half the \
-             spacing, {half}, is usual"
-        )
+        let TooFine { voxel_size, spacing, least, limit } = *self;
+        // What is told, in a few digits, is to be enough.
+        let least = 1.001 * least;
+        let [voxels, half, h, told_least, told_spacing] =
+            [spacing / voxel_size, 0.5 * spacing, voxel_size, least, spacing].map(significant);
+        match limit {
+            Limit::Spread => write!(
+                f,
+                "the voxel size {h} (--voxel-size) is too small: particles are {told_spacing} apart, which is {voxels} voxels, \
+                 and positions of 32 bits cannot tell so many apart over the whole frame; it must be at least {told_least}"
+            )?,
+            Limit::Reach => write!(
+                f,
+                "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
+                 {INDEX_LIMIT} voxels from it, beyond the grid; move them there, or it must be at least {told_least}"
+            )?,
+        }
+        if 0.5 * spacing < least {
+            return Ok(());
+        }
+        write!(f, ", and half the spacing, {half}, is usual")
     }
 }
 
@@ -69,8 +92,8 @@ pub(super) fn too_fine<S: ParticleSource>(
     let sample = sample(source, every)?;
     // In a sample, those that are left have more room each.
     let spacing = estimate_spacing(&sample).map(|spacing| spacing / (every as f64).cbrt());
-    let (voxel_size, least) = (settings.voxel_size, least_voxel_size(&sample));
-    let is_too_fine = |spacing| (voxel_size < least).then_some(TooFine { voxel_size, spacing, least });
+    let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample));
+    let is_too_fine = |spacing| (voxel_size < least).then_some(TooFine { voxel_size, spacing, least, limit });
     Ok(spacing.and_then(is_too_fine))
 }
 
@@ -98,19 +121,16 @@ fn sample<S: ParticleSource>(source: &S, every: usize) -> Result<Particles, S::E
     Ok(Particles::Double(sample))
 }
 
-/// The least voxel size with which most of these particles are near enough to their middle, and to the origin.
-fn least_voxel_size(particles: &Particles) -> f64 {
+/// The least voxel size with which most of these particles are near enough to their middle and to the origin, and which
+/// of both asks for it.
+fn least_voxel_size(particles: &Particles) -> (f64, Limit) {
     let positions = || (0..particles.len()).map(|index| particles.position(index));
-    let along = |axis: usize| median(positions().map(|position| position[axis]));
+    let median = |values: Vec<f64>| median(values).unwrap_or(0.0);
+    let along = |axis: usize| median(positions().map(|position| position[axis]).collect());
     let middle = DVec3::new(along(0), along(1), along(2));
-    let spread = median(positions().map(|position| (position - middle).abs().max_element()));
-    let far = median(positions().map(|position| position.abs().max_element()));
-    (spread / f64::from(SPREAD_MAX_VOXELS)).max(far / f64::from(INDEX_LIMIT))
-}
-
-/// The median, the lower of the two in the middle where there are two; 0 where there is none.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    let Some(middle) = values.len().checked_sub(1).map(|last| last / 2) else { return 0.0 };
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    let spread = median(positions().map(|position| (position - middle).abs().max_element()).collect());
+    let far = median(positions().map(|position| position.abs().max_element()).collect());
+    let by_spread = spread / f64::from(SPREAD_MAX_VOXELS);
+    let by_reach = far / f64::from(INDEX_LIMIT);
+    if by_spread >= by_reach { (by_spread, Limit::Spread) } else { (by_reach, Limit::Reach) }
 }

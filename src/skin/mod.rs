@@ -20,7 +20,7 @@ use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use band::{SLACK_MAX_VOXELS, resurface};
-pub use fineness::{SPREAD_MAX_VOXELS, TooFine};
+pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};

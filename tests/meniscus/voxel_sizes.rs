@@ -1,13 +1,14 @@
 //! Voxels and radii that do not fit the particles: what cannot be is refused, what looks wrong is told, and what makes sense
 //! is neither.
 
+use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
 
 use meniscus::obstacle::Obstacles;
 use meniscus::particles::Particles;
 use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Plan, Surroundings, Unfit, plan};
+use meniscus::skin::{Limit, Plan, Surroundings, Unfit, plan};
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
@@ -41,6 +42,14 @@ fn voxels_are_too_small_where_positions_cannot_tell_them_apart() {
         let named = [too_fine.least, 0.999 * too_fine.least].map(|size| is_too_fine(&cloud, 10.0 * size));
         assert_eq!(named, [false, true], "{too_fine}");
     }
+}
+
+#[test]
+fn a_frame_beyond_the_grid_is_told_how_far_it_is() {
+    let Err(Unfit::TooFine(too_fine)) = planned(&block(6, 1e9), 0.5) else { panic!("it is in the grid") };
+    let told = too_fine.to_string();
+    assert_eq!(too_fine.limit, Limit::Reach);
+    assert!(told.contains("so far from the origin") && !told.contains("usual"), "{told}");
 }
 
 #[test]
@@ -110,6 +119,12 @@ fn a_surface_that_is_empty_says_why_and_what_would_help() {
     assert_eq!(told(folder.path(), &block(6, 0.013), &["--voxel-size", "0.05", "--radius-min", &radius]), "");
 }
 
+/// One of so many places on a circle around the origin.
+fn on_circle(index: usize, count: usize, radius: f64) -> [f64; 3] {
+    let angle = TAU * index as f64 / count as f64;
+    [radius * angle.cos(), radius * angle.sin(), 0.0]
+}
+
 /// A block whose particles are moved by up to 0.03, a third of what is between them.
 fn shaken_block() -> Vec<[f64; 3]> {
     let mut state = 1u64;
@@ -131,8 +146,21 @@ fn a_torn_surface_is_told_and_no_other() {
     let shaken = shaken_block();
     let mut spray = shaken.clone();
     spray.extend((0..150).map(|i| [1.0 + 0.7 * f64::from(i), f64::from(i % 7), f64::from(i % 5)]));
+    // A ring has a hole of its own, and a bubble a hollow.
+    let ring: Vec<[f64; 3]> = (0..48).map(|i| on_circle(i, 48, 0.76)).collect();
+    let bubble: Vec<[f64; 3]> = (0..7)
+        .flat_map(|row| {
+            let [height, radius, _] = on_circle(row, 12, 0.2);
+            (0..8).map(move |i| {
+                let [x, y, _] = on_circle(i, 8, radius + 1e-3);
+                [x, y, height]
+            })
+        })
+        .collect();
     for (particles, options, expected) in [
-        (&shaken, &["--voxel-size", "0.015"][..], true),
+        (&ring, &["--voxel-size", "0.05"][..], false),
+        (&bubble, &["--voxel-size", "0.04"], false),
+        (&shaken, &["--voxel-size", "0.015"], true),
         (&shaken, &["--voxel-size", "0.02"], true),
         (&shaken, &["--voxel-size", "0.05", "--radius-min", "0.09"], false),
         (&shaken, &["--voxel-size", "0.02", "--radius-min", "0.087"], false),

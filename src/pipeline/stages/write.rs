@@ -42,10 +42,11 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
         };
         let written = FrameError::catch(&frame.input, Stage::Write, || {
             let certify = self.conduct.certificates.then_some((known.input.hash, &surface.report));
-            write_files(frame, write, certify)
+            let written = write_files(frame, write, certify)?;
+            Ok((written, surface_notes(&surface, &frame.outputs, &frame.settings)))
         });
         match written.flatten() {
-            Ok(Written { paths, sizes_bytes }) => Outcome::Converted(Box::new(FrameReport {
+            Ok((Written { paths, sizes_bytes }, notes)) => Outcome::Converted(Box::new(FrameReport {
                 input: known.input,
                 skin: surface.report.clone(),
                 obstacles: known.obstacles.0.clone(),
@@ -55,7 +56,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: [known.notes, surface_notes(&surface, &frame.outputs, &frame.settings)].concat(),
+                notes: [known.notes, notes].concat(),
             })),
             Err(error) => Outcome::Failed(error),
         }
