@@ -8,7 +8,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
-    ShotSource, gist, notes, output_path, standing_notes,
+    ShotSource, gist, keeps_guarantees, notes, output_path, standing_notes,
 };
 
 use super::Verdict;
@@ -54,6 +54,8 @@ pub(super) struct Run {
     on_error: OnError,
     record: RunRecord,
     done_count: usize,
+    /// Those among them whose results break a guarantee.
+    broken_count: usize,
     not_started_count: usize,
     failures: Vec<String>,
     /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
@@ -75,6 +77,7 @@ impl Run {
             on_error,
             record: RunRecord::new(thread_count),
             done_count: 0,
+            broken_count: 0,
             not_started_count: 0,
             failures: Vec::new(),
             told: HashSet::new(),
@@ -187,6 +190,7 @@ impl Run {
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;
+                self.broken_count += usize::from(!keeps_guarantees(report));
                 let standing = standing_notes(report).into_iter();
                 let is_new = |note: &String| self.told.insert((sequence_index, gist(note)));
                 let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
@@ -233,6 +237,9 @@ impl Run {
         let failed_count = self.failures.len();
         let frames = counted(self.noted_count, "frame");
         let mut summary = format!("{frames}: {} done", self.done_count);
+        if self.broken_count > 0 {
+            summary += &format!(", {} of them with a broken guarantee", self.broken_count);
+        }
         if failed_count > 0 {
             summary += &format!(", {failed_count} failed");
         }

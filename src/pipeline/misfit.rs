@@ -43,10 +43,10 @@ fn why_empty(report: &SkinReport, settings: &Settings) -> Option<String> {
 fn why_none(settings: &Settings) -> String {
     let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
     let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
-    let [radius, size] = [3f64.sqrt() * voxel_size, radius_min / 3f64.sqrt()].map(significant);
+    let radius = significant(3f64.sqrt() * voxel_size);
     format!(
         "all particles fall between the voxels: the mesh is empty; r_min and r_max are {least} and {most} voxels, and every \
-         particle is held from √3 on: by --radius-min {radius}, or --voxel-size {size}"
+         particle is held from √3 on: by --radius-min {radius}"
     )
 }
 
@@ -74,7 +74,7 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
     if let Some(torn) = torn(mesh, report) {
         return Some(format!(
             "{torn} where voxels of {shown}, or the radii, are small beside what is between particles; by default voxels \
-             are half of that, and the radii follow"
+             are half of that, and the radii follow; with smaller ones give --radius-min 0.87 times as much as is between particles"
         ));
     }
     is_blob(mesh, report, voxel_size).then(|| {

@@ -103,6 +103,11 @@ fn transfer_notes(transfer: &TransferReport) -> Vec<String> {
 /// Less is not worth a word, in voxels.
 const POSITION_ROUNDING_TOLD: f64 = 1.0 / 256.0;
 
+/// Whether all that is promised of a frame's result holds.
+pub fn keeps_guarantees(report: &FrameReport) -> bool {
+    broken_guarantees(&report.skin).is_empty()
+}
+
 /// A sentence for each guarantee that does not hold.
 fn broken_guarantees(report: &SkinReport) -> Vec<String> {
     let certificate = &report.certificate;
@@ -130,13 +135,15 @@ fn broken_guarantees(report: &SkinReport) -> Vec<String> {
     }
     let mesh = &report.mesh;
     if !mesh.is_closed_manifold() {
-        broken.push(format!(
-            "the mesh is not closed and manifold: {}, {}, {}, {}",
-            counted(mesh.boundary_edge_count, "boundary edge"),
-            counted(mesh.non_manifold_edge_count, "non-manifold edge"),
-            counted(mesh.non_manifold_vertex_count, "non-manifold vertex"),
-            counted(mesh.degenerate_triangle_count, "triangle without area"),
-        ));
+        let faults = [
+            (mesh.boundary_edge_count, "boundary edge"),
+            (mesh.non_manifold_edge_count, "non-manifold edge"),
+            (mesh.non_manifold_vertex_count, "non-manifold vertex"),
+            (mesh.degenerate_triangle_count, "triangle without area"),
+        ];
+        let there = faults.iter().filter(|(count, _)| *count > 0);
+        let there: Vec<String> = there.map(|(count, what)| counted(*count, what)).collect();
+        broken.push(format!("the mesh is not closed and manifold: {}", there.join(", ")));
     }
     broken
 }
@@ -159,6 +166,6 @@ mod tests {
             notes[0].contains("1 vertex of the mesh farther than r_max") && notes[0].contains("7.25 voxels")
         );
         assert!(notes[1].ends_with("2 particles outside the surface"));
-        assert!(notes[2].contains("3 boundary edges"));
+        assert!(notes[2].ends_with("not closed and manifold: 3 boundary edges"));
     }
 }

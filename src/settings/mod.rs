@@ -12,6 +12,7 @@ use std::fmt;
 pub use crate::contour::Contouring;
 use crate::smooth::EIGENVALUE_MAX;
 pub use crate::smooth::Integrator;
+use crate::words::significant;
 pub use choices::{AnisotropyKind, AttributeSelection, Choices, ClipBox, contouring_name, integrator_name};
 pub use pairs::Pairs;
 pub use presets::Preset;
@@ -389,8 +390,10 @@ fn radii(h: f64, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsErro
     })?;
     require(radius_max <= RADIUS_MAX_VOXELS * h, || {
         format!(
-            "r_max is {} voxels; more than {RADIUS_MAX_VOXELS} is not supported: choose a larger voxel size",
-            radius_max / h
+            "r_max is {} voxels, and {RADIUS_MAX_VOXELS} are the most: choose a smaller {}, or a larger voxel size with r_min in \
+             world units",
+            significant(radius_max / h),
+            if choices.radius_min.is_some() { "r_min or ratio" } else { "ratio" }
         )
     })?;
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])

@@ -58,18 +58,19 @@ impl fmt::Display for TooFine {
             Limit::Spread => write!(
                 f,
                 "the voxel size {h} (--voxel-size) is too small: particles are {told_spacing} apart, which is {voxels} voxels, \
-                 and positions of 32 bits cannot tell so many apart over the whole frame; it must be at least {told_least}"
+                 and positions of 32 bits cannot tell so many apart over the whole frame"
             )?,
             Limit::Reach => write!(
                 f,
                 "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
-                 {INDEX_LIMIT} voxels from it, beyond the grid; move them there, or it must be at least {told_least}"
+                 {INDEX_LIMIT} voxels from it, beyond the grid; they may be moved there"
             )?,
         }
-        if 0.5 * spacing < least {
-            return Ok(());
+        // The least one is for those who know why; it is nothing to look for.
+        if 0.5 * spacing >= least {
+            write!(f, "; half the spacing, {half}, is usual")?;
         }
-        write!(f, ", and half the spacing, {half}, is usual")
+        write!(f, "; it must be at least {told_least}")
     }
 }
 
