@@ -179,7 +179,7 @@ impl Study {
         let title = "The first of them: flicker around each frame".to_owned();
         let axes = ["frame", "flicker, h"];
         page.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
-        page.pictures(grid.part, "Sequences at four times", pictures)
+        page.pictures(grid.part, "Sequences at four times: by meniscus, where no other program is named", pictures)
     }
 }
 
@@ -270,8 +270,8 @@ fn follow(case: &Case, program: Program, peer: &Splashsurf, scale: fn(f64) -> Sc
             }
             flicker.add(frame, &solid, &points)?;
             if case.is_pictured(program) && PICTURES.contains(&frame) {
-                let by = if let Program::Splashsurf(_) = program { "splashsurf" } else { "meniscus" };
-                let label = format!("{}, {} particles, frame {frame}: {by}", case.name(), particles.len());
+                let name = if let Program::Splashsurf(_) = program { program.name() } else { case.name() };
+                let label = format!("{name}, {} particles, frame {frame}", particles.len());
                 let voxel_size = 0.5 * scale.voxel_size;
                 pictures.push((picture(&band_of(&mesh, voxel_size), voxel_size), label));
             }
