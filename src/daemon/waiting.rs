@@ -155,9 +155,8 @@ mod tests {
         for (name, text) in [
             ("dam.1.ply", whole.clone()),
             ("dam.2.ply", format!("ply\nformat binary_little_endian 1.0\n{HEADER}0000")),
-            ("made.ply", whole.replacen("1.0\n", "1.0\ncomment generator: meniscus 0.1.0\n", 1)),
+            ("made.ply", whole.replacen("1.0\n", "1.0\ncomment meniscus_generator: meniscus 0.1.0\n", 1)),
             ("notes.txt", "The dam is 2 m wide.\n".to_owned()),
-            ("run.csv", "step,seconds\n1,0.5\n".to_owned()),
         ] {
             fs::write(folder.path().join(name), text).expect("written");
         }
