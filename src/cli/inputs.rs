@@ -34,7 +34,7 @@ use crate::pipeline::{
 pub(super) struct Found {
     /// Each once.
     pub(super) files: Vec<FrameFile>,
-    /// Files in folders that are no frames: the first by name, and how many.
+    /// Files in folders that are no frames: the first by path, and how many.
     pub(super) passed_over: Option<(PathBuf, usize)>,
     /// What could not be looked at, a sentence each.
     pub(super) warnings: Vec<String>,
@@ -101,7 +101,7 @@ impl Found {
         self.warnings.extend(found.warnings);
     }
 
-    /// Counts files that are no frames, of which this is the first by name.
+    /// Counts files that are no frames, of which this is the first by path.
     fn pass_over(&mut self, first: PathBuf, count: usize) {
         let (before, count_before) = self.passed_over.take().unwrap_or_else(|| (first.clone(), 0));
         self.passed_over = Some((before.min(first), count_before + count));

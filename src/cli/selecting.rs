@@ -6,7 +6,8 @@ use anyhow::{Result, bail};
 
 use crate::farm::Plan;
 use crate::pipeline::{
-    self, FrameFile, ObstacleFiles, OutputOptions, Sequence, are_one_file, check_outputs, is_level_set,
+    self, FrameFile, ObstacleFiles, OutFolderError, OutputOptions, Sequence, are_one_file, check_out_folder,
+    check_outputs, is_level_set,
 };
 
 use super::args::MethodArgs;
@@ -47,7 +48,9 @@ pub(super) fn select_frames(
         console.warn(format_args!("warning: {warning}"));
     }
     if let Some((first, count)) = &found.passed_over {
-        let name = first.file_name().unwrap_or_default().to_string_lossy();
+        let is_one_folder = inputs.iter().filter(|input| input.is_dir()).count() < 2;
+        let name =
+            Path::new(first.file_name().filter(|_| is_one_folder).unwrap_or(first.as_os_str())).display();
         match count {
             1 => console.say(format_args!("passed over {name}: no frame of particles")),
             _ => {
@@ -142,5 +145,26 @@ fn refuse_odd_place(what: &str, path: &Path) -> Result<()> {
     {
         bail!("{}: {what} would replace what is there, which is no ordinary file", path.display());
     }
-    Ok(())
+    refuse_shut_folder(what, path)
+}
+
+/// Refuses to write something where no file can be made. Of a link it shows when it is written: then some take its place,
+/// and some that of what it names.
+///
+/// # Errors
+/// Why not.
+pub(super) fn refuse_shut_folder(what: &str, path: &Path) -> Result<()> {
+    if path.is_symlink() {
+        return Ok(());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    match check_out_folder(folder) {
+        Err(OutFolderError::Write { folder, source }) => {
+            bail!(
+                "{}: nothing can be written into this folder, and {what} is to be: {source}",
+                folder.display()
+            )
+        }
+        other => Ok(other?),
+    }
 }

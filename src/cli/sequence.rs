@@ -16,6 +16,7 @@ use super::convert::thread_pool;
 use super::frame_selection::gaps;
 use super::inputs::find_inputs;
 use super::interrupt::clean_up_when_interrupted;
+use super::selecting::refuse_shut_folder;
 use super::wording::{counted, counted_are};
 
 /// More sequences than that are not named where there should be one.
@@ -120,7 +121,7 @@ fn refuse_folder(path: &Path) -> Result<()> {
     if path.is_dir() {
         bail!("{}: the shot would replace a folder", path.display());
     }
-    Ok(())
+    refuse_shut_folder("the shot", path)
 }
 
 /// The shots that are asked for beside frames.

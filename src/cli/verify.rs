@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 
 use crate::farm::{FrameVerdict, Plan, PlannedFrame, VerdictRecord, Verdicts, verify as verify_plan};
-use crate::pipeline::{FrameState, entry};
+use crate::pipeline::{FrameState, are_one_file};
 
 use super::Verdict;
 use super::args::VerifyArgs;
@@ -31,7 +31,7 @@ pub(super) fn verify(args: &VerifyArgs, console: &mut Console) -> Result<Verdict
         .metadata()
         .with_context(|| format!("{}: what is in this folder cannot be looked at", args.folder.display()))?;
     let plan = Plan::read(&args.plan).with_context(|| args.plan.display().to_string())?;
-    let planned = plan.out().filter(|planned| entry(planned) != entry(&folder)).map(Path::to_owned);
+    let planned = plan.out().filter(|planned| !are_one_file(planned, &folder)).map(Path::to_owned);
     let plan = plan.with_out(&folder);
     refuse_report_of_plan(args.report.as_deref(), &plan, &args.plan)?;
     let verdicts = thread_pool(args.threads)?.install(|| verify_plan(&plan));

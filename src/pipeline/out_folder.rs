@@ -35,17 +35,21 @@ pub enum OutFolderError {
     },
 }
 
-/// Makes a folder, and those that it lies in, where they are missing, and sees that files can be written into it. A full
-/// disk is no error here: there may be room in time.
+/// Makes a folder, and those that it lies in, where they are missing, and sees that files can be written into it. A disk
+/// that is too full to make it is an error.
 ///
 /// # Errors
 /// When it takes no results: what is wrong, and what was expected.
 pub fn make_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     refuse_file_for_folder(folder)?;
-    match fs::create_dir_all(folder) {
-        Err(source) if !is_disk_full(&source) => {
-            Err(OutFolderError::Make { folder: folder.to_owned(), source })
-        }
+    made(folder, fs::create_dir_all(folder))
+}
+
+/// What comes of a folder that was tried to be made, with this result.
+fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
+    match result {
+        // Not every system says of one that is there that it is.
+        Err(source) if !folder.is_dir() => Err(OutFolderError::Make { folder: folder.to_owned(), source }),
         _ => check_out_folder(folder),
     }
 }
@@ -62,7 +66,8 @@ pub fn refuse_file_for_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Sees that files can be written into a folder that is there, as [`make_out_folder`] does.
+/// Sees that files can be written into a folder that is there, as [`make_out_folder`] does. A full disk is no error here:
+/// there may be room in time.
 ///
 /// # Errors
 /// When they cannot.
@@ -127,6 +132,19 @@ mod tests {
             assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");
             assert!(error.to_string().contains(words), "{error}");
         }
+    }
+
+    #[test]
+    fn a_folder_that_a_full_disk_has_no_room_for_cannot_be_made() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let full = || Err(io::ErrorKind::StorageFull.into());
+        let error = made(&folder.path().join("deep"), full()).expect_err("it is not there");
+        assert!(is_made_of(&error, io::ErrorKind::StorageFull), "{error}");
+        made(folder.path(), full()).expect("it is there, and takes files");
+    }
+
+    fn is_made_of(error: &OutFolderError, kind: io::ErrorKind) -> bool {
+        matches!(error, OutFolderError::Make { source, .. } if source.kind() == kind)
     }
 
     #[test]

@@ -140,19 +140,29 @@ pub(super) fn records(
     kind: Kind,
     wanted: &[(String, String)],
 ) -> meniscus_formats::Result<bool> {
+    // What was asked for then, and is not now, has a name that is not wanted.
+    let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
+    is_whole_and(path, kind, |recorded| {
+        recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair))
+    })
+}
+
+/// Whether a file is whole, and what it records is what is meant.
+fn is_whole_and(
+    path: &Path,
+    kind: Kind,
+    is_meant: impl FnOnce(&[(String, String)]) -> bool,
+) -> meniscus_formats::Result<bool> {
     // Opening a pipe would wait for its other end.
     if !path.metadata()?.is_file() {
         return Ok(false);
     }
     let mut file = File::open(path)?;
     let recorded = read_provenance(kind, &file)?;
-    // What was asked for then, and is not now, has a name that is not wanted.
-    let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
-    let is_same = recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair));
-    Ok(is_same && is_whole(kind, &mut file)?)
+    Ok(is_meant(&recorded) && is_whole(kind, &mut file)?)
 }
 
-/// The files in a folder that have this stem, are in a format of outputs, and say that they were made from an input with the
+/// The files in a folder that have this stem, are in a format of outputs, are whole, and say that they were made from an input with the
 /// hash that `hash` finds, which is not asked where there are no such files. With which settings is not looked at.
 pub fn outputs_made_from<E>(
     folder: &Path,
@@ -168,10 +178,7 @@ pub fn outputs_made_from<E>(
     }
     let wanted = ("input_hash".to_owned(), hash_text(hash()?));
     let is_made_from = |(format, path): &(OutputFormat, PathBuf)| {
-        let recorded = File::open(path)
-            .map_err(meniscus_formats::Error::from)
-            .and_then(|file| read_provenance(provenance_kind(*format), &file));
-        recorded.is_ok_and(|pairs| pairs.contains(&wanted))
+        is_whole_and(path, provenance_kind(*format), |recorded| recorded.contains(&wanted)).unwrap_or(false)
     };
     Ok(outputs.into_iter().filter(is_made_from).map(|(_, path)| path).collect())
 }

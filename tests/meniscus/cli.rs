@@ -63,7 +63,7 @@ fn what_makes_no_sense_is_refused() {
     }
 }
 
-/// Every command that writes says so at once: before any frame is read, and with nothing left behind.
+/// Every command that writes into a folder says so at once: before any frame is read, and with nothing left behind.
 #[test]
 fn a_folder_that_takes_no_results_is_refused() {
     let folder = folder();
@@ -82,14 +82,17 @@ fn a_folder_that_takes_no_results_is_refused() {
         ("/proc/a/b", "/proc/a/b: ".to_owned() + expected + "it cannot be made: "),
     ]);
     for (out, told) in places {
+        let sheet = format!("{out}/sheet.png");
         for command in [
-            &["convert", "dam.#.ply"][..],
-            &["convert", "dam.#.ply", "--particles-only"],
-            &["render", "dam.#.ply"],
-            &["plan", "dam.#.ply", "--shards", "2", "-o", "plan.json"],
-            &["man"],
+            &["convert", "dam.#.ply", "--out", out][..],
+            &["convert", "dam.#.ply", "--particles-only", "--out", out],
+            &["render", "dam.#.ply", "--out", out],
+            &["plan", "dam.#.ply", "--shards", "2", "-o", "plan.json", "--out", out],
+            &["man", "--out", out],
+            &["contact-sheet", "dam.#.ply", "-o", &sheet],
+            &["tune", "dam.#.ply", "--vary", "ratio=1.5,2", "-o", &sheet],
         ] {
-            let ran = meniscus(path, &[command, &["--out", out]].concat());
+            let ran = meniscus(path, command);
             assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?} {out}: {}", ran.err);
             // A plan has whole paths.
             let err = ran.err.replace(&format!("{}/", path.display()), "");
@@ -100,9 +103,38 @@ fn a_folder_that_takes_no_results_is_refused() {
     assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "taken"]);
 }
 
-/// Root may write everywhere: then there is nothing to see here.
+/// So is one for what is written beside frames, or of them all.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_folder_that_takes_no_report_plan_or_shot_is_refused() {
+    let folder = folder();
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    let planned =
+        meniscus(path, &["plan", "dam.#.ply", "--shards", "1", "-o", "plan.json", "--out", "planned"]);
+    assert_eq!(planned.status, 0, "{}", planned.err);
+    for (what, command) in [
+        ("the report", &["convert", "dam.#.ply", "--out", "o", "--report", "/proc/r.json"][..]),
+        ("the report", &["convert", "--plan", "plan.json", "--shard", "0", "--report", "/proc/r.json"]),
+        ("the report", &["verify", "planned", "--plan", "plan.json", "--report", "/proc/r.json"]),
+        ("the shot", &["convert", "dam.#.ply", "--out", "o", "--sequence-glb", "/proc/s.glb"]),
+        ("the shot", &["convert", "dam.#.ply", "--out", "o", "--sequence-usda", "/proc/s.usda"]),
+        ("the shot", &["sequence", "dam.#.glb", "-o", "/proc/x.glb"]),
+        ("the plan", &["plan", "dam.#.ply", "--shards", "2", "--out", "o", "-o", "/proc/p.json"]),
+    ] {
+        let ran = meniscus(path, command);
+        assert_eq!((ran.status, &*ran.out), (2, ""), "{command:?}: {}", ran.err);
+        let told = format!("/proc: nothing can be written into this folder, and {what} is to be: ");
+        assert!(ran.err.contains(&told) && ran.err.lines().count() == 1, "{command:?}: {}", ran.err);
+    }
+    assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply", "plan.json", "planned"]);
+    assert_eq!(names_in(&path.join("planned")), [""; 0]);
+}
+
+/// Root may write everywhere: then nothing is seen here, and what root may not either is seen above.
 #[test]
 #[cfg(unix)]
+#[expect(clippy::print_stderr, reason = "a test that did not run must say so")]
 fn a_folder_without_the_right_to_write_is_refused() {
     use std::os::unix::fs::PermissionsExt;
     let folder = folder();
@@ -111,6 +143,7 @@ fn a_folder_without_the_right_to_write_is_refused() {
     fs::create_dir(path.join("out")).expect("made");
     fs::set_permissions(path.join("out"), fs::Permissions::from_mode(0o500)).expect("changed");
     if fs::write(path.join("out/file"), "").is_ok() {
+        eprintln!("not run: this user may write everywhere");
         return;
     }
     for out in ["out", "out/deep"] {
@@ -457,6 +490,14 @@ fn what_lies_beside_the_frames_is_passed_over() {
     }
     let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
     assert!(ran.out.contains("passed over notes.txt: no frame of particles"), "{}", ran.out);
+    // Of several folders, it is told which one it is in.
+    fs::create_dir(path.join("more")).expect("made");
+    write_sequence(&path.join("more"), 3, 3);
+    fs::write(path.join("more/README"), "Nothing to see here.\n").expect("written");
+    let several = ["convert", ".", "more", "--out", "several", "--format", "ply", "--voxel-size", "0.05"];
+    let ran = meniscus(path, &several);
+    let told = Path::new(".").join("notes.txt").display().to_string();
+    assert!(ran.out.contains(&format!("passed over {told} and 1 other file: no frames")), "{}", ran.out);
     assert_eq!(names_in(&path.join("o")), ["bare.ply", "dam.1.ply", "dam.2.ply", "table.ply"]);
 }
 

@@ -483,6 +483,14 @@ fn outputs_are_verified_wherever_they_lie() {
     let ran = meniscus(folder, &["verify", "elsewhere", "--plan=plan.json"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
     assert!(ran.err.contains(elsewhere), "{}", ran.err);
+    #[cfg(unix)]
+    {
+        // Through a link it is the plan's own folder.
+        std::os::unix::fs::symlink("out", folder.join("link")).expect("linked");
+        let ran = meniscus(folder, &["verify", "link", "--plan=plan.json"]);
+        assert_eq!(ran.status, 2, "{}", ran.err);
+        assert!(!ran.err.contains("looked for"), "{}", ran.err);
+    }
     assert_eq!(meniscus(folder, &["verify", "nowhere", "--plan=plan.json"]).status, 2);
 }
 

@@ -283,7 +283,18 @@ fn why_knows_what_convert_has_converted() {
     assert!(done.contains("dam.1.glb, dam.1.ply were made from it as it is"), "{done}");
     assert!(!done.contains("will be") && !done.contains("No daemon"), "{done}");
     assert!(settled("in/dam.2.ply").contains("It will be converted because"));
+    // Of what is damaged, nothing is said.
+    let cut = |name: &str| {
+        let whole = fs::read(path.join(name)).expect("there");
+        fs::write(path.join(name), &whole[..whole.len() / 2]).expect("written");
+    };
+    cut("out/dam.1.glb");
+    assert!(settled("in/dam.1.ply").contains("but dam.1.ply was made from it as it is"));
+    cut("out/dam.1.ply");
+    assert!(settled("in/dam.1.ply").contains("It will be converted because"));
     // Outputs of what was there before say nothing of what is there now.
+    let ran = meniscus(path, &["convert", "in", "--out", "out", "--frames", "1", "--format", "glb,ply"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
     fs::copy(path.join("in/dam.2.ply"), path.join("in/dam.1.ply")).expect("copied");
     assert!(settled("in/dam.1.ply").contains("It will be converted because"));
 }

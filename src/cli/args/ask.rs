@@ -61,7 +61,11 @@ JSON: an object with
                    frames, each with input, outputs, attempts and at_ms, and where they are known
                    reason, particles, seconds and flaws. last_done: the newest first, five at most;
                    flawed: those done with particles left out, or with a guarantee that is broken
-  waiting          files whose writers have not finished, as far as a daemon at work can tell, each
-                   with input and reason
+  waiting          files that a daemon at work takes for frames once their writers have finished, each
+                   with input and reason. On a network file system, whose clock is another, only those
+                   that want their sentinel or their end
+  waiting_cut_short
+                   true where there may be more of these: they are looked for in the watched folders
+                   for 3 s, and among 10000 files that the journal does not know, at most
   damaged_lines    lines of the journal that cannot be read; they cost work and nothing else
 Times that end in _ms are milliseconds since 1970.";

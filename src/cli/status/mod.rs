@@ -18,7 +18,7 @@ use serde::{Serialize, Serializer};
 use crate::daemon::Watch;
 use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
 use crate::daemon::lock::{LockError, OutputLock};
-use crate::daemon::waiting::waiting;
+use crate::daemon::waiting::{Waiting, waiting};
 use crate::pipeline::{FileStamp, file_of, is_missing_step, natural_order};
 
 use super::Verdict;
@@ -43,6 +43,8 @@ struct StatusRecord {
     retrying: Vec<FrameStatus>,
     /// Files that a daemon takes for frames once their writers have finished, in natural order.
     waiting: Vec<WaitingStatus>,
+    /// Whether there may be more of these, for looking took too long.
+    waiting_cut_short: bool,
     /// The newest first.
     last_done: Vec<FrameStatus>,
     /// Those that are done, and not as they should be, in natural order.
@@ -213,6 +215,8 @@ impl StatusRecord {
         done.reverse();
         done.sort_by_key(|(_, frame)| std::cmp::Reverse(frame.at_ms));
         done.truncate(LAST_DONE_COUNT);
+        // Nobody waits where no daemon is.
+        let waiting = if has_daemon { waiting(state) } else { Waiting::default() };
         StatusRecord {
             output: output.to_owned(),
             journal: journal.to_owned(),
@@ -221,8 +225,8 @@ impl StatusRecord {
             counts,
             failed: told(&failed),
             retrying: told(&retrying),
-            // Nobody waits where no daemon is.
-            waiting: if has_daemon { WaitingStatus::all(state) } else { Vec::new() },
+            waiting_cut_short: waiting.is_cut_short,
+            waiting: WaitingStatus::all(waiting),
             last_done: told(&done),
             flawed: told(&flawed),
             damaged_lines: state.damaged_line_count,
@@ -309,8 +313,7 @@ impl WatchStatus {
 }
 
 impl WaitingStatus {
-    fn all(state: &State) -> Vec<WaitingStatus> {
-        let mut files = waiting(state);
+    fn all(Waiting { mut files, .. }: Waiting) -> Vec<WaitingStatus> {
         files.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
         files.into_iter().map(|(input, why)| WaitingStatus { input, reason: why.to_string() }).collect()
     }

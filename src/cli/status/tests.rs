@@ -120,6 +120,8 @@ fn text_tells_what_json_tells() {
     let marked = "done, and not as it should be:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; the result breaks a guarantee";
     assert!(text.ends_with(marked), "{text}");
+    let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Nobody) };
+    assert!(cut_short.text(0).contains("took too long: there may be more"), "{}", cut_short.text(0));
     let damaged = State { damaged_line_count: 2, ..state() };
     assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
 }
@@ -158,7 +160,7 @@ fn json_has_the_documented_fields() {
     let record = record(&state, Holder::Daemon("pid 12 on render-04".into()));
     let json = serde_json::to_value(&record).expect("JSON");
     let keys: Vec<&String> = json.as_object().expect("an object").keys().collect();
-    assert_eq!(keys.len(), 11);
+    assert_eq!(keys.len(), 12);
     let help = <crate::cli::args::Typed as clap::CommandFactory>::command()
         .find_subcommand_mut("status")
         .expect("the command")

@@ -35,6 +35,9 @@ impl StatusRecord {
             }
             text += &more(self.waiting.len());
         }
+        if self.waiting_cut_short {
+            text += "\nlooking for files that wait for their writers took too long: there may be more";
+        }
         let lists = [
             ("failed", &self.failed),
             ("to retry", &self.retrying),
