@@ -179,7 +179,11 @@ impl Study {
         let title = "The first of them: flicker around each frame".to_owned();
         let axes = ["frame", "flicker, h"];
         page.plot(grid.part, &Plot { title, axes, is_log: [false, true], curves })?;
-        page.pictures(grid.part, "Sequences at four times: by meniscus, where no other program is named", pictures)
+        page.pictures(
+            grid.part,
+            "Sequences at four times: by meniscus, where no other program is named",
+            pictures,
+        )
     }
 }
 

@@ -148,7 +148,10 @@ impl Found {
             let paths = self.matching(pattern)?;
             self.files.extend(paths.into_iter().filter(|path| path.is_file()).map(FrameFile::new));
         } else {
-            bail!("{pattern}: no such file or folder");
+            // As Houdini and others write the number of a frame.
+            let is_foreign = name.contains("$F") || name.contains("@@");
+            let hint = if is_foreign { "; the number is written ####, as in dam.####.bgeo" } else { "" };
+            bail!("{pattern}: no such file or folder{hint}");
         }
         if self.files.len() == count_before {
             let why = self.warnings.pop().map_or(String::new(), |why| format!("; {why}"));

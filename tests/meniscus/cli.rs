@@ -32,6 +32,7 @@ fn what_makes_no_sense_is_refused() {
     assert_refused(path, &["convert", "--out", "o"], &["INPUT"]);
     for (arguments, words) in [
         (&["missing.ply"][..], &["missing.ply", "no such file"][..]),
+        (&["dam.$F4.bgeo"], &["dam.$F4.bgeo: no such file", "as in dam.####.bgeo"]),
         (&["a*.ply"], &["a*.ply", "no file matches"]),
         (&["a.####.ply"], &["a.####.ply", "no file matches"]),
         (&["empty"], &["empty", "no frames"]),
