@@ -39,7 +39,7 @@ pub struct Footprint {
     /// Particles left out: not finite, or too far away for the grid.
     pub dropped_count: usize,
     /// How far half of the particles are from their middle along an axis, in voxels; 0 for a frame that is no wider
-    /// than [`SPREAD_UNSEEN_VOXELS`].
+    /// than 65 536.
     pub spread_voxels: u32,
 }
 
