@@ -197,7 +197,7 @@ fn number(value: f64) -> String {
         size if !(0.001..100_000.0).contains(&size) => format!("{value:.1e}"),
         size if size < 0.1 => format!("{value:.4}"),
         size if size < 10.0 => format!("{value:.2}"),
-        size if size < 100.0 => format!("{value:.1}"),
+        size if size < 100.0 => format!("{value:.1}").trim_end_matches(".0").to_owned(),
         _ => format!("{value:.0}"),
     }
 }

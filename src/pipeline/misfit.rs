@@ -85,17 +85,19 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
 /// What a surface is that came of spheres which do not overlap, where it looks so.
 fn torn(mesh: &Mesh, report: &SkinReport) -> Option<String> {
     let SkinReport { particle_count, mesh: measures, .. } = report;
-    let few = (particle_count / HOLED_ONE_IN).max(FEW_HOLES);
+    let few_pieces = particle_count / HOLED_ONE_IN;
+    let few_holes = few_pieces.max(FEW_HOLES);
     // Of all components together; of a mesh that is open it tells nothing.
     let handle_count = (2 * measures.component_count as i64 - measures.euler_characteristic) / 2;
     let handle_count = usize::try_from(handle_count).unwrap_or(0);
-    if !measures.is_closed_manifold() || measures.component_count.max(handle_count) <= few {
+    let is_whole = measures.component_count <= few_pieces && handle_count <= few_holes;
+    if is_whole || !measures.is_closed_manifold() {
         return None;
     }
     let volumes = mesh.component_volumes();
     let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
     let hole_count = hollow_count + handle_count;
-    if hole_count > few {
+    if hole_count > few_holes {
         let holes = counted(hole_count, "hole");
         return Some(format!(
             "the surface of {particle_count} particles has {holes}, through it and within: they are a net, or it is torn"

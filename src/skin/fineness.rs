@@ -63,14 +63,20 @@ impl fmt::Display for TooFine {
             Limit::Reach => write!(
                 f,
                 "the voxel size {h} (--voxel-size) is too small so far from the origin: most particles are more than \
-                 {INDEX_LIMIT} voxels from it, beyond the grid; they may be moved there"
+                 {INDEX_LIMIT} voxels from it, where the grid ends; move them nearer to it, or give --voxel-size {told_least} at least"
             )?,
         }
-        // The least one is for those who know why; it is nothing to look for.
-        if 0.5 * spacing >= least {
-            write!(f, "; half the spacing, {half}, is usual")?;
+        match limit {
+            // The least one is for those who know why; it is nothing to look for.
+            Limit::Spread if 0.5 * spacing >= least => {
+                write!(
+                    f,
+                    "; half the spacing is usual, --voxel-size {half}, and {told_least} the least that can be"
+                )
+            }
+            Limit::Spread => write!(f, "; --voxel-size {told_least} is the least that can be"),
+            Limit::Reach => Ok(()),
         }
-        write!(f, "; it must be at least {told_least}")
     }
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use meniscus::obstacle::Obstacles;
 use meniscus::particles::Particles;
 use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Limit, Plan, Surroundings, Unfit, plan};
+use meniscus::skin::{Limit, Plan, Surroundings, Unfit, plan, skin};
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
@@ -86,9 +86,12 @@ fn every_command_refuses_voxels_that_are_too_small() {
     ] {
         let ran = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
         assert_ne!(ran.status, 0, "{command:?}: {}{}", ran.out, ran.err);
-        for word in
-            ["a.ply", "the voxel size 1e-9 (--voxel-size) is too small", "particles are 0.1", "at least"]
-        {
+        for word in [
+            "a.ply",
+            "the voxel size 1e-9 (--voxel-size) is too small",
+            "particles are 0.1",
+            "the least that can be",
+        ] {
             assert!(ran.err.contains(word), "{command:?} does not say {word}: {}{}", ran.out, ran.err);
         }
     }
@@ -149,15 +152,17 @@ fn a_torn_surface_is_told_and_no_other() {
     spray.extend((0..150).map(|i| [1.0 + 0.7 * f64::from(i), f64::from(i % 7), f64::from(i % 5)]));
     // A ring has a hole of its own, and a bubble a hollow.
     let ring: Vec<[f64; 3]> = (0..48).map(|i| on_circle(i, 48, 0.76)).collect();
-    let bubble: Vec<[f64; 3]> = (0..7)
+    let bubble: Vec<[f64; 3]> = (0..6)
         .flat_map(|row| {
-            let [height, radius, _] = on_circle(row, 12, 0.2);
+            let [height, radius, _] = on_circle(row, 10, 0.2);
             (0..8).map(move |i| {
                 let [x, y, _] = on_circle(i, 8, radius + 1e-3);
                 [x, y, height]
             })
         })
         .collect();
+    let settings = Settings::resolve(0.04, &Choices::default()).expect("settings");
+    assert_eq!(skin(&Particles::Double(bubble.clone()), &settings).mesh.measure().component_count, 2);
     for (particles, options, expected) in [
         (&ring, &["--voxel-size", "0.05"][..], false),
         (&bubble, &["--voxel-size", "0.04"], false),

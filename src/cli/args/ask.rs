@@ -63,7 +63,7 @@ JSON: an object with
                    flawed: those done with particles left out, or with a guarantee that is broken
   waiting          files that a daemon at work takes for frames once their writers have finished, each
                    with input and reason. On a network file system, whose clock is another, only those
-                   that want their sentinel or their end
+                   whose sentinel is missing, or that are not complete
   waiting_cut_short
                    true where there may be more of these: they are looked for in the watched folders
                    for 3 s, and among 10000 files that the journal does not know, at most

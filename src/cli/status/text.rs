@@ -36,7 +36,7 @@ impl StatusRecord {
             text += &more(self.waiting.len());
         }
         if self.waiting_cut_short {
-            text += "\nlooking for files that wait for their writers took too long: there may be more";
+            text += "\nnot all files were looked at: more may wait for their writers";
         }
         let lists = [
             ("failed", &self.failed),
