@@ -43,7 +43,7 @@ struct StatusRecord {
     retrying: Vec<FrameStatus>,
     /// Files that a daemon takes for frames once their writers have finished, in natural order.
     waiting: Vec<WaitingStatus>,
-    /// Whether there may be more of these, for looking took too long.
+    /// Whether there may be more of these: not every file was looked at.
     waiting_cut_short: bool,
     /// The newest first.
     last_done: Vec<FrameStatus>,

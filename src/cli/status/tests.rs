@@ -121,7 +121,7 @@ fn text_tells_what_json_tells() {
                   1 particle left out; the result breaks a guarantee";
     assert!(text.ends_with(marked), "{text}");
     let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Nobody) };
-    assert!(cut_short.text(0).contains("took too long: there may be more"), "{}", cut_short.text(0));
+    assert!(cut_short.text(0).contains("more may wait for their writers"), "{}", cut_short.text(0));
     let damaged = State { damaged_line_count: 2, ..state() };
     assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
 }
