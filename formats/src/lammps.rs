@@ -24,6 +24,7 @@ use std::ops::Range;
 use crate::csv;
 use crate::data::{ParticleFrame, Positions};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
 
 /// The format as users know it, for errors.
@@ -114,10 +115,9 @@ pub fn read_step(bytes: &[u8], step: &Step, limits: &Limits) -> Result<ParticleF
         let what = format!("more columns than the limit of {}", limits.attribute_count);
         return Err(Error::too_large(FORMAT, what));
     }
-    let shown: Vec<&str> = names.iter().take(12).map(String::as_str).collect();
-    let shown = shown.join(" ");
+    let found = excerpts(&names);
     let no_position =
-        || Error::invalid(FORMAT, place, format!("no position, such as x y z or xs ys zs; found: {shown}"));
+        || Error::invalid(FORMAT, place, format!("no position, such as x y z or xs ys zs; found: {found}"));
     let (position, is_scaled) = position(&names).ok_or_else(no_position)?;
     for (name, &column) in ["x", "y", "z"].into_iter().zip(&position) {
         name.clone_into(&mut names[column]);
@@ -209,7 +209,8 @@ fn step(lines: &mut Lines, limits: &Limits) -> Result<Step> {
                 );
             }
             _ => {
-                let what = format!("a dump of {item:?}, not of atoms: dump atoms or custom columns");
+                let what =
+                    format!("a dump of `{}`, not of atoms: dump atoms or custom columns", excerpt(item));
                 return Err(Error::unsupported(FORMAT, what));
             }
         }
@@ -312,8 +313,7 @@ impl<'a> Lines<'a> {
     }
 
     fn expected(&self, what: &str, found: &str) -> Error {
-        let shown: String = found.chars().take(40).collect();
-        self.invalid(format!("expected {what}, found `{shown}`"))
+        self.invalid(format!("expected {what}, found `{}`", excerpt(found)))
     }
 
     fn invalid(&self, what: impl Into<String>) -> Error {

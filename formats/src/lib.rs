@@ -17,6 +17,7 @@ pub mod completeness;
 pub mod csv;
 pub mod data;
 pub mod error;
+mod excerpt;
 pub mod exr;
 pub mod gltf;
 mod gzip;
@@ -57,6 +58,7 @@ pub use data::{
     Role, Values,
 };
 pub use error::{Error, Place, Result};
+pub use excerpt::{Escaped, escaped, is_unsafe};
 pub use limits::Limits;
 pub use obstacle::{ObstacleData, read_obstacle};
 pub use packing::Packing;

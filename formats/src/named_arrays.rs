@@ -13,6 +13,7 @@
 //! ```
 
 use crate::data::{Attribute, ParticleFrame, Positions, Role, Values};
+use crate::excerpt::excerpt;
 use crate::names::{Group, group_columns, position_rank, radius_scale, roles_of};
 use crate::number::{self, interleaved};
 use crate::scalar::Scalar;
@@ -57,7 +58,11 @@ fn without_misfits(arrays: &mut Vec<NamedArray>, particle_count: usize) -> Vec<S
         array.arity != 0 && array.arity.checked_mul(particle_count) == Some(number::length(&array.values))
     };
     let note = |array: NamedArray| {
-        format!("`{}` has {} rows, not one for each particle: left out.", array.name, array.particle_count())
+        format!(
+            "`{}` has {} rows, not one for each particle: left out.",
+            excerpt(&array.name),
+            array.particle_count()
+        )
     };
     arrays.extract_if(.., |array| !fits(array)).map(note).collect()
 }
@@ -153,7 +158,8 @@ fn attribute(array: NamedArray, role: Option<Role>) -> Attribute {
 
 fn note_on_diameter(attribute: &Attribute) -> Option<String> {
     let is_halved = attribute.role == Some(Role::Radius) && radius_scale(&attribute.name) != 1.0;
-    is_halved.then(|| format!("`{}` is taken for a diameter: the radius is half of it", attribute.name))
+    is_halved
+        .then(|| format!("`{}` is taken for a diameter: the radius is half of it", excerpt(&attribute.name)))
 }
 
 #[cfg(test)]

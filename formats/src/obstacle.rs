@@ -2,6 +2,7 @@
 
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::gltf::Beside;
 use crate::limits::Limits;
 use crate::packing::unpacked_name;
@@ -82,7 +83,11 @@ fn level_set(bytes: &[u8], limits: &Limits) -> Result<ObstacleData> {
     let data = vdb::read_level_set(bytes, None, limits)?;
     // Some programs do not say what a grid is; what they write is used as it is.
     if !["level set", "unknown", ""].contains(&data.class.as_str()) {
-        let what = format!("the grid \"{}\" is a {}; an obstacle is a level set", data.name, data.class);
+        let what = format!(
+            "the grid \"{}\" is a {}; an obstacle is a level set",
+            excerpt(&data.name),
+            excerpt(&data.class)
+        );
         return Err(Error::unsupported("OpenVDB", what));
     }
     Ok(ObstacleData::LevelSet(Box::new(data)))

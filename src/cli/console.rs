@@ -8,6 +8,8 @@ use std::fmt::{self, Display};
 use std::io::{self, Write};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use meniscus_formats::{escaped, is_unsafe};
+use serde::Serialize;
 
 /// Both outputs, and the bar that may be on one of them.
 #[derive(Debug)]
@@ -23,14 +25,42 @@ impl Console {
         Console { bar: None, muted: false, failure: None }
     }
 
-    /// Prints a line of results.
+    /// Prints a line of results, with what could forge a line or control the terminal [`escaped`].
     pub(super) fn say(&mut self, line: impl Display) {
+        self.print(escaped(line));
+    }
+
+    /// Prints several lines of results, each escaped.
+    pub(super) fn say_lines(&mut self, lines: impl IntoIterator<Item = impl Display>) {
+        lines.into_iter().for_each(|line| self.say(line));
+    }
+
+    /// Prints a record as JSON, which has escapes of its own.
+    pub(super) fn say_json(&mut self, record: &impl Serialize) -> serde_json::Result<()> {
+        let mut text = String::new();
+        for char in serde_json::to_string_pretty(record)?.chars() {
+            match char {
+                // Serde leaves these in strings as they are; all other control characters are escaped.
+                _ if char != '\n' && is_unsafe(char) => text += &format!("\\u{:04x}", u32::from(char)),
+                _ => text.push(char),
+            }
+        }
+        self.print(text);
+        Ok(())
+    }
+
+    /// Prints a script of this program's own as it is.
+    pub(super) fn say_script(&mut self, script: &str) {
+        self.print(script.trim_end());
+    }
+
+    fn print(&mut self, text: impl Display) {
         if self.muted {
             return;
         }
         let print = || {
             let mut out = io::stdout().lock();
-            writeln!(out, "{line}").and_then(|()| out.flush())
+            writeln!(out, "{text}").and_then(|()| out.flush())
         };
         if let Err(error) = suspended(self.bar.as_ref(), print) {
             self.muted = true;
@@ -38,10 +68,11 @@ impl Console {
         }
     }
 
-    /// Prints an error or a warning.
+    /// Prints an error or a warning on one line, with what could forge a line or control the terminal
+    /// [`escaped`].
     pub(super) fn warn(&self, line: impl Display) {
         // There is nobody left to tell that this failed.
-        let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{line}"));
+        let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{}", escaped(line)));
     }
 
     /// Shows a bar for so many frames, if somebody watches. Whether it does.

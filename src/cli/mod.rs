@@ -41,6 +41,7 @@ use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::Parser;
+use meniscus_formats::escaped;
 
 pub use allocator::give_memory_back;
 
@@ -67,6 +68,14 @@ pub fn check_config(text: &str) -> anyhow::Result<()> {
     config_file::check(text)
 }
 
+/// The same error about arguments whose control characters are escaped: a shell may have put the names of
+/// files among them.
+fn printable(error: clap::Error, arguments: &[OsString]) -> clap::Error {
+    let escaped = arguments.iter().map(|argument| escaped(argument.to_string_lossy()).to_string());
+    // No error any more: it was about bytes that are not UTF-8, which its message does not repeat.
+    Typed::try_parse_from(escaped).err().unwrap_or(error)
+}
+
 /// Runs the command in `arguments`, the program's name first. The exit status is 0 when all was
 /// done, 1 when some of it failed, 2 when nothing was done or the command makes no sense.
 pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode {
@@ -74,7 +83,8 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
     let typed = match Typed::try_parse_from(&arguments) {
         Ok(typed) => typed,
         Err(help_or_error) => {
-            let help_or_error = misspelt::with_what_was_meant(help_or_error, &arguments);
+            let help_or_error =
+                misspelt::with_what_was_meant(printable(help_or_error, &arguments), &arguments);
             // A closed output is no error, and there is nobody to tell of any other.
             let _ = help_or_error.print();
             return ExitCode::from(u8::try_from(help_or_error.exit_code()).unwrap_or(2));

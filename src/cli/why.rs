@@ -70,7 +70,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
         settings: settings.as_deref(),
     })
     .with_context(|| frame.display().to_string())?;
-    console.say(text(&frame, record, &explanation, asked.is_known, now_ms()));
+    console.say_lines(lines(&frame, record, &explanation, asked.is_known, now_ms()));
     if !asked.is_known && !matches!(explanation.verdict, Fate::Found(_)) {
         console.say(UNKNOWN);
     }
@@ -154,13 +154,13 @@ impl Asked {
 }
 
 /// Everything, in lines.
-fn text(
+fn lines(
     frame: &Path,
     record: Option<&FrameRecord>,
     explanation: &Explanation,
     is_known: bool,
     now_ms: u64,
-) -> String {
+) -> Vec<String> {
     let Explanation { is_taken, file, settings_hold, output_missing, verdict } = explanation;
     let mut lines = vec![frame.display().to_string()];
     let mut line = |name: &str, what: &str| lines.push(format!("  {name:<9} {what}"));
@@ -207,7 +207,7 @@ fn text(
         }
     }
     lines.push(format!("It {verdict}."));
-    lines.join("\n")
+    lines
 }
 
 fn recorded(record: &FrameRecord, now_ms: u64) -> String {

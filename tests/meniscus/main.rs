@@ -6,6 +6,8 @@ mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
 mod dependencies; // a reason for each crate, and nothing in C
 mod docs; // links of the pages lead somewhere, and what they say is tested is
+#[cfg(unix)]
+mod escaping; // names and contents of files neither forge lines nor control the terminal
 mod farm; // frames dealt to many machines: plans, shards, and whether all is there
 mod formats; // the table of what is read, written and kept
 mod info; // the command that tells what files hold

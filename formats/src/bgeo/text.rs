@@ -12,6 +12,7 @@
 //!   ..                                        primitives and the rest: not read
 //! ```
 
+use crate::excerpt::excerpt;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::divided;
 use crate::text::line_number;
@@ -31,10 +32,7 @@ pub fn read_text(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let head = (words.next("PGEOMETRY")?, words.next("the version")?);
     if head != (b"PGEOMETRY", b"V5") {
         let found = [head.0, b" ", head.1].concat();
-        return Err(Error::unsupported(
-            FORMAT,
-            format!("`{}`; only PGEOMETRY V5 is read", found.escape_ascii()),
-        ));
+        return Err(Error::unsupported(FORMAT, format!("`{}`; only PGEOMETRY V5 is read", excerpt(found))));
     }
     let (mut point_count, mut attribute_count) = (0, 0);
     for name in COUNTS {
@@ -115,7 +113,7 @@ fn column(words: &mut Words, limits: &Limits) -> Result<Column> {
     let arity: u16 = words.number("the size of an attribute")?;
     let arity = usize::from(arity);
     if arity == 0 || arity > limits.attribute_count {
-        return Err(words.invalid(format!("the attribute `{name}` has {arity} values")));
+        return Err(words.invalid(format!("the attribute `{}` has {arity} values", excerpt(&name))));
     }
     let kind = words.next("the type of an attribute")?;
     let mut table = Vec::new();
@@ -205,7 +203,7 @@ impl<'a> Words<'a> {
     }
 
     fn expected(&self, what: &str, found: &[u8]) -> Error {
-        self.invalid(format!("expected {what}, found `{}`", found[..found.len().min(24)].escape_ascii()))
+        self.invalid(format!("expected {what}, found `{}`", excerpt(found)))
     }
 
     fn invalid(&self, what: String) -> Error {

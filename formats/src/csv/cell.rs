@@ -1,5 +1,6 @@
 //! The grammar of one line: cells, quotes, and what counts as a number.
 
+use crate::excerpt::excerpt;
 use crate::text::parse_number;
 use std::borrow::Cow;
 
@@ -218,15 +219,9 @@ pub(super) fn narrow(value: f64) -> f32 {
     value as f32
 }
 
-/// A piece of the file for an error: printable and not long.
+/// A piece of the file in quotes, for a message.
 pub(super) fn shown(text: &[u8]) -> String {
-    const LENGTH_MAX: usize = 40;
-    let text = String::from_utf8_lossy(text);
-    let mut shown: String = text.chars().take(LENGTH_MAX).collect();
-    if shown.len() < text.len() {
-        shown += "...";
-    }
-    format!("{shown:?}")
+    format!("\"{}\"", excerpt(text))
 }
 
 /// Words for a number that is not there, in lower case. (`nan` is a number.)

@@ -4,6 +4,7 @@ use super::FORMAT;
 use super::cell::{
     DELIMITERS, Delimiter, Meaning, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
 };
+use crate::excerpt::excerpts;
 use crate::names::{self, Columns};
 use crate::scalar::Scalar;
 use crate::{Error, Limits, Place, Result};
@@ -303,10 +304,8 @@ fn check_column_count(count: usize, limits: &Limits) -> Result<()> {
 }
 
 fn no_position(header: Line, delimiter: Delimiter) -> Error {
-    const NAMES_MAX: usize = 12;
-    let names: Vec<String> =
-        cells(header.text, delimiter).take(NAMES_MAX).map(|cell| shown(&unquoted(cell))).collect();
-    let what = format!("expected a header that names a position, such as x,y,z, found {}", names.join(", "));
+    let names = excerpts(cells(header.text, delimiter).map(unquoted));
+    let what = format!("expected a header that names a position, such as x,y,z, found {names}");
     Error::invalid(FORMAT, Place::Line(header.number), what)
 }
 

@@ -242,7 +242,11 @@ impl<'a> Rows<'a> {
         if has_decimal_comma(text) {
             return decimal_commas(self.line);
         }
-        let what = format!("expected a number in the column {:?}, found {}", self.names[index], shown(text));
+        let what = format!(
+            "expected a number in the column {}, found {}",
+            shown(self.names[index].as_bytes()),
+            shown(text)
+        );
         self.wrong(what)
     }
 

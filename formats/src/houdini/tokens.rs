@@ -6,6 +6,7 @@ use std::borrow::Cow;
 
 use crate::bytes::Endian;
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::number::Number;
 
@@ -241,7 +242,7 @@ impl<'a> Walk<'a> {
             Token::Bool(value) => value.to_string(),
             Token::Integer(value) => value.to_string(),
             Token::Real(value) => value.to_string(),
-            Token::Text(text) => format!("{:?}", text.chars().take(40).collect::<String>()),
+            Token::Text(text) => format!("\"{}\"", excerpt(&**text)),
             Token::Numbers { .. } => "an array of numbers".into(),
             Token::Bools(_) => "an array of truths".into(),
             Token::Texts(_) => "an array of texts".into(),
@@ -257,7 +258,7 @@ impl<'a> Walk<'a> {
     fn shown_path(&self) -> String {
         match self.path.join("/").trim_start_matches('/') {
             "" => "the document".into(),
-            path => path.into(),
+            path => path.split('/').map(excerpt).collect::<Vec<_>>().join("/"),
         }
     }
 }

@@ -12,6 +12,7 @@
 use crate::bytes::Endian;
 use crate::data::Values;
 use crate::error::{Error, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::number::{self, Number, interleaved};
 
@@ -134,7 +135,7 @@ fn small(walk: &mut Walk, limits: &Limits) -> Result<usize> {
 
 fn storage_of(walk: &mut Walk) -> Result<Storage> {
     let name = walk.text()?;
-    Storage::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage {name:?}")))
+    Storage::of(&name).ok_or_else(|| walk.invalid(format!("unknown storage \"{}\"", excerpt(&*name))))
 }
 
 /// The next value, an array of numbers or of arrays of them, one after the other: at most `most`.

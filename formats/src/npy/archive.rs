@@ -15,6 +15,7 @@ use std::io::Read;
 
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 
 use super::ARCHIVE;
@@ -134,7 +135,7 @@ fn member(cursor: &mut Cursor) -> Result<Member> {
     let extra = cursor.take(extra.into(), "the extra field")?;
     cursor.take(comment.into(), "the comment")?;
     if flags & 1 != 0 {
-        return Err(Error::unsupported(ARCHIVE, format!("`{name}` is encrypted")));
+        return Err(Error::unsupported(ARCHIVE, format!("`{}` is encrypted", excerpt(&name))));
     }
     let [bytes, packed_bytes, local_offset] = widened([bytes, packed_bytes, local_offset], extra);
     Ok(Member { name, method, checksum, packed_bytes, bytes, local_offset })
@@ -179,7 +180,10 @@ impl Member {
             STORED => Cow::Borrowed(packed),
             DEFLATED => Cow::Owned(self.inflated(packed)?),
             other => {
-                let what = format!("`{}` is packed by method {other}: save it stored or deflated", self.name);
+                let what = format!(
+                    "`{}` is packed by method {other}: save it stored or deflated",
+                    excerpt(&self.name)
+                );
                 return Err(Error::unsupported(ARCHIVE, what));
             }
         };
@@ -195,7 +199,7 @@ impl Member {
         let offset = usize::try_from(self.local_offset).unwrap_or(usize::MAX);
         let mut cursor = Cursor::new(ARCHIVE, Endian::Little, archive, offset);
         if cursor.take(4, "the header of a member")? != LOCAL {
-            return Err(cursor.invalid(format!("expected the header of `{}`", self.name)));
+            return Err(cursor.invalid(format!("expected the header of `{}`", excerpt(&self.name))));
         }
         cursor.take(22, "the header of a member")?;
         let name = u16::from_le_bytes(cursor.array("the length of the name")?);
@@ -212,7 +216,7 @@ impl Member {
     }
 
     fn damaged(&self) -> Error {
-        let what = format!("the member `{}` is damaged", self.name);
+        let what = format!("the member `{}` is damaged", excerpt(&self.name));
         Error::invalid(ARCHIVE, Place::Offset(self.local_offset), what)
     }
 }

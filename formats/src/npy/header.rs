@@ -2,6 +2,7 @@
 
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::number::Number;
 
@@ -177,7 +178,7 @@ fn layout_of(descr: &Literal, limits: &Limits) -> std::result::Result<Layout, Re
     match descr {
         Literal::Text(code) => Ok(match element(code)? {
             Element { number: Some((number, endian)), .. } => Layout::Plain { number, endian },
-            _ => Layout::Unread(format!("elements of the type {code:?}")),
+            _ => Layout::Unread(format!("elements of the type \"{}\"", excerpt(code))),
         }),
         Literal::List(_) => {
             let mut fields = Vec::new();
@@ -264,7 +265,7 @@ struct Element {
 
 /// A byte order, a letter and a size: `<f4`.
 fn element(code: &str) -> std::result::Result<Element, Refusal> {
-    let invalid = || Refusal::Invalid(format!("the type {code:?} is none that is known"));
+    let invalid = || Refusal::Invalid(format!("the type \"{}\" is none that is known", excerpt(code)));
     let (endian, rest) = match code.split_at_checked(1) {
         Some((">", rest)) => (Endian::Big, rest),
         Some(("<" | "|" | "=", rest)) => (Endian::Little, rest), // what is native, today

@@ -17,6 +17,7 @@ mod literal;
 
 use crate::data::ParticleFrame;
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::names::{group_columns, position_rank};
@@ -69,7 +70,7 @@ pub fn read_archive(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         let within = |error| within_member(error, name);
         let header = header::read(&content, limits).map_err(within)?;
         if let Layout::Unread(what) = &header.layout {
-            notes.push(format!("`{name}` holds {what} and was left out."));
+            notes.push(format!("`{}` holds {what} and was left out.", excerpt(name)));
             continue;
         }
         let data = header.data(&content).map_err(within)?;
@@ -90,9 +91,11 @@ fn within_member(error: Error, name: &str) -> Error {
     match error {
         // All of the array is there: the archive's checksum said so.
         Error::Short { place, what, .. } | Error::Invalid { place, what, .. } => {
-            Error::invalid(ARCHIVE, Place::File, format!("the array `{name}`, {place}: {what}"))
+            Error::invalid(ARCHIVE, Place::File, format!("the array `{}`, {place}: {what}", excerpt(name)))
         }
-        Error::TooLarge { what, .. } => Error::too_large(ARCHIVE, format!("the array `{name}`: {what}")),
+        Error::TooLarge { what, .. } => {
+            Error::too_large(ARCHIVE, format!("the array `{}`: {what}", excerpt(name)))
+        }
         other => other,
     }
 }
@@ -129,7 +132,8 @@ fn arrays_of(header: &Header, data: &[u8], limits: &Limits) -> Result<(Vec<Named
                         arity: *arity,
                         values: number.decode_strided(data, *endian, *stride, *offset, *arity),
                     }),
-                    None => notes.push(format!("The field `{name}` holds no numbers and was left out.")),
+                    None => notes
+                        .push(format!("The field `{}` holds no numbers and was left out.", excerpt(name))),
                 }
             }
             Ok((arrays, notes))
@@ -173,7 +177,10 @@ fn frame_of_archive(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Res
         let is_kept = array.particle_count() == count && array.arity != 0;
         if !is_kept {
             let found = array.particle_count();
-            notes.push(format!("`{}` has {found} rows, not one for each particle: left out.", array.name));
+            notes.push(format!(
+                "`{}` has {found} rows, not one for each particle: left out.",
+                excerpt(&array.name)
+            ));
         }
         is_kept
     });
@@ -190,7 +197,7 @@ fn frame_of_only(mut arrays: Vec<NamedArray>, notes: &mut Vec<String>) -> Result
             return Err(no_position_among(&arrays));
         }
     };
-    notes.push(format!("`{}` is the only array: it was taken for the position.", array.name));
+    notes.push(format!("`{}` is the only array: it was taken for the position.", excerpt(&array.name)));
     Ok(unnamed_frame(array))
 }
 

@@ -12,6 +12,7 @@
 //! Indices are checked here, since what is relative can only be told on its line, and then the error names it.
 //! Text that is not Unicode, as old programs wrote into names, does no harm.
 
+use crate::excerpt::excerpt;
 use std::io::{self, BufRead, Read};
 
 /// The lines, as whoever reads them is to see them.
@@ -129,7 +130,7 @@ impl<'a> Lines<'a> {
         self.line.extend_from_slice(keyword.as_bytes());
         for word in words.take(3) {
             if !word.is_ascii() {
-                return Err(format!("`{}` is no number", String::from_utf8_lossy(word)));
+                return Err(format!("`{}` is no number", excerpt(word)));
             }
             self.line.push(b' ');
             self.line.extend_from_slice(word);
@@ -164,7 +165,7 @@ fn await_element(awaited: &mut Vec<(u64, u64)>, line: u64, number: u64, count: u
 /// An index from 1 on, of one that may count back from the last element before the line. Whether an element of that
 /// number comes is seen at the end.
 fn index(text: &[u8], count: u64, corner: &[u8]) -> Result<u64, String> {
-    let wrong = || format!("a face with the corner `{}`", String::from_utf8_lossy(corner));
+    let wrong = || format!("a face with the corner `{}`", excerpt(corner));
     let number: i64 = std::str::from_utf8(text).ok().and_then(|text| text.parse().ok()).ok_or_else(wrong)?;
     let index = match number {
         ..0 => count.checked_sub(number.unsigned_abs()).map(|before| before + 1),

@@ -6,6 +6,7 @@
 
 use crate::bytes::Endian;
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::names::{Columns, group_columns};
 use crate::scalar::Scalar;
@@ -212,12 +213,13 @@ impl Parsed {
                 None => Err("a property before any element".into()),
                 Some(element) if element.properties.len() >= limits.attribute_count => {
                     let most = limits.attribute_count;
-                    let what = format!("element `{}` has more than {most} properties", element.name);
+                    let what =
+                        format!("element `{}` has more than {most} properties", excerpt(&element.name));
                     return Err(Error::too_large(FORMAT, what));
                 }
                 Some(element) => parse_property(rest).map(|property| element.properties.push(property)),
             },
-            _ => Err(format!("unknown keyword `{}`", shortened(keyword))),
+            _ => Err(format!("unknown keyword `{}`", excerpt(keyword))),
         };
         Ok(outcome)
     }
@@ -226,21 +228,21 @@ impl Parsed {
 fn parse_format(rest: &str) -> std::result::Result<Encoding, String> {
     let (name, version) = first_word(rest);
     if version != "1.0" {
-        return Err(format!("expected format version 1.0, found `{}`", shortened(version)));
+        return Err(format!("expected format version 1.0, found `{}`", excerpt(version)));
     }
     match name {
         "ascii" => Ok(Encoding::Ascii),
         "binary_little_endian" => Ok(Encoding::BinaryLittleEndian),
         "binary_big_endian" => Ok(Encoding::BinaryBigEndian),
-        _ => Err(format!("unknown encoding `{}`", shortened(name))),
+        _ => Err(format!("unknown encoding `{}`", excerpt(name))),
     }
 }
 
 fn parse_element(rest: &str) -> std::result::Result<Element, String> {
     let (name, count) = first_word(rest);
-    let count = count
-        .parse()
-        .map_err(|_| format!("expected the number of `{name}` records, found `{}`", shortened(count)))?;
+    let count = count.parse().map_err(|_| {
+        format!("expected the number of `{}` records, found `{}`", excerpt(name), excerpt(count))
+    })?;
     Ok(Element { name: name.into(), count, properties: Vec::new() })
 }
 
@@ -265,7 +267,7 @@ fn parse_property(rest: &str) -> std::result::Result<Property, String> {
 
 fn parse_scalar(name: &str) -> std::result::Result<Scalar, String> {
     let named = SCALARS.iter().find(|(names, _)| names.contains(&name));
-    named.map(|&(_, scalar)| scalar).ok_or_else(|| format!("unknown type `{}`", shortened(name)))
+    named.map(|&(_, scalar)| scalar).ok_or_else(|| format!("unknown type `{}`", excerpt(name)))
 }
 
 /// The first word, and the rest without spaces around it.
@@ -275,10 +277,6 @@ fn first_word(text: &str) -> (&str, &str) {
 }
 
 /// Enough of a word to recognise it by in an error.
-fn shortened(word: &str) -> String {
-    word.chars().take(40).collect()
-}
-
 /// The names of the types, in the first definition and in the one with sizes.
 const SCALARS: &[([&str; 2], Scalar)] = &[
     (["char", "int8"], Scalar::I8),

@@ -2,6 +2,7 @@
 
 use crate::data::{Attribute, ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
 use crate::names::{Columns, Group};
 use crate::scalar::Scalar;
@@ -107,12 +108,10 @@ impl<'a> Target<'a> {
 }
 
 fn no_position(element: &Element) -> Error {
-    let names: Vec<&str> =
-        element.properties.iter().take(12).map(|property| property.name.as_str()).collect();
+    let names = excerpts(element.properties.iter().map(|property| &property.name));
     let what = format!(
-        "element `{}` has no properties x, y and z (or px, pos_x and the like); found: {}",
-        element.name,
-        names.join(", ")
+        "element `{}` has no properties x, y and z (or px, pos_x and the like); found: {names}",
+        excerpt(&element.name),
     );
     Error::invalid(FORMAT, Place::File, what)
 }
@@ -197,15 +196,18 @@ pub(super) fn note_on_faces(header: &Header) -> Option<String> {
 pub(super) fn notes(element: &Element, columns: &Columns) -> Vec<String> {
     let mut notes = Vec::new();
     if !element.name.eq_ignore_ascii_case("vertex") {
-        notes.push(format!("no element is called `vertex`: particles are taken from `{}`", element.name));
+        notes.push(format!(
+            "no element is called `vertex`: particles are taken from `{}`",
+            excerpt(&element.name)
+        ));
     }
     let halved = |group: &&Group| group.scale != 1.0;
     for group in columns.groups.iter().filter(halved) {
-        notes.push(format!("`{}` is taken for a diameter: the radius is half of it", group.name));
+        notes.push(format!("`{}` is taken for a diameter: the radius is half of it", excerpt(&group.name)));
     }
     for property in &element.properties {
         if matches!(property.kind, PropertyType::List { .. }) {
-            notes.push(format!("the list `{}` of each vertex is not read", property.name));
+            notes.push(format!("the list `{}` of each vertex is not read", excerpt(&property.name)));
         }
     }
     notes

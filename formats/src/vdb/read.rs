@@ -9,6 +9,7 @@ use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{Budget, GridData, LevelSetData, Storage, Value, VectorGridData, read_tree};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 
 /// What a file says of one of its grids.
@@ -81,10 +82,10 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
     };
     let Some(entry) = found.filter(|entry| entry.info.type_name == TYPE_FLOAT) else {
         let wanted = name.map_or("no float grid".into(), |name| format!("no float grid called \"{name}\""));
-        let names: Vec<String> = entries
-            .iter()
-            .map(|e| format!("\"{}\" of type {}", e.info.unique_name, e.info.type_name))
+        let mut names: Vec<String> = (entries.iter().take(8))
+            .map(|e| format!("\"{}\" of type {}", excerpt(&e.info.unique_name), excerpt(&e.info.type_name)))
             .collect();
+        names.extend(entries.get(8).map(|_| "…".to_owned()));
         return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
     };
     read_grid(bytes, &entries, entry, limits)
@@ -109,8 +110,10 @@ fn read_grid<V: Value>(
     limits: &Limits,
 ) -> Result<GridData<V>> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
-        let what =
-            format!("grid \"{}\" has a map, or is an instance of a grid, that is not read", entry.info.name);
+        let what = format!(
+            "grid \"{}\" has a map, or is an instance of a grid, that is not read",
+            excerpt(&entry.info.name)
+        );
         return Err(Error::unsupported(FORMAT, what));
     };
     let mut cursor = Cursor::new(&bytes[..tree.end]);

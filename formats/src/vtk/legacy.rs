@@ -21,6 +21,7 @@
 use crate::bytes::Endian;
 use crate::data::{ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::number::Number;
@@ -90,7 +91,7 @@ impl<'a> Line<'a> {
 
     fn count(&self, index: usize, what: &str) -> Result<u64> {
         let word = self.word(index);
-        word.parse().map_err(|_| self.invalid(&format!("expected {what}, found `{word}`")))
+        word.parse().map_err(|_| self.invalid(&format!("expected {what}, found `{}`", excerpt(word))))
     }
 
     fn invalid(&self, what: &str) -> Error {
@@ -112,7 +113,7 @@ impl<'a> File<'a> {
         let version = self.raw_line()?.ok_or_else(|| missing(self))?;
         let version = version.strip_prefix(b"# vtk DataFile Version ").unwrap_or_default().trim_ascii();
         if !matches!(version.first(), Some(b'1'..=b'5')) {
-            let what = format!("version {:?}; 1.0 to 5.1 are read", String::from_utf8_lossy(version));
+            let what = format!("version `{}`; 1.0 to 5.1 are read", excerpt(version));
             return Err(Error::unsupported(LEGACY, what));
         }
         self.raw_line()?.ok_or_else(|| missing(self))?;
@@ -120,7 +121,9 @@ impl<'a> File<'a> {
         self.is_binary = match line.keyword().as_str() {
             "BINARY" => true,
             "ASCII" => false,
-            other => return Err(line.invalid(&format!("expected ASCII or BINARY, found `{other}`"))),
+            other => {
+                return Err(line.invalid(&format!("expected ASCII or BINARY, found `{}`", excerpt(other))));
+            }
         };
         Ok(())
     }
@@ -173,8 +176,8 @@ impl<'a> File<'a> {
             "FIELD" => self.field(line, found),
             "METADATA" => self.pass_metadata(),
             other => {
-                let shown: String = other.chars().take(24).collect();
-                Err(line.invalid(&format!("expected a keyword such as POINT_DATA, found `{shown}`")))
+                Err(line
+                    .invalid(&format!("expected a keyword such as POINT_DATA, found `{}`", excerpt(other))))
             }
         }
     }
@@ -186,7 +189,7 @@ impl<'a> File<'a> {
         let count = checked_count(LEGACY, line.count(1, "the number of points")?, self.limits)?;
         let number = match type_of(line.word(2)) {
             Some(Type::Of(number)) => number,
-            _ => return Err(line.invalid(&format!("points of the type `{}`", line.word(2)))),
+            _ => return Err(line.invalid(&format!("points of the type `{}`", excerpt(line.word(2))))),
         };
         let values = self.values(line, number, (count as u64).saturating_mul(3))?;
         found.positions = Some(positions_of(LEGACY, values)?);
@@ -218,7 +221,7 @@ impl<'a> File<'a> {
     fn pass_typed(&mut self, line: &Line, count: u64) -> Result<()> {
         match type_of(line.word(1)) {
             Some(Type::Of(number)) => self.pass(line, number, count),
-            _ => Err(line.invalid(&format!("cells of the type `{}`", line.word(1)))),
+            _ => Err(line.invalid(&format!("cells of the type `{}`", excerpt(line.word(1))))),
         }
     }
 
@@ -254,8 +257,12 @@ impl<'a> File<'a> {
                 self.pass_metadata()?;
                 next = self.line()?;
             }
-            let what =
-                || format!("the file ends before array {index} of {count} in the field `{}`", line.word(1));
+            let what = || {
+                format!(
+                    "the file ends before array {index} of {count} in the field `{}`",
+                    excerpt(line.word(1))
+                )
+            };
             let next = next.ok_or_else(|| self.short(what()))?;
             let [arity, tuples] =
                 [next.count(1, "the number of components")?, next.count(2, "the number of values")?];
@@ -263,9 +270,10 @@ impl<'a> File<'a> {
             let is_kept = found.is_of_points && expected == Some(tuples);
             if found.is_of_points && !is_kept {
                 self.check_array_count(found)?;
-                found
-                    .notes
-                    .push(format!("The array `{}` has not a value for each point: left out.", next.word(0)));
+                found.notes.push(format!(
+                    "The array `{}` has not a value for each point: left out.",
+                    excerpt(next.word(0))
+                ));
             }
             let into = if is_kept { Some(&mut *found) } else { None };
             self.take_array(&next, next.word(0), next.word(3), arity, tuples, into)?;
@@ -297,14 +305,17 @@ impl<'a> File<'a> {
             (Some(Type::Bits), found) => {
                 if let Some(found) = found {
                     self.check_array_count(found)?;
-                    found.notes.push(format!("The array `{name}` of bits was left out."));
+                    found.notes.push(format!("The array `{}` of bits was left out.", excerpt(name)));
                 }
                 let size = if self.is_binary { size.div_ceil(8) } else { size };
                 self.pass(line, Number::U8, size)
             }
             (None, _) => {
-                let what =
-                    format!("the array `{name}` is of the type `{kind}`, whose size is not known: remove it");
+                let what = format!(
+                    "the array `{}` is of the type `{}`, whose size is not known: remove it",
+                    excerpt(name),
+                    excerpt(kind)
+                );
                 Err(Error::unsupported(LEGACY, what))
             }
         }
@@ -331,7 +342,7 @@ impl<'a> File<'a> {
         let words =
             Words { bytes: rest, at: 0 }.inspect(|(_, word_end)| end = *word_end).map(|(word, _)| word);
         let values = decimals(words, number, count).map_err(|word| {
-            let what = format!("expected a number of {}, found `{}`", line.word(0), word.escape_ascii());
+            let what = format!("expected a number of {}, found `{}`", line.word(0), excerpt(word));
             Error::invalid(LEGACY, Place::Offset(self.at as u64), what)
         })?;
         let found = crate::number::length(&values);
@@ -460,7 +471,8 @@ fn check_data_set(line: &Line) -> Result<()> {
     match line.word(1).to_ascii_uppercase().as_str() {
         "POLYDATA" | "UNSTRUCTURED_GRID" => Ok(()),
         other => {
-            let what = format!("a data set of the type {other} is no list of points: save POLYDATA");
+            let what =
+                format!("a data set of the type {} is no list of points: save POLYDATA", excerpt(other));
             Err(Error::unsupported(LEGACY, what))
         }
     }

@@ -2,6 +2,7 @@
 
 use crate::data::{ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
 use crate::number::{self, append};
@@ -43,7 +44,10 @@ pub(super) fn joined(pieces: Vec<Piece>, mut notes: Vec<String>) -> ParticleFram
             let found = more.iter().position(same).map(|index| more.swap_remove(index));
             let is_kept = found.is_some_and(|found| append(&mut array.values, found.values));
             if !is_kept {
-                notes.push(format!("The array `{}` is not alike in all pieces: left out.", array.name));
+                notes.push(format!(
+                    "The array `{}` is not alike in all pieces: left out.",
+                    excerpt(&array.name)
+                ));
             }
             is_kept
         });

@@ -20,6 +20,7 @@ use quick_xml::events::{BytesStart, Event};
 use crate::bytes::Endian;
 use crate::data::{ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::NamedArray;
 use crate::number::Number;
@@ -183,19 +184,22 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
             return Err(Error::unsupported(XML, what));
         }
         other => {
-            let what = format!("a data set of the type {other:?} is no list of points: save PolyData (.vtp)");
+            let what = format!(
+                "a data set of the type \"{}\" is no list of points: save PolyData (.vtp)",
+                excerpt(other)
+            );
             return Err(Error::unsupported(XML, what));
         }
     }
     let endian = match attribute(tag, "byte_order", at)?.as_deref() {
         None | Some("LittleEndian") => Endian::Little,
         Some("BigEndian") => Endian::Big,
-        Some(other) => return Err(malformed(at, &format!("unknown byte order {other:?}"))),
+        Some(other) => return Err(malformed(at, &format!("unknown byte order \"{}\"", excerpt(other)))),
     };
     let header_word_bytes = match attribute(tag, "header_type", at)?.as_deref() {
         None | Some("UInt32") => 4,
         Some("UInt64") => 8,
-        Some(other) => return Err(malformed(at, &format!("unknown type of headers {other:?}"))),
+        Some(other) => return Err(malformed(at, &format!("unknown type of headers \"{}\"", excerpt(other)))),
     };
     let packing = match attribute(tag, "compressor", at)?.as_deref() {
         None | Some("") => None,
@@ -203,7 +207,7 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
         Some("vtkLZ4DataCompressor") => Some(Packing::Lz4),
         Some("vtkLZMADataCompressor") => Some(Packing::Lzma),
         Some(other) => {
-            let what = format!("packed by {other}: save it with zlib, LZ4 or LZMA, or not packed");
+            let what = format!("packed by {}: save it with zlib, LZ4 or LZMA, or not packed", excerpt(other));
             return Err(Error::unsupported(XML, what));
         }
     };
@@ -214,8 +218,9 @@ fn opened<'a>(tag: &BytesStart, at: u64) -> Result<Document<'a>> {
 fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described<'a>> {
     let count = |name: &str, what: &str, text: String| {
         let count = text.trim().parse();
-        let count = count
-            .map_err(|_| malformed(at, &format!("{name}: expected a number of {what}, found {text:?}")))?;
+        let count = count.map_err(|_| {
+            malformed(at, &format!("{name}: expected a number of {what}, found \"{}\"", excerpt(&text)))
+        })?;
         checked_count(XML, count, limits)
     };
     let points = attribute(tag, "NumberOfPoints", at)?.unwrap_or_default();
@@ -259,7 +264,14 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
     let arity = match attribute(tag, "NumberOfComponents", at)? {
         None => 1,
         Some(text) => text.trim().parse().map_err(|_| {
-            malformed(at, &format!("the array `{name}` has {text:?} components, which is no number"))
+            malformed(
+                at,
+                &format!(
+                    "the array `{}` has \"{}\" components, which is no number",
+                    excerpt(&name),
+                    excerpt(&text)
+                ),
+            )
         })?,
     };
     let form = match attribute(tag, "format", at)?.as_deref() {
@@ -268,11 +280,21 @@ fn data_array<'a>(tag: &BytesStart, at: u64) -> Result<DataArray<'a>> {
         Some("appended") => {
             let offset = attribute(tag, "offset", at)?.unwrap_or_default();
             Form::Appended(offset.trim().parse().map_err(|_| {
-                malformed(at, &format!("the array `{name}` has the offset {offset:?}, which is no number"))
+                malformed(
+                    at,
+                    &format!(
+                        "the array `{}` has the offset \"{}\", which is no number",
+                        excerpt(&name),
+                        excerpt(&offset)
+                    ),
+                )
             })?)
         }
         Some(other) => {
-            return Err(malformed(at, &format!("the array `{name}` has the unknown format {other:?}")));
+            return Err(malformed(
+                at,
+                &format!("the array `{}` has the unknown format \"{}\"", excerpt(&name), excerpt(other)),
+            ));
         }
     };
     let number = number_of(&attribute(tag, "type", at)?.unwrap_or_default());
@@ -342,7 +364,7 @@ fn piece(described: &Described, decoder: &mut Decoder, notes: &mut Vec<String>) 
     let mut arrays = Vec::new();
     for array in &described.arrays {
         let (Some(number), 1..) = (array.number, array.arity) else {
-            notes.push(format!("The array `{}` holds no numbers and was left out.", array.name));
+            notes.push(format!("The array `{}` holds no numbers and was left out.", excerpt(&array.name)));
             continue;
         };
         let values = decoder.values(array, number, count)?;

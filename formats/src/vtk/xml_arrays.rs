@@ -3,6 +3,7 @@
 use crate::bytes::Endian;
 use crate::data::Values;
 use crate::error::{Error, Place, Result};
+use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::number::{self, Number};
 use crate::text::parse_number;
@@ -100,7 +101,7 @@ impl DataArray<'_> {
             return Err(self.invalid(&what));
         }
         let values = decimals(words.clone(), number, expected).map_err(|word| {
-            self.invalid(&format!("expected a value of the type, found `{}`", word.escape_ascii()))
+            self.invalid(&format!("expected a value of the type, found `{}`", excerpt(word)))
         })?;
         let found = number::length(&values) + words.skip(expected).count();
         if found != expected {
@@ -110,7 +111,11 @@ impl DataArray<'_> {
     }
 
     fn invalid(&self, what: &str) -> Error {
-        Error::invalid(XML, Place::Offset(self.offset), format!("the array `{}`: {what}", self.name))
+        Error::invalid(
+            XML,
+            Place::Offset(self.offset),
+            format!("the array `{}`: {what}", excerpt(&self.name)),
+        )
     }
 }
 

@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::provenance::{self, read_provenance};
 use meniscus_formats::{
-    Kind, Limits, Packing, Probe, gltf, obj, ply, probe, read_particles, stl, usda, vdb, vtk,
+    Kind, Limits, Packing, Probe, escaped, gltf, obj, ply, probe, read_particles, stl, usda, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -87,13 +87,13 @@ pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
                 failed_count += 1;
                 console.warn(format_args!("error: {}: {error}", info.file));
             }
-            None if !args.json => console.say(format_args!("{info}")),
+            None if !args.json => console.say_lines(info.to_string().lines()),
             None => {}
         }
         infos.push(info);
     }
     if args.json {
-        console.say(serde_json::to_string_pretty(&infos)?);
+        console.say_json(&infos)?;
     }
     Ok(match failed_count {
         0 => Verdict::Done,
@@ -252,7 +252,7 @@ fn made_by(kind: Kind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {
 impl fmt::Display for FileInfo {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let packed = self.packed.map(|packed| format!(", {packed}")).unwrap_or_default();
-        write!(f, "{}: {}{packed}, {} bytes", self.file, self.kind, self.bytes)?;
+        write!(f, "{}: {}{packed}, {} bytes", escaped(&self.file), self.kind, self.bytes)?;
         self.shot.iter().try_for_each(|shot| write!(f, "{shot}"))?;
         self.mesh.iter().try_for_each(|mesh| write!(f, "{mesh}"))?;
         self.particles.iter().try_for_each(|particles| write!(f, "{particles}"))?;
@@ -275,7 +275,7 @@ impl fmt::Display for FileInfo {
 
 /// One line of text: what it is, and what is to be said of it.
 fn row(f: &mut fmt::Formatter<'_>, label: &str, value: impl fmt::Display) -> fmt::Result {
-    write!(f, "\n  {label:<20} {value}")
+    write!(f, "\n  {label:<20} {}", escaped(value))
 }
 
 /// A box in world units.

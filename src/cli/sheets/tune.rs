@@ -204,7 +204,8 @@ impl<'a> Tuning<'a> {
                     let command = CommandLine::convert(places, &method, self.args.view.up);
                     // That differs from run to run, and is no part of the picture.
                     let seconds = seconds(&still);
-                    console.say(format_args!("{label}: {seconds:.2} s, {triangles}\n{}", command.text()));
+                    console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
+                    console.say(command.text());
                     lines.push(triangles);
                     (Shown::Picture(picture), Some(command))
                 }

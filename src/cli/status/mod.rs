@@ -139,9 +139,9 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Verdict
     }
     let record = StatusRecord::new(&args.out, &journal, &state, holder);
     if args.json {
-        console.say(serde_json::to_string_pretty(&record)?);
+        console.say_json(&record)?;
     } else {
-        console.say(record.text(now_ms()));
+        console.say_lines(record.lines(now_ms()));
     }
     Ok(if record.failed.is_empty() { Verdict::Done } else { Verdict::SomeFailed })
 }

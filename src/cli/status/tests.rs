@@ -96,7 +96,7 @@ fn frames_are_counted_and_told_in_order() {
 
 #[test]
 fn text_tells_what_json_tells() {
-    let text = record(&state(), Holder::Daemon("pid 12 on render-04".into())).text(64_000);
+    let text = record(&state(), Holder::Daemon("pid 12 on render-04".into())).lines(64_000).join("\n");
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "/out: running (pid 12 on render-04)");
     assert_eq!(lines[1], "30 done, 1 queued, 1 to retry, 26 failed");
@@ -104,7 +104,7 @@ fn text_tells_what_json_tells() {
     assert_eq!(lines[23], "  and 6 more: --json has them all");
     assert_eq!(lines[25], "  /sim/late.ply: cannot be read: busy (3 attempts, 55s ago)");
     assert_eq!(lines[27], "  /sim/dam.30.ply: 250000 particles, 2.25 s, 34s ago");
-    let planned = record(&State { plan: Some(plan()), ..state() }, Holder::Nobody).text(64_000);
+    let planned = record(&State { plan: Some(plan()), ..state() }, Holder::Nobody).lines(64_000).join("\n");
     let watched: Vec<&str> = planned.lines().skip(2).take(3).collect();
     let all = "  /sim and its sub-folders, only dam.*, each when its {name}.ok is there, as glb, vdb";
     assert_eq!(watched, ["watched:", all, "  /sim, as glb, vdb"]);
@@ -116,14 +116,23 @@ fn text_tells_what_json_tells() {
     let mut flawed = state();
     let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
     two.flaws = vec!["1 particle left out".into(), "the result breaks a guarantee".into()];
-    let text = record(&flawed, Holder::Nobody).text(64_000);
+    let text = record(&flawed, Holder::Nobody).lines(64_000).join("\n");
     let marked = "done, and not as it should be:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; the result breaks a guarantee";
     assert!(text.ends_with(marked), "{text}");
     let cut_short = StatusRecord { waiting_cut_short: true, ..record(&state(), Holder::Nobody) };
-    assert!(cut_short.text(0).contains("more may wait for their writers"), "{}", cut_short.text(0));
+    assert!(
+        cut_short.lines(0).join("\n").contains("more may wait for their writers"),
+        "{:?}",
+        cut_short.lines(0)
+    );
     let damaged = State { damaged_line_count: 2, ..state() };
-    assert!(record(&damaged, Holder::Nobody).text(0).contains("2 lines of the journal cannot be read"));
+    assert!(
+        record(&damaged, Holder::Nobody)
+            .lines(0)
+            .join("\n")
+            .contains("2 lines of the journal cannot be read")
+    );
 }
 
 #[test]

@@ -1,7 +1,5 @@
 //! The status as text.
 
-use std::fmt::Write;
-
 use crate::cli::clock::ago;
 use crate::cli::wording::{counted, significant};
 
@@ -12,31 +10,29 @@ const TOLD_MAX: usize = 20;
 
 impl StatusRecord {
     /// Everything, in lines; `now_ms` is milliseconds since 1970.
-    pub(super) fn text(&self, now_ms: u64) -> String {
+    pub(super) fn lines(&self, now_ms: u64) -> Vec<String> {
         let daemon = match &self.daemon {
             Some(daemon) => daemon.text(now_ms),
             None => "no daemon is known".to_owned(),
         };
         let Counts { done, queued, retrying, failed } = self.counts;
-        let mut text = format!(
-            "{}: {daemon}\n{done} done, {queued} queued, {retrying} to retry, {failed} failed",
-            self.output.display()
-        );
+        let mut lines = vec![
+            format!("{}: {daemon}", self.output.display()),
+            format!("{done} done, {queued} queued, {retrying} to retry, {failed} failed"),
+        ];
         if let Some(watches) = &self.watches {
-            text += "\nwatched:";
-            for watch in watches {
-                text += &format!("\n  {}", watch.text());
-            }
+            lines.push("watched:".to_owned());
+            lines.extend(watches.iter().map(|watch| format!("  {}", watch.text())));
         }
         if !self.waiting.is_empty() {
-            text += &format!("\nwaiting for the writers of {}:", counted(self.waiting.len(), "file"));
+            lines.push(format!("waiting for the writers of {}:", counted(self.waiting.len(), "file")));
             for WaitingStatus { input, reason } in self.waiting.iter().take(TOLD_MAX) {
-                text += &format!("\n  {}: {reason}", input.display());
+                lines.push(format!("  {}: {reason}", input.display()));
             }
-            text += &more(self.waiting.len());
+            lines.extend(more(self.waiting.len()));
         }
         if self.waiting_cut_short {
-            text += "\nnot all files were looked at: more may wait for their writers";
+            lines.push("not all files were looked at: more may wait for their writers".to_owned());
         }
         let lists = [
             ("failed", &self.failed),
@@ -45,28 +41,22 @@ impl StatusRecord {
             ("done, and not as it should be", &self.flawed),
         ];
         for (title, frames) in lists.into_iter().filter(|(_, frames)| !frames.is_empty()) {
-            text += &format!("\n{title}:");
-            for frame in frames.iter().take(TOLD_MAX) {
-                text += &format!("\n  {}", frame.text(now_ms));
-            }
-            text += &more(frames.len());
+            lines.push(format!("{title}:"));
+            lines.extend(frames.iter().take(TOLD_MAX).map(|frame| format!("  {}", frame.text(now_ms))));
+            lines.extend(more(frames.len()));
         }
         if self.damaged_lines > 0 {
-            let lines = counted(self.damaged_lines, "line");
-            // Strings take everything.
-            let _ =
-                write!(text, "\n{lines} of the journal cannot be read: what they said is found out again");
+            let damaged = counted(self.damaged_lines, "line");
+            lines.push(format!("{damaged} of the journal cannot be read: what they said is found out again"));
         }
-        text
+        lines
     }
 }
 
 /// A line on those of a list that are not told.
-fn more(count: usize) -> String {
-    match count.checked_sub(TOLD_MAX) {
-        None | Some(0) => String::new(),
-        Some(more) => format!("\n  and {more} more: --json has them all"),
-    }
+fn more(count: usize) -> Option<String> {
+    let more = count.checked_sub(TOLD_MAX).filter(|&more| more > 0)?;
+    Some(format!("  and {more} more: --json has them all"))
 }
 
 impl DaemonStatus {

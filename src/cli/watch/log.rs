@@ -1,27 +1,54 @@
 //! The log: one line for each thing that happened, on the standard error.
 
+use std::env;
+use std::fmt;
 use std::io::{self, IsTerminal};
 
 use anyhow::{Result, anyhow};
+use meniscus_formats::escaped;
 use tracing::Level;
+use tracing_subscriber::field::RecordFields;
+use tracing_subscriber::fmt::FormatFields;
+use tracing_subscriber::fmt::format::{DefaultFields, Writer};
 
 use crate::cli::args::LogChoice;
+
+/// The environment variable that sets the least severe level to log: `error`, `warn`, `info` or `debug`.
+const LEVEL_VARIABLE: &str = "MENISCUS_LOG";
 
 /// From now on, what is logged is written. Only once in a process.
 ///
 /// # Errors
-/// When there is a log already.
+/// When there is a log already, or the level in the environment is unknown.
 pub(super) fn start(choice: LogChoice) -> Result<()> {
+    let level = match env::var(LEVEL_VARIABLE) {
+        Ok(text) => text.parse().map_err(|_| {
+            anyhow!("{LEVEL_VARIABLE} is `{text}`: expected `error`, `warn`, `info` or `debug`")
+        })?,
+        Err(_) => Level::INFO,
+    };
     let log = tracing_subscriber::fmt()
-        .with_max_level(Level::INFO)
+        .with_max_level(level)
         .with_target(false)
         .with_writer(io::stderr)
         .with_ansi(choice == LogChoice::Text && io::stderr().is_terminal())
         // They would be told on the standard error, which is what has just failed; and a panic follows.
         .log_internal_errors(false);
     let started = match choice {
-        LogChoice::Text => log.try_init(),
+        LogChoice::Text => log.fmt_fields(EscapedFields).try_init(),
         LogChoice::Json => log.json().flatten_event(true).try_init(),
     };
     started.map_err(|error| anyhow!("cannot start the log: {error}"))
+}
+
+/// The fields of an event as text, the message first. Values may come from files and file names, so
+/// everything that could forge a line or control the terminal is escaped.
+struct EscapedFields;
+
+impl<'writer> FormatFields<'writer> for EscapedFields {
+    fn format_fields<R: RecordFields>(&self, mut writer: Writer<'writer>, fields: R) -> fmt::Result {
+        let mut text = String::new();
+        DefaultFields::new().format_fields(Writer::new(&mut text), fields)?;
+        write!(writer, "{}", escaped(text))
+    }
 }

@@ -1,0 +1,123 @@
+//! Names and contents of files neither forge lines nor control the terminal.
+
+use std::fs;
+use std::path::Path;
+
+use serde_json::Value;
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Ran, block, meniscus, write_ply};
+
+/// A file name that forges a line, sets a window title in both ways and turns the text around.
+const NAME: &str = "dam\nerror: forged\u{1b}]0;title\u{7}\u{9b}31m\u{202e}.1.ply";
+
+/// The same as it is printed.
+const SHOWN: &str = "dam\\nerror: forged\\u{1b}]0;title\\u{7}\\u{9b}31m\\u{202e}.1.ply";
+
+/// A folder `in` with a good frame and a damaged one, both with such names.
+fn folder() -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("a folder");
+    write_ply(&folder.path().join("in").join(NAME), &block(4, 0.0));
+    fs::write(folder.path().join("in").join(NAME.replace(".1.", ".2.")), "ply\nformat \u{1b}[2J 1.0\n")
+        .expect("written");
+    folder
+}
+
+/// Runs a command, and asserts that it prints nothing but lines of text, none of them forged.
+#[track_caller]
+fn run(folder: &Path, arguments: &[&str], status: i32) -> Ran {
+    let ran = meniscus(folder, arguments);
+    assert_eq!(ran.status, status, "{arguments:?}: {} {}", ran.out, ran.err);
+    for text in [&ran.out, &ran.err] {
+        let is_unsafe = |char: char| char != '\n' && meniscus_formats::is_unsafe(char);
+        assert!(!text.contains(is_unsafe), "{arguments:?}: {text:?}");
+        assert!(!text.lines().any(|line| line.starts_with("error: forged")), "{arguments:?}: {text}");
+    }
+    ran
+}
+
+#[test]
+fn control_characters_in_file_names_are_escaped_in_all_output() {
+    let folder = folder();
+    let path = folder.path();
+    let frame = &*format!("in/{NAME}");
+    let ran = run(path, &["convert", "in", "--out", "out", "--report", "report.json"], 1);
+    assert!(ran.out.contains(SHOWN), "{}", ran.out);
+    assert!(ran.err.contains("unknown encoding `\\u{1b}[2J`"), "{}", ran.err);
+    run(path, &["convert", frame, "--out", "out", "--frames", "7"], 2);
+    run(path, &["convert", "--no-such-option\u{1b}[2J\nerror: forged", frame, "--out", "out"], 2);
+    run(path, &["convert", "missing\u{1b}[2J\nerror: forged.ply", "--out", "out"], 2);
+    assert!(run(path, &["info", frame], 0).out.starts_with(&format!("in/{SHOWN}: ")));
+    let json: Value = serde_json::from_str(&run(path, &["info", "--json", frame], 0).out).expect("JSON");
+    assert_eq!(json[0]["file"], *frame, "the name is whole in JSON");
+    run(path, &["convert", frame, "--out", "out", "--print-settings"], 0);
+    run(path, &["plan", frame, "--out", "out", "--plan", "plan.json"], 0);
+    run(path, &["verify", "out", "--plan", "plan.json"], 1);
+    run(path, &["sequence", "out", "--out", "shot.glb"], 0);
+    run(path, &["render", frame, "--out", "pictures", "--size", "32x32"], 0);
+}
+
+#[test]
+fn control_characters_in_file_names_are_escaped_in_the_log_and_in_status() {
+    let folder = folder();
+    let path = folder.path();
+    let text = run(path, &["watch", "in", "--out", "out", "--once", "--settle", "10ms"], 1).err;
+    let is_entry = |line: &str| line.contains(" INFO ") || line.contains(" WARN ") || line.contains("ERROR ");
+    assert!(text.lines().all(is_entry), "{text}");
+    assert!(text.contains(SHOWN), "{text}");
+    let status = run(path, &["status", "--out", "out"], 1).out;
+    assert!(status.contains(SHOWN), "{status}");
+    let status = run(path, &["status", "--out", "out", "--json"], 1).out;
+    let status: Value = serde_json::from_str(&status).expect("JSON");
+    assert!(status["last_done"][0]["input"].as_str().expect("a path").ends_with(NAME), "{status}");
+    run(path, &["why", &format!("in/{NAME}"), "--out", "out"], 0);
+    // JSON has escapes of its own for what could end a line.
+    let log = ["watch", "in", "--out", "json", "--once", "--settle", "10ms", "--log", "json"];
+    let ran = meniscus(path, &log);
+    for line in ran.err.lines() {
+        assert!(!line.contains(char::is_control) || line.contains('\u{9b}'), "{line:?}");
+        assert!(serde_json::from_str::<Value>(line).is_ok(), "{line}");
+    }
+}
+
+#[test]
+fn names_and_strings_from_files_are_escaped_by_info() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let header =
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+    let header = format!("{header}property float te\u{1b}]0;title\u{7}mp\nend_header\n");
+    fs::write(path.join("a.ply"), format!("{header}0 0 0 1\n")).expect("written");
+    assert!(run(path, &["info", "a.ply"], 0).out.contains("te\\u{1b}]0;title\\u{7}mp: "));
+    run(path, &["info", "--json", "a.ply"], 0);
+}
+
+/// A file that lies in the folder by mistake may hold secrets: messages quote little of it.
+#[test]
+fn messages_quote_little_of_a_file_that_is_not_what_it_should_be() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    let secret = "hunter2hunter2hunter2hunter2hunter2";
+    for (name, text) in [
+        ("a.csv", format!("password={secret}\n")),
+        ("b.csv", format!("password={secret},user,host\n")),
+        ("c.csv", format!("password={secret}\nx,y,z\n0,0,0\n1,0,0\n0,1,0\n")),
+        ("d.csv", format!("x,y,z\n0,0,password={secret}\n")),
+        ("e.ply", format!("ply\npassword={secret}\n")),
+        ("f.ply", format!("ply\nformat ascii 1.0\nelement vertex password={secret}\n")),
+        ("g.vtk", format!("# vtk DataFile Version 3.0\n\npassword={secret}\n")),
+        ("h.obj", format!("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 password={secret}\n")),
+        ("i.lammpstrj", format!("ITEM: TIMESTEP\npassword={secret}\n")),
+        ("j.geo", format!("PGEOMETRY V5\npassword={secret}\n")),
+        ("k.geo", format!("[\"pointcount\",\"password={secret}\"]")),
+    ] {
+        fs::write(path.join(name), text).expect("written");
+        let ran = meniscus(path, &["convert", name, "--out", "out"]);
+        let printed = ran.out + &ran.err;
+        assert!(!printed.contains("hunter2"), "{printed}");
+    }
+    // The first line is still shown, so that its owner finds it.
+    let printed = meniscus(path, &["convert", "c.csv", "--out", "out", "--voxel-size", "0.5"]).err;
+    assert!(printed.contains("\"password=…\""), "{printed}");
+}
