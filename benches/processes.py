@@ -77,7 +77,7 @@ def solid(count):
     path = SOLIDS / f"solid_{count:.0f}.ply"
     if not path.exists():
         print(f"writing {path}", flush=True)
-        generator = ["cargo", "run", "--release", "--quiet", "--example", "solid", "--", str(count), path]
+        generator = ["cargo", "run", "--release", "--quiet", "-p", "solid", "--", str(count), path]
         subprocess.run(generator, cwd=ROOT, check=True)
     with path.open("rb") as file:
         header = file.read(300).decode("ascii", errors="replace")

@@ -1,6 +1,6 @@
 """Makes live.gif: a dam break and its surfaces, frame by frame. Runs in a Python with Pillow, from the root:
 
-    cargo build --release --bin meniscus --example dam_break && python docs/images/live.py
+    cargo build --release --bin meniscus && cargo build --release -p dam_break && python docs/images/live.py
 
 To the left the particles, to the right what meniscus makes of them.
 """
@@ -24,7 +24,7 @@ MILLISECONDS = 50
 def main():
     with tempfile.TemporaryDirectory() as folder:
         cache, pictures = Path(folder) / "cache", Path(folder) / "pictures"
-        subprocess.run([TARGET / "examples/dam_break", cache, str(FRAMES)], check=True)
+        subprocess.run([TARGET / "dam_break", cache, str(FRAMES)], check=True)
         size = "x".join(map(str, SIZE))
         render = [TARGET / "meniscus", "render", cache, "--out", pictures, "--particles", "--size", size]
         subprocess.run(render, check=True, stdout=subprocess.DEVNULL)

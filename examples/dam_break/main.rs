@@ -1,7 +1,7 @@
 //! A dam break of 3 072 particles, and its surfaces while it runs.
 //!
 //! ```text
-//! cargo run --release --example dam_break -- out/cache 60 out/surfaces
+//! cargo run --release -p dam_break -- out/cache 60 out/surfaces
 //! ```
 //!
 //! The simulation writes a frame into `out/cache` every fraction of a second. Beside it the daemon
@@ -12,7 +12,7 @@
 //! Without a folder for surfaces it only simulates: so `examples/frames` were made.
 //!
 //! ```text
-//! cargo run --release --example dam_break -- examples/frames 8
+//! cargo run --release -p dam_break -- examples/frames 8
 //! ```
 
 mod water;

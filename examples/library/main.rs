@@ -1,8 +1,8 @@
 //! meniscus from another program: one frame to a mesh in ten lines, and a folder to a folder in twenty.
 //!
 //! ```text
-//! cargo run --release --example library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
-//! cargo run --release --example library -- examples/frames out/library
+//! cargo run --release -p library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
+//! cargo run --release -p library -- examples/frames out/library
 //! ```
 //!
 //! Another crate needs `meniscus` and `meniscus-formats` for the first, and `rayon`, whose threads do the computing, for

@@ -1,7 +1,7 @@
 //! Writes a solid full of particles, of any number, as binary PLY: something large to skin.
 //!
 //! ```text
-//! cargo run --release --example solid -- 309e6 FILE.ply
+//! cargo run --release -p solid -- 309e6 FILE.ply
 //! ```
 //!
 //! The shape is always the same and the lattice in it as fine as the number asks for, so that it is to 0.6, 4.8,

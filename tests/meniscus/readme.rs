@@ -6,7 +6,7 @@
 
 #![cfg(target_os = "linux")]
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::env;
 use std::fs::{self, File};
 use std::io::{BufWriter, ErrorKind};
@@ -48,7 +48,7 @@ fn every_command_does_what_it_says() {
         let before = scene.outputs(&made);
         match words[..] {
             ["cargo", "test", "--workspace"] => {}
-            ["cargo", "run", "--release", "--example", example, "--", ..] => {
+            ["cargo", "run", "--release", "-p", example, "--", ..] => {
                 let arguments = command.split_once(" -- ").expect("just seen").1;
                 scene.runs(&format!("{} {arguments}", example_program(example).display()));
             }
@@ -96,9 +96,9 @@ const IN_SENTENCES: [(&str, &str, &str); 7] = [
     ("meniscus tune INPUT -o tune.png", "README.md", "\nmeniscus tune cache/ -o tune.png"),
     ("meniscus convert --help", "tests/meniscus/manual.rs", "--help"),
     (
-        "cargo run --release --example solid -- 38.6e6 FILE.ply",
+        "cargo run --release -p solid -- 38.6e6 FILE.ply",
         "benches/processes.py",
-        "\"--example\", \"solid\", \"--\", str(count), path",
+        "\"-p\", \"solid\", \"--\", str(count), path",
     ),
 ];
 
@@ -122,7 +122,7 @@ fn commands_in_sentences_are_tried_elsewhere() {
 /// What a command makes: files, and folders.
 fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     // Examples take no options: what they make comes last.
-    if words.contains(&"--example") {
+    if words.contains(&"-p") {
         return words.last().copied().into_iter().collect();
     }
     let options: &[&str] = match words[..] {
@@ -134,18 +134,47 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
     words.windows(2).filter(|pair| options.contains(&pair[0])).map(|pair| pair[1]).collect()
 }
 
-/// An example, built as this test is.
+/// An example, built as this test is: together with it, so that Cargo chooses the same features of all crates.
 fn example_program(name: &str) -> PathBuf {
     let build = Command::new(env!("CARGO"))
-        .args(["build", "--locked", "--workspace", "--example", name, "--message-format", "json"])
+        .args(["build", "--locked", "--workspace", "--bin", name, "--test", "meniscus"])
+        .args(["--message-format", "json"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
         .expect("cargo starts");
     let (out, err) = (String::from_utf8_lossy(&build.stdout), String::from_utf8_lossy(&build.stderr));
     assert!(build.status.success(), "{name}: {err}");
     let messages = out.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
+    let messages = messages.filter(|message| message["target"]["name"] == name);
     let mut programs = messages.filter_map(|message| Some(message["executable"].as_str()?.into()));
     programs.next_back().unwrap_or_else(|| panic!("{name} is no program"))
+}
+
+/// The README has its reader build the program first. What it runs next must not take minutes more.
+#[test]
+fn examples_of_the_readme_need_no_crate_or_feature_that_the_program_does_not_need() {
+    let crates = |arguments: &[&str]| {
+        let tree = ["tree", "--edges", "normal,build", "--prefix", "none", "--format", "{p} {f}"];
+        let tree = Command::new(env!("CARGO"))
+            .args(tree)
+            .args(["--locked", "--offline"])
+            .args(arguments)
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .output()
+            .expect("cargo starts");
+        assert!(tree.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&tree.stderr));
+        let lines = String::from_utf8(tree.stdout).expect("text");
+        lines.lines().map(|line| line.trim_end_matches(" (*)").to_owned()).collect::<BTreeSet<String>>()
+    };
+    let program = crates(&[]);
+    let examples =
+        commands(README).into_iter().filter_map(|command| command.split_once("cargo run --release -p "));
+    let examples: BTreeSet<&str> = examples.filter_map(|(_, rest)| rest.split(' ').next()).collect();
+    assert_eq!(examples, BTreeSet::from(["dam_break", "library"]));
+    for example in examples {
+        let more: Vec<String> = crates(&["-p", example]).difference(&program).cloned().collect();
+        assert!(more.len() == 1 && more[0].starts_with(example), "{example} needs more: {more:#?}");
+    }
 }
 
 /// Files by their names, and what tells one version from the next.
@@ -355,5 +384,5 @@ fn commands_are_found_without_their_remarks() {
     assert_eq!(made_by(&["meniscus", "render", "a", "-o", "b.png", "--out", "c"]), ["b.png", "c"]);
     assert_eq!(made_by(&["meniscus", "status", "--out", "c"]), [""; 0]);
     assert_eq!(made_by(&["meniscus", "plan", "a", "--out", "c", "-o", "p"]), ["p"]);
-    assert_eq!(made_by(&["cargo", "run", "--example", "e", "--", "in", "out"]), ["out"]);
+    assert_eq!(made_by(&["cargo", "run", "-p", "e", "--", "in", "out"]), ["out"]);
 }
