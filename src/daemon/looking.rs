@@ -123,7 +123,8 @@ impl Daemon<'_> {
                 tracing::debug!(frame = %id.path.display(), "ready: {proof}");
                 self.ready(id, stamp);
             }
-            Readiness::Waiting { until, .. } => {
+            Readiness::Waiting { until, why } => {
+                tracing::debug!(frame = %id.path.display(), bytes = stamp.size, "waiting because {why}");
                 if let Some(until) = until {
                     self.frames.set_alarm(id, until);
                 }

@@ -40,17 +40,6 @@ impl Daemon<'_> {
     fn converted(&mut self, id: &FrameId, report: &FrameReport) {
         let skin = &report.skin;
         let seconds = report.read_seconds + skin.seconds.total() + report.write_seconds;
-        tracing::info!(
-            frame = %id.path.display(),
-            particles = skin.particle_count,
-            read_s = rounded(report.read_seconds),
-            rasterize_s = rounded(skin.seconds.rasterize),
-            smooth_s = rounded(skin.seconds.smooth),
-            contour_s = rounded(skin.seconds.contour),
-            write_s = rounded(report.write_seconds),
-            queue = self.queue.len(),
-            "converted"
-        );
         let sequence = self.frames.get(id).map(|frame| frame.sequence);
         // What is so with one frame is so with the next, as a rule.
         let is_new = |note: &String| {
@@ -72,10 +61,21 @@ impl Daemon<'_> {
         };
         self.note_done(id, FrameRecord { hash: Some(report.input.hash), ..record });
         self.show_converted(id, report);
+        // Last: a frame that the log calls converted is in the journal, and on the board.
+        tracing::info!(
+            frame = %id.path.display(),
+            particles = skin.particle_count,
+            read_s = rounded(report.read_seconds),
+            rasterize_s = rounded(skin.seconds.rasterize),
+            smooth_s = rounded(skin.seconds.smooth),
+            contour_s = rounded(skin.seconds.contour),
+            write_s = rounded(report.write_seconds),
+            queue = self.queue.len(),
+            "converted"
+        );
     }
 
     fn already_done(&mut self, id: &FrameId, frame: &Frame, input: &ReadInput) {
-        tracing::info!(frame = %id.path.display(), queue = self.queue.len(), "was done already");
         let outputs = frame.outputs.formats.iter().map(|&format| {
             let path = output_path(&frame.outputs.folder, &frame.stem, format);
             let size_bytes = path.metadata().map_or(0, |metadata| metadata.len());
@@ -89,6 +89,7 @@ impl Daemon<'_> {
         self.note_done(id, record);
         count(self.board, |counters| counters.found_done += 1);
         self.show(id);
+        tracing::info!(frame = %id.path.display(), queue = self.queue.len(), "was done already");
     }
 
     fn note_done(&mut self, id: &FrameId, record: FrameRecord) {
@@ -115,13 +116,13 @@ impl Daemon<'_> {
                     false => self.room.was_refused(error.to_string(), now),
                 }
                 self.queue.pause(true);
-                tracing::warn!(frame = %id.path.display(), "{error}: paused until that has changed");
                 self.retry_at(id, stamp, now, &error.to_string());
+                tracing::warn!(frame = %id.path.display(), "{error}: paused until that has changed");
             }
             Remedy::Retry => self.fail_for_now(id, stamp, error, now),
             Remedy::AwaitRestart => {
-                tracing::error!(frame = %id.path.display(), "{error}");
                 self.fail_until_restart(id, stamp, error.to_string());
+                tracing::error!(frame = %id.path.display(), "{error}");
             }
             Remedy::GiveUp => self.fail_for_good(id, stamp, error.to_string()),
         }
@@ -133,12 +134,12 @@ impl Daemon<'_> {
         let attempt_count = frame.attempt_count;
         match backoff(attempt_count, self.config.once) {
             Some(wait) => {
-                tracing::warn!(frame = %id.path.display(), attempt = attempt_count, "{error}; again in {wait:?}");
                 self.retry_at(id, stamp, now + wait, &error.to_string());
+                tracing::warn!(frame = %id.path.display(), attempt = attempt_count, "{error}; again in {wait:?}");
             }
             None => {
-                tracing::error!(frame = %id.path.display(), attempt = attempt_count, "{error}; given up");
                 self.fail_until_restart(id, stamp, error.to_string());
+                tracing::error!(frame = %id.path.display(), attempt = attempt_count, "{error}; given up");
             }
         }
     }
@@ -159,10 +160,10 @@ impl Daemon<'_> {
 
     /// A frame is not tried again until its file changes.
     pub(super) fn fail_for_good(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        tracing::error!(frame = %id.path.display(), "{reason}");
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Failed, stamp, Some(reason.clone()));
-        self.note_failure(id, reason);
+        self.note_failure(id, reason.clone());
+        tracing::error!(frame = %id.path.display(), "{reason}");
         // It will have no outputs: whoever was refused their names may have them.
         self.give_way(id);
     }
@@ -170,14 +171,14 @@ impl Daemon<'_> {
     /// Other files keep a frame from being converted. They may change without it, so it is looked at again
     /// after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        tracing::error!(frame = %id.path.display(), "{reason}");
         self.set_phase(id, Phase::Failed(stamp));
         self.note(id, Standing::Refused, stamp, Some(reason.clone()));
         self.refused.insert(id.clone());
-        self.note_failure(id, reason);
+        self.note_failure(id, reason.clone());
+        tracing::error!(frame = %id.path.display(), "{reason}");
     }
 
-    /// A failure that was just told.
+    /// A failure that is logged now.
     fn note_failure(&mut self, id: &FrameId, reason: String) {
         let told_at = Some(self.finished_count);
         self.failed.insert(id.clone(), Failure { reason, told_at });

@@ -333,7 +333,7 @@ mod tests {
         fn until(&self, expected: &Hint) -> Vec<Hint> {
             let mut heard = Vec::new();
             while heard.last() != Some(expected) {
-                let next = self.hints.recv_timeout(Duration::from_secs(20));
+                let next = self.hints.recv_timeout(Duration::from_secs(300));
                 heard.push(next.unwrap_or_else(|_| panic!("{expected:?} is missing after {heard:?}")));
             }
             heard

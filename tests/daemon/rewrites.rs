@@ -205,7 +205,7 @@ fn frames_are_converted_again_when_their_obstacles_are_written_again() {
     assert!(daemon.lines(|line| line.is_found_done() && line.is_about("dam.3.ply")).is_empty());
     scene.put("body.3.obj", floor(-0.2));
     daemon.await_lines(3, "and so is the third", Line::is_found_done);
-    let complaints = daemon.lines(|line| line.level != "INFO");
+    let complaints = daemon.lines(Line::is_complaint);
     assert!(complaints.iter().all(|line| line.message.contains("inside obstacles")), "{}", told(&complaints));
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 7);
     let once = scene.once(&[&["--settle", "10ms"], &arguments[..]].concat());

@@ -29,6 +29,9 @@ fn patience() -> Duration {
 /// Settings that find changes by events alone: no scan happens to come by.
 pub(crate) const NO_SCANS: [&str; 2] = ["--rescan", "1h"];
 
+/// A window at a free port.
+pub(crate) const WINDOW: [&str; 2] = ["--listen", "127.0.0.1:0"];
+
 /// The first in the short form of a test, the second in the long one.
 pub(crate) fn by_length<T>(short: T, long: T) -> T {
     if std::env::var_os("MENISCUS_LONG").is_some_and(|value| value == "1") { long } else { short }
@@ -189,6 +192,8 @@ impl Scene {
             .args(arguments)
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
+            // Tests wait for what the daemon decides.
+            .env("MENISCUS_LOG", "debug")
             .env_remove("NOTIFY_SOCKET");
         command
     }
@@ -464,6 +469,24 @@ impl Watching {
     #[track_caller]
     pub(crate) fn await_converted(&self, name: &str) -> Line {
         self.await_line(&format!("{name} is converted"), |line| line.is_converted() && line.is_about(name))
+    }
+
+    /// Where the window of a daemon with one is, as `host:port`.
+    #[track_caller]
+    pub(crate) fn window_address(&self) -> String {
+        let line = self.await_line("the window is open", |line| line.message == "the window is open");
+        let address = line.fields["address"].as_str().expect("an address");
+        address.trim_start_matches("http://").trim_end_matches('/').to_owned()
+    }
+
+    /// Waits until the daemon has looked at this frame when it had so many bytes, and has decided to wait for a
+    /// reason with these words in it.
+    #[track_caller]
+    pub(crate) fn await_waiting(&self, name: &str, byte_count: usize, why: &str) {
+        self.await_line(&format!("{name} is waited for at {byte_count} bytes"), |line| {
+            let is_decision = line.message.starts_with("waiting because") && line.message.contains(why);
+            is_decision && line.is_about(name) && line.fields["bytes"] == byte_count
+        });
     }
 
     /// The lines of the log so far that are such.

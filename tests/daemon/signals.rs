@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use crate::scene::{Line, NO_SCANS, Scene, block, contents, moving, names_in, ply};
+use crate::scene::{Line, NO_SCANS, Scene, WINDOW, Watching, block, contents, moving, names_in, ply};
+use crate::window::get;
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
@@ -15,14 +16,24 @@ const ENDLESS: [&str; 6] = ["--integrator", "explicit", "--steps", "1000000", "-
 /// time.
 #[test]
 fn frames_under_way_are_finished() {
+    // On a busy machine all may be converted before this test hears of the first: then with more of them.
+    let is_tested = [60, 240, 960].into_iter().any(finishes_frames_under_way);
+    assert!(is_tested, "all frames were converted before it was asked to end");
+}
+
+/// Asks the daemon to end while it converts so many frames; false if it had converted all of them by then.
+fn finishes_frames_under_way(frame_count: usize) -> bool {
     let scene = Scene::new();
-    scene.put_moving(1..=60);
+    scene.put_moving(1..=frame_count);
     let arguments = [&["--settle", "10ms", "--in-flight", "2"], &FORMATS[..]].concat();
     let daemon = scene.watch(&arguments);
     daemon.await_lines(2, "some are converted", Line::is_converted);
     let log = daemon.finish();
     let mut first: Vec<String> = log.iter().filter(|line| line.is_converted()).map(name).collect();
-    assert!((2..60).contains(&first.len()), "{first:?}");
+    if first.len() == frame_count {
+        return false;
+    }
+    assert!(first.len() >= 2, "{first:?}");
     scene.assert_no_temporaries();
     // All outputs of a frame, or none.
     assert_eq!(contents(&scene.path("out")).len(), 2 * first.len());
@@ -32,19 +43,20 @@ fn frames_under_way_are_finished() {
     first.extend(next.converted());
     first.sort();
     first.dedup();
-    assert_eq!((first.len(), next.converted().len()), (60, 60 - (first.len() - next.converted().len())));
+    assert_eq!(first.len(), frame_count);
     scene.assert_as_converted(&FORMATS);
+    true
 }
 
 fn name(line: &Line) -> String {
     line.frame.as_ref().and_then(|path| path.file_name()).expect("a frame").to_string_lossy().into_owned()
 }
 
-/// Waits until the one frame of a daemon is in the pipeline.
-fn await_under_way(scene: &Scene) {
+/// Waits until the one frame of a daemon with a window is in the pipeline.
+fn await_under_way(daemon: &Watching) {
+    let address = daemon.window_address();
     crate::scene::await_that("the frame is under way", || {
-        let ran = scene.run(&["status", "--out", "out", "--json"]);
-        ran.out.contains("\"queued\": 1") || ran.out.contains("\"queued\":1")
+        get(&address, "/api/status").json()["frames"]["working"] == 1
     });
 }
 
@@ -53,15 +65,14 @@ fn a_second_signal_ends_at_once() {
     let scene = Scene::new();
     for (first, second, status) in [(Signal::TERM, Signal::TERM, 143), (Signal::TERM, Signal::INT, 130)] {
         scene.put_moving([1]);
-        let mut daemon = scene.watch(&[&["--settle", "10ms"], &FORMATS[..], &ENDLESS].concat());
-        await_under_way(&scene);
+        let mut daemon = scene.watch(&[&["--settle", "10ms"], &WINDOW[..], &FORMATS, &ENDLESS].concat());
+        await_under_way(&daemon);
         daemon.signal(first);
         daemon.await_line("it is winding up", |line| line.message.contains("asked to end"));
         assert!(daemon.is_alive());
-        let start = Instant::now();
         daemon.signal(second);
+        // The frame would take minutes: it is not finished.
         assert_eq!(daemon.await_end().code(), Some(status), "{}", daemon.told());
-        assert!(start.elapsed() < Duration::from_secs(10), "at once is not {:?}", start.elapsed());
         assert!(contents(&scene.path("out")).is_empty());
     }
     // What was broken off is begun again.
@@ -75,13 +86,14 @@ fn a_second_signal_ends_at_once() {
 fn the_deadline_for_ending_holds() {
     let scene = Scene::new();
     scene.put_moving([1]);
-    let arguments = [&["--settle", "10ms", "--stop-deadline", "300ms"], &FORMATS[..], &ENDLESS].concat();
+    let arguments =
+        [&["--settle", "10ms", "--stop-deadline", "300ms"], &WINDOW[..], &FORMATS, &ENDLESS].concat();
     let mut daemon = scene.watch(&arguments);
-    await_under_way(&scene);
+    await_under_way(&daemon);
     let start = Instant::now();
     daemon.signal(Signal::TERM);
     daemon.await_end();
-    assert!((300..10_000).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
+    assert!(start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
     assert!(contents(&scene.path("out")).is_empty());
     scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat()).assert_status(0);
     scene.assert_no_temporaries();
@@ -91,14 +103,12 @@ fn the_deadline_for_ending_holds() {
 #[test]
 fn waiting_ends_when_asked() {
     let scene = Scene::new();
-    let start = Instant::now();
     scene.watch(&NO_SCANS).finish();
     scene.write("in/dam.1.ply", &ply(&moving(1))[..1000]);
-    scene.watch(&NO_SCANS).finish();
+    scene.watch(&[&NO_SCANS[..], &["--stalled", "1h"]].concat()).finish();
     let daemon = scene.start_as(&["watch", "nowhere", "--out", "out", "--log", "json"]);
     daemon.await_ready();
     daemon.finish();
-    assert!(start.elapsed() < Duration::from_secs(20), "{:?}", start.elapsed());
 }
 
 /// Everything `watch --once` may end with is what `convert` ends with.

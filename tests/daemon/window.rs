@@ -10,10 +10,10 @@ use std::time::Duration;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::scene::{Scene, Watching, await_that, by_length, moving, ply};
+use super::scene::{Scene, WINDOW, Watching, await_that, by_length, moving, ply};
 
 /// An answer: its status, its headers in small letters, and its content.
-struct Answer {
+pub(crate) struct Answer {
     status: u16,
     headers: String,
     content: Vec<u8>,
@@ -25,17 +25,16 @@ impl Answer {
     }
 
     #[track_caller]
-    fn json(&self) -> Value {
+    pub(crate) fn json(&self) -> Value {
         serde_json::from_slice(&self.content).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
     }
 }
 
 /// Starts the daemon with a window at a port that is free; where that is.
 fn watch(scene: &Scene, arguments: &[&str]) -> (Watching, String) {
-    let watching = scene.watch(&[&["--listen", "127.0.0.1:0"], arguments].concat());
-    let line = watching.await_line("the window is open", |line| line.message == "the window is open");
-    let address = line.fields["address"].as_str().expect("an address");
-    (watching, address.trim_start_matches("http://").trim_end_matches('/').to_owned())
+    let watching = scene.watch(&[&WINDOW[..], arguments].concat());
+    let address = watching.window_address();
+    (watching, address)
 }
 
 fn connect(address: &str) -> TcpStream {
@@ -64,7 +63,7 @@ fn ask(address: &str, path: &str, lines: &str) -> Answer {
     exchange(address, request.as_bytes())
 }
 
-fn get(address: &str, path: &str) -> Answer {
+pub(crate) fn get(address: &str, path: &str) -> Answer {
     ask(address, path, "")
 }
 
@@ -555,9 +554,7 @@ fn several_folders_have_their_numbers() {
         "[daemon]\nlisten = \"127.0.0.1:0\"\n[[watch]]\ninput = \"a\"\noutput = \"x\"\n[[watch]]\ninput = \"b\"\noutput = \"y\"\n",
     );
     let watching = scene.start_as(&["watch", "--config", "two.toml", "--log", "json"]);
-    let line = watching.await_line("the window is open", |line| line.message == "the window is open");
-    let address = line.fields["address"].as_str().expect("an address").to_owned();
-    let address = address.trim_start_matches("http://").trim_end_matches('/');
+    let address = &*watching.window_address();
     await_that("both are done", || get(address, "/api/status").json()["frames"]["done"] == 2);
     for (number, folder) in [(1, "x"), (2, "y")] {
         assert_eq!(get(address, &format!("/api/frames/{number}/dam.1.ply")).status, 200);

@@ -3,10 +3,8 @@
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::os::unix::fs::symlink;
-use std::thread;
-use std::time::{Duration, Instant};
 
-use crate::scene::{Line, NO_SCANS, Scene, Watching, block, by_length, csv, moving, names_in, ply, text_ply};
+use crate::scene::{Line, NO_SCANS, Scene, Watching, block, csv, moving, names_in, ply, text_ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
@@ -23,8 +21,7 @@ fn particle_count(line: &Line) -> u64 {
 #[test]
 fn a_frame_that_is_renamed_into_place_is_not_waited_for() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&["--settle", "30s"], &NO_SCANS[..], &FORMATS].concat());
-    let start = Instant::now();
+    let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
     scene.put("in/dam.1.ply", ply(&moving(1)));
     daemon.await_converted("dam.1.ply");
     // Beside its place, under a name that is hidden.
@@ -35,7 +32,6 @@ fn a_frame_that_is_renamed_into_place_is_not_waited_for() {
     scene.write("in/dam.3.csv.part", csv(&moving(3)));
     fs::rename(scene.path("in/dam.3.csv.part"), scene.path("in/dam.3.csv")).expect("renamed");
     daemon.await_converted("dam.3.csv");
-    assert!(start.elapsed() < Duration::from_secs(25), "it was waited for {:?}", start.elapsed());
     daemon.assert_no_complaints();
     daemon.finish();
     scene.assert_as_converted(&FORMATS);
@@ -95,11 +91,10 @@ fn folders_that_lead_to_themselves_end() {
     scene.assert_folder_as_converted("in/a", "out/a", &FORMATS);
 }
 
-/// A header, then a body in parts, each so long after the other that the file looks left alone. What is
-/// there is always all of a file of fewer particles, but the header knows.
+/// A header, then a body in parts, each written when the daemon has found that the file was left alone. What
+/// is there is always all of a file of fewer particles, but the header knows.
 #[test]
 fn a_slow_writer_is_waited_for() {
-    let pause = Duration::from_millis(by_length(250, 1000));
     let scene = Scene::new();
     let daemon = watch(&scene, &[]);
     let binary = ply(&moving(1));
@@ -108,13 +103,16 @@ fn a_slow_writer_is_waited_for() {
         .map(|(name, bytes)| (File::create(scene.path(name)).expect("created"), bytes));
     let header_bytes = binary.len() - 12 * 216;
     for part in 0..6 {
+        let place = |bytes: &[u8], part: usize| match part {
+            0 => 0,
+            _ => header_bytes + (bytes.len() - header_bytes) * part / 6,
+        };
         for (file, bytes) in &files {
-            let [begin, end] = [part, part + 1].map(|n| header_bytes + (bytes.len() - header_bytes) * n / 6);
-            let begin = if part == 0 { 0 } else { begin };
-            (&*file).write_all(&bytes[begin..end]).expect("written");
+            (&*file).write_all(&bytes[place(bytes, part)..place(bytes, part + 1)]).expect("written");
         }
-        // This is what is tested: nothing happens, and no event tells when it is enough.
-        thread::sleep(pause);
+        for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]).filter(|_| part < 5) {
+            daemon.await_waiting(name, place(bytes, part + 1), "not complete");
+        }
     }
     drop(files);
     for name in ["dam.1.ply", "dam.2.ply"] {
@@ -135,16 +133,20 @@ fn append(scene: &Scene, within: &str, bytes: &[u8]) {
 #[test]
 fn a_writer_that_closes_and_goes_on_is_waited_for() {
     let scene = Scene::new();
-    let daemon = watch(&scene, &["--unproven", "1s"]);
+    let daemon = watch(&scene, &["--unproven", "1h"]);
     let binary = ply(&moving(1));
     let table = csv(&moving(2));
     // A table may end behind any row.
     let (rows, more_rows) = table.split_at(table.match_indices('\n').nth(100).expect("rows").0 + 1);
     scene.write("in/dam.1.ply", &binary[..2000]);
     scene.write("in/dam.2.csv", rows);
-    thread::sleep(Duration::from_millis(400));
+    daemon.await_waiting("dam.1.ply", 2000, "not complete");
+    daemon.await_waiting("dam.2.csv", rows.len(), "");
     append(&scene, "in/dam.1.ply", &binary[2000..]);
     append(&scene, "in/dam.2.csv", more_rows.as_bytes());
+    daemon.await_waiting("dam.2.csv", table.len(), "");
+    // Its format cannot tell, but its writer can.
+    scene.write("in/dam.2.done", "");
     for name in ["dam.1.ply", "dam.2.csv"] {
         assert_eq!(particle_count(&daemon.await_converted(name)), 216);
     }
@@ -177,8 +179,9 @@ fn a_producer_may_be_replaced() {
     let lost = ply(&block(9, 0.1, 0.0));
     scene.write("in/dam.1.ply", &lost[..4000]);
     scene.write("in/dam.2.ply", &lost[..4000]);
-    // They are seen, and waited for.
-    thread::sleep(Duration::from_millis(250));
+    for name in ["dam.1.ply", "dam.2.ply"] {
+        daemon.await_waiting(name, 4000, "not complete");
+    }
     scene.remove("in/dam.1.ply");
     scene.put_moving([1, 2]);
     for name in ["dam.1.ply", "dam.2.ply"] {
@@ -194,15 +197,17 @@ fn a_producer_may_be_replaced() {
 #[test]
 fn a_file_that_is_filled_in_place_is_waited_for() {
     let scene = Scene::new();
-    let daemon = scene.watch(&[&["--settle", "600ms"], &NO_SCANS[..], &FORMATS].concat());
+    let daemon = scene.watch(&[&["--settle", "1h"], &NO_SCANS[..], &FORMATS].concat());
     let bytes = ply(&moving(1));
     let file = File::create(scene.path("in/dam.1.ply")).expect("created");
     file.set_len(bytes.len() as u64).expect("long enough");
     for part in bytes.chunks(bytes.len().div_ceil(8)) {
         (&file).write_all(part).expect("written");
-        thread::sleep(Duration::from_millis(150));
     }
     drop(file);
+    daemon.await_waiting("dam.1.ply", bytes.len(), "");
+    assert_eq!(daemon.converted_count("dam.1.ply"), 0);
+    scene.write("in/dam.1.done", "");
     daemon.await_converted("dam.1.ply");
     daemon.assert_no_complaints();
     assert_eq!(daemon.converted_count("dam.1.ply"), 1);

@@ -13,7 +13,7 @@ use tempfile::{TempDir, tempdir};
 use crate::scene::{command, meniscus, names_in, write_sequence};
 
 /// Far longer than anything here takes.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A daemon with a service manager.
 struct Service {

@@ -77,7 +77,7 @@ impl Signal {
 
     fn wait(&self) {
         let given = self.is_given.lock().expect("nobody panics with it");
-        let limit = Duration::from_secs(60);
+        let limit = Duration::from_secs(300);
         let (given, _) = self.changed.wait_timeout_while(given, limit, |given| !*given).expect("as above");
         assert!(*given, "waited in vain");
     }
@@ -102,7 +102,7 @@ fn a_source_may_wait_for_what_came_of_earlier_frames() {
         let (number, frame) = frames.next()?;
         // All that were asked for before are through.
         for _ in 0..number.min(1) {
-            told.recv_timeout(Duration::from_secs(60)).expect("the frame before is finished");
+            told.recv_timeout(Duration::from_secs(300)).expect("the frame before is finished");
         }
         Some((number, frame))
     };
