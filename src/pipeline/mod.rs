@@ -104,7 +104,7 @@ pub use level_set_file::LevelSetFile;
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::{LevelSetSkinning, Method};
 pub(crate) use names::text_of_name;
-pub use notes::{flaws, keeps_guarantees, notes, standing_notes};
+pub use notes::{breaks_guarantee, flaws, keeps_guarantees, notes, standing_notes};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use out_folder::{

@@ -56,7 +56,15 @@ fn left_out(report: &SkinReport) -> Option<String> {
 }
 
 fn broken(report: &SkinReport) -> impl Iterator<Item = String> {
-    broken_guarantees(report).into_iter().map(|what| format!("the result breaks a guarantee: {what}"))
+    broken_guarantees(report).into_iter().map(|what| format!("{BREAKS_A_GUARANTEE}: {what}"))
+}
+
+/// How a note on a broken guarantee begins.
+const BREAKS_A_GUARANTEE: &str = "the result breaks a guarantee";
+
+/// Whether one of a frame's [flaws] is a broken guarantee.
+pub fn breaks_guarantee(flaw: &str) -> bool {
+    flaw.starts_with(BREAKS_A_GUARANTEE)
 }
 
 /// What a user should know of the shapes of particles. That stretched ones are raised to what the grid can hold is

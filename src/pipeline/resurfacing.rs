@@ -98,7 +98,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
         records(&path, provenance_kind(format), &provenance(format)).unwrap_or(false)
     };
     if conduct.skip_done && band.outputs.formats.iter().all(is_done) {
-        return Err(Outcome::AlreadyDone(input));
+        return Err(Outcome::AlreadyDone { input, fault: None });
     }
     let mut notes = notes(&bytes);
     drop(bytes);
