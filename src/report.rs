@@ -42,6 +42,8 @@ pub struct SkinReport {
     pub certificate: Certificate,
     /// Vertices that were out of their bounds by more than half a voxel, and were moved back.
     pub vertices_returned: usize,
+    /// Triangles without area at the positions that are written, which were taken out.
+    pub flat_triangles_removed: usize,
     /// ∫H² over the surface, from φ; 4π for a sphere of any size.
     pub bending_energy: f64,
     /// What was measured on the mesh.

@@ -55,6 +55,8 @@ pub(super) struct CertifiedOutput {
     pub(super) size_bytes: u64,
     /// Its hash, as it stands in provenance.
     pub(super) hash: String,
+    /// What of it the certificate is about, in words.
+    pub(super) checked: String,
 }
 
 /// The file, as it is written.
@@ -99,7 +101,7 @@ pub(super) fn hash_text(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// Writes the certificate of a frame whose outputs are on the disk and not yet to be seen.
+/// Writes the certificate of a frame whose outputs are on the disk and not yet to be seen, each with what of it was checked.
 ///
 /// # Errors
 /// When an output cannot be read back, or the system refuses.
@@ -107,7 +109,7 @@ pub(super) fn write_certificate(
     path: &Path,
     (input, input_hash): (&Path, u128),
     report: &SkinReport,
-    outputs: &[Unseen],
+    outputs: &[(&Unseen, &'static str)],
 ) -> meniscus_formats::Result<Unseen> {
     let written = Written {
         meniscus_certificate: VERSION,
@@ -124,10 +126,10 @@ pub(super) fn write_certificate(
 }
 
 /// What is said of an output: of its bytes as they can be read, not as they were meant to be.
-fn certified(output: &Unseen) -> io::Result<CertifiedOutput> {
+fn certified((output, checked): &(&Unseen, &'static str)) -> io::Result<CertifiedOutput> {
     let file = name_of(output.path()).into_owned();
     let hash = hash_text(InputFile::open(output.written_path())?.hash()?);
-    Ok(CertifiedOutput { file, size_bytes: output.size_bytes(), hash })
+    Ok(CertifiedOutput { file, size_bytes: output.size_bytes(), hash, checked: (*checked).to_owned() })
 }
 
 /// Reads a certificate.

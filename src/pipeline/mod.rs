@@ -89,6 +89,7 @@ mod stages;
 mod stamp;
 mod steps;
 mod still;
+mod stored;
 mod temporary;
 mod viewpoint;
 mod voxel_size;

@@ -113,7 +113,7 @@ const POSITION_ROUNDING_TOLD: f64 = 1.0 / 256.0;
 
 /// Whether all that is promised of a frame's result holds.
 pub fn keeps_guarantees(report: &FrameReport) -> bool {
-    broken_guarantees(&report.skin).is_empty()
+    report.skin.certificate.holds()
 }
 
 /// A sentence for each guarantee that does not hold.

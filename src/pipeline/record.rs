@@ -216,11 +216,15 @@ pub(super) struct CertificateRecord {
     vertex_distance_max_voxels: f64,
     vertices_inside_min: usize,
     vertices_outside_max: usize,
+    /// Not finite, or too far from the others: the surface is that of the rest.
+    particles_left_out: usize,
     particles_outside: usize,
     /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
     vertices_returned: usize,
+    /// Triangles without area at the positions that are written, which were taken out.
+    flat_triangles_removed: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
@@ -505,7 +509,9 @@ impl CertificateRecord {
             (true, true) => Ok(None),
             (false, false) => Ok(Some(fault)),
             (true, false) => Err(format!("it says that all holds, and has {fault}")),
-            (false, true) => Err("it says that something does not hold, and all that it counts does".to_owned()),
+            (false, true) => {
+                Err("it says that something does not hold, and all that it counts does".to_owned())
+            }
         }
     }
 }
@@ -519,9 +525,11 @@ pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertex_distance_max_voxels: certificate.vertex_distance_max,
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
+        particles_left_out: certificate.particles_left_out,
         particles_outside: certificate.particles_outside,
         particles_exempt: certificate.particles_exempt,
         vertices_returned: report.vertices_returned,
+        flat_triangles_removed: report.flat_triangles_removed,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
     }

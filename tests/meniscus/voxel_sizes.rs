@@ -120,7 +120,9 @@ fn a_surface_that_is_empty_says_why_and_what_would_help() {
     let ran = meniscus(folder.path(), &command);
     assert_eq!(ran.status, 1, "{}", ran.err);
     assert!(
-        ran.err.ends_with("error: 1 of 1 frame failed validation; outputs were kept; --allow-violations accepts them\n"),
+        ran.err.ends_with(
+            "error: 1 of 1 frame failed validation; outputs were kept; --allow-violations accepts them\n"
+        ),
         "{}",
         ran.err
     );
