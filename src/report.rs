@@ -1,5 +1,7 @@
 //! What each stage measured: plain numbers, filled in by the stages, written out by the pipeline.
 
+use glam::DVec3;
+
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactTally, DepthTally};
@@ -11,8 +13,11 @@ pub use crate::transfer::TransferCounts;
 pub struct SkinReport {
     /// Particles that were skinned.
     pub particle_count: usize,
-    /// Particles dropped: not finite, or outside the grid's range of indices.
+    /// Particles left out: not finite, outside the grid's range of indices, or so far from the others that 32-bit positions
+    /// cannot hold a surface around them.
     pub dropped_count: usize,
+    /// About where one of them is, in world units, if any of them is finite.
+    pub stray: Option<DVec3>,
     /// What was done to give particles shapes of their own; all zero where that was not asked for.
     pub shaping: Shaping,
     /// What obstacles changed of the level sets.

@@ -86,18 +86,16 @@ impl MeshCells {
     }
 
     fn leaks(&self, topology: &Topology, origin: IVec3) -> bool {
-        let around = |empty: &LeafMask, of_leaf: &dyn Fn(usize) -> LeafMask| {
-            std::array::from_fn(|place| match topology.find(origin + corner(place) * LEAF_EDGE) {
-                Some(leaf) => of_leaf(leaf),
-                None => *empty,
-            })
+        let leaves: [Option<usize>; 8] =
+            std::array::from_fn(|place| topology.find(origin + corner(place) * LEAF_EDGE));
+        let Some(leaf) = leaves[0] else { return false };
+        let all_corners = |of_leaf: &dyn Fn(usize) -> LeafMask| {
+            with_all_corners(leaves.map(|leaf| leaf.map_or(LeafMask::EMPTY, of_leaf)))
         };
-        let stored = with_all_corners(around(&LeafMask::EMPTY, &|_| LeafMask::FULL));
-        let inside = with_all_corners(around(&LeafMask::EMPTY, &|leaf| self.signs[leaf]));
-        let outside = with_all_corners(around(&LeafMask::EMPTY, &|leaf| self.signs[leaf].complement()));
-        let uniform = inside.or(&outside);
-        let Some(leaf) = topology.find(origin) else { return false };
-        let doubtful = stored.and(&uniform.or(&self.touched[leaf]).complement());
+        let stored = all_corners(&|_| LeafMask::FULL);
+        let inside = all_corners(&|leaf| self.signs[leaf]);
+        let outside = all_corners(&|leaf| self.signs[leaf].complement());
+        let doubtful = stored.and(&inside.or(&outside).or(&self.touched[leaf]).complement());
         let is_far = |offset: usize| {
             let cell = origin + voxel_in_leaf(offset);
             let width = 2 * LEAK_CELLS + 1;

@@ -49,10 +49,14 @@ pub fn flaws(report: &FrameReport) -> Vec<String> {
     left_out(&report.skin).into_iter().chain(broken(&report.skin)).collect()
 }
 
-fn left_out(report: &SkinReport) -> Option<String> {
+/// Which particles are not in the surface, if any.
+pub(super) fn left_out(report: &SkinReport) -> Option<String> {
     let left_out = counted(report.dropped_count, "particle");
-    (report.dropped_count > 0)
-        .then(|| format!("{left_out} left out: not finite, or too far away for the grid"))
+    let at = report.stray.map_or(String::new(), |stray| {
+        let [x, y, z] = stray.to_array().map(significant);
+        format!("; one is near ({x}, {y}, {z})")
+    });
+    (report.dropped_count > 0).then(|| format!("{left_out} left out: not finite, or too far away{at}"))
 }
 
 fn broken(report: &SkinReport) -> impl Iterator<Item = String> {

@@ -85,7 +85,7 @@ pub struct Smoothed {
 
 /// Skins one frame: rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
 /// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
-/// and counted in the report; [`plan`] tells of voxels that are too small for a frame.
+/// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; [`plan`] tells of voxels that are too small for a frame.
 ///
 /// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
 /// Bhattacharya, Gao and Bargteil.
@@ -134,6 +134,7 @@ pub fn rasterize<S: ParticleSource>(
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
+        stray: bins.stray,
         leaf_count: band.topology.len(),
         shaping,
         contact,

@@ -97,6 +97,7 @@ pub fn rasterize<S: ParticleSource>(
     let mut report = SkinReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
+        stray: occupancy.stray(),
         leaf_count: origins.len(),
         shaping,
         contact,
