@@ -1,5 +1,7 @@
 //! What each stage measured: plain numbers, filled in by the stages, written out by the pipeline.
 
+use glam::DVec3;
+
 pub use crate::certify::Certificate;
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactTally, DepthTally};
@@ -11,8 +13,11 @@ pub use crate::transfer::TransferCounts;
 pub struct SkinReport {
     /// Particles that were skinned.
     pub particle_count: usize,
-    /// Particles dropped: not finite, or outside the grid's range of indices.
+    /// Particles left out: not finite, outside the grid's range of indices, or so far from the others that 32-bit positions
+    /// cannot hold a surface around them.
     pub dropped_count: usize,
+    /// About where one of them is, in world units, if any of them is finite.
+    pub stray: Option<DVec3>,
     /// What was done to give particles shapes of their own; all zero where that was not asked for.
     pub shaping: Shaping,
     /// What obstacles changed of the level sets.
@@ -42,6 +47,8 @@ pub struct SkinReport {
     pub certificate: Certificate,
     /// Vertices that were out of their bounds by more than half a voxel, and were moved back.
     pub vertices_returned: usize,
+    /// Triangles without area at the positions that are written, which were taken out.
+    pub flat_triangles_removed: usize,
     /// ∫H² over the surface, from φ; 4π for a sphere of any size.
     pub bending_energy: f64,
     /// What was measured on the mesh.

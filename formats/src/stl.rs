@@ -64,10 +64,13 @@ fn count_of(triangle_count: usize) -> Result<u32> {
 }
 
 /// A vertex in the world, rounded once.
-#[expect(clippy::cast_possible_truncation, reason = "the format has 32 bits")]
 fn world(mesh: &MeshView, corner: u32) -> [f32; 3] {
-    let position = mesh.positions[corner as usize];
-    match mesh.origin {
+    at(mesh.origin, mesh.positions[corner as usize])
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "the format has 32 bits")]
+fn at(origin: [f64; 3], position: [f32; 3]) -> [f32; 3] {
+    match origin {
         [0.0, 0.0, 0.0] => position,
         origin => std::array::from_fn(|axis| (origin[axis] + f64::from(position[axis])) as f32),
     }
@@ -81,6 +84,19 @@ fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
     let normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
     let length = normal.iter().map(|x| x * x).sum::<f64>().sqrt();
     if length > 0.0 { normal.map(|x| (x / length) as f32) } else { [0.0; 3] }
+}
+
+/// The positions that a reader gets of a mesh, relative to the mesh's origin.
+#[expect(clippy::cast_possible_truncation, reason = "what is left of 32 bits has a place in as many")]
+pub fn rounded_positions(mesh: &MeshView) -> Vec<[f32; 3]> {
+    if mesh.origin == [0.0; 3] {
+        return mesh.positions.to_vec();
+    }
+    let read = |position: &[f32; 3]| -> [f32; 3] {
+        let world = at(mesh.origin, *position);
+        std::array::from_fn(|axis| (f64::from(world[axis]) - mesh.origin[axis]) as f32)
+    };
+    mesh.positions.iter().map(read).collect()
 }
 
 /// How far the positions of a mesh are moved by being rounded to 32 bits, along an axis, at most; 0 of a mesh that is

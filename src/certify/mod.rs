@@ -8,18 +8,24 @@
 //!   the mesh closed and 2-manifold
 //! ```
 //!
+//! What is said of vertices, of particles and of the mesh is said of the mesh as a file has it: with the triangles that are
+//! left, at the positions that a reader gets.
+//!
 //! The half voxel is what interpolation inside a cell may hide: the bounds hold at voxels, and a sphere bends between
 //! them.
 
 mod containment;
 mod distances;
+mod mesh_cells;
 mod particle_checks;
+mod rays;
 mod strays;
 mod surfaces;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+pub use mesh_cells::MeshCells;
 pub use particle_checks::{Part, ParticleChecks, check};
 pub use strays::Stray;
 
@@ -32,6 +38,8 @@ use crate::space::Lattice;
 pub struct Certificate {
     /// Voxels where φ leaves its bounds (Eq. 6). Always 0.
     pub bound_violation_count: usize,
+    /// Particles that were left out of the surface: not finite, or too far from the others.
+    pub particles_left_out: usize,
     /// Least distance from a mesh vertex to a particle; infinite for an empty mesh.
     pub vertex_distance_min: f64,
     /// Largest distance from a mesh vertex to its nearest particle; 0 for an empty mesh.
@@ -40,7 +48,7 @@ pub struct Certificate {
     pub vertices_inside_min: usize,
     /// Mesh vertices farther from all particles than r_max + h/2.
     pub vertices_outside_max: usize,
-    /// Particles outside the surface, but for those that are exempt.
+    /// Particles outside the mesh, but for those that are exempt.
     pub particles_outside: usize,
     /// Particles that were not asked: in an island that was dropped, beyond a box or beside its faces, in an obstacle or
     /// beside it. Only those near a surface are known.
@@ -112,13 +120,14 @@ impl Exempt for NothingExempt {
 /// The certificate of a result whose particles and bounds were checked, in parts or whole.
 pub fn certificate(
     checks: ParticleChecks,
-    bound_violation_count: usize,
+    (bound_violation_count, particles_left_out): (usize, usize),
     mesh: &Mesh,
     measures: &MeshMeasures,
     lattice: &Lattice,
 ) -> Certificate {
     Certificate {
         bound_violation_count,
+        particles_left_out,
         mesh_is_closed_manifold: measures.is_closed_manifold(),
         position_rounding: position_rounding(mesh, lattice),
         ..checks.into()

@@ -9,7 +9,7 @@
 //! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
 //! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
 
-use super::{Exempt, Stray, containment, distances};
+use super::{Exempt, MeshCells, Stray, containment, distances};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
 use crate::rasterize::{ParticleBins, Radii};
@@ -25,8 +25,12 @@ pub struct Part<'a> {
     pub radii: Radii,
     /// The band that was contoured, in these leaves and those next to them.
     pub band: &'a NarrowBand,
-    /// A mesh that has the vertices in these leaves. Others are left out.
+    /// The mesh: of its vertices those in these leaves are checked.
     pub mesh: &'a Mesh,
+    /// The cells that it passes through.
+    pub cells: &'a MeshCells,
+    /// How far vertices that are moved back may be rounded from where they belong, in voxels.
+    pub rounding: f32,
     /// What the mesh's positions are in voxels.
     pub lattice: &'a Lattice,
     /// The voxels whose leaves are checked.
@@ -46,7 +50,7 @@ pub struct ParticleChecks {
     pub vertices_inside_min: usize,
     /// Vertices farther from all particles than r_max + h/2.
     pub vertices_outside_max: usize,
-    /// Particles outside the surface, but for those that are exempt.
+    /// Particles outside the mesh, but for those that are exempt.
     pub particles_outside: usize,
     /// Particles that are exempt.
     pub particles_exempt: usize,
@@ -62,6 +66,18 @@ impl ParticleChecks {
         particles_outside: 0,
         particles_exempt: 0,
     };
+
+    /// Of two files the worse in each way.
+    pub fn or_worse(self, other: ParticleChecks) -> ParticleChecks {
+        ParticleChecks {
+            vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
+            vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
+            vertices_inside_min: self.vertices_inside_min.max(other.vertices_inside_min),
+            vertices_outside_max: self.vertices_outside_max.max(other.vertices_outside_max),
+            particles_outside: self.particles_outside.max(other.particles_outside),
+            particles_exempt: self.particles_exempt.max(other.particles_exempt),
+        }
+    }
 
     /// The checks of two parts that have no leaf in common, together.
     pub fn and(self, other: ParticleChecks) -> ParticleChecks {
@@ -113,9 +129,11 @@ mod tests {
         let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
         let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
+            let cells = &MeshCells::new(&mesh, &band, &lattice);
             let part = |owned: CoordBox| {
-                let exempt = &NothingExempt;
-                check(&Part { bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt }).0
+                let (exempt, mesh, lattice) = (&NothingExempt, &mesh, &lattice);
+                check(&Part { bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt })
+                    .0
             };
             let whole = part(CoordBox::ALL);
             let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];

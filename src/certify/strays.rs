@@ -11,7 +11,6 @@ use glam::Vec3;
 use super::distances::{CELL_MARGIN, NearLeaves};
 use super::particle_checks::Part;
 use super::surfaces::distances_and_outward;
-use crate::rasterize::{ParticleBins, Radii};
 
 /// A vertex that is out of its bounds, and the nearest place in them.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,7 +26,7 @@ pub struct Stray {
 pub(super) fn returned(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
     let mut place = local;
     for _ in 0..STEPS_MAX {
-        match step(part.bins, near, part.radii, place) {
+        match step(part, near, place) {
             None => return Some(place),
             Some(step) => place += step,
         }
@@ -44,11 +43,14 @@ pub(super) const MOVE_MAX: f32 = 1.0;
 /// Steps after which a vertex is left where it is.
 const STEPS_MAX: usize = 8;
 
-/// How much farther than to its bound a vertex is moved, in voxels: more than its position is rounded.
+/// How much farther than to its bound a vertex is moved, in voxels: more than 32 bits round its position. What a file
+/// rounds comes on top.
 const SLACK: f32 = 2e-3;
 
 /// The way to the bound that a place is beyond; `None` where it is beyond neither.
-fn step(bins: &ParticleBins, near: &NearLeaves, radii: Radii, place: Vec3) -> Option<Vec3> {
+fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
+    let Part { bins, radii, rounding, .. } = *part;
+    let slack = SLACK + rounding;
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
     for &(from_leaf, leaf) in &near.leaves {
         for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
@@ -69,11 +71,11 @@ fn step(bins: &ParticleBins, near: &NearLeaves, radii: Radii, place: Vec3) -> Op
         }
     }
     // Whoever is asked for has been found out of bounds, if by rounding only.
-    let margin = CELL_MARGIN - SLACK / 2.0;
+    let margin = CELL_MARGIN - slack / 2.0;
     if deepest.0 < -margin {
-        Some(deepest.1 * (SLACK - CELL_MARGIN - deepest.0))
+        Some(deepest.1 * (slack - CELL_MARGIN - deepest.0))
     } else if nearest.0 > margin && nearest.0.is_finite() {
-        Some(nearest.1 * (CELL_MARGIN - SLACK - nearest.0))
+        Some(nearest.1 * (CELL_MARGIN - slack - nearest.0))
     } else {
         None
     }
@@ -82,10 +84,10 @@ fn step(bins: &ParticleBins, near: &NearLeaves, radii: Radii, place: Vec3) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::certify::{NothingExempt, check};
+    use crate::certify::{MeshCells, NothingExempt, check};
     use crate::contour::{Contouring, contour};
     use crate::particles::{Cloud, Ellipsoid, Particles, Shapes};
-    use crate::rasterize::{Rasterized, Scene, rasterize};
+    use crate::rasterize::{Radii, Rasterized, Scene, rasterize};
     use crate::space::{CoordBox, Lattice};
 
     /// Vertices that are pushed out of their bounds come back to them, and the others stay.
@@ -110,8 +112,18 @@ mod tests {
                 mesh.positions[vertex] += mesh.normals[vertex] * pushed_world;
             }
             let (owned, exempt) = (CoordBox::ALL, &NothingExempt);
-            let part =
-                Part { bins: &bins, radii, band: &band, mesh: &mesh, lattice: &lattice, owned, exempt };
+            let cells = &MeshCells::new(&mesh, &band, &lattice);
+            let part = Part {
+                bins: &bins,
+                radii,
+                band: &band,
+                mesh: &mesh,
+                cells,
+                rounding: 0.0,
+                lattice: &lattice,
+                owned,
+                exempt,
+            };
             let (before, found) = check(&part);
             assert!(before.vertices_inside_min == 1 && before.vertices_outside_max == 1, "{before:?}");
             let mut mended = mesh.clone();

@@ -72,7 +72,7 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;
 
-    let mut run = Run::new(pool.current_num_threads(), on_error(args));
+    let mut run = Run::new(pool.current_num_threads(), on_error(args), args.allow_violations);
     for sequence in &sequences {
         let resolved = resolve_settings(sequence, &args.method, &outputs, &pool, console)?;
         add(&mut run, sequence, resolved, &obstacles);
@@ -176,7 +176,7 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;
 
-    let mut run = Run::new(pool.current_num_threads(), on_error(args));
+    let mut run = Run::new(pool.current_num_threads(), on_error(args), args.allow_violations);
     for sequence in &plan.sequences {
         let files = (&*sequence.outputs, &*obstacles);
         let record =
@@ -201,12 +201,12 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
             ));
         }
         let frame = plan.frame(planned, &obstacles);
-        if is_done_without_inputs(&frame) {
+        if let Some(fault) = done_without_inputs(&frame) {
             console.say(format_args!(
                 "{}: done already; what it was made from is not there any more",
                 planned.stem
             ));
-            run.add_done(frame, planned.sequence);
+            run.add_done(frame, planned.sequence, fault);
             continue;
         }
         run.add_frame(&planned.input, planned.sequence, Ok(frame));
@@ -215,10 +215,15 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
     Ok(run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console))
 }
 
-/// Whether a frame cannot be made again, its input or an obstacle being gone, and need not be: as `verify` sees it.
-fn is_done_without_inputs(frame: &Frame) -> bool {
+/// Of a frame that cannot be made again, its input or an obstacle being gone, and need not be, as `verify` sees it: what its
+/// certificate says does not hold. `None` of any other frame.
+fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
     let is_gone = !file_of(&frame.input).exists() || !frame.obstacles.are_there(frame.number);
-    is_gone && matches!(inspect(frame).state, FrameState::Done | FrameState::Uncertified(_))
+    match is_gone.then(|| inspect(frame).state)? {
+        FrameState::Done => Some(None),
+        FrameState::Uncertified(why) => Some(Some(why)),
+        FrameState::Missing { .. } | FrameState::Damaged(_) | FrameState::Stale(_) => None,
+    }
 }
 
 /// Refuses what the plan says.
@@ -248,7 +253,7 @@ fn refuse_beside_plan(args: &ConvertArgs) -> Result<()> {
     if !is_alone {
         bail!(
             "the plan says what is made of which frames, and where: beside --plan only --shard, --report, --threads, \
-             --memory and --on-error may be given; for other frames or options, plan again"
+             --memory, --on-error and --allow-violations may be given; for other frames or options, plan again"
         );
     }
     Ok(())

@@ -59,6 +59,18 @@ enum Verdict {
     NothingDone,
 }
 
+impl Verdict {
+    /// Of frames of which so many are done and so many failed. Results that broke a guarantee are there, and yet not all is
+    /// well.
+    fn of(done_count: usize, failed_count: usize, has_violations: bool) -> Verdict {
+        match (failed_count, done_count) {
+            (0, _) if !has_violations => Verdict::Done,
+            (1.., 0) => Verdict::NothingDone,
+            _ => Verdict::SomeFailed,
+        }
+    }
+}
+
 /// Whether a configuration file with this text would be understood; nothing of it is done.
 ///
 /// # Errors

@@ -92,7 +92,7 @@ pub(super) fn convert_level_sets(
         tally.note(&bands[index].input, &outcome, described, (has_bar, console));
     });
     console.hide_bar();
-    Ok(tally.finish(bands.len(), start.elapsed().as_secs_f64(), console))
+    Ok(tally.finish((bands.len(), args.allow_violations), start.elapsed().as_secs_f64(), console))
 }
 
 /// Refuses what needs particles, what needs a slack where there is none, and what level sets are not converted to.

@@ -13,6 +13,7 @@ use crate::pipeline::{
 
 use super::Verdict;
 use super::console::Console;
+use super::tally::say_violations;
 use super::wording::{FRAMES_IN_VIEW, counted, described};
 
 /// A frame that was asked for.
@@ -26,8 +27,8 @@ struct AskedFrame {
 /// What to do with a frame.
 enum Work {
     Convert(Frame),
-    /// Nothing: it is done, and cannot be compared with what it was made from.
-    IsDone(Frame),
+    /// Nothing: it is done, and cannot be compared with what it was made from; and what its certificate says does not hold.
+    IsDone(Frame, Option<String>),
     /// Nothing, for its sequence has no settings, and why.
     Impossible(String),
 }
@@ -54,8 +55,9 @@ pub(super) struct Run {
     on_error: OnError,
     record: RunRecord,
     done_count: usize,
-    /// Those among them whose results break a guarantee.
+    /// Those among them whose results break a guarantee, and whether that is no failure.
     broken_count: usize,
+    allow_violations: bool,
     not_started_count: usize,
     failures: Vec<String>,
     /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
@@ -69,7 +71,7 @@ pub(super) struct Run {
 
 impl Run {
     /// A run that has not begun.
-    pub(super) fn new(thread_count: usize, on_error: OnError) -> Run {
+    pub(super) fn new(thread_count: usize, on_error: OnError, allow_violations: bool) -> Run {
         Run {
             planned: Vec::new(),
             noted_count: 0,
@@ -78,6 +80,7 @@ impl Run {
             record: RunRecord::new(thread_count),
             done_count: 0,
             broken_count: 0,
+            allow_violations,
             not_started_count: 0,
             failures: Vec::new(),
             told: HashSet::new(),
@@ -99,12 +102,13 @@ impl Run {
         self.planned.push(AskedFrame { input: input.to_owned(), sequence_index, work });
     }
 
-    /// Adds a frame that is done, and cannot be compared with what it was made from.
-    pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize) {
+    /// Adds a frame that is done, and cannot be compared with what it was made from. `fault` is what its certificate says
+    /// does not hold.
+    pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize, fault: Option<String>) {
         self.planned.push(AskedFrame {
             input: frame.input.clone(),
             sequence_index,
-            work: Work::IsDone(frame),
+            work: Work::IsDone(frame, fault),
         });
     }
 
@@ -125,7 +129,7 @@ impl Run {
             .enumerate()
             .filter_map(|(place, planned)| match &planned.work {
                 Work::Convert(frame) => Some((place, frame.clone())),
-                Work::IsDone(_) | Work::Impossible(_) => None,
+                Work::IsDone(..) | Work::Impossible(_) => None,
             })
             .unzip();
         let conduct =
@@ -146,9 +150,9 @@ impl Run {
         for AskedFrame { input, sequence_index, work } in planned {
             let is_stopped = self.on_error == OnError::Stop && !self.failures.is_empty();
             match work {
-                Work::IsDone(frame) => {
+                Work::IsDone(frame, fault) => {
                     self.record.add_done(frame, *sequence_index);
-                    self.done_count += 1;
+                    self.note_done(input, fault.as_deref(), console);
                 }
                 Work::Impossible(why) if !is_stopped => {
                     // It is the same for all frames of a sequence.
@@ -181,7 +185,7 @@ impl Run {
         self.noted_count += 1;
         self.record.add_frame(frame, sequence_index, outcome);
         let name = frame.input.display();
-        if matches!(outcome, Outcome::Converted(_) | Outcome::AlreadyDone(_))
+        if matches!(outcome, Outcome::Converted(_) | Outcome::AlreadyDone { .. })
             && frame.outputs.formats.contains(&OutputFormat::Glb)
         {
             let path = output_path(&frame.outputs.folder, &frame.stem, OutputFormat::Glb);
@@ -202,8 +206,8 @@ impl Run {
                     console.say(format_args!("{name}: {}", described(report)));
                 }
             }
-            Outcome::AlreadyDone(_) => {
-                self.done_count += 1;
+            Outcome::AlreadyDone { fault, .. } => {
+                self.note_done(&frame.input, fault.as_deref(), console);
                 if !has_bar {
                     console.say(format_args!("{name}: done already"));
                 }
@@ -222,6 +226,15 @@ impl Run {
         console.advance_bar();
     }
 
+    /// Notes a frame that was done before.
+    fn note_done(&mut self, input: &Path, fault: Option<&str>, console: &Console) {
+        self.done_count += 1;
+        if let Some(fault) = fault {
+            self.broken_count += 1;
+            console.warn(format_args!("warning: {}: {fault}", input.display()));
+        }
+    }
+
     /// The .glb of each frame that is done, in the order of the inputs.
     pub(super) fn shot_frames(&self) -> &[ShotSource] {
         &self.shot_frames
@@ -237,9 +250,6 @@ impl Run {
         let failed_count = self.failures.len();
         let frames = counted(self.noted_count, "frame");
         let mut summary = format!("{frames}: {} done", self.done_count);
-        if self.broken_count > 0 {
-            summary += &format!(", {} of them with a broken guarantee", self.broken_count);
-        }
         if failed_count > 0 {
             summary += &format!(", {failed_count} failed");
         }
@@ -265,10 +275,9 @@ impl Run {
             console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
             return if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone };
         }
-        match (failed_count, self.done_count) {
-            (0, _) => Verdict::Done,
-            (_, 0) => Verdict::NothingDone,
-            _ => Verdict::SomeFailed,
-        }
+        let details = report.map_or(String::new(), |report| format!(" (see {})", report.display()));
+        let broken = (self.broken_count, self.noted_count);
+        let has_violations = say_violations(broken, &details, self.allow_violations, console);
+        Verdict::of(self.done_count, failed_count, has_violations)
     }
 }

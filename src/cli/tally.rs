@@ -3,17 +3,19 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use crate::pipeline::{FrameReport, Outcome, gist};
+use crate::pipeline::{FrameReport, Outcome, gist, keeps_guarantees};
 
 use super::Verdict;
 use super::console::Console;
-use super::wording::counted;
+use super::wording::{counted, failed_validation};
 
 /// What became of the frames.
 #[derive(Default)]
 pub(super) struct Tally {
     done_count: usize,
     failed_count: usize,
+    /// Frames that were made and break a guarantee.
+    broken_count: usize,
     /// The gist of what was told of frames, and how often it was not told again.
     told: HashSet<String>,
     untold_count: usize,
@@ -32,6 +34,7 @@ impl Tally {
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;
+                self.broken_count += usize::from(!keeps_guarantees(report));
                 for note in &report.notes {
                     if self.told.insert(gist(note)) {
                         console.warn(format_args!("warning: {name}: {note}"));
@@ -43,7 +46,7 @@ impl Tally {
                     console.say(format_args!("{name}: {}", described(report)));
                 }
             }
-            Outcome::AlreadyDone(_) => {
+            Outcome::AlreadyDone { .. } => {
                 self.done_count += 1;
                 if !has_bar {
                     console.say(format_args!("{name}: done already"));
@@ -63,8 +66,13 @@ impl Tally {
     }
 
     /// The summary, and the verdict.
-    pub(super) fn finish(&self, frame_count: usize, seconds: f64, console: &mut Console) -> Verdict {
-        let &Tally { done_count, failed_count, untold_count, .. } = self;
+    pub(super) fn finish(
+        &self,
+        (frame_count, allow_violations): (usize, bool),
+        seconds: f64,
+        console: &mut Console,
+    ) -> Verdict {
+        let &Tally { done_count, failed_count, broken_count, untold_count, .. } = self;
         let mut summary = format!("{}: {done_count} done", counted(frame_count, "frame"));
         if failed_count > 0 {
             summary += &format!(", {failed_count} failed");
@@ -78,10 +86,26 @@ impl Tally {
             let more = counted(untold_count, "more warning");
             console.warn(format_args!("{more} like those of earlier frames"));
         }
-        match (failed_count, done_count) {
-            (0, _) => Verdict::Done,
-            (_, 0) => Verdict::NothingDone,
-            _ => Verdict::SomeFailed,
-        }
+        let has_violations = say_violations((broken_count, frame_count), "", allow_violations, console);
+        Verdict::of(done_count, failed_count, has_violations)
     }
+}
+
+/// Says how many frames of all failed validation, and returns whether that is a failure of the command: it is unless
+/// violations are allowed.
+pub(super) fn say_violations(
+    (broken_count, frame_count): (usize, usize),
+    details: &str,
+    allow_violations: bool,
+    console: &Console,
+) -> bool {
+    if broken_count == 0 {
+        return false;
+    }
+    let what = failed_validation(broken_count, frame_count, details);
+    match allow_violations {
+        true => console.warn(format_args!("warning: {what}")),
+        false => console.warn(format_args!("error: {what}; --allow-violations accepts them")),
+    }
+    !allow_violations
 }

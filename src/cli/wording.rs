@@ -34,6 +34,12 @@ pub(super) fn with_causes(error: &anyhow::Error) -> String {
     told
 }
 
+/// The last line about frames whose results do not keep what is promised of them.
+pub(super) fn failed_validation(broken_count: usize, frame_count: usize, details: &str) -> String {
+    let frames = counted(frame_count, "frame");
+    format!("{broken_count} of {frames} failed validation{details}; outputs were kept")
+}
+
 /// `3 frames are`.
 pub(super) fn counted_are(count: u64) -> String {
     if count == 1 { "1 frame is".into() } else { format!("{count} frames are") }

@@ -107,6 +107,8 @@ pub struct Summary {
     pub ended: Ended,
     /// Frames whose outputs are there: made in this run, or found done.
     pub done_count: usize,
+    /// Those among them whose results break a guarantee.
+    pub broken_count: usize,
     /// Each frame that failed, in natural order.
     pub failed: Vec<FailedFrame>,
     /// Frames that were seen and are left for the next time.

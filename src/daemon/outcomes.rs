@@ -25,7 +25,7 @@ impl Daemon<'_> {
         let stamp = state.phase.stamp();
         match outcome {
             Outcome::Converted(report) => self.converted(id, &report),
-            Outcome::AlreadyDone(input) => self.already_done(id, frame, &input),
+            Outcome::AlreadyDone { input, .. } => self.already_done(id, frame, &input),
             Outcome::Changed => {
                 tracing::info!(frame = %id.path.display(), "was written while it was read: it is read again");
                 return self.start_over(id);

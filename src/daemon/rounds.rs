@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, Sender, never, select};
 
 use crate::board::Board;
-use crate::pipeline::{Frame, ObstacleFiles, Outcome, OutputOptions, natural_order};
+use crate::pipeline::{Frame, ObstacleFiles, Outcome, OutputOptions, breaks_guarantee, natural_order};
 
 use super::config::{Config, Watch};
 use super::evidence::path_of_sentinel;
-use super::frames::{FrameId, Frames, Phase, Tally};
+use super::frames::{FrameId, FrameState, Frames, Phase, Tally};
 use super::journal::{DaemonRecord, DaemonState, Journal, now_ms};
 use super::lock::host_name;
 use super::queue::Queue;
@@ -476,7 +476,18 @@ impl<'a> Daemon<'a> {
         });
         let failed = failed.collect();
         let left_count = tally.settling + tally.held + tally.queued + tally.gone_through + tally.retrying;
-        Summary { ended, done_count: tally.done, failed, left_count }
+        Summary { ended, done_count: tally.done, broken_count: self.broken_count(), failed, left_count }
+    }
+
+    /// How many of the frames that are done break a guarantee, as the journal has it.
+    fn broken_count(&self) -> usize {
+        let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
+            let journal = &self.stores.of_watch(id.root).journal;
+            let record = journal.state().frames.get(&*id.path);
+            matches!(frame.phase, Phase::Done(_))
+                && record.is_some_and(|record| record.flaws.iter().any(|flaw| breaks_guarantee(flaw)))
+        };
+        self.frames.iter().filter(is_broken).count()
     }
 }
 

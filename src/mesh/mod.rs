@@ -21,9 +21,11 @@
 mod components;
 mod corners;
 mod decimate;
+mod flat;
 mod quads;
 mod smooth_normals;
 mod triangles;
+mod unused;
 mod vertices;
 
 use glam::{DVec3, Vec3};
@@ -32,6 +34,7 @@ use rayon::prelude::*;
 use crate::simd::{Kernel, Lanes, dispatch};
 use corners::{Corners, Touching};
 pub use decimate::{DecimateReport, decimate};
+pub use flat::Rounding;
 pub(crate) use triangles::{LANES, TriangleBatch};
 
 /// A triangle mesh in world units.

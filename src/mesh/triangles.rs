@@ -64,7 +64,7 @@ impl TriangleBatch {
 
     /// One for each triangle that is degenerate.
     #[inline(always)]
-    fn degenerate(&self) -> [u32; LANES] {
+    pub(super) fn degenerate(&self) -> [u32; LANES] {
         let mut degenerate = [0; LANES];
         for (lane, degenerate) in degenerate.iter_mut().enumerate() {
             let [a, b, c] = [self.corner(0, lane), self.corner(1, lane), self.corner(2, lane)];

@@ -19,7 +19,6 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::certify::Certificate;
 use crate::report::SkinReport;
 
 use super::names::name_of_text;
@@ -30,7 +29,7 @@ use super::sink::{Unseen, write_unseen};
 use super::steps::frame_name;
 
 /// Another number, another form of the file.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// One with more bytes is none.
 const SIZE_MAX_BYTES: u64 = 1 << 20;
@@ -56,6 +55,8 @@ pub(super) struct CertifiedOutput {
     pub(super) size_bytes: u64,
     /// Its hash, as it stands in provenance.
     pub(super) hash: String,
+    /// What of it the certificate is about, in words.
+    pub(super) checked: String,
 }
 
 /// The file, as it is written.
@@ -69,38 +70,25 @@ struct Written<'a> {
     outputs: Vec<CertifiedOutput>,
 }
 
-/// The file, as it is read: most of what was measured is for people.
+/// Which form the file has.
 #[derive(Deserialize)]
-struct Read {
+struct Form {
     meniscus_certificate: u32,
-    input_hash: String,
-    certificate: Verdict,
-    outputs: Vec<CertifiedOutput>,
 }
 
+/// The file, as it is read. What this program did not write is an error: a certificate is nothing to interpret.
 #[derive(Deserialize)]
-struct Verdict {
-    holds: bool,
-    bound_violations: usize,
-    vertices_inside_min: usize,
-    vertices_outside_max: usize,
-    particles_outside: usize,
-    closed_manifold: bool,
-}
-
-impl Verdict {
-    /// What did not hold; `None` where all did.
-    fn fault(&self) -> Option<String> {
-        let certificate = Certificate {
-            bound_violation_count: self.bound_violations,
-            vertices_inside_min: self.vertices_inside_min,
-            vertices_outside_max: self.vertices_outside_max,
-            particles_outside: self.particles_outside,
-            mesh_is_closed_manifold: self.closed_manifold,
-            ..Certificate::default()
-        };
-        (!self.holds).then(|| certificate.fault())
-    }
+#[serde(deny_unknown_fields)]
+struct Read {
+    #[serde(rename = "meniscus_certificate")]
+    _form: u32,
+    #[serde(rename = "generator")]
+    _generator: String,
+    #[serde(rename = "input")]
+    _input: String,
+    input_hash: String,
+    certificate: CertificateRecord,
+    outputs: Vec<CertifiedOutput>,
 }
 
 /// Where the certificate of the frame called `stem` goes.
@@ -113,7 +101,7 @@ pub(super) fn hash_text(hash: u128) -> String {
     format!("xxh3-128:{hash:032x}")
 }
 
-/// Writes the certificate of a frame whose outputs are on the disk and not yet to be seen.
+/// Writes the certificate of a frame whose outputs are on the disk and not yet to be seen, each with what of it was checked.
 ///
 /// # Errors
 /// When an output cannot be read back, or the system refuses.
@@ -121,7 +109,7 @@ pub(super) fn write_certificate(
     path: &Path,
     (input, input_hash): (&Path, u128),
     report: &SkinReport,
-    outputs: &[Unseen],
+    outputs: &[(&Unseen, &'static str)],
 ) -> meniscus_formats::Result<Unseen> {
     let written = Written {
         meniscus_certificate: VERSION,
@@ -138,10 +126,10 @@ pub(super) fn write_certificate(
 }
 
 /// What is said of an output: of its bytes as they can be read, not as they were meant to be.
-fn certified(output: &Unseen) -> io::Result<CertifiedOutput> {
+fn certified((output, checked): &(&Unseen, &'static str)) -> io::Result<CertifiedOutput> {
     let file = name_of(output.path()).into_owned();
     let hash = hash_text(InputFile::open(output.written_path())?.hash()?);
-    Ok(CertifiedOutput { file, size_bytes: output.size_bytes(), hash })
+    Ok(CertifiedOutput { file, size_bytes: output.size_bytes(), hash, checked: (*checked).to_owned() })
 }
 
 /// Reads a certificate.
@@ -151,12 +139,20 @@ fn certified(output: &Unseen) -> io::Result<CertifiedOutput> {
 pub(super) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
     let bytes = read_start_unchanged(path, SIZE_MAX_BYTES).map_err(|error| error.to_string())?;
     let (bytes, _) = bytes.ok_or("written while it was read")?;
-    let Read { meniscus_certificate, input_hash, certificate, outputs } =
-        serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+    let Form { meniscus_certificate } = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
     if meniscus_certificate != VERSION {
         return Err(format!("its form is number {meniscus_certificate}, and only {VERSION} is known"));
     }
-    Ok(CertifiedFrame { input_hash, fault: certificate.fault(), outputs })
+    let Read { input_hash, certificate, outputs, .. } =
+        serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
+    let fault = certificate.fault().map_err(|why| format!("it contradicts itself: {why}"))?;
+    let is_twice = |(place, output): (usize, &CertifiedOutput)| {
+        outputs[..place].iter().any(|other| other.file == output.file)
+    };
+    if outputs.iter().enumerate().any(is_twice) {
+        return Err("it contradicts itself: it has two entries for one file".to_owned());
+    }
+    Ok(CertifiedFrame { input_hash, fault, outputs })
 }
 
 impl CertifiedFrame {

@@ -64,7 +64,12 @@ pub enum Outcome {
     /// All outputs were written.
     Converted(Box<FrameReport>),
     /// All outputs were there already, made from the same input by the same settings.
-    AlreadyDone(ReadInput),
+    AlreadyDone {
+        /// Which state of the input was read.
+        input: ReadInput,
+        /// What the frame's certificate says does not hold; `None` where all holds, or no certificate was asked for.
+        fault: Option<String>,
+    },
     /// The file was written while it was read: what was read is neither the old file nor the new
     /// one. It is to be read again later.
     Changed,

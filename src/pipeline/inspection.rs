@@ -86,10 +86,15 @@ pub fn inspect(frame: &Frame) -> Inspection {
     Inspection { state, input_is_there, obstacles_are_there }
 }
 
-/// The same, of a frame of whose input all is known: whether nothing is to be made again.
-pub(super) fn is_certified(frame: &Frame, input_hash: u128, obstacles: &str) -> bool {
+/// The same, of a frame of whose input all is known: `None` if it must be made again, and else what its certificate says
+/// does not hold.
+pub(super) fn certified_fault(frame: &Frame, input_hash: u128, obstacles: &str) -> Option<Option<String>> {
     let made_from = MadeFrom { input_hash: Some(input_hash), obstacles: Some(obstacles.to_owned()) };
-    matches!(inspect_made_from(frame, &made_from), FrameState::Done | FrameState::Uncertified(_))
+    match inspect_made_from(frame, &made_from) {
+        FrameState::Done => Some(None),
+        FrameState::Uncertified(why) => Some(Some(why)),
+        FrameState::Missing { .. } | FrameState::Damaged(_) | FrameState::Stale(_) => None,
+    }
 }
 
 fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {

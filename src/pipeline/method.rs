@@ -12,6 +12,7 @@ use super::frame::Cause;
 use super::frame_particles::FrameParticles;
 use super::obstacles::FrameObstacles;
 use super::outputs::{OutputFormat, OutputOptions};
+use super::stored::stored;
 use super::writing::VDB_HALF_WIDTH_VOXELS;
 
 /// The three stages of the method. Tests put a quick or a failing one in its place.
@@ -137,9 +138,11 @@ impl Method for LevelSetSkinning {
         outputs: &OutputOptions,
     ) -> Result<Surface, Cause> {
         let (mut surface, particles) = match smoothed {
-            Skinned::Whole(smoothed, particles) => (skin::contour(smoothed, settings), particles),
+            Skinned::Whole(smoothed, particles) => {
+                (skin::contour(smoothed, settings, &stored(outputs)), particles)
+            }
             Skinned::Tiled(frame) => {
-                let (surface, particles) = tiled::contour(*frame, settings)?;
+                let (surface, particles) = tiled::contour(*frame, settings, &stored(outputs))?;
                 particles.check_unchanged()?;
                 (surface, Some(particles))
             }

@@ -89,6 +89,7 @@ mod stages;
 mod stamp;
 mod steps;
 mod still;
+mod stored;
 mod temporary;
 mod viewpoint;
 mod voxel_size;
@@ -104,7 +105,7 @@ pub use level_set_file::LevelSetFile;
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::{LevelSetSkinning, Method};
 pub(crate) use names::text_of_name;
-pub use notes::{flaws, keeps_guarantees, notes, standing_notes};
+pub use notes::{breaks_guarantee, flaws, keeps_guarantees, notes, standing_notes};
 pub use number_pattern::{NumberPattern, files_in};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use out_folder::{

@@ -49,14 +49,26 @@ pub fn flaws(report: &FrameReport) -> Vec<String> {
     left_out(&report.skin).into_iter().chain(broken(&report.skin)).collect()
 }
 
-fn left_out(report: &SkinReport) -> Option<String> {
+/// Which particles are not in the surface, if any.
+pub(super) fn left_out(report: &SkinReport) -> Option<String> {
     let left_out = counted(report.dropped_count, "particle");
-    (report.dropped_count > 0)
-        .then(|| format!("{left_out} left out: not finite, or too far away for the grid"))
+    let at = report.stray.map_or(String::new(), |stray| {
+        let [x, y, z] = stray.to_array().map(significant);
+        format!("; one is near ({x}, {y}, {z})")
+    });
+    (report.dropped_count > 0).then(|| format!("{left_out} left out: not finite, or too far away{at}"))
 }
 
 fn broken(report: &SkinReport) -> impl Iterator<Item = String> {
-    broken_guarantees(report).into_iter().map(|what| format!("the result breaks a guarantee: {what}"))
+    broken_guarantees(report).into_iter().map(|what| format!("{BREAKS_A_GUARANTEE}: {what}"))
+}
+
+/// How a note on a broken guarantee begins.
+const BREAKS_A_GUARANTEE: &str = "the result breaks a guarantee";
+
+/// Whether one of a frame's [flaws] is a broken guarantee.
+pub fn breaks_guarantee(flaw: &str) -> bool {
+    flaw.starts_with(BREAKS_A_GUARANTEE)
 }
 
 /// What a user should know of the shapes of particles. That stretched ones are raised to what the grid can hold is
@@ -105,7 +117,7 @@ const POSITION_ROUNDING_TOLD: f64 = 1.0 / 256.0;
 
 /// Whether all that is promised of a frame's result holds.
 pub fn keeps_guarantees(report: &FrameReport) -> bool {
-    broken_guarantees(&report.skin).is_empty()
+    report.skin.certificate.holds()
 }
 
 /// A sentence for each guarantee that does not hold.

@@ -99,7 +99,7 @@ fn made(frame: &ParticlesToWrite, conduct: &Conduct<'_>) -> Result<Outcome, Outc
     let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
     let provenance = particles_provenance(&frame.input, input.hash);
     if conduct.skip_done && is_done(frame, &provenance) {
-        return Err(Outcome::AlreadyDone(input));
+        return Err(Outcome::AlreadyDone { input, fault: None });
     }
     let name = file_of(&frame.input).file_name().unwrap_or_default().to_string_lossy();
     let particles = read_particles(&bytes, &name, &Limits::default())

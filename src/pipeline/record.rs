@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use crate::certify::Certificate;
 use crate::report::{EditReport, Shaping, SkinReport, TransferCounts, TransferReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
@@ -205,19 +206,25 @@ struct SecondsRecord {
 }
 
 /// What was checked, and what came of it.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct CertificateRecord {
     holds: bool,
     bound_violations: usize,
-    vertex_distance_min_voxels: f64,
+    /// Null for an empty mesh.
+    vertex_distance_min_voxels: Option<f64>,
     vertex_distance_max_voxels: f64,
     vertices_inside_min: usize,
     vertices_outside_max: usize,
+    /// Not finite, or too far from the others: the surface is that of the rest.
+    particles_left_out: usize,
     particles_outside: usize,
     /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
     vertices_returned: usize,
+    /// Triangles without area at the positions that are written, which were taken out.
+    flat_triangles_removed: usize,
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
@@ -262,7 +269,7 @@ impl RunRecord {
     pub fn add_frame(&mut self, frame: &Frame, sequence_index: usize, outcome: &Outcome) {
         let (status, measured, error) = match outcome {
             Outcome::Converted(report) => (Status::Converted, Some(measured(report)), None),
-            Outcome::AlreadyDone(_) => (Status::AlreadyDone, None, None),
+            Outcome::AlreadyDone { .. } => (Status::AlreadyDone, None, None),
             Outcome::Changed => (Status::Failed, None, Some(CHANGED.to_owned())),
             Outcome::Failed(error) => (Status::Failed, None, Some(error.to_string())),
             Outcome::NotStarted => (Status::NotStarted, None, None),
@@ -480,18 +487,49 @@ fn edits_record(edits: &EditReport) -> Option<EditsRecord> {
     })
 }
 
+impl CertificateRecord {
+    /// What does not hold, in words; `None` where all does.
+    ///
+    /// # Errors
+    /// Where what it says of the whole is not what its counts say.
+    pub(super) fn fault(&self) -> Result<Option<String>, String> {
+        let certificate = Certificate {
+            bound_violation_count: self.bound_violations,
+            vertices_inside_min: self.vertices_inside_min,
+            vertices_outside_max: self.vertices_outside_max,
+            particles_outside: self.particles_outside,
+            mesh_is_closed_manifold: self.closed_manifold,
+            ..Certificate::default()
+        };
+        let fault = certificate.fault();
+        if self.vertex_distance_min_voxels.is_some_and(|least| least > self.vertex_distance_max_voxels) {
+            return Err("the least distance from a vertex to a particle is above the largest".to_owned());
+        }
+        match (self.holds, certificate.holds()) {
+            (true, true) => Ok(None),
+            (false, false) => Ok(Some(fault)),
+            (true, false) => Err(format!("it says that all holds, and has {fault}")),
+            (false, true) => {
+                Err("it says that something does not hold, and all that it counts does".to_owned())
+            }
+        }
+    }
+}
+
 pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
         holds: certificate.holds(),
         bound_violations: certificate.bound_violation_count,
-        vertex_distance_min_voxels: certificate.vertex_distance_min,
+        vertex_distance_min_voxels: Some(certificate.vertex_distance_min).filter(|least| least.is_finite()),
         vertex_distance_max_voxels: certificate.vertex_distance_max,
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
+        particles_left_out: certificate.particles_left_out,
         particles_outside: certificate.particles_outside,
         particles_exempt: certificate.particles_exempt,
         vertices_returned: report.vertices_returned,
+        flat_triangles_removed: report.flat_triangles_removed,
         closed_manifold: certificate.mesh_is_closed_manifold,
         position_rounding_voxels: certificate.position_rounding,
     }

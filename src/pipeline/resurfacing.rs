@@ -24,6 +24,7 @@ use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::provenance::{level_set_provenance, provenance_kind, records};
 use super::reading::read_unchanged;
 use super::stages::{Conduct, OnError};
+use super::stored::stored;
 use super::writing::{Written, surface_notes, write_files, write_made};
 
 /// A level set of which the surface is to be written.
@@ -98,13 +99,14 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
         records(&path, provenance_kind(format), &provenance(format)).unwrap_or(false)
     };
     if conduct.skip_done && band.outputs.formats.iter().all(is_done) {
-        return Err(Outcome::AlreadyDone(input));
+        return Err(Outcome::AlreadyDone { input, fault: None });
     }
     let mut notes = notes(&bytes);
     drop(bytes);
     let origin = file.origin();
     let slack = band.slack_voxels as f32;
-    let mut surface = conduct.pool.install(|| resurface(file.into_band(), slack, &frame.settings));
+    let stored = stored(&frame.outputs);
+    let mut surface = conduct.pool.install(|| resurface(file.into_band(), slack, &frame.settings, &stored));
     surface.mesh.origin += origin;
     notes.extend(surface_notes(&surface, &frame.outputs, &frame.settings));
     let surface = Arc::new(surface);

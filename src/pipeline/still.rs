@@ -12,6 +12,7 @@ use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};
 use super::frame_particles::FrameParticles;
 use super::method::{LevelSetSkinning, Method};
+use super::notes::left_out;
 use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
 use super::reading::{ReadFrame, parse_particles, read_file};
@@ -98,12 +99,7 @@ impl StillFrame {
         let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings))?;
         let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
         notes.extend(surface_notes(&surface, outputs, settings));
-        let dropped_count = surface.report.dropped_count;
-        if dropped_count > 0 {
-            notes.push(format!(
-                "{dropped_count} of the particles left out: not finite, or too far away for the grid"
-            ));
-        }
+        notes.extend(left_out(&surface.report));
         Ok(Still { surface, obstacles, notes })
     }
 }

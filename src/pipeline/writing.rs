@@ -28,6 +28,7 @@ use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
 use super::sink::{Unseen, publish, write_unseen};
+use super::stored::checked_as;
 
 /// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
 pub(super) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
@@ -59,7 +60,9 @@ pub(super) fn write_files(
     let mut unseen: Vec<Unseen> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
     if let Some((input_hash, report)) = certify {
         let path = certificate_path(folder, &frame.stem);
-        let certificate = write_certificate(&path, (&frame.input, input_hash), report, &unseen);
+        let checked = formats.iter().map(|&format| checked_as(format, &frame.outputs));
+        let outputs: Vec<(&Unseen, &str)> = unseen.iter().zip(checked).collect();
+        let certificate = write_certificate(&path, (&frame.input, input_hash), report, &outputs);
         unseen.push(certificate.map_err(|error| fail(&path, error))?);
     }
     let sizes_bytes = unseen.iter().map(Unseen::size_bytes).collect();

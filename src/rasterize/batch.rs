@@ -11,7 +11,7 @@
 
 use std::ops::Range;
 
-use glam::{IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rustc_hash::FxHashMap;
 
 use crate::grid::LEAF_EDGE;
@@ -31,6 +31,8 @@ pub(super) struct LeafBatch {
     places: Vec<u32>,
     /// Particles left out: positions that are not finite, or outside the grid's range of indices.
     pub(super) dropped_count: usize,
+    /// The first of them that is finite: it is too far away for the grid.
+    pub(super) beyond_grid: Option<DVec3>,
 }
 
 impl LeafBatch {
@@ -68,7 +70,14 @@ impl LeafBatch {
             }
             locals[to].copy_from_slice(&placed.locals[run]);
         }
-        LeafBatch { dropped_count: placed.locals.len() - locals.len(), origins, starts, locals, places }
+        let dropped_count = placed.locals.len() - locals.len();
+        let position = |place: usize| match positions {
+            Positions::Single(positions) => Vec3::from(positions[place]).as_dvec3(),
+            Positions::Double(positions) => DVec3::from(positions[place]),
+        };
+        let is_beyond = |place: &usize| placed.locals[*place].is_nan() && position(*place).is_finite();
+        let beyond_grid = (dropped_count > 0).then(|| (0..placed.locals.len()).find(is_beyond)).flatten();
+        LeafBatch { dropped_count, beyond_grid: beyond_grid.map(position), origins, starts, locals, places }
     }
 
     /// The particles that were not dropped.

@@ -15,7 +15,7 @@
 
 use std::ops::Range;
 
-use glam::{IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::batch::LeafBatch;
@@ -42,8 +42,10 @@ pub struct ParticleBins {
     pub shapes: Shapes,
     /// All particles of the source that were not dropped, whether they are here or not.
     pub particle_count: usize,
-    /// Particles left out: positions that are not finite, or outside the grid's range of indices.
+    /// Particles left out: positions that are not finite, outside the grid's range of indices, or too far from the others.
     pub dropped_count: usize,
+    /// About where one of them is, in world units, if any of them is finite.
+    pub stray: Option<DVec3>,
 }
 
 impl ParticleBins {
@@ -83,7 +85,8 @@ impl ParticleBins {
             shapes => shapes.of(&gather(&batches, &leaves, &starts, |batch| &batch.indices)),
         };
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
-        Ok(ParticleBins { topology, starts, positions, shapes, particle_count, dropped_count })
+        let stray = occupancy.stray();
+        Ok(ParticleBins { topology, starts, positions, shapes, particle_count, dropped_count, stray })
     }
 
     /// The particles of a leaf, relative to its origin, in voxels.

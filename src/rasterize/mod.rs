@@ -34,6 +34,7 @@ mod shards;
 mod signed_distance;
 mod sphere;
 mod spread;
+mod strayed;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]

@@ -12,11 +12,12 @@
 //! particles need to be kept there. Whole voxels in place of octants would not do: at the usual two voxels
 //! from particle to particle, they know only four in ten of the leaves that octants know to be inside.
 
-use glam::{IVec3, Vec3};
+use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::batch::LeafBatch;
 use super::shards::{Shards, Told};
+use super::strayed::strayed;
 use crate::grid::{LEAF_EDGE, Topology};
 use crate::particles::ParticleSource;
 use crate::space::{CoordBox, Lattice};
@@ -25,12 +26,25 @@ use crate::space::{CoordBox, Lattice};
 pub struct Occupancy {
     /// The leaves that hold at least one particle.
     pub topology: Topology,
-    /// For each of them, where in it, and the longest half axis of any of them in units of the radii.
-    octants: Told<(Box<Octants>, f32)>,
+    /// What is known of each of them.
+    occupied: Told<Occupied>,
     /// Whether particles have shapes of their own.
     pub(super) has_shapes: bool,
     /// What each batch told.
     pub(super) batches: Vec<BatchSummary>,
+    /// Particles [too far](strayed) from the others.
+    strayed_count: usize,
+    /// About where one particle is that is too far away, for the grid or from the others; world units.
+    stray: Option<DVec3>,
+}
+
+/// What is known of a leaf that holds particles.
+struct Occupied {
+    octants: Box<Octants>,
+    /// The longest half axis of any of its particles, in units of the radii.
+    longest: f32,
+    /// How many particles it holds.
+    count: usize,
 }
 
 /// What is remembered of a batch, so that it need not be looked at where it is of no use.
@@ -40,6 +54,7 @@ pub(super) struct BatchSummary {
     pub(super) voxels: CoordBox,
     placed_count: usize,
     dropped_count: usize,
+    beyond_grid: Option<DVec3>,
 }
 
 /// One bit for each octant of the voxels of a leaf: rows of 16 along z, row `x·16 + y`.
@@ -76,7 +91,7 @@ impl Occupancy {
     /// # Errors
     /// Those of the source.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
-        let shards: Shards<(Box<Octants>, f32)> = Shards::new();
+        let shards: Shards<Occupied> = Shards::new();
         let shapes = source.shapes();
         let has_shapes = !shapes.are_balls();
         let look = |batch: usize| -> Result<BatchSummary, S::Error> {
@@ -90,44 +105,57 @@ impl Occupancy {
                 voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
                 shards.add(
                     origin,
-                    || (Box::new(Octants::EMPTY), 0.0f32),
-                    |(octants, reach)| {
-                        locals.iter().for_each(|&local| octants.insert(local));
-                        *reach = reach.max(longest);
+                    || Occupied { octants: Box::new(Octants::EMPTY), longest: 0.0, count: 0 },
+                    |leaf| {
+                        locals.iter().for_each(|&local| leaf.octants.insert(local));
+                        leaf.longest = leaf.longest.max(longest);
+                        leaf.count += locals.len();
                     },
                 );
             }
-            Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count: batch.dropped_count })
+            let LeafBatch { dropped_count, beyond_grid, .. } = batch;
+            Ok(BatchSummary { voxels, placed_count: batch.len(), dropped_count, beyond_grid })
         };
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
-        let octants = shards.into_told();
-        let topology = Topology::new(octants.iter().map(|(&origin, _)| origin).collect());
-        Ok(Occupancy { topology, octants, has_shapes, batches })
+        let mut occupied = shards.into_told();
+        let strayed = strayed(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
+        let strayed_count =
+            strayed.iter().filter_map(|&origin| occupied.remove(origin)).map(|leaf| leaf.count).sum();
+        let of_leaf = |origin: &IVec3| (origin.as_dvec3() + 0.5 * f64::from(LEAF_EDGE)) * lattice.voxel_size;
+        let stray =
+            batches.iter().find_map(|batch| batch.beyond_grid).or_else(|| strayed.first().map(of_leaf));
+        let topology = Topology::new(occupied.iter().map(|(&origin, _)| origin).collect());
+        Ok(Occupancy { topology, occupied, has_shapes, batches, strayed_count, stray })
     }
 
     /// The number of particles that were not dropped.
     pub fn particle_count(&self) -> usize {
-        self.batches.iter().map(|batch| batch.placed_count).sum()
+        self.batches.iter().map(|batch| batch.placed_count).sum::<usize>() - self.strayed_count
     }
 
-    /// Particles left out: positions that are not finite, or outside the grid's range of indices.
+    /// Particles left out: positions that are not finite, outside the grid's range of indices, or too far from the others.
     pub fn dropped_count(&self) -> usize {
-        self.batches.iter().map(|batch| batch.dropped_count).sum()
+        self.batches.iter().map(|batch| batch.dropped_count).sum::<usize>() + self.strayed_count
+    }
+
+    /// About where one of them is, in world units, if any of them is finite.
+    pub fn stray(&self) -> Option<DVec3> {
+        self.stray
     }
 
     /// The octants of the leaf with this origin.
     pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
-        self.octants.get(origin).map(|(octants, _)| &**octants)
+        self.occupied.get(origin).map(|leaf| &*leaf.octants)
     }
 
     /// The longest half axis of any particle in the leaf with this origin, in units of the radii.
     pub(super) fn longest_of(&self, origin: IVec3) -> f32 {
-        self.octants.get(origin).map_or(0.0, |&(_, longest)| longest)
+        self.occupied.get(origin).map_or(0.0, |leaf| leaf.longest)
     }
 
     /// The longest half axis of any particle, in units of the radii.
     pub fn longest(&self) -> f32 {
-        self.octants.iter().map(|(_, &(_, longest))| longest).fold(0.0, f32::max)
+        self.occupied.iter().map(|(_, leaf)| leaf.longest).fold(0.0, f32::max)
     }
 }
 

@@ -45,6 +45,11 @@ impl<T> Told<T> {
         self.0[shard_of(origin)].get(&origin)
     }
 
+    /// Forgets a leaf, and returns what was told of it.
+    pub(super) fn remove(&mut self, origin: IVec3) -> Option<T> {
+        self.0[shard_of(origin)].remove(&origin)
+    }
+
     /// The leaves of which something was told, in no order.
     pub(super) fn iter(&self) -> impl Iterator<Item = (&IVec3, &T)> {
         self.0.iter().flatten()

@@ -26,7 +26,7 @@ pub(super) fn spread<L: Iterator<Item = (IVec3, usize)>>(leaves: impl Fn() -> L,
 }
 
 /// The value that half of the counts are at or below.
-fn middle(values: impl Iterator<Item = (i32, usize)>) -> i32 {
+pub(super) fn middle(values: impl Iterator<Item = (i32, usize)>) -> i32 {
     let mut values: Vec<(i32, usize)> = values.collect();
     values.sort_unstable();
     let half = values.iter().map(|&(_, count)| count).sum::<usize>().div_ceil(2);

@@ -8,10 +8,12 @@
 //! The smoothest surface that nowhere leaves the given one by more than the slack: what spheres are to particles, the given surface
 //! is to itself.
 
+use std::convert::Infallible;
 use std::time::Instant;
 
+use super::finish::{Checked, Stored};
 use super::{Surface, SurfaceAttributes, finish, lattice, smooth_config};
-use crate::certify::{ParticleChecks, certificate};
+use crate::certify::{Part, certificate};
 use crate::contour;
 use crate::grid::Field;
 use crate::level_set::{Bounds, NarrowBand, widened};
@@ -30,7 +32,8 @@ const MARGIN: f32 = 5.0;
 
 /// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
 /// is nowhere farther than that from the given one. Of the settings those of particles have no say.
-pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings) -> Surface {
+/// `stored` says how files store the mesh: so it is checked.
+pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings, stored: &[Stored]) -> Surface {
     let started = Instant::now();
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
     let mut band = match slack > 0.0 {
@@ -55,11 +58,12 @@ pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings) -> Su
     let started = Instant::now();
     let lattice = lattice(settings);
     let mut mesh = contour::contour(&band, &lattice, settings.contouring);
-    report.mesh = mesh.measure();
-    let violation_count = bounds.violation_count(&band.phi);
-    report.certificate = certificate(ParticleChecks::NOTHING, violation_count, &mesh, &report.mesh, &lattice);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    finish::simplify(&mut mesh, settings, &mut report);
+    // There is no particle to ask about.
+    let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+    let Ok(checks) = finish::settle(&mut mesh, &band, (settings, stored), &mut report, no_part);
+    let counts = (bounds.violation_count(&band.phi), 0);
+    report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }

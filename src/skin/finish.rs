@@ -1,20 +1,26 @@
 //! From the smoothed level set to the surface: what users ask to be taken away, the mesh, and what is checked of both.
 //!
 //! ```text
-//!   φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ certificate ──fewer triangles──▶ mesh
+//!   φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ mesh ──fewer triangles──▶ mesh ──▶ certificate
 //! ```
+//!
+//! What is checked is the mesh as it will be written: with the triangles that are left, at the positions that each file makes of
+//! its own. A vertex that is out of its bounds is moved, a triangle without area is taken out, and the mesh is checked again.
 //!
 //! Whatever is taken away is counted, and the certificate does not ask for it any more: not for particles in islands
 //! that were dropped, nor for the spheres that a box or an obstacle cuts.
 
+use std::collections::BTreeMap;
+
 use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
 
 use super::{Scene, lattice};
-use crate::certify::{self, Exempt, Part, ParticleChecks};
+use crate::certify::{self, Exempt, MeshCells, Part, ParticleChecks};
 use crate::contour;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
-use crate::mesh::{Mesh, decimate};
+use crate::mesh::{Mesh, Rounding, decimate};
 use crate::obstacle::ObstacleLeaf;
 use crate::report::{DepthTally, EditReport, SkinReport};
 use crate::settings::Settings;
@@ -86,51 +92,101 @@ pub(super) fn mesh(
     mesh
 }
 
-/// Checks a mesh in parts. Vertices that are out of their bounds are moved back, and then all are checked again.
+/// How a file stores the positions of a mesh.
+#[derive(Clone, Copy, Debug)]
+pub enum Stored {
+    /// As they are: 32 bits, relative to the mesh's origin.
+    AsTheyAre,
+    /// Otherwise.
+    Rounded(Rounding),
+}
+
+/// After so many times that vertices were moved back into their bounds, those that are out of them count as violations.
+const RETURNS_MAX: usize = 3;
+
+/// Makes the mesh what is written of it, and checks it, in parts, as each file stores it.
 ///
 /// # Errors
 /// Those of the parts.
-pub(super) fn check<E>(
+pub(super) fn settle<E>(
     mesh: &mut Mesh,
+    band: &NarrowBand,
+    (settings, stored): (&Settings, &[Stored]),
     report: &mut SkinReport,
-    mut each_part: impl FnMut(&Mesh, &mut dyn FnMut(&Part)) -> Result<(), E>,
+    mut each_part: impl FnMut(&Checked, &mut dyn FnMut(&Part)) -> Result<(), E>,
 ) -> Result<ParticleChecks, E> {
-    let mut check_all = |mesh: &Mesh| {
-        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
-        each_part(mesh, &mut |part| {
-            let (of_part, found) = certify::check(part);
-            checks = checks.and(of_part);
-            strays.extend(found);
-        })?;
-        Ok((checks, strays))
-    };
-    let (checks, strays) = check_all(mesh)?;
-    if strays.is_empty() {
-        return Ok(checks);
-    }
-    for stray in &strays {
-        mesh.positions[stray.vertex] = stray.position;
-        mesh.normals[stray.vertex] = Vec3::ZERO;
-    }
-    contour::fill_zero_normals(mesh);
-    report.vertices_returned = strays.len();
-    report.mesh = mesh.measure();
-    Ok(check_all(mesh)?.0)
-}
-
-/// Makes the mesh what the settings ask for, and measures it again if that changed it.
-pub(super) fn simplify(mesh: &mut Mesh, settings: &Settings, report: &mut SkinReport) {
-    let edits = &mut report.edits;
+    let lattice = lattice(settings);
     if settings.decimate > 0.0 {
-        let decimated = decimate(mesh, settings.decimate * lattice(settings).voxel_size);
-        edits.removed_triangle_count = decimated.removed_triangle_count;
-        edits.decimation_error_voxels = decimated.error_world_max / settings.voxel_size;
-        report.mesh = mesh.measure();
-        report.certificate.mesh_is_closed_manifold = report.mesh.is_closed_manifold();
+        let decimated = decimate(mesh, settings.decimate * lattice.voxel_size);
+        report.edits.removed_triangle_count = decimated.removed_triangle_count;
+        report.edits.decimation_error_voxels = decimated.error_world_max / lattice.voxel_size;
+    }
+    let rounding = |stored: &Stored| match stored {
+        Stored::AsTheyAre => None,
+        Stored::Rounded(rounding) => Some(*rounding),
+    };
+    let roundings: Vec<Rounding> = stored.iter().filter_map(rounding).collect();
+    report.flat_triangles_removed = mesh.take_out_flat(&roundings);
+    let has_unrounded = roundings.len() < stored.len();
+    let mut checks = ParticleChecks::NOTHING;
+    for returns in 0..=RETURNS_MAX {
+        checks = ParticleChecks::NOTHING;
+        let mut strays: BTreeMap<usize, Vec3> = BTreeMap::new();
+        for stored in stored {
+            let mut of_file = ParticleChecks::NOTHING;
+            let mut rounded = rounding(stored).map(|rounding| rounding(mesh));
+            // A rounding that changes nothing makes no other mesh.
+            if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
+                continue;
+            }
+            let moved_voxels = rounded.as_ref().map_or(0.0, |rounded| {
+                let moved = rounded.par_iter().zip(&mesh.positions).map(|(one, other)| one.distance(*other));
+                f64::from(moved.reduce(|| 0.0, f32::max)) / lattice.voxel_size
+            });
+            if let Some(rounded) = &mut rounded {
+                std::mem::swap(rounded, &mut mesh.positions);
+            }
+            let cells = MeshCells::new(mesh, band, &lattice);
+            let checked = Checked { mesh, cells: &cells, rounding: moved_voxels as f32 };
+            let parts = each_part(&checked, &mut |part| {
+                let (of_part, found) = certify::check(part);
+                of_file = of_file.and(of_part);
+                strays.extend(found.into_iter().map(|stray| (stray.vertex, stray.position)));
+            });
+            if let Some(rounded) = &mut rounded {
+                std::mem::swap(rounded, &mut mesh.positions);
+            }
+            parts?;
+            checks = checks.or_worse(of_file);
+        }
+        if strays.is_empty() || returns == RETURNS_MAX {
+            break;
+        }
+        report.vertices_returned += strays.len();
+        for (vertex, position) in strays {
+            mesh.positions[vertex] = position;
+            mesh.normals[vertex] = Vec3::ZERO;
+        }
+        contour::fill_zero_normals(mesh);
+        report.flat_triangles_removed += mesh.take_out_flat(&roundings);
+    }
+    report.mesh = mesh.measure();
+    for rounding in roundings {
+        let flat_count = &mut report.mesh.degenerate_triangle_count;
+        *flat_count = mesh.flat_count(rounding).max(*flat_count);
     }
     if settings.smooth_normals > 0 {
         mesh.smooth_normals(settings.smooth_normals);
     }
+    Ok(checks)
+}
+
+/// A mesh as a file stores it.
+pub(super) struct Checked<'a> {
+    pub(super) mesh: &'a Mesh,
+    pub(super) cells: &'a MeshCells,
+    /// How far the file moves vertices, in voxels, at most.
+    pub(super) rounding: f32,
 }
 
 /// What the certificate does not ask for.

@@ -21,6 +21,7 @@ use std::time::Instant;
 pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use band::{SLACK_MAX_VOXELS, resurface};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
+pub use finish::Stored;
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
@@ -37,7 +38,7 @@ use crate::report::{Shaping, SkinReport};
 use crate::settings::{Anisotropy, Settings};
 use crate::smooth;
 use crate::space::{CoordBox, Lattice};
-use finish::{Edits, Exemptions};
+use finish::{Checked, Edits, Exemptions};
 
 /// The surface of one frame.
 #[derive(Clone, Debug)]
@@ -84,7 +85,7 @@ pub struct Smoothed {
 
 /// Skins one frame: rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
 /// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
-/// and counted in the report; [`plan`] tells of voxels that are too small for a frame.
+/// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; [`plan`] tells of voxels that are too small for a frame.
 ///
 /// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
 /// Bhattacharya, Gao and Bargteil.
@@ -103,7 +104,7 @@ pub struct Smoothed {
 /// ```
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
     let Ok(rasterized) = rasterize(particles, settings, Shaping::default(), Obstacles::default());
-    contour(smooth(rasterized, settings), settings)
+    contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
 }
 
 /// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
@@ -111,7 +112,7 @@ pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
 pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
     let (cloud, shaping) = shape(cloud, settings);
     let Ok(rasterized) = rasterize(&cloud, settings, shaping, obstacles.clone());
-    let mut surface = contour(smooth(rasterized, settings), settings);
+    let mut surface = contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre]);
     transfer(&mut surface, &cloud, settings, Targets { vertices: true, band_half_width_voxels: None });
     surface
 }
@@ -133,6 +134,7 @@ pub fn rasterize<S: ParticleSource>(
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
+        stray: bins.stray,
         leaf_count: band.topology.len(),
         shaping,
         contact,
@@ -163,8 +165,8 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
 }
 
-/// The third stage: the mesh, its measures and the certificate.
-pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
+/// The third stage: the mesh, its measures and the certificate, which is about the mesh as each file stores it.
+pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Surface {
     let started = Instant::now();
     let Smoothed { bins, mut band, mut bounds, obstacles, mut report } = smoothed;
     let scene = scene(settings, &obstacles);
@@ -176,16 +178,17 @@ pub fn contour(smoothed: Smoothed, settings: &Settings) -> Surface {
         false => Edits::default(),
     };
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
-    report.mesh = mesh.measure();
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
-    let Ok(checks) = finish::check(&mut mesh, &mut report, |mesh, check| {
-        check(&Part { bins: &bins, radii, band: &band, mesh, lattice: &lattice, owned, exempt });
+    let how = (settings, stored);
+    let Ok(checks) = finish::settle(&mut mesh, &band, how, &mut report, |checked, check| {
+        let Checked { mesh, cells, rounding } = *checked;
+        let (bins, band, lattice) = (&bins, &band, &lattice);
+        check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         Ok::<(), Infallible>(())
     });
-    let violation_count = bounds.violation_count(&band.phi);
-    report.certificate = certificate(checks, violation_count, &mesh, &report.mesh, &lattice);
-    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    finish::simplify(&mut mesh, settings, &mut report);
+    let counts = (bounds.violation_count(&band.phi), report.dropped_count);
+    report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 use glam::IVec3;
 
-use super::finish::{self, Edits, Exemptions};
+use super::finish::{self, Checked, Edits, Exemptions, Stored};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
@@ -97,6 +97,7 @@ pub fn rasterize<S: ParticleSource>(
     let mut report = SkinReport {
         particle_count: occupancy.particle_count(),
         dropped_count: occupancy.dropped_count(),
+        stray: occupancy.stray(),
         leaf_count: origins.len(),
         shaping,
         contact,
@@ -137,6 +138,7 @@ pub fn smooth<S>(mut frame: TiledFrame<S>, settings: &Settings) -> io::Result<Ti
 pub fn contour<S: ParticleSource>(
     frame: TiledFrame<S>,
     settings: &Settings,
+    stored: &[Stored],
 ) -> Result<(Surface, S), TiledError<S::Error>> {
     let started = Instant::now();
     let TiledFrame {
@@ -173,18 +175,20 @@ pub fn contour<S: ParticleSource>(
         edits = finish::edit(&mut band, None, particles, (&scene, settings), &mut report.edits);
     }
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
-    report.mesh = mesh.measure();
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &Exemptions { scene: &scene, edits: &edits };
-    let checks = finish::check(&mut mesh, &mut report, |mesh, check| {
+    let how = (settings, stored);
+    let checks = finish::settle(&mut mesh, &band, how, &mut report, |checked, check| {
+        let Checked { mesh, cells, rounding } = *checked;
         for &tile in &tiles {
             let (owned, bins) = tile_particles(tile)?;
-            check(&Part { bins: &bins, radii, band: &band, mesh, lattice: &lattice, owned, exempt });
+            let (bins, band, lattice) = (&bins, &band, &lattice);
+            check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         }
         Ok::<(), TiledError<S::Error>>(())
     })?;
-    report.certificate = certificate(checks, bound_violation_count, &mesh, &report.mesh, &lattice);
-    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    finish::simplify(&mut mesh, settings, &mut report);
+    let counts = (bound_violation_count, report.dropped_count);
+    report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
@@ -268,7 +272,9 @@ mod tests {
     }
 
     fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> Surface {
-        contour(smooth(frame, settings).expect("in memory"), settings).expect("in memory").0
+        contour(smooth(frame, settings).expect("in memory"), settings, &[Stored::AsTheyAre])
+            .expect("in memory")
+            .0
     }
 
     #[test]
@@ -367,10 +373,11 @@ mod tests {
     fn same_in_tiles(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> SkinReport {
         let (cloud, shaping) = super::super::shape(cloud, settings);
         let Ok(whole) = super::super::rasterize(&cloud, settings, shaping, obstacles.clone());
-        let whole = super::super::contour(super::super::smooth(whole, settings), settings);
+        let whole =
+            super::super::contour(super::super::smooth(whole, settings), settings, &[Stored::AsTheyAre]);
         let frame = rasterize(cloud, settings, shaping, obstacles.clone(), 4, storages());
         let smoothed = smooth(frame.expect("in memory"), settings).expect("in memory");
-        let (tiled, _) = contour(smoothed, settings).expect("in memory");
+        let (tiled, _) = contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory");
         assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
         assert!(tiled.band.phi == whole.band.phi, "{settings:?}");
         assert!(tiled.mesh == whole.mesh);

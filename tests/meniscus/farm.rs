@@ -355,7 +355,16 @@ fn edit(path: PathBuf, change: impl FnOnce(&mut Vec<u8>)) {
     fs::write(path, bytes).expect("written");
 }
 
-const CASES: [Case; 9] = [
+/// Edits the certificate of the first frame.
+fn in_certificate(folder: &Path, was: &str, becomes: &str) {
+    edit(folder.join("out/dam.1.certificate.json"), |bytes| {
+        let text = String::from_utf8(bytes.clone()).expect("text");
+        assert!(text.contains(was), "{text}");
+        *bytes = text.replace(was, becomes).into_bytes();
+    });
+}
+
+const CASES: [Case; 12] = [
     ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "dam.1.vdb is not there"),
     (
         "missing",
@@ -377,6 +386,21 @@ const CASES: [Case; 9] = [
         "damaged",
         |f| fs::write(f.join("out/dam.1.certificate.json"), "{}").expect("written"),
         "dam.1.certificate.json: missing field",
+    ),
+    (
+        "damaged",
+        |f| in_certificate(f, "\"closed_manifold\": true", "\"closed_manifold\": false"),
+        "dam.1.certificate.json: it contradicts itself: it says that all holds, and has the mesh is not closed",
+    ),
+    (
+        "damaged",
+        |f| in_certificate(f, "\"particles_outside\": 0", "\"particles_outside\": 7"),
+        "it contradicts itself: it says that all holds, and has 7 particles outside",
+    ),
+    (
+        "damaged",
+        |f| in_certificate(f, "\"holds\": true", "\"holds\": true,\n    \"trust_me\": true"),
+        "unknown field `trust_me`",
     ),
     (
         "stale",

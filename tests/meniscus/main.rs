@@ -2,6 +2,7 @@
 
 mod adaptive; // explicit steps as large as may be (paper, §3.5)
 mod attributes; // what particles know, on the surface, from file to files
+mod certified; // certificates are about what is written
 mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
 mod dependencies; // a reason for each crate, and nothing in C

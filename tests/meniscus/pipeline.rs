@@ -201,7 +201,7 @@ pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
 pub(crate) fn letters(outcomes: &[Outcome]) -> String {
     let letter = |outcome: &Outcome| match outcome {
         Outcome::Converted(_) => 'c',
-        Outcome::AlreadyDone(_) => 'd',
+        Outcome::AlreadyDone { .. } => 'd',
         Outcome::Failed(_) => 'f',
         Outcome::NotStarted => 'n',
         Outcome::Changed => 'x',
@@ -224,7 +224,7 @@ fn frames_are_converted_in_order() {
     assert_eq!(report.input.stamp, FileStamp::of_path(&bench.frames[1].input).expect("there"));
     // What is done already is told to be of the same file, by its content and its stamp.
     let again = bench.run_with(&quick, OnError::Continue, true, 2);
-    let Outcome::AlreadyDone(input) = &again[1] else { panic!("not done already") };
+    let Outcome::AlreadyDone { input, .. } = &again[1] else { panic!("not done already") };
     assert_eq!((input, report.input.hash != 0), (&report.input, true));
     assert!(!cfg!(target_os = "linux") || report.peak_memory_bytes.is_some_and(|bytes| bytes > 1 << 20));
 }

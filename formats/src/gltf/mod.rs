@@ -26,7 +26,7 @@ mod write;
 
 pub use beside::{Beside, FileBeside, files_beside};
 pub use frame_file::FrameFile;
-pub use quantized::quantization_error;
+pub use quantized::{quantization_error, quantized_positions};
 pub use read::{read_mesh, read_mesh_with};
 pub use read_attributes::read_attributes;
 pub use read_camera::{CameraData, read_camera};

@@ -85,6 +85,21 @@ pub(super) fn write_normals(normals: &[[f32; 3]], out: &mut impl Write) -> Resul
     write_pieces(normals, to_bytes, out)
 }
 
+/// The positions that a reader gets of a mesh that is quantized, relative to the mesh's origin.
+pub fn quantized_positions(mesh: &MeshView) -> Vec<[f32; 3]> {
+    let cube = Cube::around(mesh.positions);
+    let read = |&position: &[f32; 3]| {
+        let steps = cube.quantized(position);
+        std::array::from_fn(|axis| {
+            let part = f64::from(steps[axis]) / STEPS;
+            #[expect(clippy::cast_possible_truncation, reason = "as positions are that are not quantized")]
+            let position = (f64::from(cube.low[axis]) + f64::from(cube.size) * part) as f32;
+            position
+        })
+    };
+    mesh.positions.iter().map(read).collect()
+}
+
 /// How far a position of a mesh is moved along an axis by being quantized, at most, in world units.
 pub fn quantization_error(mesh: &MeshView) -> f64 {
     f64::from(Cube::around(mesh.positions).size) / STEPS / 2.0

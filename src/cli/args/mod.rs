@@ -150,6 +150,13 @@ pub(super) struct ConvertArgs {
     #[arg(long, value_name = "WHAT", default_value = "continue", help_heading = "Run")]
     pub(super) on_error: OnErrorChoice,
 
+    /// Exit with status 0 though some results fail validation
+    ///
+    /// Each result is checked as it was written: every particle inside, the surface between its bounds, the mesh closed. A
+    /// result that fails is kept and named, and without this option the exit status is 1.
+    #[arg(long, help_heading = "Run")]
+    pub(super) allow_violations: bool,
+
     /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
     ///
     /// Without INPUT and --voxel-size, lengths are in units of h.
@@ -217,6 +224,7 @@ Choosing the voxel size and the radii:
 
 Exit status:
   0    every frame was converted, or was done already
-  1    some frames failed; each is named, with why, and the others are there
+  1    some frames failed, or their results failed validation; each is named, with why, and the
+       others are there
   2    the command cannot be carried out, or no frame was converted
   130  interrupted: what is there is whole, and --skip-done goes on from it";

@@ -40,6 +40,10 @@ pub(in crate::cli) struct WatchArgs {
     #[arg(long)]
     pub(in crate::cli) once: bool,
 
+    /// With --once: exit with status 0 though some results fail validation
+    #[arg(long, requires = "once")]
+    pub(in crate::cli) allow_violations: bool,
+
     #[command(flatten)]
     pub(in crate::cli) frames: FrameArgs,
 
@@ -232,6 +236,6 @@ Signals:
 
 Exit status:
   0    with --once: every frame is converted. Without: the daemon was asked to end, and did
-  1    with --once: some frames failed, or were left; each is named, with why
+  1    with --once: some frames failed, were left, or failed validation; each is named, with why
   2    the command cannot be carried out; with --once also: no frame was converted
   130  ended at once by a second SIGINT; 143 by a second SIGTERM";

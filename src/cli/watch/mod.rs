@@ -31,7 +31,7 @@ use crate::window::{Listen, Window};
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
 use super::studio::level_sets_in;
-use super::wording::{FRAMES_IN_VIEW, counted, with_causes};
+use super::wording::{FRAMES_IN_VIEW, counted, failed_validation, with_causes};
 
 use plan::Plan;
 pub(super) use plan::make_plan;
@@ -83,7 +83,10 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         match control.next_plan() {
             Some(next) if summary.ended == Ended::Reload => previous = Some(replace(&mut plan, next)),
             _ if summary.ended == Ended::Reload && !control.is_finishing() => {}
-            _ => return Ok(conclude(args.once, &plan.config.watches, &summary)),
+            _ => {
+                let once = args.once.then_some(args.allow_violations);
+                return Ok(conclude(once, &plan.config.watches, &summary));
+            }
         }
     }
 }
@@ -104,9 +107,10 @@ fn give_up_what_is_under_way(once: bool) {
     std::process::exit(i32::from(once));
 }
 
-/// Tells how it ended.
-fn conclude(once: bool, watches: &[Watch], summary: &Summary) -> Verdict {
-    let Summary { ended, done_count, failed, left_count } = summary;
+/// Logs how the run ended, and returns the verdict. `once` is whether violations are allowed, of a run that converts what is
+/// there and ends.
+fn conclude(once: Option<bool>, watches: &[Watch], summary: &Summary) -> Verdict {
+    let Summary { ended, done_count, broken_count, failed, left_count } = summary;
     if is_out_of_sight(failed) {
         for failure in failed {
             error!("failed: {}", failure.what);
@@ -117,13 +121,17 @@ fn conclude(once: bool, watches: &[Watch], summary: &Summary) -> Verdict {
     }
     let why = if *ended == Ended::Drained { "nothing is left to do" } else { "asked to end" };
     info!(done = done_count, failed = failed.len(), left = left_count, "ended: {why}");
-    if !once {
-        return Verdict::Done;
+    let Some(allow_violations) = once else { return Verdict::Done };
+    if *broken_count > 0 {
+        let what = failed_validation(*broken_count, *done_count, "");
+        match allow_violations {
+            true => warn!("{what}"),
+            false => error!("{what}; --allow-violations accepts them"),
+        }
     }
-    match (failed.len() + left_count, done_count) {
-        (0, 1..) => Verdict::Done,
-        (_, 0) => Verdict::NothingDone,
-        _ => Verdict::SomeFailed,
+    match done_count {
+        0 => Verdict::NothingDone,
+        _ => Verdict::of(*done_count, failed.len() + left_count, *broken_count > 0 && !allow_violations),
     }
 }
 

@@ -3,7 +3,7 @@ use std::fs;
 
 fn summary(ended: Ended, done_count: usize, failed_count: usize, left_count: usize) -> Summary {
     let failed = FailedFrame { what: "f: why".to_owned(), frames_since: Some(0) };
-    Summary { ended, done_count, failed: vec![failed; failed_count], left_count }
+    Summary { ended, done_count, broken_count: 0, failed: vec![failed; failed_count], left_count }
 }
 
 #[test]
@@ -15,10 +15,18 @@ fn the_exit_status_is_that_of_convert_when_it_runs_once() {
         (0, 1, 0, Verdict::NothingDone),
         (0, 0, 0, Verdict::NothingDone),
     ] {
-        assert_eq!(conclude(true, &[], &summary(Ended::Drained, done, failed, left)), expected);
+        assert_eq!(conclude(Some(false), &[], &summary(Ended::Drained, done, failed, left)), expected);
     }
     // A daemon that was asked to end, and ended, did what it was asked.
-    assert_eq!(conclude(false, &[], &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
+    assert_eq!(conclude(None, &[], &summary(Ended::Finish, 0, 3, 3)), Verdict::Done);
+}
+
+#[test]
+fn a_run_once_with_broken_frames_ends_with_status_1_unless_violations_are_allowed() {
+    let broken = Summary { broken_count: 1, ..summary(Ended::Drained, 3, 0, 0) };
+    assert_eq!(conclude(Some(false), &[], &broken), Verdict::SomeFailed);
+    assert_eq!(conclude(Some(true), &[], &broken), Verdict::Done);
+    assert_eq!(conclude(None, &[], &broken), Verdict::Done);
 }
 
 #[test]

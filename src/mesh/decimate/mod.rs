@@ -84,7 +84,8 @@ pub fn decimate(mesh: &mut Mesh, error_world: f64) -> DecimateReport {
     let Thinning { rings, bounds, .. } = thinning;
     let before = (mesh.positions.len(), mesh.triangles.len());
     let bound = bounds.par_iter().copied().reduce(|| 0.0, f32::max);
-    rebuild(mesh, &rings);
+    mesh.triangles = rings.triangles(mesh);
+    mesh.drop_unused_vertices();
     DecimateReport {
         removed_vertex_count: before.0 - mesh.positions.len(),
         removed_triangle_count: before.1 - mesh.triangles.len(),
@@ -188,28 +189,5 @@ impl<'a> Thinning<'a> {
             own.0 <= limit && self.rings.of(vertex as u32).iter().all(is_first)
         };
         vertices.filter(is_chosen).map(|vertex| vertex as u32).collect()
-    }
-}
-
-/// Makes the mesh what the rings say.
-fn rebuild(mesh: &mut Mesh, rings: &Rings) {
-    let mut triangles = rings.triangles(mesh);
-    let mut is_used = vec![false; mesh.positions.len()];
-    triangles.iter().flatten().for_each(|&vertex| is_used[vertex as usize] = true);
-    let mut next = 0;
-    let numbers: Vec<u32> = is_used
-        .iter()
-        .map(|&is_used| {
-            let number = next;
-            next += u32::from(is_used);
-            number
-        })
-        .collect();
-    triangles.par_iter_mut().flatten().for_each(|vertex| *vertex = numbers[*vertex as usize]);
-    mesh.triangles = triangles;
-    for column in [&mut mesh.positions, &mut mesh.normals] {
-        let mut uses = is_used.iter();
-        column.retain(|_| uses.next().is_some_and(|&is_used| is_used));
-        column.shrink_to_fit();
     }
 }

@@ -13,7 +13,7 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::attributes::Wanted;
 use crate::pipeline::frame::{Cause, Frame, FrameError, Outcome, ReadInput, Stage};
 use crate::pipeline::frame_particles::{FileParticles, FrameParticles};
-use crate::pipeline::inspection::is_certified;
+use crate::pipeline::inspection::certified_fault;
 use crate::pipeline::method::Method;
 use crate::pipeline::obstacle_notes::out_of_reach;
 use crate::pipeline::obstacles::FoundObstacles;
@@ -22,6 +22,7 @@ use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged}
 use crate::pipeline::steps::{reading_bytes, step_of};
 use crate::settings::{Anisotropy, Settings};
 
+use super::Conduct;
 use super::line::{Ended, Known, Label, Line, Parcel, Read, outcome_of};
 
 impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
@@ -86,9 +87,7 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
             }
-            if self.conduct.skip_done && self.is_done(frame, input.hash, &obstacles.recorded()) {
-                return Err(Outcome::AlreadyDone(input));
-            }
+            self.refuse_done(frame, input, &obstacles)?;
             let streamed = FileParticles::open(&frame.input, file)
                 .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
             if let Some(particles) = streamed {
@@ -100,9 +99,7 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let unchanged = read_frame_unchanged(&frame.input, self.conduct.steps_found_by).map_err(failed)?;
         let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
         let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
-        if self.conduct.skip_done && self.is_done(frame, input.hash, &obstacles.recorded()) {
-            return Err(Outcome::AlreadyDone(input));
-        }
+        self.refuse_done(frame, input, &obstacles)?;
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
@@ -120,12 +117,23 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
     }
 
-    /// Whether a frame needs not be made again.
-    fn is_done(&self, frame: &Frame, hash: u128, obstacles: &str) -> bool {
-        match self.conduct.certificates {
-            true => is_certified(frame, hash, obstacles),
-            false => is_done(frame, hash, obstacles),
+    /// Ends a frame that needs not be made again, where such frames are skipped.
+    fn refuse_done(
+        &self,
+        frame: &Frame,
+        input: ReadInput,
+        obstacles: &FoundObstacles,
+    ) -> Result<(), Outcome> {
+        let Conduct { skip_done, certificates, .. } = *self.conduct;
+        if !skip_done {
+            return Ok(());
         }
+        let obstacles = obstacles.recorded();
+        let fault = match certificates {
+            true => certified_fault(frame, input.hash, &obstacles),
+            false => is_done(frame, input.hash, &obstacles).then_some(None),
+        };
+        fault.map_or(Ok(()), |fault| Err(Outcome::AlreadyDone { input, fault }))
     }
 
     /// Has a frame parsed and planned in the pool; waiting for the disk before it is no work for that.

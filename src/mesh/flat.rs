@@ -1,0 +1,360 @@
+//! Triangles without area, and how a mesh gets rid of them and stays closed.
+//!
+//! ```text
+//!   needle                                  cap
+//!
+//!        c                    c                  c                      c
+//!      ╱   ╲                ╱   ╲              ╱   ╲                  ╱ │ ╲
+//!    ╱   ╭──u       ──▶   ╱      ╲           a ─ u ─ b       ──▶     a  u  b       u lies on the edge a–b
+//!   d ───┴──v            d ────── v            ╲   ╱                  ╲ │ ╱
+//!                                                d                      d
+//!   u is at v, or next to it:                the edge a–b, which has u beside it, is turned
+//!   it is drawn onto v                       to u–d: no vertex moves
+//! ```
+//!
+//! They come about where positions are rounded: in 32 bits, far from the mesh's origin, or in 16 bits. A triangle counts if
+//! it has no area at the mesh's own positions or at those that a file makes of them ([`Rounding`]).
+//!
+//! Both operations keep the mesh closed and a manifold: a vertex is drawn onto a neighbour where both have exactly two
+//! neighbours in common, and an edge is turned where its new ends have none yet. Of the rest of the mesh nothing changes, and no
+//! vertex gets another position. Triangles that cannot be taken out stay, and [`Mesh::measure`] counts them.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+use rustc_hash::{FxHashMap, FxHashSet};
+
+use super::Mesh;
+use super::triangles::{LANES, TriangleBatch};
+
+/// What a file makes of the positions of a mesh, relative to the same origin.
+pub type Rounding = fn(&Mesh) -> Vec<Vec3>;
+
+/// Triangles in a piece of work.
+const PIECE: usize = 4096;
+
+/// After so many rounds what is left stays. One or two do as a rule.
+const ROUNDS_MAX: usize = 12;
+
+/// Up to this part of its longest edge, the shortest edge of a triangle vanishes; a longer one is part of a cap.
+const NEEDLE: f64 = 0.1;
+
+impl Mesh {
+    /// Takes out triangles without area, at these positions and at those that files make of them. Returns how many
+    /// triangles fewer there are.
+    ///
+    /// Panics if a triangle names a vertex that does not exist.
+    pub fn take_out_flat(&mut self, roundings: &[Rounding]) -> usize {
+        let before = self.triangles.len();
+        // Triangles turn over only if nothing else does.
+        let mut may_fold = false;
+        for _ in 0..ROUNDS_MAX {
+            let rounded: Vec<Vec<Vec3>> = roundings.iter().map(|rounding| rounding(self)).collect();
+            let views: Vec<&[Vec3]> =
+                [&*self.positions].into_iter().chain(rounded.iter().map(Vec::as_slice)).collect();
+            let mut flat: Vec<u32> =
+                views.iter().flat_map(|view| flat_triangles(view, &self.triangles)).collect();
+            flat.sort_unstable();
+            flat.dedup();
+            if flat.is_empty() {
+                break;
+            }
+            let mut surgery = Surgery::new(views, &self.triangles, &flat, may_fold);
+            let changed = flat.iter().filter(|&&triangle| surgery.treat(triangle)).count();
+            let triangles = surgery.triangles;
+            if changed == 0 && may_fold {
+                break;
+            }
+            may_fold = changed == 0;
+            self.triangles = triangles;
+            self.triangles.retain(|triangle| *triangle != GONE);
+            self.drop_unused_vertices();
+        }
+        before - self.triangles.len()
+    }
+
+    /// How many triangles have no area at the positions that a file makes of these.
+    pub fn flat_count(&self, rounding: Rounding) -> usize {
+        flat_triangles(&rounding(self), &self.triangles).len()
+    }
+}
+
+/// In place of a triangle that was taken out.
+const GONE: [u32; 3] = [u32::MAX; 3];
+
+/// The triangles that are degenerate at these positions, in order.
+fn flat_triangles(positions: &[Vec3], triangles: &[[u32; 3]]) -> Vec<u32> {
+    let of_piece = |(piece, triangles): (usize, &[[u32; 3]])| {
+        let mut flat = Vec::new();
+        for (batch, triangles) in triangles.chunks(LANES).enumerate() {
+            let degenerate = TriangleBatch::new(positions, triangles).degenerate();
+            let first = piece * PIECE + batch * LANES;
+            let is_flat = |&lane: &usize| degenerate[lane] > 0;
+            flat.extend((0..triangles.len()).filter(is_flat).map(|lane| (first + lane) as u32));
+        }
+        flat
+    };
+    triangles.par_chunks(PIECE).enumerate().flat_map_iter(of_piece).collect()
+}
+
+/// A mesh under the knife, around some triangles.
+struct Surgery<'a> {
+    views: Vec<&'a [Vec3]>,
+    triangles: Vec<[u32; 3]>,
+    /// The triangles of each vertex that is a corner of one of those triangles, or next to such a corner.
+    around: FxHashMap<u32, Vec<u32>>,
+    may_fold: bool,
+}
+
+impl<'a> Surgery<'a> {
+    fn new(views: Vec<&'a [Vec3]>, triangles: &[[u32; 3]], flat: &[u32], may_fold: bool) -> Surgery<'a> {
+        let corners: FxHashSet<u32> = flat.iter().flat_map(|&flat| triangles[flat as usize]).collect();
+        let touches = |triangle: &&[u32; 3]| triangle.iter().any(|vertex| corners.contains(vertex));
+        let near: Vec<[u32; 3]> = triangles.par_iter().filter(touches).copied().collect();
+        let mut around: FxHashMap<u32, Vec<u32>> = FxHashMap::default();
+        around.extend(near.into_iter().flatten().map(|vertex| (vertex, Vec::new())));
+        let is_near =
+            |(_, triangle): &(u32, &[u32; 3])| triangle.iter().any(|vertex| around.contains_key(vertex));
+        let found: Vec<(u32, &[u32; 3])> =
+            (0..triangles.len() as u32).into_par_iter().zip(triangles).filter(is_near).collect();
+        for (index, triangle) in found {
+            for vertex in triangle {
+                if let Some(list) = around.get_mut(vertex) {
+                    list.push(index);
+                }
+            }
+        }
+        Surgery { views, triangles: triangles.to_vec(), around, may_fold }
+    }
+
+    /// Takes out a triangle without area, or turns it into one with an area. Returns whether it could.
+    fn treat(&mut self, triangle: u32) -> bool {
+        let corners = self.triangles[triangle as usize];
+        let flat_view = self.views.iter().position(|view| is_flat(view, corners));
+        let Some(view) = flat_view.map(|index| self.views[index]).filter(|_| corners != GONE) else {
+            return false;
+        };
+        // Each edge with the corner that it is opposite of, the shortest first.
+        let mut edges = [0, 1, 2].map(|place| {
+            let [from, to] = [corners[place], corners[(place + 1) % 3]];
+            (at(view, from).distance(at(view, to)), place)
+        });
+        edges.sort_unstable_by(|one, other| one.0.total_cmp(&other.0).then(one.1.cmp(&other.1)));
+        let [shortest, middle, longest] = edges;
+        let ends = |place: usize| [corners[place], corners[(place + 1) % 3]];
+        let is_needle = shortest.0 <= NEEDLE * longest.0;
+        is_needle && self.collapse_edge(ends(shortest.1))
+            || self.turn_edge(triangle, ends(longest.1))
+            || self.collapse_edge(ends(shortest.1))
+            || self.collapse_edge(ends(middle.1))
+    }
+
+    fn triangles_of(&self, vertex: u32) -> &[u32] {
+        self.around.get(&vertex).map_or(&[], Vec::as_slice)
+    }
+
+    fn has(&self, triangle: u32, vertex: u32) -> bool {
+        self.triangles[triangle as usize].contains(&vertex)
+    }
+
+    /// The triangles of a vertex that have another one, too.
+    fn shared(&self, one: u32, other: u32) -> Vec<u32> {
+        self.triangles_of(one).iter().copied().filter(|&triangle| self.has(triangle, other)).collect()
+    }
+
+    fn neighbors(&self, vertex: u32) -> Vec<u32> {
+        let triangles = self.triangles_of(vertex).iter();
+        let mut neighbors: Vec<u32> =
+            triangles.flat_map(|&triangle| self.triangles[triangle as usize]).collect();
+        neighbors.sort_unstable();
+        neighbors.dedup();
+        neighbors.retain(|&neighbor| neighbor != vertex);
+        neighbors
+    }
+
+    /// Draws one end of an edge onto the other.
+    fn collapse_edge(&mut self, [one, other]: [u32; 2]) -> bool {
+        let (lesser, greater) = (one.min(other), one.max(other));
+        self.collapse(greater, lesser) || self.collapse(lesser, greater)
+    }
+
+    fn collapse(&mut self, vertex: u32, target: u32) -> bool {
+        let (ring, ring_of_target) = (self.neighbors(vertex), self.neighbors(target));
+        let common: Vec<u32> =
+            ring.iter().copied().filter(|neighbor| ring_of_target.binary_search(neighbor).is_ok()).collect();
+        let gone = self.shared(vertex, target);
+        // The link condition; and whoever loses a triangle must have three left.
+        let is_manifold = gone.len() == 2
+            && common.len() == 2
+            && common.iter().all(|&neighbor| self.triangles_of(neighbor).len() > 3)
+            && ring.len() + ring_of_target.len() > 6;
+        if !is_manifold {
+            return false;
+        }
+        let own = self.triangles_of(vertex).to_vec();
+        let moved = |triangle: u32| {
+            self.triangles[triangle as usize].map(|corner| if corner == vertex { target } else { corner })
+        };
+        let is_sound = |&triangle: &u32| {
+            let (old, new) = (self.triangles[triangle as usize], moved(triangle));
+            let gets_flat = self.views.iter().any(|view| is_flat(view, new) && !is_flat(view, old));
+            !gets_flat && (self.may_fold || faces_alike(self.views[0], old, new))
+        };
+        if !own.iter().filter(|triangle| !gone.contains(triangle)).all(is_sound) {
+            return false;
+        }
+        for &triangle in &own {
+            let corners = self.triangles[triangle as usize];
+            if gone.contains(&triangle) {
+                for corner in corners {
+                    self.remove_from(corner, triangle);
+                }
+                self.triangles[triangle as usize] = GONE;
+            } else {
+                self.triangles[triangle as usize] = moved_corners(corners, vertex, target);
+                self.around.entry(target).or_default().push(triangle);
+            }
+        }
+        self.around.remove(&vertex);
+        true
+    }
+
+    /// Turns the longest edge of a triangle, so that it and the one beyond the edge are cut the other way.
+    fn turn_edge(&mut self, triangle: u32, [a, b]: [u32; 2]) -> bool {
+        let shared = self.shared(a, b);
+        let Some(&beyond) = shared.iter().find(|&&other| other != triangle) else { return false };
+        let apex = |triangle: u32| {
+            self.triangles[triangle as usize].into_iter().find(|&corner| corner != a && corner != b)
+        };
+        let (Some(c), Some(d)) = (apex(triangle), apex(beyond)) else { return false };
+        let is_manifold = shared.len() == 2
+            && c != d
+            && self.shared(c, d).is_empty()
+            && self.triangles_of(a).len() > 3
+            && self.triangles_of(b).len() > 3;
+        let (one, other) = ([c, a, d], [d, b, c]);
+        let is_flat = self.views.iter().any(|view| is_flat(view, one) || is_flat(view, other));
+        let old = self.triangles[beyond as usize];
+        let is_alike = || [one, other].iter().all(|&new| faces_alike(self.views[0], old, new));
+        if !is_manifold || is_flat || !(self.may_fold || is_alike()) {
+            return false;
+        }
+        self.triangles[triangle as usize] = one;
+        self.triangles[beyond as usize] = other;
+        self.remove_from(a, beyond);
+        self.remove_from(b, triangle);
+        self.around.entry(c).or_default().push(beyond);
+        self.around.entry(d).or_default().push(triangle);
+        true
+    }
+
+    fn remove_from(&mut self, vertex: u32, triangle: u32) {
+        if let Some(list) = self.around.get_mut(&vertex) {
+            list.retain(|&other| other != triangle);
+        }
+    }
+}
+
+fn moved_corners(corners: [u32; 3], from: u32, to: u32) -> [u32; 3] {
+    corners.map(|corner| if corner == from { to } else { corner })
+}
+
+fn at(view: &[Vec3], vertex: u32) -> DVec3 {
+    view[vertex as usize].as_dvec3()
+}
+
+/// Twice the area, along the normal.
+fn area_vector(view: &[Vec3], [a, b, c]: [u32; 3]) -> DVec3 {
+    (at(view, b) - at(view, a)).cross(at(view, c) - at(view, a))
+}
+
+fn is_flat(view: &[Vec3], triangle: [u32; 3]) -> bool {
+    triangle != GONE && TriangleBatch::new(view, &[triangle]).degenerate()[0] > 0
+}
+
+/// Whether two triangles face the same side, more or less. One without area faces all sides.
+fn faces_alike(view: &[Vec3], old: [u32; 3], new: [u32; 3]) -> bool {
+    is_flat(view, old) || area_vector(view, old).dot(area_vector(view, new)) > 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A box of so many squares along each edge, each cut into two triangles.
+    fn cube(count: u32) -> Mesh {
+        let mut places: FxHashMap<[u32; 3], u32> = FxHashMap::default();
+        let mut mesh = Mesh::default();
+        let mut vertex = |place: [u32; 3]| {
+            *places.entry(place).or_insert_with(|| {
+                mesh.positions.push(Vec3::from(place.map(|along| along as f32)));
+                mesh.positions.len() as u32 - 1
+            })
+        };
+        let mut triangles = Vec::new();
+        for axis in 0..3 {
+            for (end, turned) in [(0, true), (count, false)] {
+                for i in 0..count {
+                    for j in 0..count {
+                        let corner = |u: u32, v: u32| {
+                            let mut place = [0; 3];
+                            (place[axis], place[(axis + 1) % 3], place[(axis + 2) % 3]) = (end, i + u, j + v);
+                            place
+                        };
+                        let [a, b, c, d] =
+                            [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)].map(&mut vertex);
+                        let quad = if turned { [[a, c, b], [a, d, c]] } else { [[a, b, c], [a, c, d]] };
+                        triangles.extend(quad);
+                    }
+                }
+            }
+        }
+        mesh.triangles = triangles;
+        mesh.normals = vec![Vec3::X; mesh.positions.len()];
+        assert!(mesh.measure().is_closed_manifold());
+        mesh
+    }
+
+    #[test]
+    fn needles_and_caps_go_and_the_mesh_stays_closed() {
+        let whole = cube(6);
+        let neighbors: Vec<[u32; 2]> = whole.triangles.iter().map(|&[a, b, _]| [a, b]).collect();
+        for &[a, b] in neighbors.iter().step_by(7) {
+            // A vertex at its neighbour; and one on the line between two others.
+            let mut merged = whole.clone();
+            merged.positions[a as usize] = merged.positions[b as usize];
+            let mut capped = whole.clone();
+            let [p, q, r] = whole.triangles[(7 * a as usize + b as usize) % whole.triangles.len()];
+            capped.positions[p as usize] =
+                (capped.positions[q as usize] + capped.positions[r as usize]) / 2.0;
+            for mut mesh in [merged, capped] {
+                assert!(mesh.measure().degenerate_triangle_count > 0);
+                let fewer = mesh.take_out_flat(&[]);
+                let measures = mesh.measure();
+                assert!(measures.is_closed_manifold(), "{a} {b}: {measures:?}");
+                assert_eq!((measures.euler_characteristic, measures.component_count), (2, 1));
+                assert_eq!(mesh.triangles.len() + fewer, whole.triangles.len());
+                assert_eq!(mesh.positions.len(), mesh.normals.len());
+                assert!(fewer <= 8, "{fewer}");
+            }
+        }
+    }
+
+    #[test]
+    fn triangles_that_a_file_would_flatten_go() {
+        let coarse: Rounding = |mesh| mesh.positions.iter().map(|p| (p / 1.5).round() * 1.5).collect();
+        let mut mesh = cube(8);
+        assert!(mesh.flat_count(coarse) > 0);
+        mesh.take_out_flat(&[coarse]);
+        let measures = mesh.measure();
+        assert!(measures.is_closed_manifold() && measures.euler_characteristic == 2, "{measures:?}");
+        assert_eq!(mesh.flat_count(coarse), 0);
+    }
+
+    #[test]
+    fn a_mesh_without_flat_triangles_stays_as_it_is() {
+        let mut mesh = cube(4);
+        let before = mesh.clone();
+        assert_eq!(mesh.take_out_flat(&[]), 0);
+        assert_eq!(mesh, before);
+    }
+}

@@ -1,0 +1,233 @@
+//! What a certificate says is so of the mesh that is written: with fewer triangles, at rounded positions, and with particles
+//! that have flown far away.
+
+use std::collections::HashSet;
+use std::fs;
+
+use glam::{DVec3, Vec3};
+use meniscus::mesh::Mesh;
+use meniscus::obstacle::Obstacles;
+use meniscus::particles::Particles;
+use meniscus::report::Shaping;
+use meniscus::settings::{Choices, Settings};
+use meniscus::skin::{Stored, Surface, contour, rasterize, skin, smooth};
+use serde_json::Value;
+use tempfile::tempdir;
+
+use crate::scene::{block, meniscus, write_ply};
+
+fn skinned(positions: &[[f64; 3]], settings: &Settings, stored: &[Stored]) -> Surface {
+    let particles = Particles::Double(positions.to_vec());
+    let rasterized = rasterize(&particles, settings, Shaping::default(), Obstacles::default());
+    let Ok(rasterized) = rasterized;
+    contour(smooth(rasterized, settings), settings, stored)
+}
+
+/// How often a mesh winds around a point: the solid angles of all its triangles.
+fn winding(mesh: &Mesh, positions: &[Vec3], point: DVec3) -> f64 {
+    let solid_angle = |triangle: &[u32; 3]| {
+        let [a, b, c] = triangle.map(|vertex| mesh.origin + positions[vertex as usize].as_dvec3() - point);
+        let [la, lb, lc] = [a, b, c].map(DVec3::length);
+        let below = la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb;
+        2.0 * a.dot(b.cross(c)).atan2(below)
+    };
+    mesh.triangles.iter().map(solid_angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
+}
+
+/// Numbers below one that look random.
+fn random(seed: u64) -> f64 {
+    let mixed = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mixed = (mixed ^ mixed >> 31).wrapping_mul(0xd6e8_feb8_6659_fd93);
+    ((mixed ^ mixed >> 29) >> 11) as f64 / (1u64 << 53) as f64
+}
+
+fn cloud(seed: u64, count: u64, width: f64) -> Vec<[f64; 3]> {
+    (0..count).map(|index| [0, 1, 2].map(|axis| width * random(3000 * seed + 3 * index + axis))).collect()
+}
+
+fn quarters(mesh: &Mesh) -> Vec<Vec3> {
+    mesh.positions.iter().map(|position| (position * 4.0).round() / 4.0).collect()
+}
+
+/// With radii this small some particles are outside of the mesh and of φ, and some of one of them only.
+#[test]
+fn particles_outside_the_written_mesh_are_counted_to_the_last() {
+    let mut outside_in_all = 0;
+    for (decimate, radius_min) in [(0.0, 0.4), (0.0, 0.9), (0.8, 0.7), (0.5, 1.2)] {
+        let choices =
+            Choices { decimate: Some(decimate), radius_min: Some(radius_min), ..Choices::default() };
+        let settings = Settings::resolve(1.0, &choices).expect("sound");
+        for (seed, stored) in [(1, Stored::AsTheyAre), (2, Stored::Rounded(quarters)), (3, Stored::AsTheyAre)]
+        {
+            let positions = cloud(seed, 300, 16.0);
+            let surface = skinned(&positions, &settings, &[stored]);
+            let written = match stored {
+                Stored::AsTheyAre => surface.mesh.positions.clone(),
+                Stored::Rounded(rounding) => rounding(&surface.mesh),
+            };
+            let is_outside =
+                |position: &&[f64; 3]| winding(&surface.mesh, &written, DVec3::from(**position)) < 0.5;
+            let outside_count = positions.iter().filter(is_outside).count();
+            let certificate = &surface.report.certificate;
+            assert!(certificate.mesh_is_closed_manifold, "{certificate:?}");
+            assert_eq!(
+                certificate.particles_outside, outside_count,
+                "decimated by {decimate}, r_min {radius_min}, {stored:?}"
+            );
+            outside_in_all += outside_count;
+        }
+    }
+    assert!(outside_in_all > 0, "the scenes have no particle outside");
+}
+
+#[test]
+fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
+    let settings = Settings::resolve(1.0, &Choices::default()).expect("sound");
+    let mut removed_count = 0;
+    for seed in 0..4 {
+        let positions = cloud(40 + seed, 400, 24.0);
+        let surface = skinned(&positions, &settings, &[Stored::Rounded(quarters)]);
+        let certificate = &surface.report.certificate;
+        assert!(certificate.holds(), "{certificate:?}");
+        removed_count += surface.report.flat_triangles_removed;
+        // What is said of the vertices is said of those in the file.
+        let written = quarters(&surface.mesh);
+        let nearest = |vertex: &Vec3| {
+            let distances =
+                positions.iter().map(|particle| DVec3::from(*particle).distance(vertex.as_dvec3()));
+            distances.fold(f64::INFINITY, f64::min)
+        };
+        let distances: Vec<f64> = written.iter().map(nearest).collect();
+        let least = distances.iter().copied().fold(f64::INFINITY, f64::min);
+        let greatest = distances.iter().copied().fold(0.0, f64::max);
+        assert!((certificate.vertex_distance_min - least).abs() < 1e-4, "{least} {certificate:?}");
+        assert!((certificate.vertex_distance_max - greatest).abs() < 1e-4, "{greatest} {certificate:?}");
+        for triangle in &surface.mesh.triangles {
+            let [a, b, c] = triangle.map(|vertex| written[vertex as usize]);
+            assert!((b - a).cross(c - a).length() > 0.0, "{a} {b} {c}");
+        }
+    }
+    assert!(removed_count > 0, "no scene had a triangle without area");
+}
+
+/// Drops this far from all others are still closed meshes: what 32 bits make flat is taken out.
+#[test]
+fn drops_as_far_away_as_positions_reach_are_closed() {
+    let settings = Settings::resolve(0.1, &Choices::default()).expect("sound");
+    let near: Vec<[f64; 3]> = block(10, 0.0).iter().map(|position| position.map(|x| 2.0 * x)).collect();
+    let mut removed_count = 0;
+    for (seed, voxels) in [2e4, 7e4, 2e5, 5e5, 8e5, 1e6].into_iter().enumerate() {
+        for drop in 0..4 {
+            let mut positions = near.clone();
+            let at = |axis: u64| 0.1 * voxels * (0.2 + 0.8 * random(100 * seed as u64 + 10 * drop + axis));
+            let [x, y, z] = [at(0), -at(1), 0.1 * voxels];
+            positions.extend([[x, y, z], [x + 0.25, y + 0.1, z], [x, y + 0.3, z + 0.1]]);
+            let report = skin(&Particles::Double(positions), &settings).report;
+            assert_eq!(report.dropped_count, 0);
+            assert!(report.certificate.holds(), "at {voxels}: {:?} {:?}", report.certificate, report.mesh);
+            removed_count += report.flat_triangles_removed;
+        }
+    }
+    assert!(removed_count > 0, "no drop had a triangle without area");
+}
+
+#[test]
+fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
+    let settings = Settings::resolve(0.1, &Choices::default()).expect("sound");
+    let positions = block(8, 0.0);
+    let alone = skin(&Particles::Double(positions.clone()), &settings);
+    for far in [3e5, -4e6, 9e7, 1e30] {
+        let mut escaped = positions.clone();
+        escaped.insert(100, [0.3, far, 0.0]);
+        let surface = skin(&Particles::Double(escaped), &settings);
+        assert!(surface.mesh == alone.mesh && surface.band.phi == alone.band.phi, "at {far}");
+        assert_eq!((surface.report.particle_count, surface.report.dropped_count), (512, 1));
+        assert_eq!(surface.report.certificate.particles_left_out, 1);
+        assert!(surface.report.certificate.holds());
+        let at = surface.report.stray.expect("a place");
+        assert!((at.y / far - 1.0).abs() < 1e-3, "{at}");
+    }
+}
+
+/// A frame of two parts is as wide as it is.
+#[test]
+fn a_frame_of_two_parts_far_from_each_other_keeps_both() {
+    let settings = Settings::resolve(0.1, &Choices::default()).expect("sound");
+    let mut positions = block(8, 0.0);
+    positions.extend(block(8, 3e5));
+    let report = skin(&Particles::Double(positions), &settings).report;
+    assert_eq!((report.particle_count, report.dropped_count), (1024, 0));
+    assert_eq!(report.mesh.component_count, 2);
+}
+
+#[test]
+fn the_command_leaves_an_escaped_particle_out_with_a_warning_and_ends_well() {
+    let folder = tempdir().expect("a folder");
+    let mut particles = block(8, 0.0);
+    particles.push([1e6, 2.0, 3.0]);
+    write_ply(&folder.path().join("a.ply"), &particles);
+    let ran = meniscus(
+        folder.path(),
+        &["convert", "a.ply", "--out", "out", "--voxel-size", "0.1", "--report", "r.json"],
+    );
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert!(
+        ran.err.contains("1 particle left out: not finite, or too far away; one is near (1e6, 2"),
+        "{}",
+        ran.err
+    );
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.path().join("r.json")).expect("there")).expect("JSON");
+    let frame = &report["frames"][0];
+    assert_eq!((&frame["dropped"], &frame["certificate"]["particles_left_out"]), (&1.into(), &1.into()));
+    assert_eq!(frame["certificate"]["holds"], true);
+}
+
+/// A shard whose frames break a guarantee fails, each time that it runs, and says how many.
+#[test]
+fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    for number in 1..=2 {
+        write_ply(&folder.join(format!("a.{number}.ply")), &block(4, 0.013));
+    }
+    // Spheres so small that they fall between the voxels.
+    let options = ["--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001", "-o", "p.json"];
+    let plan = meniscus(folder, &[&["plan", "a.1.ply", "a.2.ply", "--shards=1"][..], &options].concat());
+    assert_eq!(plan.status, 0, "{}", plan.err);
+    let shard = ["convert", "--plan", "p.json", "--shard", "0"];
+    for _ in 0..2 {
+        let ran = meniscus(folder, &shard);
+        assert_eq!(ran.status, 1, "{}", ran.err);
+        let told =
+            "error: 2 of 2 frames failed validation; outputs were kept; --allow-violations accepts them\n";
+        assert!(ran.err.ends_with(told), "{}", ran.err);
+    }
+    assert_eq!(meniscus(folder, &[&shard[..], &["--allow-violations"]].concat()).status, 0);
+    let verified = meniscus(folder, &["verify", "out", "--plan", "p.json"]);
+    assert!(verified.status != 0 && verified.err.contains("uncertified"), "{}", verified.err);
+}
+
+/// A quantized .glb beside a .ply: one certificate for both, and each file says as what it was checked.
+#[test]
+fn the_certificate_says_of_each_file_what_was_checked() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_ply(&folder.join("a.1.ply"), &block(5, 0.0));
+    let options = ["--out=out", "--format=glb,ply,vdb", "--quantize", "--decimate=0.1", "-o=p.json"];
+    let plan = meniscus(folder, &[&["plan", "a.1.ply", "--shards=1"][..], &options].concat());
+    assert_eq!(plan.status, 0, "{}", plan.err);
+    assert_eq!(meniscus(folder, &["convert", "--plan", "p.json", "--shard", "0"]).status, 0);
+    let bytes = fs::read(folder.join("out/a.1.certificate.json")).expect("a certificate");
+    let certificate: Value = serde_json::from_slice(&bytes).expect("JSON");
+    let checked: Vec<&str> = certificate["outputs"]
+        .as_array()
+        .expect("a list")
+        .iter()
+        .map(|output| output["checked"].as_str().expect("text"))
+        .collect();
+    assert_eq!(checked.len(), 3);
+    assert_eq!(checked.iter().collect::<HashSet<_>>().len(), 3, "{checked:?}");
+    assert!(checked.contains(&"mesh, at its 16-bit positions"), "{checked:?}");
+    assert_eq!(meniscus(folder, &["verify", "out", "--plan", "p.json"]).status, 0);
+}
