@@ -52,7 +52,10 @@ fn links_in_circles_are_watched_around() {
 /// Runs the command as somebody who is not root, and may not do everything; `None` where that cannot be.
 fn run_as_nobody(scene: &Scene, arguments: &[&str]) -> Option<Ran> {
     let program = scene.path("meniscus");
-    fs::copy(env!("CARGO_BIN_EXE_meniscus"), &program).expect("copied");
+    // Another process copies it: a test that starts a program at this moment would inherit our descriptor, and a file that
+    // is open for writing cannot be run.
+    let copied = Command::new("cp").arg(env!("CARGO_BIN_EXE_meniscus")).arg(&program).status();
+    assert!(copied.is_ok_and(|status| status.success()));
     fs::set_permissions(scene.path(""), Permissions::from_mode(0o777)).expect("changed");
     fs::set_permissions(&program, Permissions::from_mode(0o755)).expect("changed");
     let mut command = Command::new("setpriv");
@@ -103,7 +106,7 @@ fn unreadable_subfolder_fails_the_run() {
     fs::create_dir(scene.path("in/closed")).expect("made");
     forbid(&scene, "in/closed");
     // Named without a wildcard, a closed folder is an error with its reason as well.
-    for (input, status) in [("in/**/dam.*.ply", 1), ("in/*/../dam.*.ply", 1), ("in/closed/dam.#.ply", 2)] {
+    for (input, status) in [("in/**/dam.*.ply", 1), ("in/*/../dam.*.ply", 2), ("in/closed/dam.#.ply", 2)] {
         let arguments = ["convert", input, "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
         let Some(ran) = run_as_nobody(&scene, &arguments) else { return };
         assert_eq!(ran.status, Some(status), "{input}: {}", ran.err);
