@@ -1,5 +1,6 @@
 //! From what was typed, or stands in a file, to the types of the layers below.
 
+use std::io;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
@@ -124,12 +125,13 @@ pub(super) fn warn_of_ignored(
 pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     let obstacles = ObstacleFiles::new(method.obstacles.obstacle.clone());
     if let Some(missing) = obstacles.missing() {
-        let missing_name = missing.display();
-        match missing.is_dir() {
-            true => bail!(
-                "{missing_name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj"
-            ),
-            false => bail!("{missing_name}: there is no such obstacle"),
+        let name = missing.display();
+        match missing.metadata() {
+            Ok(there) if there.is_dir() => {
+                bail!("{name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj")
+            }
+            Err(error) if error.kind() != io::ErrorKind::NotFound => bail!("obstacle {name}: {error}"),
+            _ => bail!("{name}: there is no such obstacle"),
         }
     }
     Ok(obstacles)

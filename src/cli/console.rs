@@ -18,11 +18,12 @@ pub(super) struct Console {
     /// Nothing more is printed on the standard output: it is closed, or failed.
     muted: bool,
     failure: Option<io::Error>,
+    failed_count: usize,
 }
 
 impl Console {
     pub(super) fn new() -> Console {
-        Console { bar: None, muted: false, failure: None }
+        Console { bar: None, muted: false, failure: None, failed_count: 0 }
     }
 
     /// Prints a line of results, with what could forge a line or control the terminal [`escaped`].
@@ -73,6 +74,17 @@ impl Console {
     pub(super) fn warn(&self, line: impl Display) {
         // There is nobody left to tell that this failed.
         let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{}", escaped(line)));
+    }
+
+    /// Prints an error that makes the command fail, whatever else succeeds: part of the input could not be examined.
+    pub(super) fn fail(&mut self, line: impl Display) {
+        self.warn(line);
+        self.failed_count += 1;
+    }
+
+    /// How many such errors there were.
+    pub(super) fn failed_count(&self) -> usize {
+        self.failed_count
     }
 
     /// Shows a bar for so many frames, if somebody watches. Whether it does.

@@ -49,6 +49,9 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
         return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
+    if console.failed_count() > 0 && args.on_error == OnErrorChoice::Stop {
+        bail!("nothing is converted, because of --on-error stop: make the paths above readable");
+    }
     if are_level_sets(&selection, args)? {
         return convert_level_sets(args, &selection, start, console);
     }
@@ -218,7 +221,8 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
 /// Of a frame that cannot be made again, its input or an obstacle being gone, and need not be, as `verify` sees it: what its
 /// certificate says does not hold. `None` of any other frame.
 fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
-    let is_gone = !file_of(&frame.input).exists() || !frame.obstacles.are_there(frame.number);
+    let is_absent = matches!(file_of(&frame.input).try_exists(), Ok(false));
+    let is_gone = is_absent || !frame.obstacles.are_there(frame.number);
     match is_gone.then(|| inspect(frame).state)? {
         FrameState::Done => Some(None),
         FrameState::Uncertified(why) => Some(Some(why)),

@@ -25,9 +25,11 @@ use meniscus_formats::packing::read_head;
 use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{
-    FrameFile, NumberPattern, files_in, frames_in, is_level_set, is_own_output, promises_particles,
-    size_bytes, step_of,
+    FrameFile, NumberPattern, files_in, frames_in, is_absent, is_level_set, is_link_loop, is_own_output,
+    may_be_file, promises_particles, size_bytes, step_of,
 };
+
+use super::console::Console;
 
 /// The files that were meant.
 #[derive(Debug, Default)]
@@ -36,7 +38,9 @@ pub(super) struct Found {
     pub(super) files: Vec<FrameFile>,
     /// Files in folders that are no frames: the first by path, and how many.
     pub(super) passed_over: Option<(PathBuf, usize)>,
-    /// What could not be looked at, a sentence each.
+    /// Paths that could not be examined and may be, or hold, frames; each with the reason.
+    pub(super) unreadable: Vec<(PathBuf, String)>,
+    /// Other remarks, a sentence each.
     pub(super) warnings: Vec<String>,
 }
 
@@ -50,25 +54,32 @@ const HEAD_BYTES: u64 = 64 << 10;
 pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
     let mut found = Found::default();
     for input in inputs {
-        if input.is_dir() {
-            found.add_folder(input)?;
-        } else if input.symlink_metadata().is_ok() {
-            found.files.push(FrameFile::new(input.clone()));
-        } else if step_of(input).is_some_and(|(file, _)| file.is_file()) {
-            size_bytes(input).map_err(|error| anyhow!("{}: {error}", input.display()))?;
-            found.files.push(FrameFile::new(input.clone()));
-        } else {
-            found.add_pattern(input)?;
+        match input.metadata() {
+            Ok(metadata) if metadata.is_dir() => found.add_folder(input)?,
+            Ok(_) => found.files.push(FrameFile::new(input.clone())),
+            // Reading it says what is wrong.
+            Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
+            Err(_) if step_of(input).is_some_and(|(file, _)| file.is_file()) => {
+                size_bytes(input).map_err(|error| anyhow!("{}: {error}", input.display()))?;
+                found.files.push(FrameFile::new(input.clone()));
+            }
+            Err(error) if !is_absent(input, &error) && !is_pattern(input) => {
+                bail!("{}: {error}", input.display())
+            }
+            Err(_) => found.add_pattern(input)?,
         }
     }
-    let (frames, refused): (Vec<_>, Vec<_>) = found.files.into_iter().map(frames_of).partition(Result::is_ok);
-    found.files = frames.into_iter().flatten().flatten().collect();
-    for error in refused.into_iter().filter_map(Result::err) {
-        // Others are not lost for it.
-        if found.files.is_empty() {
-            return Err(error);
+    for file in std::mem::take(&mut found.files) {
+        let path = file.path.clone();
+        match frames_of(file) {
+            Ok(frames) => found.files.extend(frames),
+            Err(error) => found.unreadable.push((path, error.to_string())),
         }
-        found.warnings.push(format!("{error}: left out"));
+    }
+    if let Some((path, why)) = found.unreadable.first()
+        && found.files.is_empty()
+    {
+        bail!("{}: {why}", path.display());
     }
     let mut seen = HashSet::new();
     found.files.retain(|file| seen.insert(entry(&file.path)));
@@ -79,13 +90,13 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
 ///
 /// # Errors
 /// When it is beyond a limit, such as that of steps: as one frame it would be read whole for nothing.
-fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>> {
+fn frames_of(file: FrameFile) -> Result<Vec<FrameFile>, Error> {
     if step_of(&file.path).is_some() {
         return Ok(vec![file]);
     }
     match frames_in(&file.path) {
         Ok(frames) if frames.len() > 1 => Ok(frames.into_iter().map(FrameFile::new).collect()),
-        Err(error @ Error::TooLarge { .. }) => bail!("{}: {error}", file.path.display()),
+        Err(error @ Error::TooLarge { .. }) => Err(error),
         _ => Ok(vec![file]),
     }
 }
@@ -98,7 +109,18 @@ impl Found {
         if let Some((first, count)) = found.passed_over {
             self.pass_over(first, count);
         }
+        self.unreadable.extend(found.unreadable);
         self.warnings.extend(found.warnings);
+    }
+
+    /// Prints the warnings, and an error for each path that could not be examined: the command then fails.
+    pub(super) fn report(&self, console: &mut Console) {
+        for warning in &self.warnings {
+            console.warn(format_args!("warning: {warning}"));
+        }
+        for (path, why) in &self.unreadable {
+            console.fail(format_args!("error: {}: {why}", path.display()));
+        }
     }
 
     /// Counts files that are no frames, of which this is the first by path.
@@ -116,10 +138,12 @@ impl Found {
             match is_frame(&path) {
                 Ok(true) => self.files.push(FrameFile::new(path)),
                 Ok(false) => self.pass_over(path, 1),
-                Err(error) => self.warnings.push(cannot_read(&path, &error)),
+                // Removed since it was listed, or a link to nowhere that is not named like a frame.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => self.unreadable.push((path, error.to_string())),
             }
         }
-        if self.files.len() == count_before {
+        if self.files.len() == count_before && self.unreadable.is_empty() {
             let hint = if has_level_set { ": level sets are given by name, or by a pattern" } else { "" };
             bail!(
                 "{}: no frames of particles among the {file_count} files of this folder{hint}",
@@ -137,25 +161,24 @@ impl Found {
         let name = input.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if let Some(number) = NumberPattern::find(name) {
             self.add_numbered(input, &number)?;
-            if self.files.len() == count_before && number.width_min > 1 {
+            if self.files.len() == count_before && self.unreadable.is_empty() && number.width_min > 1 {
                 bail!(
                     "{pattern}: no file matches; for numbers of any width, write {}{{}}{}",
                     number.before,
                     number.after
                 );
             }
-        } else if pattern.contains(['*', '?', '[']) {
+        } else if pattern.contains(WILDCARDS) {
             let paths = self.matching(pattern)?;
-            self.files.extend(paths.into_iter().filter(|path| path.is_file()).map(FrameFile::new));
+            self.files.extend(paths.into_iter().filter(|path| may_be_file(path)).map(FrameFile::new));
         } else {
             // As Houdini and others write the number of a frame.
             let is_foreign = name.contains("$F") || name.contains("@@");
             let hint = if is_foreign { "; the number is written ####, as in dam.####.bgeo" } else { "" };
             bail!("{pattern}: no such file or folder{hint}");
         }
-        if self.files.len() == count_before {
-            let why = self.warnings.pop().map_or(String::new(), |why| format!("; {why}"));
-            bail!("{pattern}: no file matches{why}");
+        if self.files.len() == count_before && self.unreadable.is_empty() {
+            bail!("{pattern}: no file matches");
         }
         Ok(())
     }
@@ -179,59 +202,135 @@ impl Found {
             return Ok(vec![pattern.to_owned()]);
         }
         let mut paths = self.matching(&pattern.to_string_lossy())?;
-        paths.retain(|path| path.is_dir());
+        paths.retain(|path| match path.metadata() {
+            Ok(metadata) => metadata.is_dir(),
+            Err(error) => {
+                self.note_unreadable(path, &error);
+                false
+            }
+        });
         Ok(paths)
     }
 
-    /// What matches a glob. A folder that cannot be looked into costs itself only.
+    /// The paths that match a glob, sorted. `**` matches folders within folders: each is listed once, under its own name
+    /// rather than that of a link, because links may lead in circles. A folder that cannot be listed is noted.
     fn matching(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
-        if pattern.split('/').any(|part| part == "**") {
-            return self.matching_below(pattern);
-        }
-        let paths = glob::glob_with(pattern, GLOB_OPTIONS).with_context(|| pattern.to_owned())?;
-        let warnings = &mut self.warnings;
-        let found = paths.filter_map(|path| {
-            path.map_err(|error| warnings.push(cannot_read(error.path(), error.error()))).ok()
-        });
-        Ok(found.collect())
-    }
-
-    /// The same of one with `**`, which stands for folders within folders: each is looked into once, under its own name
-    /// rather than that of a link, for links may lead in circles.
-    fn matching_below(&mut self, pattern: &str) -> Result<Vec<PathBuf>> {
-        let glob = Pattern::new(pattern).with_context(|| pattern.to_owned())?;
-        let matches = |path: &Path| glob.matches_with(&path.to_string_lossy(), GLOB_OPTIONS);
-        let literal = &pattern[..pattern.find(['*', '?', '[']).unwrap_or(pattern.len())];
-        let base = Path::new(&literal[..literal.rfind('/').map_or(0, |slash| slash + 1)]);
-        let (mut pending, mut linked) = (vec![base.to_owned()], Vec::new());
+        let pattern = if cfg!(windows) { pattern.replace('\\', "/") } else { pattern.to_owned() };
+        let glob = Glob::new(&pattern)?;
+        let (mut pending, mut linked) = (vec![(glob.base.clone(), 0)], Vec::new());
         let (mut found, mut seen) = (Vec::new(), HashSet::new());
-        found.extend(matches(base).then(|| base.to_owned()));
-        while let Some(folder) = pending.pop().or_else(|| linked.pop()) {
+        found.extend(glob.matches(&glob.base).then(|| glob.base.clone()));
+        while let Some((folder, depth)) = pending.pop().or_else(|| linked.pop()) {
             let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
-            let entries = shown.canonicalize().and_then(|true_name| match seen.insert(true_name) {
-                true => entries_of(shown, pattern.contains("/.")),
-                false => Ok(Vec::new()),
-            });
+            let entries = match glob.is_deep(depth) {
+                false => glob.entries(shown, depth),
+                true => shown.canonicalize().and_then(|true_name| match seen.insert(true_name) {
+                    true => glob.entries(shown, depth),
+                    false => Ok(Vec::new()),
+                }),
+            };
             let entries = entries.unwrap_or_else(|error| {
-                // What is not there has nothing in it.
-                if error.kind() != io::ErrorKind::NotFound {
-                    self.warnings.push(cannot_read(shown, &error));
-                }
+                self.note_unreadable(shown, &error);
                 Vec::new()
             });
             for (name, is_link) in entries {
                 let path = folder.join(name);
-                found.extend(matches(&path).then(|| path.clone()));
-                match is_link {
-                    _ if !path.is_dir() => {}
-                    true => linked.push(path),
-                    false => pending.push(path),
+                found.extend(glob.takes(&path, depth).then(|| path.clone()));
+                if !glob.is_deep(depth) && depth + 1 >= glob.parts.len() {
+                    continue;
+                }
+                match path.metadata() {
+                    Ok(metadata) if !metadata.is_dir() => {}
+                    Ok(_) if is_link => linked.push((path, depth + 1)),
+                    Ok(_) => pending.push((path, depth + 1)),
+                    // A match is taken for a file, and fails when it is read.
+                    Err(_) if glob.takes(&path, depth) => {}
+                    Err(error) if leads_nowhere(&error) => {}
+                    Err(error) => self.note_unreadable(&path, &error),
                 }
             }
         }
         found.sort();
         Ok(found)
     }
+
+    /// Notes a path that may hold frames and cannot be examined. One that does not exist holds none.
+    fn note_unreadable(&mut self, path: &Path, error: &io::Error) {
+        if error.kind() != io::ErrorKind::NotFound {
+            self.unreadable.push((path.to_owned(), error.to_string()));
+        }
+    }
+}
+
+/// A glob such as `shots/*/dam*.ply`, part by part.
+struct Glob<'p> {
+    whole: Pattern,
+    /// The folder in which the search begins: what comes before the first wildcard.
+    base: PathBuf,
+    /// What the names below it match.
+    parts: Vec<(&'p str, Pattern)>,
+    with_hidden: bool,
+}
+
+impl<'p> Glob<'p> {
+    fn new(pattern: &'p str) -> Result<Glob<'p>> {
+        let literal = &pattern[..pattern.find(WILDCARDS).unwrap_or(pattern.len())];
+        let (base, rest) = pattern.split_at(literal.rfind('/').map_or(0, |slash| slash + 1));
+        let parse = |part: &str| Pattern::new(part).with_context(|| pattern.to_owned());
+        let parts = rest.split('/').filter(|part| !part.is_empty());
+        Ok(Glob {
+            whole: parse(pattern)?,
+            base: base.into(),
+            parts: parts.map(|part| Ok((part, parse(part)?))).collect::<Result<_>>()?,
+            with_hidden: rest.starts_with('.') || rest.contains("/."),
+        })
+    }
+
+    /// Whether `**` matches the names of folders at this depth below the base, or did further up.
+    fn is_deep(&self, depth: usize) -> bool {
+        self.parts.iter().take(depth + 1).any(|(part, _)| *part == "**")
+    }
+
+    fn matches(&self, path: &Path) -> bool {
+        self.whole.matches_with(&path.to_string_lossy(), GLOB_OPTIONS)
+    }
+
+    /// Whether an entry, listed in a folder at this depth, matches the whole pattern.
+    fn takes(&self, path: &Path, depth: usize) -> bool {
+        if self.is_deep(depth) { self.matches(path) } else { depth + 1 == self.parts.len() }
+    }
+
+    /// The names to look at in a folder at this depth, and which are links.
+    fn entries(&self, folder: &Path, depth: usize) -> io::Result<Vec<(OsString, bool)>> {
+        if self.is_deep(depth) {
+            return entries_of(folder, self.with_hidden);
+        }
+        let Some((part, pattern)) = self.parts.get(depth) else { return Ok(Vec::new()) };
+        if !part.contains(WILDCARDS) {
+            return match folder.join(part).symlink_metadata() {
+                Ok(metadata) => Ok(vec![(part.into(), metadata.is_symlink())]),
+                Err(error) if leads_nowhere(&error) => Ok(Vec::new()),
+                Err(error) => Err(error),
+            };
+        }
+        let mut entries = entries_of(folder, true)?;
+        entries.retain(|(name, _)| pattern.matches_with(&name.to_string_lossy(), GLOB_OPTIONS));
+        Ok(entries)
+    }
+}
+
+/// What makes text a glob.
+const WILDCARDS: [char; 3] = ['*', '?', '['];
+
+/// Whether a path can be a pattern, which no file needs to have as its name.
+fn is_pattern(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    NumberPattern::find(name).is_some() || path.to_string_lossy().contains(WILDCARDS)
+}
+
+/// Whether a path that fails so cannot be a folder: nothing is there, or a link that leads nowhere or to itself.
+fn leads_nowhere(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) || is_link_loop(error)
 }
 
 /// The names in a folder, and which are links.
@@ -245,10 +344,6 @@ fn entries_of(folder: &Path, with_hidden: bool) -> io::Result<Vec<(OsString, boo
         }
     }
     Ok(entries)
-}
-
-fn cannot_read(path: &Path, error: &io::Error) -> String {
-    format!("{}: left out, because it cannot be read: {error}", path.display())
 }
 
 /// Whether a file of a folder is a frame: by its content, or by a name that promises one, so that

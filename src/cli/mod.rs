@@ -118,11 +118,17 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
         Command::Completions(args) => manual::completions(&args, &mut console),
         Command::Man(args) => manual::man(&args),
     };
-    let verdict = verdict.unwrap_or_else(|error| {
+    let mut verdict = verdict.unwrap_or_else(|error| {
         console.hide_bar();
         console.warn(format_args!("error: {}", wording::with_causes(&error)));
         Verdict::NothingDone
     });
+    if verdict == Verdict::Done && console.failed_count() > 0 {
+        let paths = wording::counted(console.failed_count(), "path");
+        console
+            .warn(format_args!("error: {paths} could not be read; frames may be missing from the results"));
+        verdict = Verdict::SomeFailed;
+    }
     if let Err(error) = console.finish() {
         Console::new().warn(format_args!("error: cannot write to the standard output: {error}"));
         return ExitCode::from(2);

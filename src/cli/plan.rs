@@ -30,6 +30,11 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
     refuse_level_sets(&selection, "`meniscus plan`")?;
+    if console.failed_count() > 0 {
+        bail!(
+            "no plan is written, because it would lack frames: make the paths above readable, then plan again"
+        );
+    }
     let Selection { sequences, found } = selection;
     warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
     if let Some(warning) = level_warning() {

@@ -36,9 +36,7 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict
     clean_up_when_interrupted();
     refuse_stray_rounds(&args.method, &args.inputs)?;
     let found = find_subjects(&args.inputs)?;
-    for warning in &found.warnings {
-        console.warn(format_args!("warning: {warning}"));
-    }
+    found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = pipeline::sequences(found.files);
     let shots = Shots::new(args, &sequences)?;

@@ -44,9 +44,7 @@ pub(super) fn select_frames(
 ) -> Result<Selection> {
     refuse_stray_rounds(method, inputs)?;
     let found = find_inputs(inputs)?;
-    for warning in &found.warnings {
-        console.warn(format_args!("warning: {warning}"));
-    }
+    found.report(console);
     if let Some((first, count)) = &found.passed_over {
         let is_one_folder = inputs.iter().filter(|input| input.is_dir()).count() < 2;
         let name =

@@ -32,9 +32,7 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Ver
         .with_context(|| format!("{}: a shot is a .glb or a .usda", args.output.display()))?;
     refuse_folder(&args.output)?;
     let found = find_inputs(&frames_of_folders(&args.inputs)?)?;
-    for warning in &found.warnings {
-        console.warn(format_args!("warning: {warning}"));
-    }
+    found.report(console);
     let frames = without_old_shot(found.files, &args.output)?;
     let sequences = sequences(frames);
     let [sequence] = &sequences[..] else {

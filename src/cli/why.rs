@@ -53,7 +53,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
     }
     let missing = match is_missing_step(&frame) {
         Ok(true) => Some("step"),
-        _ => (!file_of(&frame).exists()).then_some("file"),
+        _ => matches!(file_of(&frame).try_exists(), Ok(false)).then_some("file"),
     };
     if let (None, Some(what)) = (record, missing) {
         bail!("{}: no such {what}, and nothing is recorded of it in {}", frame.display(), journal.display());

@@ -3,7 +3,7 @@
 //! A hint names a file or folder that may have changed; whatever it was, the file is looked at, and what is
 //! seen decides. A scan looks at everything in a root, and is the only one to say that something is not there.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -14,7 +14,7 @@ use super::frames::{FrameId, FrameState, Phase};
 use super::journal::Standing;
 use super::root::Root;
 use super::rounds::Daemon;
-use super::scan::Seen;
+use super::scan::{Scan, Seen};
 use super::showing::count;
 use super::watcher::Hint;
 
@@ -110,9 +110,7 @@ impl Daemon<'_> {
         if self.roots[index].unavailable.take().is_some() {
             tracing::info!(folder = %self.roots[index].path.display(), "is there again");
         }
-        for (path, error) in &found.problems {
-            tracing::warn!(path = %path.display(), "cannot be looked into: {error}");
-        }
+        self.note_unreadable(index, &found);
         self.sight_all(index, found.files);
         self.look_at_obstacles(index);
         let count = self.scan_count;
@@ -129,6 +127,20 @@ impl Daemon<'_> {
             self.forget(&id);
         }
         self.roots[index].was_scanned(started.elapsed());
+    }
+
+    /// Notes the paths that a scan could not examine; each is logged when it is new, and fails the run if it is still so at
+    /// its end. A link without a target waits for it, unless nothing is waited for.
+    fn note_unreadable(&mut self, index: usize, found: &Scan) {
+        let problems = found.problems.iter().map(|(path, error)| (path.clone(), error.to_string()));
+        let dangling = found.dangling.iter().filter(|_| self.config.once);
+        let dangling = dangling.map(|path| (path.clone(), "the target of this link is missing".to_owned()));
+        let unreadable: BTreeMap<PathBuf, String> = problems.chain(dangling).collect();
+        let known = &mut self.roots[index].unreadable;
+        for (path, why) in unreadable.iter().filter(|(path, why)| known.get(*path) != Some(why)) {
+            tracing::error!(path = %path.display(), "cannot be read: {why}");
+        }
+        *known = unreadable;
     }
 
     /// Takes in what a scan found.

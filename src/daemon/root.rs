@@ -5,7 +5,7 @@
 //! often. A folder that vanishes, or was full and comes up empty, is *unavailable*: a disk that is not
 //! mounted is no reason to forget anything.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -27,6 +27,8 @@ pub(super) struct Root<'a> {
     pub(super) selection: Selection,
     /// Why it cannot be looked into, while it cannot.
     pub(super) unavailable: Option<String>,
+    /// Paths in it that the last scan could not examine, and why.
+    pub(super) unreadable: BTreeMap<PathBuf, String>,
     /// The network file system that it is on.
     network: Option<&'static str>,
     /// So often it is looked into; `None`: when the system says so, and every `rescan_every`.
@@ -77,6 +79,7 @@ impl<'a> Root<'a> {
             path,
             selection: Selection::new(watch.pattern.as_deref(), watch.recursive, excluded)?,
             unavailable: None,
+            unreadable: BTreeMap::new(),
             network: None,
             poll,
             rescan_every: config.rescan_every,

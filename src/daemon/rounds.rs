@@ -474,7 +474,12 @@ impl<'a> Daemon<'a> {
             what: told_of(&id.path, reason),
             frames_since: told_at.map(|told_at| self.finished_count - told_at),
         });
-        let failed = failed.collect();
+        let unreadable = self.roots.iter().flat_map(|root| &root.unreadable);
+        let unreadable = unreadable.map(|(path, why)| FailedFrame {
+            what: told_of(path, why.clone()),
+            frames_since: Some(self.finished_count),
+        });
+        let failed = failed.chain(unreadable).collect();
         let left_count = tally.settling + tally.held + tally.queued + tally.gone_through + tally.retrying;
         Summary { ended, done_count: tally.done, broken_count: self.broken_count(), failed, left_count }
     }

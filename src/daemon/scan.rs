@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
-use crate::pipeline::{FileStamp, file_of};
+use crate::pipeline::{FileStamp, file_of, is_link_loop};
 
 use super::selection::{Selection, is_hidden};
 
@@ -36,8 +36,10 @@ pub struct Scan {
     pub files: Vec<(PathBuf, Seen)>,
     /// The folders that were looked into, the one that was asked for first.
     pub folders: Vec<PathBuf>,
-    /// What could not be looked at. Nothing is known of what is in there.
+    /// Paths that could not be examined: they may be, or hold, frames.
     pub problems: Vec<(PathBuf, io::Error)>,
+    /// Links that the selection takes and whose target is missing; it may be written later.
+    pub dangling: Vec<PathBuf>,
 }
 
 /// Looks at one file; links are followed. `None` if it is gone, or is no regular file.
@@ -136,7 +138,14 @@ impl Walk<'_> {
         }
         let is_taken = path.strip_prefix(self.root).is_ok_and(|within| self.selection.takes_name(within));
         let metadata = match kind.is_symlink() {
-            true if is_taken || is_recursive => fs::metadata(path)?,
+            true if is_taken || is_recursive => match fs::metadata(path) {
+                Err(error) if !is_taken && is_link_loop(&error) => return Ok(false),
+                Err(error) if is_taken && is_gone(&error) && path.is_symlink() => {
+                    self.scan.dangling.push(path.to_owned());
+                    return Ok(false);
+                }
+                metadata => metadata?,
+            },
             false if is_taken => entry.metadata()?,
             _ => return Ok(false),
         };

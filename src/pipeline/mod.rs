@@ -106,7 +106,7 @@ pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use method::{LevelSetSkinning, Method};
 pub(crate) use names::text_of_name;
 pub use notes::{breaks_guarantee, flaws, keeps_guarantees, notes, standing_notes};
-pub use number_pattern::{NumberPattern, files_in};
+pub use number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
 pub use out_folder::{
     OutFolderError, check_out_folder, is_disk_full, make_out_folder, refuse_file_for_folder,

@@ -43,8 +43,9 @@ impl<'a> NumberPattern<'a> {
     /// When the folder cannot be looked into.
     pub fn file_of(&self, folder: &Path, number: u64) -> io::Result<Option<PathBuf>> {
         let padded = folder.join(self.name_of(number));
-        if self.width_min > 1 || padded.is_file() {
-            return Ok(padded.is_file().then_some(padded));
+        let is_there = may_be_file(&padded);
+        if self.width_min > 1 || is_there {
+            return Ok(is_there.then_some(padded));
         }
         // A number of any width may have any number of zeros in front.
         let is_it = |path: &PathBuf| {
@@ -84,21 +85,50 @@ fn placeholder_at(text: &str) -> Option<(usize, usize)> {
     format[digit_count..].starts_with('d').then_some((digit_count + 2, width))
 }
 
-/// The files in a folder that are not hidden.
+/// The files in a folder that are not hidden; see [`may_be_file`].
 ///
 /// # Errors
-/// When it cannot be looked into.
+/// When the folder cannot be listed.
 pub fn files_in(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let listed = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let mut files = Vec::new();
     for entry in fs::read_dir(listed)? {
         let name = entry?.file_name();
         let path = folder.join(&name);
-        if !name.as_encoded_bytes().starts_with(b".") && path.is_file() {
+        if !name.as_encoded_bytes().starts_with(b".") && may_be_file(&path) {
             files.push(path);
         }
     }
     Ok(files)
+}
+
+/// Whether a path is a regular file, or something whose type the system does not reveal: a file behind EACCES, EIO or
+/// ESTALE, a link that leads nowhere. Opening the latter fails with the reason, so that such a frame is reported and not
+/// dropped. Only a path that does not exist, or that is known to be something else, is no file.
+pub fn may_be_file(path: &Path) -> bool {
+    match path.metadata() {
+        Ok(metadata) => metadata.is_file(),
+        Err(error) => !is_absent(path, &error),
+    }
+}
+
+/// Whether an error of `stat` means that nothing has this name. A link whose target is missing does exist.
+pub fn is_absent(path: &Path, error: &io::Error) -> bool {
+    let is_missing =
+        |error: &io::Error| matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory);
+    is_missing(error) && path.symlink_metadata().is_err_and(|error| is_missing(&error))
+}
+
+/// Whether a path cannot be followed because links lead in a circle.
+#[cfg(unix)]
+pub fn is_link_loop(error: &io::Error) -> bool {
+    error.raw_os_error() == Some(rustix::io::Errno::LOOP.raw_os_error())
+}
+
+/// Whether a path cannot be followed because links lead in a circle.
+#[cfg(not(unix))]
+pub fn is_link_loop(_error: &io::Error) -> bool {
+    false
 }
 
 #[cfg(test)]

@@ -27,7 +27,7 @@ use crate::obstacle::{LevelSetSource, Obstacle, Obstacles, Sampled, Shape, Solid
 use crate::settings::Settings;
 
 use super::frame::ObstacleError;
-use super::number_pattern::NumberPattern;
+use super::number_pattern::{NumberPattern, may_be_file};
 use super::obstacle_notes::notes_of;
 use super::outputs::{Conflict, are_one_file, entry};
 use super::reading::{read_start_unchanged, read_unchanged};
@@ -144,7 +144,7 @@ impl ObstacleFiles {
         };
         let is_in_the_way = |path: &&PathBuf| {
             are_one_file(path, output)
-                || !path.is_file() && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
+                || !may_be_file(path) && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
                 || self.files_beside(path).iter().any(|beside| are_one_file(beside, output))
         };
         match self.paths.iter().find(is_in_the_way) {
@@ -157,7 +157,7 @@ impl ObstacleFiles {
 
     /// Whether all of them stand still: then each frame has the same.
     pub fn stand_still(&self) -> bool {
-        self.paths.iter().all(|path| path.is_file() || pattern_of(path).is_none())
+        self.paths.iter().all(|path| may_be_file(path) || pattern_of(path).is_none())
     }
 
     /// What the files of a frame are now.
@@ -309,7 +309,7 @@ fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
 fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
     let missing =
         |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));
-    if path.is_file() {
+    if may_be_file(path) {
         return Ok(path.to_owned());
     }
     let Some(pattern) = pattern_of(path) else {

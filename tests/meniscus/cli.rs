@@ -519,15 +519,15 @@ fn results_in_a_folder_of_frames_are_no_frames() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn a_file_that_cannot_be_looked_at_is_told() {
+fn unreadable_file_in_a_folder_fails_the_run() {
     let folder = folder();
     let path = folder.path();
     write_sequence(path, 1, 1);
     // A plain file that nobody can read from its start.
     std::os::unix::fs::symlink("/proc/self/mem", path.join("odd")).expect("linked");
     let ran = meniscus(path, &["convert", ".", "--out", "o"]);
-    assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("odd: left out, because it cannot be read: "), "{}", ran.err);
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains("error: ./odd: Input/output error"), "{}", ran.err);
     assert!(!ran.out.contains("passed over"), "{}", ran.out);
 }
 

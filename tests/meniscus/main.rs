@@ -36,6 +36,8 @@ mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that come one by one: order, bounds, and what goes wrong on the way
 mod troubleshooting; // the page of symptoms quotes the program
 mod union_of_spheres; // rasterization against what is known of spheres
+#[cfg(target_os = "linux")]
+mod unreadable; // frames that the system refuses to describe: failed, never dropped
 mod voxel_sizes; // voxels and radii that do not fit the particles: refused, or told, and no others
 mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell
 mod ways;

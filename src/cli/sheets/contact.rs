@@ -27,10 +27,8 @@ use super::{SheetFile, Tally, even_columns, fixed, reason, refuse_large};
 pub(in crate::cli) fn contact_sheet(args: &ContactSheetArgs, console: &mut Console) -> Result<Verdict> {
     clean_up_when_interrupted();
     refuse_stray_rounds(&args.method, &args.inputs)?;
-    let Sources { strips, files, warnings } = find_sources(&args.inputs, kinds(args))?;
-    for warning in &warnings {
-        console.warn(format_args!("warning: {warning}"));
-    }
+    let Sources { strips, files, found } = find_sources(&args.inputs, kinds(args))?;
+    found.report(console);
     let shown = shown(strips, args)?;
     let cell_count = shown.iter().map(|shown| shown.frames.len()).sum();
     refuse_large(cell_count, args.size)?;

@@ -67,8 +67,8 @@ pub(super) struct Sources {
     pub(super) strips: Vec<Strip>,
     /// Every file that was looked at, whether it is used or not.
     pub(super) files: Vec<PathBuf>,
-    /// What could not be looked at, a sentence each.
-    pub(super) warnings: Vec<String>,
+    /// The rest of what was found: paths that could not be read, and warnings.
+    pub(super) found: Found,
 }
 
 /// Finds the frames that the inputs stand for, of these kinds.
@@ -81,9 +81,10 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
         found.add(find(input)?);
     }
     let files: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
+    let all_files = std::mem::take(&mut found.files);
     let mut strips_of: HashMap<(PathBuf, String), Vec<Strip>> = HashMap::new();
     for kind in kinds {
-        let of_kind = found.files.iter().filter(|file| Kind::of(&file.path) == *kind);
+        let of_kind = all_files.iter().filter(|file| Kind::of(&file.path) == *kind);
         for sequence in sequences(of_kind.cloned().collect()) {
             let (folder, name) = sequence.frames[0].sequence();
             let (base, name) = (without_extension(&name, *kind), &*sequence.name);
@@ -92,7 +93,6 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
             strips_of.entry((folder, base)).or_default().push(strip);
         }
     }
-    let mut warnings = found.warnings;
     let mut strips: Vec<Strip> = Vec::new();
     for same in strips_of.into_values() {
         let stems = |strip: &Strip| -> HashSet<String> {
@@ -103,7 +103,7 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
         let Some(strip) = cheapest(same) else { continue };
         let left_out = all.len() - stems(&strip).len();
         if left_out > 0 {
-            warnings.push(format!(
+            found.warnings.push(format!(
                 "{}: {} not there as {}, and left out",
                 strip.name,
                 counted_are(left_out as u64),
@@ -112,14 +112,14 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
         }
         strips.push(strip);
     }
-    warnings.sort();
+    found.warnings.sort();
     let first = |strip: &Strip| strip.sequence.frames[0].path.to_string_lossy().into_owned();
     strips.sort_by(|a, b| natural_order(&first(a), &first(b)));
     if strips.is_empty() {
         let names: Vec<&str> = kinds.iter().map(|kind| kind.name()).collect();
         bail!("there are no {} among the {} frames that were found", names.join(" or "), files.len());
     }
-    Ok(Sources { strips, files, warnings })
+    Ok(Sources { strips, files, found })
 }
 
 /// Frames of all kinds in a folder; else what the input stands for.

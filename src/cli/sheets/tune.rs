@@ -44,9 +44,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Ver
     clean_up_when_interrupted();
     refuse_stray_rounds(&args.method, &args.inputs)?;
     let found = find_inputs(&args.inputs)?;
-    for warning in &found.warnings {
-        console.warn(format_args!("warning: {warning}"));
-    }
+    found.report(console);
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequence = only_sequence(pipeline::sequences(found.files))?;
     let frame = chosen(&sequence, args.frames.as_ref())?;

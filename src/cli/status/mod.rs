@@ -19,7 +19,7 @@ use crate::daemon::Watch;
 use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
 use crate::daemon::lock::{LockError, OutputLock};
 use crate::daemon::waiting::{Waiting, waiting};
-use crate::pipeline::{FileStamp, file_of, is_missing_step, natural_order};
+use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
 
 use super::Verdict;
 use super::args::StatusArgs;
@@ -257,7 +257,7 @@ impl<'a> Files<'a> {
             Ok(stamp) if file == input || stamp == frame.stamp => false,
             Ok(stamp) => !self.may_be_growing(file, stamp, frame) && is_missing_step(input).unwrap_or(false),
             // A folder that is not there may come back with all that was in it.
-            Err(_) => !file.exists() && file.parent().is_some_and(Path::exists),
+            Err(error) => is_absent(file, &error) && file.parent().is_some_and(Path::exists),
         }
     }
 
