@@ -112,7 +112,6 @@ fn refuse_of_particles(args: &ConvertArgs, slack_voxels: f64) -> Result<()> {
             ("--fps", fps.is_some()),
         ],
     )?;
-    refuse("what a level set takes is not known before", &[("--memory", args.memory.is_some())])?;
     refuse("`meniscus render` takes pictures of it", &[("--preview", args.formats.preview.is_some())])?;
     match slack_voxels == 0.0 {
         true => refuse("without --band-slack it is not smoothed", &of_solver(&args.method.solver)),

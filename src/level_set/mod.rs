@@ -10,14 +10,16 @@
 //! Beyond the stored leaves φ is + or − the band's half width: outside or inside.
 
 mod bounds;
+mod rebuilt;
 mod redistance;
 mod widen;
 
 use std::sync::Arc;
 
 pub use bounds::Bounds;
+pub use rebuilt::{REBUILT_HALF_WIDTH, StoredLevelSet, TooManyLeaves, rebuilt};
 pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
-pub use widen::{WIDENED_MAX, widened};
+pub use widen::{WIDENED_MAX, widened, widened_leaf_count};
 
 use crate::grid::{Field, Topology};
 

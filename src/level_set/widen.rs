@@ -11,6 +11,7 @@
 
 use glam::IVec3;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 use super::{NarrowBand, Sweeps, redistance};
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology, offset_in_leaf};
@@ -24,14 +25,12 @@ const NEAR: f32 = 2.0;
 /// The same surface in a band of this half width, at most [`WIDENED_MAX`], with distances restored.
 pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
     let half_width = half_width.min(WIDENED_MAX);
-    let near = NEAR.min(band.half_width);
-    let has_surface = |leaf: &Leaf| leaf.values.iter().any(|phi| phi.abs() < near);
     let stored = band.topology.origins();
     let around = stored
         .par_iter()
         .zip(&band.phi.leaves)
-        .filter(|(_, leaf)| has_surface(leaf))
-        .flat_map_iter(|(&origin, _)| steps().map(move |step| origin + step * LEAF_EDGE));
+        .filter(|(_, leaf)| has_surface(band, leaf))
+        .flat_map_iter(|(&origin, _)| around(origin));
     let origins: Vec<IVec3> = stored.par_iter().copied().chain(around).collect();
     let topology = Topology::new(origins);
     let mut phi = Field::splat(topology.len(), half_width);
@@ -45,6 +44,36 @@ pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
     // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
     redistance(&mut widened, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
     widened
+}
+
+/// How many leaves the widened band has, found with a bit for each.
+pub fn widened_leaf_count(band: &NarrowBand) -> usize {
+    const NODE_LEAVES: i32 = 16;
+    let mut nodes: FxHashMap<IVec3, [u64; 64]> = FxHashMap::default();
+    let mut insert = |origin: IVec3| {
+        let leaf = origin.div_euclid(IVec3::splat(LEAF_EDGE));
+        let [x, y, z] = (leaf & (NODE_LEAVES - 1)).to_array().map(|c| c as usize);
+        let words = nodes.entry(leaf.div_euclid(IVec3::splat(NODE_LEAVES))).or_insert([0; 64]);
+        words[x * 4 + y / 4] |= 1 << (y % 4 * 16 + z);
+    };
+    for (&origin, leaf) in band.topology.origins().iter().zip(&band.phi.leaves) {
+        insert(origin);
+        if has_surface(band, leaf) {
+            around(origin).for_each(&mut insert);
+        }
+    }
+    nodes.values().flatten().map(|word| word.count_ones() as usize).sum()
+}
+
+/// Whether a voxel of a leaf is so near to the surface that a widened band reaches into the leaves around.
+fn has_surface(band: &NarrowBand, leaf: &Leaf) -> bool {
+    let near = NEAR.min(band.half_width);
+    leaf.values.iter().any(|phi| phi.abs() < near)
+}
+
+/// A leaf and the 26 around it, by their origins.
+fn around(origin: IVec3) -> impl Iterator<Item = IVec3> {
+    steps().map(move |step| origin + step * LEAF_EDGE)
 }
 
 /// A value on the side of the surface that a leaf is on which is not stored, but next to one that is.
@@ -97,6 +126,7 @@ mod tests {
         for (narrow, most) in [(1.5, 0.25), (2.0, 0.02), (3.0, 0.02)] {
             let wide = widened(&ball(18.3, narrow), 6.0);
             assert!(wide.topology.len() > ball(18.3, narrow).topology.len());
+            assert_eq!(widened_leaf_count(&ball(18.3, narrow)), wide.topology.len());
             let (mut near, mut far) = (0, 0);
             for (leaf, &origin) in wide.phi.leaves.iter().zip(wide.topology.origins()) {
                 for (offset, &phi) in leaf.values.iter().enumerate() {

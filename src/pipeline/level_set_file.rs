@@ -9,10 +9,11 @@ use meniscus_formats::{Error, Limits};
 use twox_hash::XxHash3_128;
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology};
-use crate::level_set::NarrowBand;
+use crate::level_set::{NarrowBand, StoredLevelSet, TooManyLeaves, rebuilt};
 use crate::space::{INDEX_LIMIT, Lattice};
 
 use super::frame::{FrameError, Stage};
+use super::memory::default_memory_bytes;
 use super::picture::Scene;
 use super::reading::read_file;
 
@@ -39,27 +40,31 @@ impl LevelSetFile {
     /// # Errors
     /// When the system refuses, or there is no level set that is read.
     pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
-        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity)
+        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, default_memory_bytes())
     }
 
-    /// The same of the bytes of the file.
+    /// The same of the bytes of the file, with so much memory.
     ///
     /// # Errors
-    /// When there is no level set that is read.
+    /// When there is no level set that is read, or it takes more memory.
     pub(super) fn of_bytes(
         path: &Path,
         bytes: &[u8],
         wants_velocity: bool,
+        memory_bytes: u64,
     ) -> Result<LevelSetFile, FrameError> {
         let fail = |error| FrameError::file(path, Stage::Read, error);
         let hash = XxHash3_128::oneshot(bytes);
         let limits = Limits::default();
+        let leaf_count = vdb::level_set_leaf_count(bytes, None, &limits).map_err(fail)?;
+        let reading_bytes = bytes.len() as u64 + leaf_count as u64 * READING_LEAF_BYTES;
+        check_memory(reading_bytes, memory_bytes).map_err(fail)?;
         let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
         let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
-        let (band, lattice, origin) =
-            level_set(data).map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let mut file =
-            LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, notes: Vec::new() };
+        let rebuilt_leaf_count_max = (memory_bytes - reading_bytes) / REBUILDING_LEAF_BYTES;
+        let (band, lattice, origin, notes) = level_set(data, rebuilt_leaf_count_max as usize)
+            .map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
+        let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, notes };
         if wants_velocity {
             let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
@@ -72,6 +77,11 @@ impl LevelSetFile {
     }
 
     /// The level set, in voxels of its lattice.
+    pub(super) fn band(&self) -> &NarrowBand {
+        &self.band
+    }
+
+    /// The same, without the rest of the file.
     pub(super) fn into_band(self) -> NarrowBand {
         self.band
     }
@@ -110,8 +120,40 @@ impl LevelSetFile {
 /// What grids of velocities are called.
 const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
 
-fn level_set(data: LevelSetData) -> Result<(NarrowBand, Lattice, DVec3), String> {
-    let LevelSetData { name, class, transform, background, origins, leaves, .. } = data;
+/// Memory for a leaf while it is read, in bytes: as it is in the file, and as it is kept, with where it is and which of its
+/// voxels are inside.
+const READING_LEAF_BYTES: u64 = 2 * size_of::<Leaf>() as u64 + 400;
+
+/// Memory for a leaf whose distances are rebuilt, in bytes: four fields, and where it is.
+const REBUILDING_LEAF_BYTES: u64 = 4 * size_of::<Leaf>() as u64 + 300;
+
+/// Refuses a level set that needs more memory than it may take.
+///
+/// # Errors
+/// What it needs.
+pub(super) fn check_memory(needed: u64, allowed: u64) -> meniscus_formats::Result<()> {
+    const MEBIBYTE: u64 = 1 << 20;
+    if needed <= allowed {
+        return Ok(());
+    }
+    let what = format!(
+        "the level set needs {} MiB of memory and may take {} MiB: use --memory {}MiB or more",
+        needed.div_ceil(MEBIBYTE),
+        allowed / MEBIBYTE,
+        needed.div_ceil(MEBIBYTE),
+    );
+    Err(Error::TooLarge { format: "OpenVDB", what })
+}
+
+/// What a user should know of a level set whose band was rebuilt.
+pub(super) const REBUILT_NOTE: &str = "the file has no distances next to the surface, only signs: they were rebuilt, \
+     and the surface is within half a voxel of where the signs change";
+
+/// A level set in voxels, its lattice and origin, and notes on it.
+type InVoxels = (NarrowBand, Lattice, DVec3, Vec<String>);
+
+fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxels, String> {
+    let LevelSetData { name, class, transform, background, origins, leaves, tiles, .. } = data;
     if class == "fog volume" {
         return Err(format!("the grid \"{name}\" is a fog volume, and no level set"));
     }
@@ -134,6 +176,19 @@ fn level_set(data: LevelSetData) -> Result<(NarrowBand, Lattice, DVec3), String>
     if !leaves.iter().flatten().all(|value| value.is_finite()) {
         return Err(format!("the grid \"{name}\" has values that are no numbers"));
     }
+    let origin = DVec3::from(transform.translation);
+    let tiles: Vec<_> = tiles.iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect();
+    let stored = StoredLevelSet { origins: &places, leaves: &leaves, tiles: &tiles, background, voxel_size };
+    match rebuilt(&stored, rebuilt_leaf_count_max) {
+        Ok(None) => {}
+        Ok(Some(band)) => return Ok((band, Lattice { voxel_size }, origin, vec![REBUILT_NOTE.to_owned()])),
+        Err(TooManyLeaves) => {
+            return Err(format!(
+                "the grid \"{name}\" has signs without distances over a surface of more than \
+                 {rebuilt_leaf_count_max} leaves: allow more memory (--memory), or save it with a narrow band"
+            ));
+        }
+    }
     let topology = Topology::new(places.clone());
     let mut phi = Field::splat(topology.len(), half_width);
     let scale = (1.0 / voxel_size) as f32;
@@ -144,7 +199,7 @@ fn level_set(data: LevelSetData) -> Result<(NarrowBand, Lattice, DVec3), String>
         }
     }
     let band = NarrowBand { topology: topology.into(), phi, half_width };
-    Ok((band, Lattice { voxel_size }, DVec3::from(transform.translation)))
+    Ok((band, Lattice { voxel_size }, origin, Vec::new()))
 }
 
 /// The velocities at the voxels of a band.

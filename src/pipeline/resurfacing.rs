@@ -14,11 +14,11 @@ use meniscus_formats::{Error, Limits, vdb};
 use twox_hash::XxHash3_128;
 
 use crate::settings::{Choices, Settings};
-use crate::skin::resurface;
+use crate::skin::{resurface, resurfacing_bytes};
 
 use super::crew::{Crew, Tasks};
 use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
-use super::level_set_file::LevelSetFile;
+use super::level_set_file::{LevelSetFile, check_memory};
 use super::obstacles::ObstacleFiles;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::provenance::{level_set_provenance, provenance_kind, records};
@@ -68,7 +68,8 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     let unchanged = read_unchanged(&band.input).map_err(|error| failed(error.into()))?;
     let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
     let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
-    let file = LevelSetFile::of_bytes(&band.input, &bytes, false).map_err(Outcome::Failed)?;
+    let mut file =
+        LevelSetFile::of_bytes(&band.input, &bytes, false, conduct.memory_bytes).map_err(Outcome::Failed)?;
     let refused = |what: String| failed(Error::unsupported("OpenVDB", what));
     if !file.is_declared() {
         let name = file.name();
@@ -101,11 +102,14 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     if conduct.skip_done && band.outputs.formats.iter().all(is_done) {
         return Err(Outcome::AlreadyDone { input, fault: None });
     }
-    let mut notes = notes(&bytes);
+    let mut notes = std::mem::take(&mut file.notes);
+    notes.extend(notes_of_grids(&bytes));
     drop(bytes);
     let origin = file.origin();
     let slack = band.slack_voxels as f32;
     let stored = stored(&frame.outputs);
+    let needed = conduct.pool.install(|| resurfacing_bytes(file.band(), slack, &frame.settings));
+    check_memory(needed, conduct.memory_bytes).map_err(failed)?;
     let mut surface = conduct.pool.install(|| resurface(file.into_band(), slack, &frame.settings, &stored));
     surface.mesh.origin += origin;
     notes.extend(surface_notes(&surface, &frame.outputs, &frame.settings));
@@ -132,7 +136,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
 }
 
 /// What a user should know: that of several grids one was taken.
-fn notes(bytes: &[u8]) -> Vec<String> {
+fn notes_of_grids(bytes: &[u8]) -> Vec<String> {
     let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
     let others = grids.len().saturating_sub(1);
     match others {

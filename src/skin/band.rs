@@ -11,12 +11,15 @@
 use std::convert::Infallible;
 use std::time::Instant;
 
+use rayon::prelude::*;
+
 use super::finish::{Checked, Stored};
-use super::{Surface, SurfaceAttributes, finish, lattice, smooth_config};
+use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
+use super::{Surface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
 use crate::certify::{Part, certificate};
 use crate::contour;
-use crate::grid::Field;
-use crate::level_set::{Bounds, NarrowBand, widened};
+use crate::grid::{Field, negative_masks};
+use crate::level_set::{Bounds, NarrowBand, widened, widened_leaf_count};
 use crate::report::SkinReport;
 use crate::settings::Settings;
 use crate::smooth;
@@ -36,10 +39,9 @@ const MARGIN: f32 = 5.0;
 pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings, stored: &[Stored]) -> Surface {
     let started = Instant::now();
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
-    let mut band = match slack > 0.0 {
-        true => widened(&band, MARGIN + slack.ceil()),
-        false if band.half_width < HALF_WIDTH_MIN => widened(&band, HALF_WIDTH_MIN),
-        false => band,
+    let mut band = match working_half_width(&band, slack) {
+        Some(half_width) => widened(&band, half_width),
+        None => band,
     };
     let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
     let mut report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
@@ -66,6 +68,58 @@ pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings, store
     report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+}
+
+/// The half width of the band that is worked on; `None` for that of the given one.
+fn working_half_width(band: &NarrowBand, slack: f32) -> Option<f32> {
+    match slack > 0.0 {
+        true => Some(MARGIN + slack.ceil()),
+        false => (band.half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+    }
+}
+
+/// The most memory that [`resurface`] takes with these arguments, the given band included, in bytes: never much less than it
+/// does.
+pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
+    let given = band.topology.len() as f64;
+    let (leaves, widening) = match working_half_width(band, slack_voxels) {
+        Some(_) => {
+            let wide = widened_leaf_count(band) as f64;
+            // The given band, two fields of the wide one, and the list that its leaves are found by.
+            (wide, FIELD_BYTES * (given + 2.2 * wide) + WIDENING_LEAF_BYTES * given)
+        }
+        None => (given, 0.0),
+    };
+    let mesh = mesh_bytes(settings) * crossed_edge_count(band) as f64;
+    let smoothing = match slack_voxels > 0.0 {
+        true => FIELD_BYTES * smoothing_fields(settings) * leaves,
+        false => 0.0,
+    };
+    let contouring = FIELD_BYTES * 4.0 * leaves + mesh;
+    let topologies = TOPOLOGY_LEAF_BYTES as f64 * (given + leaves);
+    (widening.max(smoothing).max(contouring) + topologies) as u64
+}
+
+/// Memory for a leaf of the given band while the leaves around it are listed: 27 origins, as they are found and as they are
+/// sorted.
+const WIDENING_LEAF_BYTES: f64 = 27.0 * 28.0;
+
+/// How many edges of the grid the surface crosses: about as many as the faces of voxels that it is as large as.
+fn crossed_edge_count(band: &NarrowBand) -> usize {
+    let inside = negative_masks(&band.phi);
+    let neighbors = band.topology.neighbors();
+    let crossed = |leaf: usize| -> usize {
+        let own = &inside[leaf];
+        let beyond = |face: usize| inside.get(neighbors[leaf][face] as usize).unwrap_or(own);
+        (0..3)
+            .map(|axis| {
+                // Beyond the last leaf there is nothing that counts.
+                let [_, after] = own.shifted(axis, 1, own, beyond(2 * axis + 1));
+                own.and(&after.complement()).or(&after.and(&own.complement())).iter().count()
+            })
+            .sum()
+    };
+    (0..inside.len()).into_par_iter().map(crossed).sum()
 }
 
 fn moved(phi: &Field, by: f32) -> Field {

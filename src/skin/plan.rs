@@ -124,7 +124,7 @@ fn rasterizing_fields(settings: &Settings) -> f64 {
 }
 
 /// While it is smoothed.
-fn smoothing_fields(settings: &Settings) -> f64 {
+pub(super) fn smoothing_fields(settings: &Settings) -> f64 {
     match settings.integrator {
         Integrator::Fast | Integrator::Explicit | Integrator::Adaptive => 5.6,
         Integrator::Implicit => 9.2,
@@ -133,7 +133,7 @@ fn smoothing_fields(settings: &Settings) -> f64 {
 
 /// Bytes of the mesh, of what measures it and of what makes it, for each face of a voxel that the surface is as
 /// large as. Measured on blocks, sheets and spray.
-fn mesh_bytes(settings: &Settings) -> f64 {
+pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
     match settings.contouring {
         Contouring::Dual => 80.0,
         Contouring::Tetrahedra => 300.0,
@@ -230,7 +230,7 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
 }
 
 /// Memory for a leaf of a field.
-const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
+pub(super) const FIELD_BYTES: f64 = size_of::<Leaf>() as f64;
 
 fn counts(footprint: &Footprint, settings: &Settings) -> [f64; 4] {
     let Footprint { surface, area_voxels, occupied_count, particle_count, near_particle_count, .. } =

@@ -7,7 +7,9 @@ use super::FORMAT;
 use super::cursor::Cursor;
 use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
 use super::metadata::{MetaValue, read_metadata};
-use super::read_tree::{Budget, GridData, LevelSetData, Storage, Value, VectorGridData, read_tree};
+use super::read_tree::{
+    Budget, GridData, LevelSetData, Storage, Value, VectorGridData, read_topology, read_tree,
+};
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
@@ -69,6 +71,23 @@ pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
 /// read; [`Error::TooLarge`] if it takes more memory than `limits` allow.
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
     let entries = entries(bytes, limits)?;
+    read_grid(bytes, &entries, find_level_set(&entries, name)?, limits)
+}
+
+/// How many leaves the grid has that [`read_level_set`] would read. Their values are not read.
+///
+/// # Errors
+///
+/// As [`read_level_set`].
+pub fn level_set_leaf_count(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<usize> {
+    let entries = entries(bytes, limits)?;
+    let entry = find_level_set(&entries, name)?;
+    let (mut cursor, storage, _) = tree_cursor(bytes, &entries, entry)?;
+    let topology = read_topology::<f32>(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    Ok(topology.origins.len())
+}
+
+fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a Entry> {
     let found = match name {
         Some(name) => {
             let unique = entries.iter().find(|entry| entry.info.unique_name == name);
@@ -88,7 +107,7 @@ pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Resu
         names.extend(entries.get(8).map(|_| "…".to_owned()));
         return Err(Error::unsupported(FORMAT, format!("{wanted}; there is {}", names.join(", "))));
     };
-    read_grid(bytes, &entries, entry, limits)
+    Ok(entry)
 }
 
 /// Reads the first grid of vectors of three floats whose name is one of these; `None` if there is none.
@@ -109,6 +128,18 @@ fn read_grid<V: Value>(
     entry: &Entry,
     limits: &Limits,
 ) -> Result<GridData<V>> {
+    let (mut cursor, storage, transform) = tree_cursor(bytes, entries, entry)?;
+    let info = entry.info.clone();
+    let tree = read_tree(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    Ok(GridData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
+}
+
+/// A cursor at the start of a grid's tree, how its values are stored, and its transform.
+fn tree_cursor<'a>(
+    bytes: &'a [u8],
+    entries: &[Entry],
+    entry: &Entry,
+) -> Result<(Cursor<'a>, Storage, Transform)> {
     let (Some(tree), Some(transform)) = (entry.tree_of(entries), entry.info.transform) else {
         let what = format!(
             "grid \"{}\" has a map, or is an instance of a grid, that is not read",
@@ -118,9 +149,7 @@ fn read_grid<V: Value>(
     };
     let mut cursor = Cursor::new(&bytes[..tree.end]);
     cursor.seek(tree.position as u64, "a grid")?;
-    let info = entry.info.clone();
-    let tree = read_tree(&mut cursor, tree.storage, &mut Budget::new(bytes.len(), limits))?;
-    Ok(GridData { name: info.name, class: info.class, transform, metadata: info.metadata, ..tree })
+    Ok((cursor, tree.storage, transform))
 }
 
 /// The metadata of the file's first grid, from the first bytes of the file.

@@ -131,6 +131,21 @@ pub(super) fn read_tree<V: Value>(
     storage: Storage,
     budget: &mut Budget,
 ) -> Result<GridData<V>> {
+    let data = read_topology(cursor, storage, budget)?;
+    let background = data.background;
+    let mut reader = TreeReader { background, storage, budget, data, scratch: Vec::new() };
+    for index in 0..reader.data.origins.len() {
+        reader.read_leaf(cursor, index)?;
+    }
+    Ok(reader.data)
+}
+
+/// Reads a tree without the values of its leaves, which follow.
+pub(super) fn read_topology<V: Value>(
+    cursor: &mut Cursor,
+    storage: Storage,
+    budget: &mut Budget,
+) -> Result<GridData<V>> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
     let tile_bytes = 12 + 4 * V::COUNT + 1;
     let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
@@ -163,9 +178,6 @@ pub(super) fn read_tree<V: Value>(
         }
         last = Some(origin);
         reader.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
-    }
-    for index in 0..reader.data.origins.len() {
-        reader.read_leaf(cursor, index)?;
     }
     Ok(reader.data)
 }
