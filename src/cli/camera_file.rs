@@ -1,6 +1,5 @@
 //! The camera in a file: of a scene, or of a picture that was made by this program.
 
-use std::fs::{self, File};
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
@@ -8,7 +7,7 @@ use glam::DVec3;
 use meniscus_formats::gltf::{CameraData, read_camera};
 use meniscus_formats::provenance::{Kind, read_provenance};
 
-use crate::pipeline::{CAMERA, CameraChoice};
+use crate::pipeline::{CAMERA, CameraChoice, open_regular, read_regular};
 
 use super::args::UpChoice;
 
@@ -31,7 +30,7 @@ pub(super) fn camera_of_file(path: &Path, up: Option<UpChoice>) -> Result<Camera
 }
 
 fn camera_of_picture(path: &Path, kind: Kind) -> Result<CameraChoice> {
-    let pairs = read_provenance(kind, File::open(path)?)?;
+    let pairs = read_provenance(kind, open_regular(path)?)?;
     let Some((_, text)) = pairs.iter().find(|(name, _)| name == CAMERA) else {
         bail!("this picture does not say where it was taken from: expected one of this program");
     };
@@ -39,7 +38,7 @@ fn camera_of_picture(path: &Path, kind: Kind) -> Result<CameraChoice> {
 }
 
 fn camera_of_scene(path: &Path, up: UpChoice) -> Result<CameraChoice> {
-    let CameraData { eye, forward, up: top, view_radians } = read_camera(&fs::read(path)?)?;
+    let CameraData { eye, forward, up: top, view_radians } = read_camera(&read_regular(path)?)?;
     let turned = |[x, y, z]: [f64; 3]| match up {
         UpChoice::Y => DVec3::new(x, y, z),
         UpChoice::Z => DVec3::new(x, -z, y),

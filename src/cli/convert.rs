@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
     Conduct, Frame, FrameState, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
-    check_out_folder, check_outputs, file_of, inspect, size_bytes,
+    check_out_folder, check_outputs, file_of, inspect, recover_out_folder, size_bytes,
 };
 use crate::simd::level_warning;
 
@@ -175,6 +175,7 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
         );
     }
     check_out_folder(out)?;
+    recover_out_folder(out)?;
     refuse_report_of_plan(args.report.as_deref(), &plan, path)?;
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;

@@ -15,7 +15,6 @@
 
 use std::collections::HashSet;
 use std::ffi::OsString;
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -26,7 +25,7 @@ use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, files_in, frames_in, is_absent, is_level_set, is_link_loop, is_own_output,
-    may_be_file, promises_particles, size_bytes, step_of,
+    may_be_file, open_regular, promises_particles, size_bytes, step_of,
 };
 
 use super::console::Console;
@@ -358,7 +357,7 @@ fn is_frame(path: &Path) -> io::Result<bool> {
 }
 
 fn head_is_of_particles(path: &Path, name: &str) -> io::Result<bool> {
-    let head = read_head(File::open(path)?, HEAD_BYTES)?;
+    let head = read_head(open_regular(path)?, HEAD_BYTES)?;
     Ok(looks_like_particles(&head, name))
 }
 

@@ -1,11 +1,10 @@
 //! What the disk says of whether a frame is complete. The loop and whoever asks it why go by the same.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::completeness::{Completeness, completeness};
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::{FileStamp, open_regular};
 
 use super::config::Watch;
 use super::readiness::{DEFAULT_SENTINEL, Sentinel, sentinel_counts, sentinel_path};
@@ -13,7 +12,7 @@ use super::readiness::{DEFAULT_SENTINEL, Sentinel, sentinel_counts, sentinel_pat
 /// What the format says; where the file cannot be read, reading it will say why.
 pub(super) fn completeness_of(path: &Path) -> Completeness {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let look = || completeness(&mut File::open(path)?, &name);
+    let look = || completeness(&mut open_regular(path)?, &name);
     look().unwrap_or(Completeness::Unproven)
 }
 

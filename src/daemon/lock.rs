@@ -15,9 +15,9 @@ use std::fmt;
 use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::{FileStamp, has_other_names, open_own};
 
 use super::journal::STATE_FOLDER;
 
@@ -73,7 +73,7 @@ impl OutputLock {
         fs::create_dir_all(out_folder.join(STATE_FOLDER)).map_err(refused)?;
         let mut options = OpenOptions::new();
         let options = options.read(true).write(true).create(true).truncate(false);
-        let file = options.open(&path).map_err(refused)?;
+        let file = open_own(&path, options).map_err(refused)?;
         let mut attempt_count = 1;
         loop {
             match file.try_lock() {
@@ -96,7 +96,7 @@ impl OutputLock {
     /// another file system.
     pub fn is_in_place(&self, out_folder: &Path) -> bool {
         let stamp = |metadata: io::Result<Metadata>| metadata.map(|metadata| FileStamp::of(&metadata).inode);
-        match (stamp(self.file.metadata()), stamp(lock_path(out_folder).metadata())) {
+        match (stamp(self.file.metadata()), stamp(lock_path(out_folder).symlink_metadata())) {
             (Ok(held), Ok(there)) => held == there,
             _ => false,
         }
@@ -108,7 +108,7 @@ impl OutputLock {
     /// When there can be no locks, or when the system refuses.
     pub fn holder(out_folder: &Path) -> Result<Option<String>, LockError> {
         let path = lock_path(out_folder);
-        let file = match File::open(&path) {
+        let file = match open_own(&path, OpenOptions::new().read(true)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(source) => return Err(LockError::Io { path, source }),
             Ok(file) => file,
@@ -170,11 +170,24 @@ fn has_no_lock_service(_error: &io::Error) -> bool {
 /// Says who holds the lock: over what the last one wrote, and cut only then, so that the file never
 /// says nothing.
 fn write_holder(mut file: &File) -> io::Result<()> {
-    let since = humantime::format_rfc3339_seconds(SystemTime::now());
-    let text = format!("pid {} on {} since {since}\n", std::process::id(), host_name());
+    if has_other_names(&file.metadata()?) {
+        return Err(io::Error::other("the file has other names, whose contents would change as well"));
+    }
+    let text = format!("pid {} on {} since {}\n", std::process::id(), host_name(), since(SystemTime::now()));
     file.write_all(text.as_bytes())?;
     file.set_len(text.len() as u64)
 }
+
+/// A moment as text. A clock that was never set may say anything.
+fn since(now: SystemTime) -> String {
+    match now.duration_since(UNIX_EPOCH) {
+        Ok(since) if since < YEAR_10000 => humantime::format_rfc3339_seconds(now).to_string(),
+        _ => "a moment that the clock does not know".to_owned(),
+    }
+}
+
+/// The first year that has five digits, which the form of moments has no room for: since 1970.
+const YEAR_10000: Duration = Duration::from_secs(253_402_300_800);
 
 /// Who holds the lock. On Windows nobody but the holder can read what it wrote.
 fn read_holder(file: &File) -> String {
@@ -244,6 +257,42 @@ mod tests {
         drop(lock);
         assert_eq!(OutputLock::holder(&out).expect("locks"), None);
         OutputLock::take(&out).expect("the first is gone");
+    }
+
+    #[test]
+    fn clock_before_1970_or_after_9999_has_a_text() {
+        assert_eq!(since(UNIX_EPOCH), "1970-01-01T00:00:00Z");
+        assert_eq!(since(UNIX_EPOCH + YEAR_10000 - Duration::from_secs(1)), "9999-12-31T23:59:59Z");
+        for time in [UNIX_EPOCH - Duration::from_secs(1), UNIX_EPOCH + YEAR_10000] {
+            assert_eq!(since(time), "a moment that the clock does not know");
+        }
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn lock_that_is_a_link_is_refused_and_its_target_unchanged() {
+        use std::os::unix::fs::symlink;
+        let out = folder();
+        let precious = out.path().join("precious");
+        fs::write(&precious, "precious").expect("written");
+        fs::create_dir(out.path().join(STATE_FOLDER)).expect("made");
+        symlink(&precious, lock_path(out.path())).expect("a link");
+        for error in [OutputLock::take(out.path()).err(), OutputLock::holder(out.path()).err()] {
+            let error = error.expect("a link").to_string();
+            assert!(error.ends_with("lock cannot be locked: not a regular file: a symbolic link"), "{error}");
+        }
+        fs::remove_file(lock_path(out.path())).expect("removed");
+        fs::hard_link(&precious, lock_path(out.path())).expect("a second name");
+        OutputLock::take(out.path()).expect("a lock, which does not say whose");
+        assert_eq!(fs::read_to_string(&precious).expect("there"), "precious");
+
+        let [elsewhere, linked] = ["elsewhere", "linked"].map(|name| out.path().join(name));
+        fs::create_dir(&elsewhere).expect("made");
+        fs::create_dir(&linked).expect("made");
+        symlink(&elsewhere, linked.join(STATE_FOLDER)).expect("a link");
+        let error = OutputLock::take(&linked).expect_err("a link").to_string();
+        assert!(error.contains(".meniscus is a symbolic link"), "{error}");
+        assert_eq!(fs::read_dir(&elsewhere).expect("there").count(), 0);
     }
 
     #[test]

@@ -202,6 +202,7 @@ pub fn run(
     let (to_find_steps, steps_orders) = unbounded();
     let (to_loop_found, found_steps) = unbounded();
     let daemon = Daemon::open(config, board, &queue, (to_measure, to_find_steps), notices)?;
+    let mirrors: Vec<PathBuf> = daemon.stores.iter().map(|store| store.folder.clone()).collect();
     let conduct = Conduct {
         pool: &pool,
         on_error: OnError::Continue,
@@ -211,6 +212,7 @@ pub fn run(
         memory_bytes: config.memory_bytes,
         // There is a thread for that.
         steps_found_by: StepsFoundBy::Another,
+        mirrors: &mirrors,
     };
     let began = |frame: &Frame, stage: Stage| {
         if let Some(board) = board {

@@ -8,7 +8,9 @@ use std::time::{Duration, Instant};
 use crossbeam::channel::{Receiver, Sender, never, select};
 
 use crate::board::Board;
-use crate::pipeline::{Frame, ObstacleFiles, Outcome, OutputOptions, breaks_guarantee, natural_order};
+use crate::pipeline::{
+    Frame, ObstacleFiles, Outcome, OutputOptions, breaks_guarantee, natural_order, remove_left_behind,
+};
 
 use super::config::{Config, Watch};
 use super::evidence::path_of_sentinel;
@@ -288,6 +290,7 @@ impl<'a> Daemon<'a> {
         }
         self.told.at = Some(now);
         (self.notices)(Notice::Alive);
+        remove_left_behind();
         self.show_status(false);
         let status = self.status();
         if status != self.told.status {

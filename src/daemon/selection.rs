@@ -13,7 +13,6 @@
 
 use std::ffi::OsStr;
 use std::fmt;
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +21,7 @@ use meniscus_formats::packing::read_head;
 use meniscus_formats::provenance::{self, read_provenance};
 use meniscus_formats::{Kind, looks_like_particles, probe};
 
-use crate::pipeline::{are_particles, has_particle_extension, promises_particles};
+use crate::pipeline::{are_particles, has_particle_extension, open_regular, promises_particles};
 
 /// Which files are frames, as far as their names tell.
 #[derive(Clone, Debug)]
@@ -129,11 +128,10 @@ fn parse_pattern(text: &str, recursive: bool) -> Result<Pattern, PatternError> {
 pub fn content(path: &Path) -> io::Result<Content> {
     const HEAD_BYTES: u64 = 64 << 10; // holds the provenance of every output
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    // Opening a pipe would wait for its other end.
     if !path.metadata()?.is_file() {
         return Ok(Content::NotParticles);
     }
-    let head = read_head(File::open(path)?, HEAD_BYTES)?;
+    let head = read_head(open_regular(path)?, HEAD_BYTES)?;
     let promises = promises_particles(&name);
     Ok(if is_own_output(&head, &name) {
         Content::OwnOutput

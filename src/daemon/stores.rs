@@ -109,7 +109,9 @@ fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
 impl Store {
     fn open(folder: PathBuf, journal: Option<&Path>) -> Result<Store, DaemonError> {
         let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
-        let journal_folder = journal.map_or_else(|| folder.join(STATE_FOLDER), Path::to_owned);
+        // What was asked for may be a link, and what has a name of ours may not.
+        let asked = journal.map(|asked| asked.canonicalize().unwrap_or_else(|_| asked.to_owned()));
+        let journal_folder = asked.unwrap_or_else(|| folder.join(STATE_FOLDER));
         let is_elsewhere = journal_folder.canonicalize().is_ok_and(|journal| !journal.starts_with(&folder));
         let journal_lock = match is_elsewhere || !journal_folder.exists() {
             true => Some(OutputLock::take(&journal_folder).map_err(DaemonError::Locked)?),
@@ -117,8 +119,9 @@ impl Store {
         };
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
         let identity = RootIdentity::of(&folder).map_err(failed)?;
-        let journal = Journal::open(&journal_folder).map_err(failed)?;
-        match sweep(&folder) {
+        let journal = Journal::open(&journal_folder)
+            .map_err(|source| DaemonError::Folder { folder: journal_folder.clone(), source })?;
+        match sweep(&folder) + sweep_one(&journal_folder) {
             0 => {}
             count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
         }
@@ -195,10 +198,7 @@ const JOURNAL_RETRY: Duration = Duration::from_secs(1);
 /// Removes the temporaries of a folder and all below it that nobody is writing; how many there were. A
 /// folder that cannot be looked into keeps its own.
 fn sweep(folder: &Path) -> usize {
-    let cannot = |error| {
-        tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
-    };
-    let mut count = sweep_temporaries(folder).map_err(cannot).unwrap_or(0);
+    let mut count = sweep_one(folder);
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     // Links are not followed: what they lead to is not ours to sweep.
     let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
@@ -206,6 +206,14 @@ fn sweep(folder: &Path) -> usize {
         count += sweep(&inner.path());
     }
     count
+}
+
+/// The same of a folder without those below it.
+fn sweep_one(folder: &Path) -> usize {
+    let cannot = |error| {
+        tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
+    };
+    sweep_temporaries(folder).map_err(cannot).unwrap_or(0)
 }
 
 /// Whether files are there. During a scan, when thousands of outputs are asked for, each folder is

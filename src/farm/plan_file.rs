@@ -9,7 +9,6 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
-use std::fs::File;
 use std::io::{self, Read, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -21,7 +20,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
     AutomaticVoxelSize, CameraChoice, GENERATOR_AND_VERSION, OutputFormat, OutputOptions, PictureOptions,
-    compression_name, file_of, up_name, write_whole,
+    compression_name, file_of, open_regular, up_name, write_whole,
 };
 use crate::settings::{Choices, Settings};
 
@@ -139,12 +138,8 @@ impl Plan {
     /// When it cannot be read, or is no plan of this version of the program.
     pub fn read(path: &Path) -> Result<Plan, PlanError> {
         let cannot = |error: io::Error| PlanError::at("", format!("cannot be read: {error}"));
-        // A pipe would wait for somebody to open its other end.
-        if !path.metadata().map_err(cannot)?.is_file() {
-            return Err(PlanError::at("", "no regular file"));
-        }
         let mut bytes = Vec::new();
-        File::open(path)
+        open_regular(path)
             .and_then(|file| file.take(SIZE_MAX_BYTES + 1).read_to_end(&mut bytes))
             .map_err(cannot)?;
         if bytes.len() as u64 > SIZE_MAX_BYTES {

@@ -14,7 +14,6 @@
 //! A shard asks this before it converts a frame, and the whole is asked the same once all shards are through: so what is found
 //! wanting in the end is what a shard that runs again makes again, and nothing else.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::provenance::read_provenance;
@@ -23,6 +22,7 @@ use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
 use super::frame::Frame;
+use super::open::open_regular;
 use super::outputs::{OutputFormat, output_path};
 use super::provenance::{provenance, provenance_kind};
 use super::reading::InputFile;
@@ -129,7 +129,7 @@ fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Pat
     let damaged = |why: String| FrameState::Damaged(format!("{}: {why}", name_of(path)));
     let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
     let kind = provenance_kind(format);
-    let mut file = File::open(path).map_err(|error| damaged(error.to_string()))?;
+    let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
     let recorded = read_provenance(kind, &file).map_err(unreadable)?;
     if !is_whole(kind, &mut file).map_err(unreadable)? {
         return Err(damaged("its end is missing, or something follows it".to_owned()));

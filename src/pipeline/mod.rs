@@ -21,6 +21,7 @@
 //!   level_set_file  surfaces from .vdb                 picture_file  pictures from .png
 //!   still       a frame by itself, and no files       particles_only  particles as they are, and no surface
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
+//!   file_set    replaces several files, or none        open        what is opened, and never waited for
 //!   record      what was measured, as JSON             shot      all frames in one file
 //!   certificate_file  what was checked of a frame, beside it   inspection  what there is of a frame already
 //! ```
@@ -60,6 +61,7 @@ mod bounds;
 mod budget;
 mod certificate_file;
 mod crew;
+mod file_set;
 mod frame;
 mod frame_particles;
 mod inspection;
@@ -72,6 +74,7 @@ mod notes;
 mod number_pattern;
 mod obstacle_notes;
 mod obstacles;
+mod open;
 mod out_folder;
 mod outputs;
 mod particles_only;
@@ -108,8 +111,10 @@ pub(crate) use names::text_of_name;
 pub use notes::{breaks_guarantee, flaws, keeps_guarantees, notes, standing_notes};
 pub use number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
+pub use open::{has_other_names, open_itself, open_own, open_regular, read_regular, read_regular_text};
 pub use out_folder::{
-    OutFolderError, check_out_folder, is_disk_full, make_out_folder, refuse_file_for_folder,
+    OutFolderError, check_out_folder, is_disk_full, make_out_folder, recover_out_folder,
+    refuse_file_for_folder,
 };
 pub use outputs::{Conflict, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path};
 pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
@@ -123,7 +128,7 @@ pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use resurfacing::{BandToSurface, resurface_all};
 pub use shot::{ShotError, ShotFormat, ShotReport, ShotSource, is_shot, write_shot};
-pub use sink::{stop_writing, write_whole};
+pub use sink::{replace_own, stop_writing, write_whole};
 pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, promises_particles, sequences};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
 pub use stamp::FileStamp;
@@ -132,7 +137,7 @@ pub use steps::{
     may_hold_several, size_bytes, step_of,
 };
 pub use still::{Still, StillFrame};
-pub use temporary::sweep_temporaries;
+pub use temporary::{remove_left_behind, sweep_temporaries};
 pub use viewpoint::{CameraChoice, Viewpoint};
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};
 pub use writing::{encode_level_set, mesh_view, vertex_attributes};

@@ -1,6 +1,5 @@
 //! From a .png to a picture, for sheets of pictures that are there already.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
@@ -10,6 +9,7 @@ use meniscus_formats::{ColorPicture, png};
 use crate::preview::Picture;
 
 use super::frame::{FrameError, Stage};
+use super::open::open_regular;
 use super::provenance::{CAMERA, HEAD_BYTES, SHEET};
 use super::reading::read_file;
 
@@ -27,11 +27,10 @@ pub fn read_picture(path: &Path) -> Result<Picture, FrameError> {
 /// Where the picture of a frame was taken from, if it is one of this program and no sheet.
 pub fn camera_of_picture(path: &Path) -> Option<String> {
     let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
-    // Opening a pipe would wait for its other end.
-    if !is_png || !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
+    if !is_png {
         return None;
     }
-    let head = File::open(path).ok()?.take(HEAD_BYTES);
+    let head = open_regular(path).ok()?.take(HEAD_BYTES);
     let pairs = read_provenance(Kind::Png, head).ok()?;
     let value = |wanted: &str| pairs.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.clone());
     if value(SHEET).is_some() { None } else { value(CAMERA) }

@@ -4,7 +4,6 @@
 //! give the same bytes. And an output that records what this run would record need not be made
 //! again; whatever else it records, or nothing at all, means that it must.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -17,6 +16,7 @@ use crate::settings::{Pairs, Settings};
 
 use super::certificate_file::hash_text;
 use super::frame::Frame;
+use super::open::open_regular;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::PictureOptions;
 use super::steps::frame_name;
@@ -153,11 +153,7 @@ fn is_whole_and(
     kind: Kind,
     is_meant: impl FnOnce(&[(String, String)]) -> bool,
 ) -> meniscus_formats::Result<bool> {
-    // Opening a pipe would wait for its other end.
-    if !path.metadata()?.is_file() {
-        return Ok(false);
-    }
-    let mut file = File::open(path)?;
+    let mut file = open_regular(path)?;
     let recorded = read_provenance(kind, &file)?;
     Ok(is_meant(&recorded) && is_whole(kind, &mut file)?)
 }
@@ -171,7 +167,6 @@ pub fn outputs_made_from<E>(
 ) -> Result<Vec<PathBuf>, E> {
     let mut outputs: Vec<(OutputFormat, PathBuf)> =
         OutputFormat::ALL.iter().map(|&format| (format, output_path(folder, stem, format))).collect();
-    // Opening a pipe would wait for its other end.
     outputs.retain(|(_, path)| path.metadata().is_ok_and(|metadata| metadata.is_file()));
     if outputs.is_empty() {
         return Ok(Vec::new());
@@ -190,11 +185,7 @@ pub fn is_own_output(path: &Path) -> bool {
     let Some(&format) = OutputFormat::ALL.iter().find(|format| format.extension() == extension) else {
         return false;
     };
-    // Opening a pipe would wait for its other end.
-    if !path.metadata().is_ok_and(|metadata| metadata.is_file()) {
-        return false;
-    }
-    let recorded = File::open(path)
+    let recorded = open_regular(path)
         .map_err(meniscus_formats::Error::from)
         .and_then(|file| read_provenance(provenance_kind(format), file.take(HEAD_BYTES)));
     let is_generator = |(name, value): &(String, String)| name == "generator" && value.starts_with(GENERATOR);

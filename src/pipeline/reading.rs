@@ -1,6 +1,6 @@
 //! From a file to particles.
 
-use std::fs::{self, File, Metadata};
+use std::fs::{File, Metadata};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,7 @@ use crate::particles::{Cloud, Particles, Shapes};
 
 use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};
+use super::open::{open_regular, require_regular};
 use super::stamp::FileStamp;
 use super::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
 
@@ -33,7 +34,7 @@ pub fn read_file(path: &Path) -> Result<Vec<u8>, FrameError> {
     match step_of(path) {
         None => {
             refuse_large_foreign(path).map_err(fail)?;
-            fs::read(path).map_err(|error| fail(error.into()))
+            read_unchecked(path).map_err(|error| fail(error.into()))
         }
         Some(step) => match read_step(step, StepsFoundBy::Reader).map_err(fail)? {
             Some((bytes, _)) => Ok(bytes),
@@ -65,7 +66,7 @@ fn refuse_large_foreign(path: &Path) -> meniscus_formats::Result<()> {
     if !metadata.is_file() || metadata.len() < LARGE_BYTES {
         return Ok(());
     }
-    let head = read_head(File::open(path)?, LARGE_HEAD_BYTES)?;
+    let head = read_head(open_regular(path)?, LARGE_HEAD_BYTES)?;
     refuse_foreign(&head, &path.file_name().unwrap_or_default().to_string_lossy())
 }
 
@@ -93,15 +94,19 @@ pub(super) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileSta
 /// # Errors
 /// When the system refuses; `InvalidInput` for what is no regular file, such as a pipe, which may have no end.
 pub(super) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
-    // A pipe would wait for somebody to open its other end.
-    if !path.metadata()?.is_file() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "no regular file"));
-    }
+    require_regular(&path.metadata()?)?;
     read_start_between_stamps(path, most, |file| {
         let mut bytes = Vec::new();
         file.take(most).read_to_end(&mut bytes)?;
         Ok(bytes)
     })
+}
+
+/// The bytes of a file, which may change meanwhile.
+fn read_unchecked(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    (&InputFile::open(path)?.file).read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// Reads between two looks at the file.
@@ -142,9 +147,9 @@ impl InputFile {
     /// Opens the file at `path`.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// Those of [`open_regular`].
     pub fn open(path: &Path) -> io::Result<InputFile> {
-        let file = File::open(path)?;
+        let file = open_regular(path)?;
         let metadata = file.metadata()?;
         let (stamp, is_regular) = (FileStamp::of(&metadata), metadata.is_file());
         let changed = status_change(&metadata);
@@ -271,6 +276,8 @@ pub fn particles(positions: Positions) -> Particles {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
+
     use meniscus_formats::{ParticleBatch, ParticleBatches};
     use rayon::prelude::*;
     use std::io::Write;

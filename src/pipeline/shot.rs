@@ -14,7 +14,6 @@
 //! before it.
 
 use std::fmt;
-use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -22,6 +21,7 @@ use meniscus_formats::gltf::{self, FrameFile as GlbFrame, SHOT_FRAMES, ShotFrame
 use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::usda;
 
+use super::open::open_regular;
 use super::outputs::are_one_file;
 use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use super::sink::write_whole;
@@ -119,7 +119,7 @@ pub fn write_shot(
         frames.push(ShotFrame { name, code, file });
         opened.push((&source.path, stamp));
     }
-    let open = |index: usize| -> io::Result<_> { Ok(BufReader::new(File::open(opened[index].0)?)) };
+    let open = |index: usize| -> io::Result<_> { Ok(BufReader::new(open_regular(opened[index].0)?)) };
     let written = write_whole(path, |out| {
         match format {
             ShotFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
@@ -143,7 +143,7 @@ struct SourceFrame<'a> {
 /// What can be read of the frames, and what cannot, and why.
 fn read_frames(sources: &[ShotSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
     let read = |path: &Path| -> Result<(FileStamp, GlbFrame), meniscus_formats::Error> {
-        let file = File::open(path)?;
+        let file = open_regular(path)?;
         let stamp = FileStamp::of(&file.metadata()?);
         Ok((stamp, GlbFrame::read(&mut BufReader::new(file))?))
     };
@@ -183,7 +183,7 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> ShotError {
 /// Whether a file is a shot that this program wrote, by what it says of itself.
 pub fn is_shot(path: &Path) -> bool {
     let recorded =
-        File::open(path).ok().and_then(|file| read_provenance(Kind::Glb, file.take(HEAD_BYTES)).ok());
+        open_regular(path).ok().and_then(|file| read_provenance(Kind::Glb, file.take(HEAD_BYTES)).ok());
     recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SHOT_FRAMES))
 }
 

@@ -7,16 +7,23 @@
 //!   dam.0012.glb             never seen half written, whatever stops the program
 //! ```
 //!
-//! Files that belong together are all written before the first is renamed; then all are, in a row. A
+//! Files that belong together are all written before the first is renamed; then all are, in a row, and
+//! [`file_set`](super::file_set) sees that a failure leaves all the old files or all the new ones. A
 //! program that is about to be stopped takes its temporary files with it, by [`stop_writing`].
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::channel;
+use std::thread;
+use std::time::Duration;
 
 use meniscus_formats::Result;
 
-use super::temporary::{Temporary, under_way};
+use super::file_set::replace_together;
+use super::open::require_own_folder;
+use super::stamp::FileStamp;
+use super::temporary::{Temporary, remove_left_behind, under_way};
 
 /// Large enough that the system call does not matter beside the copy.
 const BUFFER_BYTES: usize = 1 << 18;
@@ -31,18 +38,47 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Res
     Ok(())
 }
 
+/// Writes a file of this program's own, whose name everybody knows, once `write` has written all of it: as
+/// [`write_whole`] does, and not into a folder that a link has replaced. Returns what `write` returns.
+///
+/// # Errors
+/// What `write` returns, or what the system refuses. Nothing is left behind then, and a file that
+/// was at `path` before is still there, untouched.
+pub fn replace_own<T>(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<T>,
+) -> io::Result<T> {
+    require_own_folder(path)?;
+    let temporary = Temporary::create(path)?;
+    let mut out = BufWriter::with_capacity(BUFFER_BYTES, temporary.file());
+    let written = write(&mut out)?;
+    out.flush()?;
+    drop(out);
+    temporary.file().sync_all()?;
+    require_own_folder(path)?;
+    let under_way = under_way();
+    let renamed = fs::rename(temporary.path(), path);
+    drop(under_way);
+    renamed.map(|()| written)
+}
+
 /// A file that is whole and on the disk, and not yet to be seen under its name. It is removed unless it is
 /// published.
 pub(super) struct Unseen {
     temporary: Temporary,
     path: PathBuf,
-    size_bytes: u64,
+    stamp: FileStamp,
 }
 
 impl Unseen {
     /// The size of the file.
     pub(super) fn size_bytes(&self) -> u64 {
-        self.size_bytes
+        self.stamp.size
+    }
+
+    /// What the file system says of the file.
+    pub(super) fn stamp(&self) -> FileStamp {
+        self.stamp
     }
 
     /// Where it is to appear.
@@ -71,58 +107,64 @@ pub(super) fn write_unseen(
     drop(out);
     // Else a crash of the machine could leave the name without the bytes.
     temporary.file().sync_all()?;
-    let size_bytes = temporary.file().metadata()?.len();
-    Ok(Unseen { temporary, path: path.to_owned(), size_bytes })
+    let stamp = FileStamp::of(&temporary.file().metadata()?);
+    Ok(Unseen { temporary, path: path.to_owned(), stamp })
 }
 
 /// Lets files of one folder appear under their names, in a row, replacing what is there. Returns their
 /// paths.
 ///
 /// # Errors
-/// The path that cannot be replaced, and why; then none of the files appears.
+/// The path that cannot be replaced, and why; then none of the files appears, and those that they were to replace are
+/// there as before.
 pub(super) fn publish(files: Vec<Unseen>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
     // What is sure to fail is found before anything is replaced.
     if let Some(file) = files.iter().find(|file| file.path.symlink_metadata().is_ok_and(|m| m.is_dir())) {
         return Err((file.path.clone(), io::ErrorKind::IsADirectory.into()));
     }
-    let mut appeared = Vec::with_capacity(files.len());
-    // Locked for all of them: a stop comes before the first or after the last.
-    let under_way = under_way();
-    for file in &files {
-        if let Err(error) = fs::rename(file.temporary.path(), &file.path) {
-            for path in &appeared {
-                // Without the others it would be half a frame.
-                let _ = fs::remove_file(path);
-            }
-            drop(under_way);
-            return Err((file.path.clone(), error));
-        }
-        appeared.push(file.path.clone());
+    if let [file] = &*files {
+        // Locked: a stop comes before or after.
+        let under_way = under_way();
+        let renamed = fs::rename(file.temporary.path(), &file.path);
+        drop(under_way);
+        renamed.map_err(|error| (file.path.clone(), error))?;
+        sync_folder(file.path.parent().unwrap_or(Path::new("")));
+    } else {
+        replace_together(&files)?;
     }
-    drop(under_way);
-    if let Some(folder) = appeared.first().and_then(|path| path.parent()) {
-        sync_folder(folder);
-    }
-    Ok(appeared)
+    Ok(files.iter().map(|file| file.path.clone()).collect())
 }
 
 /// Puts the names in a folder on the disk, where the system can do such a thing. Where it cannot, or
 /// fails, a crash of the machine may cost names that are there already; it never shows half a file.
-fn sync_folder(folder: &Path) {
+pub(super) fn sync_folder(folder: &Path) {
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let _ = File::open(folder).and_then(|folder| folder.sync_all());
 }
 
 /// Removes all files that are not yet whole, and lets no other begin or appear: for a process that ends
-/// at once. Whoever is writing waits from now on.
+/// at once. Whoever is writing waits from now on. A file system that does not answer is not waited for: what is left there
+/// is swept at the next start.
 pub fn stop_writing() {
-    let under_way = under_way();
-    for path in under_way.iter() {
-        // There is nobody left to tell.
-        let _ = fs::remove_file(path);
+    let (done, is_done) = channel();
+    let stop = move || {
+        let under_way = under_way();
+        for path in under_way.iter() {
+            // There is nobody left to tell.
+            let _ = fs::remove_file(path);
+        }
+        remove_left_behind();
+        std::mem::forget(under_way);
+        let _ = done.send(());
+    };
+    // Without a thread nothing is removed; nor is anything when the time is up.
+    if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
+        let _ = is_done.recv_timeout(STOP_PATIENCE);
     }
-    std::mem::forget(under_way);
 }
+
+/// Longer than a file system takes that answers.
+const STOP_PATIENCE: Duration = Duration::from_secs(5);
 
 #[cfg(test)]
 mod tests {
@@ -189,7 +231,7 @@ mod tests {
         assert_eq!(publish(files).expect("published"), names.map(path));
         assert_eq!(names_in(folder.path()).len(), 3);
         // A folder in the way is seen before anything is replaced; what can be seen only by trying
-        // leaves nothing of the others.
+        // leaves the others as they were.
         fs::write(path("a.glb"), "old").expect("written");
         fs::remove_file(path("a.vdb")).expect("removed");
         fs::create_dir(path("a.vdb")).expect("made");
@@ -199,8 +241,67 @@ mod tests {
         fs::remove_dir(path("a.vdb")).expect("removed");
         let files: Vec<Unseen> = names.map(unseen).into();
         fs::remove_file(files[2].temporary.path()).expect("removed");
+        fs::write(path("a.obj"), "old").expect("written");
         assert_eq!(publish(files).expect_err("the last is gone").0, path("a.obj"));
-        assert_eq!(names_in(folder.path()), ["a.obj"]);
+        let mut names = names_in(folder.path());
+        names.sort();
+        assert_eq!(names, ["a.glb", "a.obj"]);
+        assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
+    }
+
+    #[test]
+    fn second_rename_that_fails_keeps_the_old_files() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        let names = ["a.glb", "a.vdb", "a.obj"];
+        for name in names {
+            fs::write(path(name), "old").expect("written");
+        }
+        let unseen =
+            |name: &str| write_unseen(&path(name), |out| Ok(out.write_all(b"new")?)).expect("written");
+        let files: Vec<Unseen> = names.map(unseen).into();
+        fs::remove_file(files[1].temporary.path()).expect("removed");
+        assert_eq!(publish(files).expect_err("the second is gone").0, path("a.vdb"));
+        assert_eq!(names_in(folder.path()).len(), 3);
+        for name in names {
+            assert_eq!(fs::read_to_string(path(name)).expect("readable"), "old");
+        }
+    }
+
+    /// Set in the child of the test below.
+    const CHILD: &str = "MENISCUS_TEST_STOP";
+
+    #[test]
+    fn stop_does_not_wait_for_a_writer_that_hangs() {
+        let name = "stop_does_not_wait_for_a_writer_that_hangs";
+        if std::env::var_os(CHILD).is_some() {
+            // As one that is in a rename on a file system that does not answer.
+            let _held = under_way();
+            thread::spawn(|| {
+                stop_writing();
+                std::process::exit(3);
+            });
+            loop {
+                thread::park();
+            }
+        }
+        let mut child = std::process::Command::new(std::env::current_exe().expect("this test"));
+        let mut child =
+            child.arg(name).env(CHILD, "1").stdout(std::process::Stdio::null()).spawn().expect("a child");
+        let start = std::time::Instant::now();
+        let status = loop {
+            if let Some(status) = child.try_wait().expect("a child") {
+                break Some(status);
+            }
+            if start.elapsed() > 12 * STOP_PATIENCE {
+                break None;
+            }
+            thread::sleep(Duration::from_millis(10));
+        };
+        if status.is_none() {
+            child.kill().expect("killed");
+        }
+        assert_eq!(status.and_then(|status| status.code()), Some(3), "it waits");
     }
 
     #[test]

@@ -12,6 +12,9 @@
 //!
 //! Who writes one holds an advisory lock on it until it is renamed. A process that is killed leaves its files
 //! and loses its locks: so [`sweep_temporaries`] knows which nobody will finish.
+//!
+//! A file that cannot be removed is remembered, and [`remove_left_behind`] tries again: before the next temporary file is
+//! created, in each round of the daemon, and at the end.
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -21,6 +24,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
+use super::file_set::{is_record_name, record_of_old_file, recover, remove_old_file};
+use super::open::open_itself;
 use super::stamp::FileStamp;
 
 /// A file that is removed unless it is renamed: also when the writer panics.
@@ -40,7 +45,11 @@ impl Temporary {
     }
 
     /// Creates a file beside `path`, under the first of these names that is free.
-    fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub(super) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
+        remove_left_behind();
         // Locked until the file is known: a stop misses none.
         let mut under_way = under_way();
         let mut attempt_count = 0;
@@ -70,15 +79,64 @@ impl Temporary {
     pub(super) fn file(&self) -> &File {
         &self.file
     }
+
+    /// Gives up the lock and leaves the file to [`remove_left_behind`].
+    pub(super) fn keep(mut self) {
+        let path = std::mem::take(&mut self.path);
+        under_way().remove(&path);
+        drop(self);
+        leave_behind(path);
+    }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        // Renamed, it is not there any more. And if it cannot be removed, the error that led here
-        // is the one worth telling.
-        let _ = fs::remove_file(&self.path);
+        if self.path.as_os_str().is_empty() {
+            return;
+        }
+        // The error that led here is the one worth telling; after a rename the file has another name.
+        if remove_if_there(&self.path).is_err() {
+            leave_behind(self.path.clone());
+        }
         under_way().remove(&self.path);
     }
+}
+
+/// Removes a file, if there is one.
+///
+/// # Errors
+/// When the system refuses.
+pub(super) fn remove_if_there(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        result => result,
+    }
+}
+
+/// Files of this process that could not be removed.
+fn left_behind() -> MutexGuard<'static, HashSet<PathBuf>> {
+    static LEFT_BEHIND: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
+    // As below.
+    LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Remembers a file that could not be removed.
+pub(super) fn leave_behind(path: PathBuf) {
+    left_behind().insert(path);
+}
+
+/// Tries again to remove what could not be removed before. Returns how many files are left.
+pub fn remove_left_behind() -> usize {
+    // Not locked meanwhile: the disk may take its time.
+    let paths = std::mem::take(&mut *left_behind());
+    for path in paths {
+        let is_record = is_record_name(&path.file_name().unwrap_or_default().to_string_lossy());
+        let removed = if is_record { recover(&path).map(|_| ()) } else { remove_if_there(&path) };
+        if removed.is_err() {
+            leave_behind(path);
+        }
+    }
+    left_behind().len()
 }
 
 /// The temporary files of this process.
@@ -108,35 +166,64 @@ fn is_still_at(path: &Path, file: &File) -> bool {
     stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
 }
 
-/// Removes the temporary files in a folder that nobody is writing, of whatever process or machine. Where
-/// the file system has no locks, that is those that nobody has written to for a day. Returns how many there
-/// were; those that may not be removed are left.
+/// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, and puts back the files
+/// that a [set](super::file_set) replaced in part before its process was killed. Where the file system has no locks, that is
+/// those that nobody has written to for a day. Returns how many there were; those that may not be removed are left.
 ///
 /// # Errors
-/// When the folder cannot be read.
+/// When the folder cannot be read, or files cannot be put back.
 pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
-    let mut swept_count = 0;
+    let (mut swept_count, mut old_files, mut failure) = (0, Vec::new(), None);
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        let is_ours = is_temporary_name(&entry.file_name().to_string_lossy());
-        if is_ours && entry.file_type()?.is_file() && sweep(&entry.path()).unwrap_or(false) {
-            swept_count += 1;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let record = record_of_old_file(&entry.path());
+        if let Some(record) = record {
+            // When all records are dealt with.
+            old_files.push((entry.path(), record));
+        } else if (is_temporary_name(&name) || is_record_name(&name)) && entry.file_type()?.is_file() {
+            let path = entry.path();
+            let swept = if is_record_name(&name) { recover(&path) } else { sweep(&path) };
+            match swept {
+                Ok(is_swept) => swept_count += usize::from(is_swept),
+                // It belongs to another account.
+                Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {}
+                Err(error) if is_record_name(&name) => {
+                    let what =
+                        format!("a set of files that was replaced in part cannot be put back: {error}");
+                    failure = Some(io::Error::new(error.kind(), what));
+                }
+                Err(_) => {}
+            }
         }
     }
-    Ok(swept_count)
+    for (path, record) in old_files {
+        let _ = remove_old_file(&path, &record);
+    }
+    failure.map_or(Ok(swept_count), Err)
 }
 
 /// Removes a temporary file that nobody is writing.
 fn sweep(path: &Path) -> io::Result<bool> {
-    // Some file systems lock only what is open for writing.
-    let file = OpenOptions::new().write(true).open(path)?;
-    let age = SystemTime::now().duration_since(file.metadata()?.modified()?).unwrap_or(Duration::ZERO);
-    if !is_abandoned(file.try_lock(), age) {
-        return Ok(false);
-    }
+    let Some(_locked) = lock_abandoned(path)? else { return Ok(false) };
     // Locked until it is gone: whoever created it just now finds that out.
     fs::remove_file(path)?;
     Ok(true)
+}
+
+/// A file that a process has left, locked; `None` where its process lives.
+///
+/// # Errors
+/// When the system refuses.
+pub(super) fn lock_abandoned(path: &Path) -> io::Result<Option<File>> {
+    // Some file systems lock only what is open for writing.
+    let file = match open_itself(path, OpenOptions::new().read(true).write(true)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        file => file?,
+    };
+    let age = SystemTime::now().duration_since(file.metadata()?.modified()?).unwrap_or(Duration::ZERO);
+    let is_abandoned = is_abandoned(file.try_lock(), age);
+    Ok((is_abandoned && is_still_at(path, &file)).then_some(file))
 }
 
 fn is_abandoned(locked: Result<(), TryLockError>, age: Duration) -> bool {
@@ -163,7 +250,7 @@ fn is_temporary_name(name: &str) -> bool {
 }
 
 /// Another number at each call, in each process and on each machine.
-fn random_number() -> u64 {
+pub(super) fn random_number() -> u64 {
     // The keys of hash maps come from the system's randomness.
     RandomState::new().hash_one(std::process::id())
 }
@@ -265,6 +352,29 @@ mod tests {
         assert!(!is_still_at(&path, &file));
         fs::write(&path, "of somebody else").expect("written");
         assert!(!cfg!(unix) || !is_still_at(&path, &file));
+    }
+
+    /// The folder that it lies in is exchanged for a file: then nothing in it can be removed.
+    #[test]
+    #[cfg(unix)]
+    fn file_that_cannot_be_removed_is_removed_later() {
+        let folder = tempdir().expect("a folder");
+        let [inner, away] = ["inner", "away"].map(|name| folder.path().join(name));
+        fs::create_dir(&inner).expect("made");
+        let temporary = Temporary::create(&inner.join("a.glb")).expect("created");
+        let name = temporary.path.file_name().expect("a name").to_owned();
+        fs::rename(&inner, &away).expect("renamed");
+        fs::write(&inner, "in the way").expect("written");
+        drop(temporary);
+        assert!(away.join(&name).exists() && remove_left_behind() > 0);
+        fs::remove_file(&inner).expect("removed");
+        fs::rename(&away, &inner).expect("renamed");
+        // Any writer tries again.
+        let start = std::time::Instant::now();
+        while inner.join(&name).exists() {
+            assert!(start.elapsed() < Duration::from_secs(60), "it is left");
+            drop(Temporary::create(&folder.path().join("b.glb")).expect("created"));
+        }
     }
 
     #[test]

@@ -15,6 +15,7 @@ use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
 
 use crate::board::Board;
+use crate::pipeline::open_itself;
 
 use super::answer::{Answer, Content, answer, not_found, text};
 
@@ -64,39 +65,16 @@ pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> 
 
 /// Opens what the board names, if it is a file.
 fn open(path: &Path) -> io::Result<Opened> {
-    let file = open_itself(path)?;
+    // What a link in its place leads to is not ours to show.
+    let file = open_itself(path, File::options().read(true)).map_err(|error| match error.kind() {
+        io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory => io::ErrorKind::NotFound.into(),
+        _ => error,
+    })?;
     // Of what is open, not of what is there by now.
     let metadata = file.metadata()?;
-    if !metadata.is_file() {
-        return Err(io::ErrorKind::NotFound.into());
-    }
     let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
     let tag = format!("\"{}-{}\"", metadata.len(), since.unwrap_or_default().as_nanos());
     Ok(Opened { file, size_bytes: metadata.len(), tag })
-}
-
-/// Opens what has this name, and not what a link in its place leads to: that is not ours to show. Nor does it wait at a
-/// pipe in its place.
-#[cfg(unix)]
-fn open_itself(path: &Path) -> io::Result<File> {
-    use rustix::fs::{Mode, OFlags};
-    use rustix::io::Errno;
-
-    let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
-    match rustix::fs::open(path, flags, Mode::empty()) {
-        Ok(file) => Ok(file.into()),
-        // Links (some systems say the second of them), sockets.
-        Err(Errno::LOOP | Errno::MLINK | Errno::NXIO) => Err(io::ErrorKind::NotFound.into()),
-        Err(error) => Err(error.into()),
-    }
-}
-
-#[cfg(not(unix))]
-fn open_itself(path: &Path) -> io::Result<File> {
-    match std::fs::symlink_metadata(path)?.is_file() {
-        true => File::open(path),
-        false => Err(io::ErrorKind::NotFound.into()),
-    }
 }
 
 fn part<B>(

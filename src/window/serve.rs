@@ -10,7 +10,7 @@ use std::net::TcpListener;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -48,6 +48,10 @@ const CLOSING_PATIENCE: Duration = Duration::from_millis(300);
 /// Where the system refuses a connection, it is asked again after so long.
 const REFUSED_WAIT: Duration = Duration::from_millis(100);
 
+/// The answer while the clock is before 1970.
+const CLOCK_IS_WRONG: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: text/plain\r\n\
+    connection: close\r\n\r\nthe clock of this machine is before 1970: set it\n";
+
 /// Serves all who come, until the window closes.
 pub(super) async fn serve(listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
@@ -80,6 +84,11 @@ async fn accept_all(listener: tokio::net::TcpListener, room: Arc<Semaphore>, sha
 /// Answers the requests of one connection.
 async fn answer_all(stream: TcpStream, _place: OwnedSemaphorePermit, is_crowded: bool, shared: Arc<Shared>) {
     let Ok(local) = stream.local_addr() else { return };
+    if SystemTime::now() < UNIX_EPOCH {
+        // hyper cannot write the date of an answer.
+        let _ = stream.try_write(CLOCK_IS_WRONG);
+        return;
+    }
     // Events are small, and nobody wants to wait for them.
     let _ = stream.set_nodelay(true);
     let service = service_fn(|request| {

@@ -12,7 +12,6 @@
 
 mod block;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -25,6 +24,7 @@ use super::args::{
 use super::quantities::{
     parse_bytes, parse_duration, parse_listen, parse_picture_size, parse_poll, parse_rescan,
 };
+use crate::pipeline::read_regular_text;
 use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 use block::{Block, Source};
@@ -54,7 +54,7 @@ pub(super) struct WatchBlock {
 /// # Errors
 /// When it cannot be read, or says something that makes no sense: file, line, and what would.
 pub(super) fn read_config_file(path: &Path) -> Result<ConfigFile> {
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     parse(&Source { path, text: &text })
 }
 

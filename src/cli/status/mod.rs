@@ -148,7 +148,9 @@ pub(super) fn status(args: &StatusArgs, console: &mut Console) -> Result<Verdict
 
 /// Where a daemon that writes to `output` keeps its journal.
 pub(super) fn journal_folder(output: &Path, given: Option<&Path>) -> PathBuf {
-    given.map_or_else(|| output.join(STATE_FOLDER), Path::to_owned)
+    // As the daemon does.
+    let asked = given.map(|given| given.canonicalize().unwrap_or_else(|_| given.to_owned()));
+    asked.unwrap_or_else(|| output.join(STATE_FOLDER))
 }
 
 /// What the journal in a folder says.

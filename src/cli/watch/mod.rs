@@ -17,6 +17,7 @@ mod signals;
 use std::mem::replace;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 use crossbeam::channel::{Sender, bounded};
@@ -59,6 +60,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
         for warning in &plan.warnings {
             warn!("{warning}");
         }
+        control.set_stop_deadline(plan.config.stop_deadline);
         let mut notices = |notice: Notice| match notice {
             // It ends to begin again: for the outside it goes on.
             Notice::Stopping | Notice::Overdue if control.is_reloading() => {}
@@ -157,6 +159,10 @@ struct Control {
     listen: Option<Listen>,
     commands: Sender<Command>,
     finishing: AtomicBool,
+    /// One after the other.
+    reloading: Mutex<()>,
+    /// How long frames under way may take when it ends.
+    stop_deadline: Mutex<Duration>,
     /// The plan of a reload that is under way.
     next: Mutex<Option<Plan>>,
 }
@@ -167,7 +173,24 @@ impl Control {
         (log, listen): (LogChoice, Option<Listen>),
         commands: Sender<Command>,
     ) -> Control {
-        Control { args, log, listen, commands, finishing: AtomicBool::new(false), next: Mutex::new(None) }
+        Control {
+            args,
+            log,
+            listen,
+            commands,
+            finishing: AtomicBool::new(false),
+            reloading: Mutex::new(()),
+            stop_deadline: Mutex::new(Duration::ZERO),
+            next: Mutex::new(None),
+        }
+    }
+
+    fn set_stop_deadline(&self, deadline: Duration) {
+        *self.stop_deadline.lock().unwrap_or_else(PoisonError::into_inner) = deadline;
+    }
+
+    fn stop_deadline(&self) -> Duration {
+        *self.stop_deadline.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Asks the loop to finish. Whether it was asked before.
@@ -183,6 +206,7 @@ impl Control {
 
     /// Makes another plan, and asks the loop to end for it.
     fn reload(&self) {
+        let _alone = self.reloading.lock().unwrap_or_else(PoisonError::into_inner);
         if self.is_finishing() {
             return;
         }

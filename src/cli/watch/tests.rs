@@ -102,3 +102,45 @@ fn ending_wins_over_reloading() {
     assert_eq!(commands.try_iter().collect::<Vec<_>>(), [Command::Reload, Command::Finish]);
     assert!(!control.is_reloading() && control.next_plan().is_none());
 }
+
+/// Set in the child of the test below.
+#[cfg(unix)]
+const CHILD: &str = "MENISCUS_TEST_SIGNALS";
+
+/// The loop never takes the command, as one that waits for a file system that does not answer.
+#[test]
+#[cfg(target_os = "linux")]
+fn sigterm_ends_a_daemon_that_hangs() {
+    use rustix::process::{Pid, Signal, kill_process};
+    use std::io::{BufRead, BufReader, Write};
+    use std::process::Stdio;
+    use std::time::Instant;
+
+    if std::env::var_os(CHILD).is_some() {
+        let (control, _commands) = control(None);
+        signals::listen(Arc::new(control)).expect("listens");
+        writeln!(std::io::stdout(), "ready").expect("a parent who listens");
+        loop {
+            std::thread::park();
+        }
+    }
+    let mut child = std::process::Command::new(std::env::current_exe().expect("this test"))
+        .args(["sigterm_ends_a_daemon_that_hangs", "--nocapture"])
+        .env(CHILD, "1")
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("a child");
+    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+    assert!(lines.any(|line| line.is_ok_and(|line| line.contains("ready"))), "the child is ready");
+    kill_process(Pid::from_child(&child), Signal::TERM).expect("sent");
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_secs(60) {
+        if let Some(status) = child.try_wait().expect("a child") {
+            assert_eq!(status.code(), Some(0), "{status}");
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    child.kill().expect("killed");
+    panic!("it does not end");
+}

@@ -34,11 +34,11 @@ mod tests;
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufRead, BufReader, BufWriter, Write};
+use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::pipeline::{FileStamp, is_disk_full};
+use crate::pipeline::{FileStamp, has_other_names, is_disk_full, open_own, replace_own};
 
 use line::{parse_line, push_line};
 use state::{Entry, Key};
@@ -60,8 +60,6 @@ pub fn now_ms() -> u64 {
 
 /// The journal in its folder.
 const FILE_NAME: &str = "journal";
-/// The one that will replace it.
-const FRESH_NAME: &str = "journal.new";
 /// One of another version.
 const SET_ASIDE_NAME: &str = "journal.old-version";
 
@@ -250,17 +248,19 @@ impl Journal {
     /// Opens what is there, less what a torn write left at its end; `None` where there is nothing, or
     /// less than was written.
     fn reopen(&mut self) -> io::Result<Option<File>> {
-        let file = match OpenOptions::new().append(true).open(&self.path) {
+        let file = match open_own(&self.path, OpenOptions::new().append(true)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             file => file?,
         };
-        let stamp = FileStamp::of(&file.metadata()?);
-        if self.whole_bytes == 0 || stamp.size < self.whole_bytes {
+        let metadata = file.metadata()?;
+        let stamp = FileStamp::of(&metadata);
+        // Where the file has another name as well, lines would be added to what somebody else keeps.
+        if self.whole_bytes == 0 || stamp.size < self.whole_bytes || has_other_names(&metadata) {
             return Ok(None);
         }
         if stamp.size > self.whole_bytes {
             // By a handle of its own: on Windows one that only adds cannot cut.
-            OpenOptions::new().write(true).open(&self.path)?.set_len(self.whole_bytes)?;
+            open_own(&self.path, OpenOptions::new().write(true))?.set_len(self.whole_bytes)?;
         }
         self.inode = stamp.inode;
         Ok(Some(file))
@@ -270,19 +270,12 @@ impl Journal {
     fn rewrite(&mut self) -> io::Result<()> {
         // Windows renames nothing over a file that is open.
         self.file = None;
-        let fresh = self.path.with_file_name(FRESH_NAME);
+        #[cfg(test)]
+        tests::before_rewrite()?;
         if let Some(folder) = self.path.parent() {
             fs::create_dir_all(folder)?;
         }
-        let written = write_fresh(&fresh, &self.state).and_then(|whole_bytes| {
-            fs::rename(&fresh, &self.path)?;
-            Ok(whole_bytes)
-        });
-        if written.is_err() {
-            // The room is worth more than half a journal; the error that led here is the one to tell.
-            let _ = fs::remove_file(&fresh);
-        }
-        self.whole_bytes = written?;
+        self.whole_bytes = replace_own(&self.path, |out| write_fresh(out, &self.state))?;
         self.line_count = self.state.entry_count();
         self.compacted_from_lines = COMPACTED_LINES_MIN;
         self.pending.clear();
@@ -322,7 +315,7 @@ struct Loaded {
 
 /// Reads the journal at `path`; where there is none, an empty one.
 fn load(path: &Path) -> io::Result<Found> {
-    match File::open(path) {
+    match open_own(path, OpenOptions::new().read(true)) {
         Ok(file) => parse(BufReader::new(file)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Found::Journal(Box::default())),
         Err(error) => Err(error),
@@ -363,10 +356,8 @@ fn set_aside(path: &Path) -> io::Result<()> {
     fs::rename(path, aside)
 }
 
-/// Writes a journal of one line per record, down to the disk: its name may reach the disk before it
-/// otherwise. Returns its size.
-fn write_fresh(path: &Path, state: &State) -> io::Result<u64> {
-    let mut out = BufWriter::new(File::create(path)?);
+/// Writes a journal of one line per record. Returns its size.
+fn write_fresh(out: &mut impl Write, state: &State) -> io::Result<u64> {
     let mut whole_bytes = VERSION_LINE.len() as u64;
     out.write_all(VERSION_LINE)?;
     let mut line = Vec::new();
@@ -376,6 +367,5 @@ fn write_fresh(path: &Path, state: &State) -> io::Result<u64> {
         out.write_all(&line)?;
         whole_bytes += line.len() as u64;
     }
-    out.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
     Ok(whole_bytes)
 }

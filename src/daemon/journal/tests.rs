@@ -288,7 +288,7 @@ fn overtaken_lines_go() {
     assert!(line_count(folder.path()) <= COMPACTED_LINES_MIN);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
     assert_eq!(journal.state().frames.len(), 10);
-    assert!(!folder.path().join(FRESH_NAME).exists());
+    assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 1);
 }
 
 #[test]
@@ -311,13 +311,49 @@ fn a_journal_that_is_mostly_overtaken_is_opened_short() {
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 }
 
+thread_local!(static REWRITE_FAILS: std::cell::Cell<bool> = const { std::cell::Cell::new(false) });
+
+/// Fails where a test wants a fresh file to fail.
+pub(super) fn before_rewrite() -> io::Result<()> {
+    if REWRITE_FAILS.get() { Err(io::Error::other("a failing disk")) } else { Ok(()) }
+}
+
+#[test]
+#[cfg(unix)]
+fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
+    use std::os::unix::fs::symlink;
+    let folder = folder();
+    write_some(folder.path());
+    let [path, precious] = [FILE_NAME, "precious"].map(|name| folder.path().join(name));
+    fs::copy(&path, &precious).expect("copied");
+    let bytes = fs::read(&precious).expect("there");
+    let mut journal = open(folder.path());
+    fs::remove_file(&path).expect("removed");
+    symlink(&precious, &path).expect("a link");
+    let error = Journal::open(folder.path()).expect_err("a link").to_string();
+    assert_eq!(error, "not a regular file: a symbolic link");
+    assert!(Journal::read(folder.path()).is_err());
+    // A running daemon knows what was in it.
+    journal.note_frame(&input(7), frame_record(Standing::Done, 1)).expect("noted");
+    assert!(!path.is_symlink());
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+    assert!(fs::read(&precious).expect("there") == bytes);
+
+    // A second name is no link that could be refused: the file is left to it.
+    drop(journal);
+    fs::hard_link(&path, folder.path().join("kept")).expect("a second name");
+    let kept = fs::read(&path).expect("there");
+    let mut journal = open(folder.path());
+    journal.note_frame(&input(8), frame_record(Standing::Done, 1)).expect("noted");
+    assert!(fs::read(folder.path().join("kept")).expect("there") == kept);
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+}
+
 #[test]
 fn where_it_cannot_be_made_shorter_it_goes_on_as_it_is() {
     let folder = folder();
     let mut journal = open(folder.path());
-    // In the way of the fresh file.
-    let in_the_way = folder.path().join(FRESH_NAME);
-    fs::create_dir(&in_the_way).expect("a folder");
+    REWRITE_FAILS.set(true);
     let count = 3 * COMPACTED_LINES_MIN;
     for attempt_count in 0..count as u32 {
         journal.note_frame(&input(0), frame_record(Standing::Retrying, attempt_count)).expect("noted");
@@ -325,7 +361,7 @@ fn where_it_cannot_be_made_shorter_it_goes_on_as_it_is() {
     assert_eq!(line_count(folder.path()), count);
     assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
 
-    fs::remove_dir(&in_the_way).expect("removed");
+    REWRITE_FAILS.set(false);
     for attempt_count in 0..count as u32 {
         journal.note_frame(&input(0), frame_record(Standing::Retrying, attempt_count)).expect("noted");
     }

@@ -28,6 +28,8 @@ mod write;
 use std::collections::BTreeMap;
 use std::thread;
 
+use std::path::PathBuf;
+
 use crossbeam::channel::bounded;
 use rayon::ThreadPool;
 
@@ -69,6 +71,9 @@ pub struct Conduct<'a> {
     pub memory_bytes: u64,
     /// Who goes through a file with several frames that was written again. Where it is another, reading never waits for that.
     pub steps_found_by: StepsFoundBy,
+    /// Folders of outputs that mirror folders of inputs: links below them are not written through, for other accounts may
+    /// have made them.
+    pub mirrors: &'a [PathBuf],
 }
 
 impl<'a> Conduct<'a> {
@@ -84,6 +89,7 @@ impl<'a> Conduct<'a> {
             in_flight: default_in_flight(pool.current_num_threads()),
             memory_bytes: default_memory_bytes(),
             steps_found_by: StepsFoundBy::Reader,
+            mirrors: &[],
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::BufWriter;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -9,6 +10,7 @@ use crossbeam::channel::{Receiver, Sender};
 
 use crate::pipeline::frame::{FrameError, FrameReport, Outcome, Stage};
 use crate::pipeline::memory::peak_memory_bytes;
+use crate::pipeline::open::require_no_links;
 use crate::pipeline::writing::{Written, surface_notes, write_files, write_surface};
 use crate::skin::Surface;
 
@@ -31,6 +33,15 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
         }
     }
 
+    /// Refuses a folder that is reached through a link, where it mirrors one of inputs.
+    fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
+        let within = self.conduct.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
+        let depth = within.map(|within| within.components().count()).min().unwrap_or(0);
+        let refused = meniscus_formats::Error::from;
+        require_no_links(folder, depth)
+            .map_err(|error| FrameError::file(folder, Stage::Write, refused(error)))
+    }
+
     fn write_one<K>(&self, label: &Label<K>, known: Known<'_>, surface: Surface) -> Outcome {
         let start = Instant::now();
         let frame = &label.frame;
@@ -41,6 +52,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
             write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out)
         };
         let written = FrameError::catch(&frame.input, Stage::Write, || {
+            self.refuse_links(&frame.outputs.folder)?;
             let certify = self.conduct.certificates.then_some((known.input.hash, &surface.report));
             let written = write_files(frame, write, certify)?;
             Ok((written, surface_notes(&surface, &frame.outputs, &frame.settings)))

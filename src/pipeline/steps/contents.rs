@@ -22,6 +22,7 @@ use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_s
 use meniscus_formats::{Kind, Limits, Probe, Result, probe};
 use twox_hash::XxHash3_128;
 
+use crate::pipeline::open::open_regular;
 use crate::pipeline::stamp::FileStamp;
 
 /// What is known of a file.
@@ -95,7 +96,7 @@ impl Contents {
 /// # Errors
 /// When the system refuses, there are too many steps, or `is_over`.
 pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &AtomicBool) -> Result<Contents> {
-    let mut file = File::open(path)?;
+    let mut file = open_regular(path)?;
     let stamp = FileStamp::of(&file.metadata()?);
     let Probe { kind, packing } = probe_head(&mut file, path)?;
     if !may_have_steps(kind) {

@@ -18,7 +18,6 @@
 mod contents;
 mod known;
 
-use std::fs::File;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -30,6 +29,7 @@ use meniscus_formats::steps::may_have_steps;
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 
 use super::names::text_of_name;
+use super::open::open_regular;
 use super::reading::InputFile;
 use super::stamp::FileStamp;
 
@@ -110,8 +110,7 @@ pub fn frames_in_unless(file: &Path, is_over: &AtomicBool) -> Result<FileFrames>
 /// # Errors
 /// When the system refuses.
 pub fn may_hold_several(file: &Path) -> io::Result<bool> {
-    // Opening a pipe would wait for its other end.
-    Ok(file.metadata()?.is_file() && may_have_steps(probe_head(&mut File::open(file)?, file)?.kind))
+    Ok(file.metadata()?.is_file() && may_have_steps(probe_head(&mut open_regular(file)?, file)?.kind))
 }
 
 /// Whether a frame is a step that its file, which is there, does not have. One with a single step has none: it is the

@@ -11,7 +11,6 @@
 //! A reload makes a plan from the same options and the file as it is by then.
 
 use std::collections::HashSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Duration;
@@ -27,7 +26,7 @@ use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
 use crate::daemon::selection::Selection;
 use crate::daemon::{Config, Order, Patience, Poll, Watch};
-use crate::pipeline::{default_in_flight, refuse_file_for_folder};
+use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::settings::Settings;
 use crate::window::{Listen, Token};
 
@@ -274,7 +273,7 @@ fn listen(daemon: &DaemonArgs) -> Result<Option<Listen>> {
 }
 
 fn token_in(path: &Path) -> Result<Token> {
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_regular_text(path).with_context(|| format!("cannot read {}", path.display()))?;
     let line = text.lines().next().unwrap_or_default();
     Token::new(line.trim()).with_context(|| format!("the first line of {}", path.display()))
 }

@@ -1,0 +1,581 @@
+//! Files that replace others together: after a failure or a kill, the folder has all the old files or all the new ones.
+//!
+//! A rename replaces one file at once; several renames can be cut off between two of them. So before the first:
+//!
+//! ```text
+//!   .meniscus-set-9f3c…       the record: the names, and which files will replace them; locked, and on the disk
+//!   .meniscus-set-9f3c….0     another name of the old dam.0012.glb      hard links
+//!   .meniscus-set-9f3c….1     another name of the old dam.0012.vdb
+//!            │
+//!            │ rename each new file, then put the folder on the disk
+//!            ▼
+//!   remove the record         from here on the new files stay
+//!   remove the old files
+//! ```
+//!
+//! A rename that fails puts the old files back. A process that is killed leaves its record without a lock:
+//! [`sweep_temporaries`](super::temporary::sweep_temporaries) finds it and puts the old files back. That happens when a
+//! daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames, readers can see a
+//! mixed set; a certificate, which has the hashes of all files of its frame, tells them.
+//!
+//! A file that somebody else has replaced since is left as it is: the record has the size and the time of the last write of each new file.
+//! A name that was free becomes free again.
+//!
+//! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
+
+use std::collections::HashSet;
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::MutexGuard;
+
+use super::sink::{Unseen, sync_folder};
+use super::stamp::FileStamp;
+use super::temporary::{Temporary, leave_behind, lock_abandoned, random_number, remove_if_there, under_way};
+
+/// What the name of a record begins with; 16 hexadecimal digits follow.
+const RECORD_PREFIX: &str = ".meniscus-set-";
+
+/// The first words of a record.
+const RECORD_HEAD: &[u8] = b"meniscus set 1\0";
+/// The last word of one that is whole.
+const RECORD_END: &[u8] = b"end\0";
+
+/// Longer than any record: a frame has a dozen names.
+const RECORD_BYTES_MAX: u64 = 1 << 20;
+
+/// So often it is tried to put the old files back before that is left for later.
+const UNDO_ATTEMPTS: usize = 3;
+
+/// A name, and the file that is to appear there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Member {
+    name: Box<OsStr>,
+    /// Whether a file had the name before.
+    replaces: bool,
+    /// Of the new file; a rename keeps both.
+    size: u64,
+    modified_ns: i64,
+}
+
+/// Lets several files of one folder appear under their names.
+///
+/// # Errors
+/// The path that cannot be replaced, and why. All names have the files that they had before, unless the error says
+/// otherwise.
+pub(super) fn replace_together(files: &[Unseen]) -> Result<(), (PathBuf, io::Error)> {
+    let Some(first) = files.first() else { return Ok(()) };
+    let folder = first.path().parent().unwrap_or(Path::new(""));
+    let members = files.iter().map(member).collect::<Result<Vec<_>, _>>()?;
+    let at_first = |error| (first.path().to_owned(), error);
+    let record = write_record(folder, &members).map_err(at_first)?;
+    let set = FileSet { record_path: record.path().to_owned(), members };
+
+    // Locked for all renames: a stop comes before the first or after the last.
+    let locked = under_way();
+    let error = match set.replace(files) {
+        Ok(()) => {
+            drop(locked);
+            sync_folder(folder);
+            match set.commit(&record) {
+                Ok(()) => {
+                    set.remove_old_files();
+                    return Ok(());
+                }
+                Err(error) => at_first(error),
+            }
+        }
+        // Still locked: a stop that took the record now would take the way back.
+        Err(error) => return Err(set.undo_after(error, record, locked)),
+    };
+    Err(set.undo_after(error, record, under_way()))
+}
+
+/// What is known of a file and of its name before anything is replaced.
+fn member(file: &Unseen) -> Result<Member, (PathBuf, io::Error)> {
+    let failed = |error| (file.path().to_owned(), error);
+    let name = file.path().file_name().ok_or_else(|| failed(io::ErrorKind::InvalidFilename.into()))?;
+    let replaces = exists(file.path()).map_err(failed)?;
+    let FileStamp { size, modified_ns, .. } = file.stamp();
+    Ok(Member { name: name.into(), replaces, size, modified_ns })
+}
+
+/// Writes the record: onto the disk where files will be replaced, for a crash of the machine must not come between these.
+fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
+    let record = Temporary::create_named(&folder.join("record"), || {
+        format!("{RECORD_PREFIX}{:016x}", random_number())
+    })?;
+    record.file().write_all(&record_bytes(members))?;
+    if members.iter().any(|member| member.replaces) {
+        record.file().sync_all()?;
+    }
+    Ok(record)
+}
+
+fn record_bytes(members: &[Member]) -> Vec<u8> {
+    let mut bytes = RECORD_HEAD.to_vec();
+    for Member { name, replaces, size, modified_ns } in members {
+        bytes.extend(format!("{} {size} {modified_ns} ", if *replaces { '=' } else { '+' }).bytes());
+        bytes.extend(name.as_encoded_bytes());
+        bytes.push(0);
+    }
+    bytes.extend(RECORD_END);
+    bytes
+}
+
+/// The members in the bytes of a record; `None` where it is not whole: then nothing was replaced, or all was.
+fn parse_record(bytes: &[u8]) -> Option<Vec<Member>> {
+    let lines = bytes.strip_prefix(RECORD_HEAD)?.strip_suffix(RECORD_END)?;
+    let lines = lines.split_inclusive(|byte| *byte == 0).map(|line| line.strip_suffix(&[0]));
+    lines.map(|line| parse_member(line?)).collect()
+}
+
+fn parse_member(line: &[u8]) -> Option<Member> {
+    let mut parts = line.splitn(4, |byte| *byte == b' ');
+    let mut text = || str::from_utf8(parts.next()?).ok();
+    let replaces = match text()? {
+        "=" => true,
+        "+" => false,
+        _ => return None,
+    };
+    let (size, modified_ns) = (text()?.parse().ok()?, text()?.parse().ok()?);
+    let name = name_of_bytes(parts.next()?)?;
+    // Nothing outside the folder is touched, whoever wrote the record.
+    let is_name = Path::new(&name).file_name() == Some(&name) && !name.as_encoded_bytes().contains(&b'/');
+    is_name.then(|| Member { name: name.into(), replaces, size, modified_ns })
+}
+
+#[cfg(unix)]
+fn name_of_bytes(bytes: &[u8]) -> Option<OsString> {
+    Some(std::os::unix::ffi::OsStringExt::from_vec(bytes.to_vec()))
+}
+
+#[cfg(not(unix))]
+fn name_of_bytes(bytes: &[u8]) -> Option<OsString> {
+    str::from_utf8(bytes).ok().map(OsString::from)
+}
+
+/// Names that get other files together.
+#[derive(Debug)]
+struct FileSet {
+    record_path: PathBuf,
+    members: Vec<Member>,
+}
+
+impl FileSet {
+    fn path(&self, member: &Member) -> PathBuf {
+        self.record_path.with_file_name(&member.name)
+    }
+
+    /// Where the old file of a member is kept.
+    fn old_path(&self, index: usize) -> PathBuf {
+        let mut path = self.record_path.clone().into_os_string();
+        path.push(format!(".{index}"));
+        path.into()
+    }
+
+    /// Keeps the old files, and renames the new ones.
+    fn replace(&self, files: &[Unseen]) -> Result<(), (PathBuf, io::Error)> {
+        let mut is_kept = vec![true; files.len()];
+        for (index, file) in files.iter().enumerate() {
+            if self.members[index].replaces {
+                match change::hard_link(file.path(), &self.old_path(index)) {
+                    // Somebody else has just removed it.
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                    linked => is_kept[index] = linked.is_ok(),
+                }
+            }
+        }
+        for (index, file) in files.iter().enumerate() {
+            let moved = match is_kept[index] {
+                true => Ok(()),
+                false => change::rename(file.path(), &self.old_path(index)),
+            };
+            let renamed = moved.and_then(|()| change::rename(file.written_path(), file.path()));
+            renamed.map_err(|error| (file.path().to_owned(), error))?;
+        }
+        Ok(())
+    }
+
+    /// From here on the new files stay.
+    fn commit(&self, record: &Temporary) -> io::Result<()> {
+        // One that is not whole counts as none.
+        change::remove(&self.record_path).or_else(|error| change::empty(record.file()).map_err(|_| error))
+    }
+
+    fn remove_old_files(&self) {
+        for (index, member) in self.members.iter().enumerate() {
+            let old = self.old_path(index);
+            if member.replaces && remove_if_there(&old).is_err() {
+                leave_behind(old);
+            }
+        }
+    }
+
+    /// Puts the old files back because of this error. Where that fails the record stays, so that it is done later.
+    fn undo_after(
+        &self,
+        (path, error): (PathBuf, io::Error),
+        record: Temporary,
+        mut locked: MutexGuard<'_, HashSet<PathBuf>>,
+    ) -> (PathBuf, io::Error) {
+        let mut undone = self.undo();
+        for _ in 1..UNDO_ATTEMPTS {
+            undone = undone.or_else(|_| self.undo());
+        }
+        let Err(of_undo) = undone else {
+            // Removing the record takes the lock.
+            drop(locked);
+            return (path, error);
+        };
+        locked.remove(&self.record_path);
+        drop(locked);
+        record.keep();
+        let what = format!("{error}; the files that were replaced are not put back yet: {of_undo}");
+        (path, io::Error::new(error.kind(), what))
+    }
+
+    /// Puts the old files back, as far as nobody else has replaced the new ones. May be done again, and after any part of
+    /// it.
+    fn undo(&self) -> io::Result<()> {
+        for (index, member) in self.members.iter().enumerate() {
+            let (path, old) = (self.path(member), self.old_path(index));
+            let found = match path.symlink_metadata() {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+                found => Some(FileStamp::of(&found?)),
+            };
+            let is_new = found
+                .is_some_and(|found| (found.size, found.modified_ns) == (member.size, member.modified_ns));
+            match (member.replaces, exists(&old)?) {
+                (true, true) => {
+                    if is_new || found.is_none() {
+                        change::rename(&old, &path)?;
+                    }
+                    // Renaming one name of a file to another does nothing.
+                    change::remove(&old)?;
+                }
+                (false, _) if is_new => change::remove(&path)?,
+                // Put back already, or not yet replaced.
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Whether a file has this name, or a link, or anything else.
+fn exists(path: &Path) -> io::Result<bool> {
+    match path.symlink_metadata() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        found => found.map(|_| true),
+    }
+}
+
+/// Whether this is the name of a record.
+pub(super) fn is_record_name(name: &str) -> bool {
+    name.strip_prefix(RECORD_PREFIX).is_some_and(is_number)
+}
+
+/// The path of the record, if this is an old file that is kept.
+pub(super) fn record_of_old_file(path: &Path) -> Option<PathBuf> {
+    let (record, index) = path.file_name()?.to_str()?.rsplit_once('.')?;
+    let is_index = !index.is_empty() && index.bytes().all(|byte| byte.is_ascii_digit());
+    (is_index && is_record_name(record)).then(|| path.with_file_name(record))
+}
+
+fn is_number(text: &str) -> bool {
+    text.len() == 16 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
+/// Puts back the old files of a set whose process was killed; whether it was.
+///
+/// # Errors
+/// When the system refuses: then they stay where they are kept.
+pub(super) fn recover(record_path: &Path) -> io::Result<bool> {
+    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(false) };
+    let mut bytes = Vec::new();
+    (&mut file).take(RECORD_BYTES_MAX).read_to_end(&mut bytes)?;
+    let members = parse_record(&bytes).unwrap_or_default();
+    let set = FileSet { record_path: record_path.to_owned(), members };
+    set.undo()?;
+    if let Some(folder) = record_path.parent() {
+        sync_folder(folder);
+    }
+    change::remove(record_path)?;
+    Ok(true)
+}
+
+/// Removes an old file whose set is complete; whether it was.
+///
+/// # Errors
+/// When the system refuses.
+pub(super) fn remove_old_file(old: &Path, record_path: &Path) -> io::Result<bool> {
+    // A record is there before the old files, and until they are not needed.
+    if exists(record_path)? {
+        return Ok(false);
+    }
+    remove_if_there(old)?;
+    Ok(true)
+}
+
+/// What changes a folder. Tests let each of these fail, or the process end before it.
+mod change {
+    use super::*;
+
+    pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(false)?;
+        fs::rename(from, to)
+    }
+
+    pub(super) fn hard_link(from: &Path, to: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(true)?;
+        fs::hard_link(from, to)
+    }
+
+    pub(super) fn remove(path: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(false)?;
+        remove_if_there(path)
+    }
+
+    pub(super) fn empty(file: &File) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(false)?;
+        file.set_len(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+    use std::process::Command;
+    use std::time::{Duration, Instant};
+
+    use super::super::sink::{publish, write_unseen};
+    use super::super::temporary::sweep_temporaries;
+
+    /// What becomes of changes in this thread.
+    #[derive(Clone, Copy, Default)]
+    struct Trouble {
+        /// Changes that are left until the trouble.
+        changes_left: usize,
+        /// How many changes fail then; `None` ends the process.
+        failures: Option<usize>,
+        /// No file system has hard links.
+        without_links: bool,
+    }
+
+    thread_local!(static TROUBLE: Cell<Option<Trouble>> = const { Cell::new(None) });
+
+    pub(super) fn before_change(is_link: bool) -> io::Result<()> {
+        let Some(mut trouble) = TROUBLE.get() else { return Ok(()) };
+        if is_link && trouble.without_links {
+            return Err(io::ErrorKind::Unsupported.into());
+        }
+        let left = trouble.changes_left;
+        trouble.changes_left = left.saturating_sub(1);
+        let fails = left == 0;
+        if fails {
+            match &mut trouble.failures {
+                None => std::process::abort(),
+                Some(0) => return Ok(()),
+                Some(failures) => *failures -= 1,
+            }
+        }
+        TROUBLE.set(Some(trouble));
+        if fails { Err(io::Error::other("a failing disk")) } else { Ok(()) }
+    }
+
+    const NAMES: [&str; 3] = ["a.glb", "a.vdb", "a.json"];
+
+    /// A folder in which the first files are there, and the others are not.
+    fn write_old(folder: &Path, count: usize) {
+        for name in &NAMES[..count] {
+            fs::write(folder.join(name), format!("old {name}")).expect("written");
+        }
+    }
+
+    fn publish_new(folder: &Path) -> Result<(), (PathBuf, io::Error)> {
+        let unseen = NAMES.map(|name| {
+            let write = |out: &mut io::BufWriter<&File>| Ok(write!(out, "the new {name}")?);
+            write_unseen(&folder.join(name), write).expect("written")
+        });
+        publish(unseen.into()).map(|_| ())
+    }
+
+    /// Puts back what can be, as another process would; any thread of this one may be at it already.
+    fn recover_all(folder: &Path) {
+        let is_open = || contents(folder).iter().any(|(name, _)| name.starts_with('.'));
+        let start = Instant::now();
+        while is_open() {
+            assert!(start.elapsed() < Duration::from_secs(60), "{:?}", contents(folder));
+            sweep_temporaries(folder).expect("there");
+        }
+    }
+
+    /// What the folder has, hidden files included.
+    fn contents(folder: &Path) -> Vec<(String, String)> {
+        let entries = fs::read_dir(folder).expect("there").map(|entry| entry.expect("an entry"));
+        let mut contents: Vec<_> = entries
+            .map(|entry| {
+                // What goes meanwhile is gone.
+                let text = fs::read_to_string(entry.path()).unwrap_or_default();
+                (entry.file_name().into_string().expect("a name"), text)
+            })
+            .collect();
+        contents.sort();
+        contents
+    }
+
+    fn expected(old_count: Option<usize>) -> Vec<(String, String)> {
+        let count = old_count.unwrap_or(NAMES.len());
+        let prefix = if old_count.is_some() { "old" } else { "the new" };
+        let mut contents: Vec<_> =
+            NAMES[..count].iter().map(|name| ((*name).to_owned(), format!("{prefix} {name}"))).collect();
+        contents.sort();
+        contents
+    }
+
+    #[test]
+    fn failure_of_any_change_leaves_all_old_or_all_new_files() {
+        for (old_count, without_links) in [(3, false), (3, true), (1, false), (1, true), (0, false)] {
+            let mut failed_count = 0;
+            for changes_left in 0..20 {
+                let folder = tempfile::tempdir().expect("a folder");
+                write_old(folder.path(), old_count);
+                TROUBLE.set(Some(Trouble { changes_left, failures: Some(1), without_links }));
+                let result = publish_new(folder.path());
+                TROUBLE.set(None);
+                let wanted = expected(result.as_ref().err().map(|_| old_count));
+                assert_eq!(contents(folder.path()), wanted, "{old_count} {without_links} {changes_left}");
+                failed_count += usize::from(result.is_err());
+            }
+            assert!(failed_count >= 3, "{old_count} {without_links}: {failed_count}");
+        }
+    }
+
+    #[test]
+    fn lasting_failure_is_undone_later() {
+        for (old_count, without_links) in [(3, false), (3, true), (1, false), (0, false)] {
+            for changes_left in 0..20 {
+                let folder = tempfile::tempdir().expect("a folder");
+                write_old(folder.path(), old_count);
+                TROUBLE.set(Some(Trouble { changes_left, failures: Some(usize::MAX), without_links }));
+                let result = publish_new(folder.path());
+                TROUBLE.set(None);
+                recover_all(folder.path());
+                let wanted = expected(result.as_ref().err().map(|_| old_count));
+                assert_eq!(contents(folder.path()), wanted, "{old_count} {without_links} {changes_left}");
+            }
+        }
+    }
+
+    /// Set in the child of the test below: the folder, and the trouble.
+    const CHILD: &str = "MENISCUS_TEST_FILE_SET";
+
+    #[test]
+    fn process_killed_before_any_change_leaves_all_old_or_all_new_files() {
+        if let Ok(orders) = std::env::var(CHILD) {
+            let [changes_left, without_links, folder] = orders.splitn(3, ' ').collect::<Vec<_>>()[..] else {
+                panic!("{orders}")
+            };
+            let changes_left = changes_left.parse().expect("a number");
+            TROUBLE.set(Some(Trouble {
+                changes_left,
+                failures: None,
+                without_links: without_links == "true",
+            }));
+            publish_new(Path::new(folder)).expect("published");
+            return;
+        }
+        for (old_count, without_links) in [(3, false), (3, true), (1, false), (0, false)] {
+            let mut killed_count = 0;
+            let mut restored_count = 0;
+            for changes_left in 0.. {
+                let folder = tempfile::tempdir().expect("a folder");
+                write_old(folder.path(), old_count);
+                let orders = format!("{changes_left} {without_links} {}", folder.path().display());
+                let status = Command::new(std::env::current_exe().expect("this test"))
+                    .args(["process_killed_before_any_change_leaves_all_old_or_all_new_files"])
+                    .env(CHILD, orders)
+                    .output()
+                    .expect("a child")
+                    .status;
+                if !status.success() {
+                    sweep_temporaries(folder.path()).expect("there");
+                }
+                let found = contents(folder.path());
+                let is_old = found == expected(Some(old_count));
+                let is_new = found == expected(None);
+                assert!(is_new || is_old && !status.success(), "{old_count} {changes_left}: {found:?}");
+                if status.success() {
+                    break;
+                }
+                killed_count += 1;
+                restored_count += usize::from(is_old);
+            }
+            // Before each rename, and before the record is removed.
+            assert!(
+                killed_count >= 4 && restored_count >= 4,
+                "{old_count}: {killed_count}, {restored_count}"
+            );
+        }
+    }
+
+    #[test]
+    fn abandoned_set_does_not_undo_a_later_one() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_old(folder.path(), 3);
+        let new = |name: &str| folder.path().join(name);
+        // As though a process was killed after its second rename.
+        let members: Vec<Member> = NAMES
+            .iter()
+            .map(|name| Member { name: OsStr::new(name).into(), replaces: true, size: 7, modified_ns: 1 })
+            .collect();
+        let record_path = new(".meniscus-set-0123456789abcdef");
+        let set = FileSet { record_path: record_path.clone(), members };
+        fs::write(&record_path, record_bytes(&set.members)).expect("written");
+        for index in 0..3 {
+            fs::write(set.old_path(index), "older").expect("written");
+        }
+        publish_new(folder.path()).expect("published");
+        sweep_temporaries(folder.path()).expect("there");
+        assert_eq!(contents(folder.path()), expected(None));
+    }
+
+    #[test]
+    fn set_of_a_living_process_is_left_alone() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_old(folder.path(), 3);
+        let record = write_record(folder.path(), &[]).expect("written");
+        let set = FileSet { record_path: record.path().to_owned(), members: Vec::new() };
+        fs::write(set.old_path(0), "old").expect("written");
+        assert_eq!(sweep_temporaries(folder.path()).expect("there"), 0);
+        assert!(record.path().exists() && set.old_path(0).exists());
+        drop(record);
+        sweep_temporaries(folder.path()).expect("there");
+        assert_eq!(contents(folder.path()), expected(Some(3)));
+    }
+
+    #[test]
+    fn record_is_read_back_and_one_that_is_cut_off_or_points_elsewhere_is_void() {
+        let member =
+            |name: &OsStr, replaces| Member { name: name.into(), replaces, size: 12, modified_ns: -5 };
+        let mut members = vec![member(OsStr::new("a b.glb"), true), member(OsStr::new("ü\n.vdb"), false)];
+        #[cfg(unix)]
+        members.push(member(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), true));
+        let bytes = record_bytes(&members);
+        assert_eq!(parse_record(&bytes), Some(members));
+        for length in 0..bytes.len() {
+            assert_eq!(parse_record(&bytes[..length]), None, "{length}");
+        }
+        for name in ["../a.glb", "/etc/passwd", "..", "", "."] {
+            let bytes = record_bytes(&[member(OsStr::new(name), false)]);
+            assert_eq!(parse_record(&bytes), None, "{name}");
+        }
+    }
+}
