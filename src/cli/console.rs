@@ -17,15 +17,25 @@ pub(super) struct Console {
     muted: bool,
     failure: Option<io::Error>,
     failed_count: usize,
+    /// The standard output is for a file.
+    out_is_taken: bool,
 }
 
 impl Console {
     pub(super) fn new() -> Console {
-        Console { bar: None, muted: false, failure: None, failed_count: 0 }
+        Console { bar: None, muted: false, failure: None, failed_count: 0, out_is_taken: false }
+    }
+
+    /// From now on, all lines go to the standard error: a file is written to the standard output.
+    pub(super) fn leave_out_to_a_file(&mut self) {
+        self.out_is_taken = true;
     }
 
     /// Prints a line of results.
     pub(super) fn say(&mut self, line: impl Display) {
+        if self.out_is_taken {
+            return self.warn(line);
+        }
         if self.muted {
             return;
         }
@@ -45,7 +55,7 @@ impl Console {
         let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{line}"));
     }
 
-    /// Prints an error that makes the command fail, whatever else succeeds: part of the input could not be examined.
+    /// Prints an error that makes the command fail, whatever else succeeds: part of the input is left out.
     pub(super) fn fail(&mut self, line: impl Display) {
         self.warn(line);
         self.failed_count += 1;

@@ -61,6 +61,7 @@ mod budget;
 mod certificate_file;
 mod crew;
 mod frame;
+mod frame_number;
 mod frame_particles;
 mod inspection;
 mod level_set_file;
@@ -123,7 +124,10 @@ pub use record::{RunRecord, SequenceRecord};
 pub use resurfacing::{BandToSurface, resurface_all};
 pub use shot::{ShotError, ShotFormat, ShotReport, ShotSource, is_shot, write_shot};
 pub use sink::{stop_writing, write_whole};
-pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, promises_particles, sequences};
+pub use source::{
+    FrameFile, Sequence, has_particle_extension, natural_order, order_subframes, promises_particles,
+    sequences, single_frame_sequences, single_frames_note,
+};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
 pub use stamp::FileStamp;
 pub use steps::{
