@@ -19,11 +19,18 @@ pub(super) struct Console {
     muted: bool,
     failure: Option<io::Error>,
     failed_count: usize,
+    /// The standard output is for a file.
+    out_is_taken: bool,
 }
 
 impl Console {
     pub(super) fn new() -> Console {
-        Console { bar: None, muted: false, failure: None, failed_count: 0 }
+        Console { bar: None, muted: false, failure: None, failed_count: 0, out_is_taken: false }
+    }
+
+    /// From now on, all lines go to the standard error: a file is written to the standard output.
+    pub(super) fn leave_out_to_a_file(&mut self) {
+        self.out_is_taken = true;
     }
 
     /// Prints a line of results, with what could forge a line or control the terminal [`escaped`].
@@ -56,6 +63,9 @@ impl Console {
     }
 
     fn print(&mut self, text: impl Display) {
+        if self.out_is_taken {
+            return self.print_on_error(text);
+        }
         if self.muted {
             return;
         }
@@ -72,11 +82,15 @@ impl Console {
     /// Prints an error or a warning on one line, with what could forge a line or control the terminal
     /// [`escaped`].
     pub(super) fn warn(&self, line: impl Display) {
-        // There is nobody left to tell that this failed.
-        let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{}", escaped(line)));
+        self.print_on_error(escaped(line));
     }
 
-    /// Prints an error that makes the command fail, whatever else succeeds: part of the input could not be examined.
+    fn print_on_error(&self, text: impl Display) {
+        // When the standard error is closed, no channel is left to report that on.
+        let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{text}"));
+    }
+
+    /// Prints an error that makes the command fail, whatever else succeeds: part of the input is left out.
     pub(super) fn fail(&mut self, line: impl Display) {
         self.warn(line);
         self.failed_count += 1;

@@ -19,6 +19,7 @@ use super::Verdict;
 use super::args::{ConvertArgs, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs};
 use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
 use super::console::Console;
+use super::destination::Destination;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
 use super::particles_only::write_particles;
@@ -29,6 +30,7 @@ use super::resurfacing::{are_level_sets, convert_level_sets};
 use super::run::{Run, Way};
 use super::selecting::{SelectedSequence, Selection, refuse_conflicts, refuse_report_of_plan, select_frames};
 use super::sequence::Shots;
+use super::standard_input::StandardInput;
 use super::wording::counted;
 
 /// Converts what the arguments ask for.
@@ -38,24 +40,33 @@ use super::wording::counted;
 pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdict> {
     let start = Instant::now();
     clean_up_when_interrupted();
-    refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
-    if args.particles_only {
-        return write_particles(args, start, console);
-    }
     if let Some(plan) = &args.plan {
         return convert_shard(args, plan, start, console);
+    }
+    let (destination, mut args) = Destination::of(args, console)?;
+    let _input = StandardInput::take(&mut args)?;
+    let verdict = convert_to(&args, &destination, start, console)?;
+    destination.send(verdict)
+}
+
+fn convert_to(
+    args: &ConvertArgs,
+    destination: &Destination,
+    start: Instant,
+    console: &mut Console,
+) -> Result<Verdict> {
+    refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
+    if args.particles_only {
+        return write_particles(args, destination, start, console);
     }
     if args.print_settings && args.inputs.is_empty() {
         return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
-    let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
-    if console.failed_count() > 0 && args.on_error == OnErrorChoice::Stop {
-        bail!("nothing is converted, because of --on-error stop: make the paths above readable");
-    }
+    let selection = select(args, destination, console)?;
     if are_level_sets(&selection, args)? {
         return convert_level_sets(args, &selection, start, console);
     }
-    let Selection { sequences, found } = selection;
+    let Selection { sequences, found, .. } = selection;
     warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
@@ -86,6 +97,23 @@ pub(super) fn convert(args: &ConvertArgs, console: &mut Console) -> Result<Verdi
     let frames = run.shot_frames().to_vec();
     let verdict = run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console);
     Ok(pool.install(|| shots.write(&frames, verdict, console)))
+}
+
+/// The frames to convert.
+///
+/// # Errors
+/// When there are none, or several for one file, or when paths could not be read and the first failure is to be the end.
+pub(super) fn select(
+    args: &ConvertArgs,
+    destination: &Destination,
+    console: &mut Console,
+) -> Result<Selection> {
+    let mut selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
+    if console.failed_count() > 0 && args.on_error == OnErrorChoice::Stop {
+        bail!("nothing is converted, because of --on-error stop: make the paths above readable");
+    }
+    destination.name_outputs(&mut selection)?;
+    Ok(selection)
 }
 
 /// Refuses shots that would replace an input, an obstacle, a result, the report, or each other.

@@ -11,6 +11,7 @@ mod clock;
 mod config_file;
 mod console;
 mod convert;
+mod destination;
 mod frame_selection;
 mod info;
 mod inputs;
@@ -29,6 +30,7 @@ mod run;
 mod selecting;
 mod sequence;
 mod sheets;
+mod standard_input;
 mod status;
 mod studio;
 mod tally;
@@ -124,9 +126,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
         Verdict::NothingDone
     });
     if verdict == Verdict::Done && console.failed_count() > 0 {
-        let paths = wording::counted(console.failed_count(), "path");
-        console
-            .warn(format_args!("error: {paths} could not be read; frames may be missing from the results"));
+        console.warn("error: frames are missing from the results, for the reasons above");
         verdict = Verdict::SomeFailed;
     }
     if let Err(error) = console.finish() {

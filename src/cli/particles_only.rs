@@ -10,9 +10,10 @@ use super::Verdict;
 use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, ShotArgs};
 use super::choices::{obstacle_files, output_options};
 use super::console::Console;
-use super::convert::{conduct, thread_pool};
+use super::convert::{conduct, select, thread_pool};
+use super::destination::Destination;
 use super::out_folder::OutFolder;
-use super::selecting::{Selection, refuse_conflicts, refuse_level_sets, select_frames};
+use super::selecting::{Selection, refuse_conflicts, refuse_level_sets};
 use super::tally::Tally;
 use super::wording::counted;
 
@@ -20,12 +21,17 @@ use super::wording::counted;
 ///
 /// # Errors
 /// When nothing can be done at all. A frame that fails is no error here: it is told, and counted.
-pub(super) fn write_particles(args: &ConvertArgs, start: Instant, console: &mut Console) -> Result<Verdict> {
+pub(super) fn write_particles(
+    args: &ConvertArgs,
+    destination: &Destination,
+    start: Instant,
+    console: &mut Console,
+) -> Result<Verdict> {
     refuse_beside_particles(args)?;
     let formats = particle_formats(args.format.as_deref())?;
-    let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
+    let selection = select(args, destination, console)?;
     refuse_level_sets(&selection, "--particles-only")?;
-    let Selection { sequences, found } = selection;
+    let Selection { sequences, found, .. } = selection;
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
     let outputs = OutputOptions {
         formats: formats.iter().map(|format| format.output()).collect(),

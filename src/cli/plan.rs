@@ -14,6 +14,7 @@ use super::args::PlanArgs;
 use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
 use super::console::Console;
 use super::convert::thread_pool;
+use super::destination::refuse_file_name;
 use super::frame_selection::gaps;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
@@ -28,14 +29,15 @@ use super::wording::{counted, counted_are};
 pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     clean_up_when_interrupted();
     refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
+    refuse_file_name(&args.out)?;
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
     refuse_level_sets(&selection, "`meniscus plan`")?;
-    if console.failed_count() > 0 {
+    if !selection.is_complete {
         bail!(
             "no plan is written, because it would lack frames: make the paths above readable, then plan again"
         );
     }
-    let Selection { sequences, found } = selection;
+    let Selection { sequences, found, .. } = selection;
     warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));

@@ -46,7 +46,7 @@ pub(super) fn are_level_sets(selection: &Selection, args: &ConvertArgs) -> Resul
 /// When nothing can be done at all. A file that fails is no error here: it is told, and counted.
 pub(super) fn convert_level_sets(
     args: &ConvertArgs,
-    Selection { sequences, found }: &Selection,
+    Selection { sequences, found, .. }: &Selection,
     start: Instant,
     console: &mut Console,
 ) -> Result<Verdict> {

@@ -1,5 +1,6 @@
 //! From inputs to the frames that were meant, sequence by sequence.
 
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
@@ -7,7 +8,7 @@ use anyhow::{Result, bail};
 use crate::farm::Plan;
 use crate::pipeline::{
     self, FrameFile, ObstacleFiles, OutFolderError, OutputOptions, Sequence, are_one_file, check_out_folder,
-    check_outputs, is_level_set,
+    check_outputs, file_of, is_level_set, single_frame_sequences, single_frames_note,
 };
 
 use super::args::MethodArgs;
@@ -23,6 +24,8 @@ pub(super) struct Selection {
     pub(super) sequences: Vec<SelectedSequence>,
     /// Every file that the inputs stand for, selected or not.
     pub(super) found: Vec<PathBuf>,
+    /// No path was unreadable: there are no frames but these.
+    pub(super) is_complete: bool,
 }
 
 /// A sequence, and which of its frames to convert.
@@ -57,8 +60,13 @@ pub(super) fn select_frames(
             }
         }
     }
+    let is_complete = found.unreadable.is_empty();
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
-    let sequences: Vec<SelectedSequence> = pipeline::sequences(found.files)
+    let sequences = pipeline::sequences(found.files);
+    if method.first.voxel_size.is_none() {
+        warn_of_single_frames(&sequences, console);
+    }
+    let sequences: Vec<SelectedSequence> = sequences
         .into_iter()
         .map(|sequence| {
             let is_selected = |file: &&FrameFile| FrameSelection::takes(numbers, file);
@@ -67,6 +75,7 @@ pub(super) fn select_frames(
         })
         .filter(|sequence: &SelectedSequence| !sequence.selected.is_empty())
         .collect();
+    let sequences = without_rivals(sequences, console);
     if sequences.is_empty() {
         bail!("--frames selects none of the {} frames", paths.len());
     }
@@ -76,7 +85,47 @@ pub(super) fn select_frames(
             console.warn(format_args!("warning: --frames {range}: {} not there", counted_are(count)));
         }
     }
-    Ok(Selection { sequences, found: paths })
+    Ok(Selection { sequences, found: paths, is_complete })
+}
+
+/// Leaves out frames whose outputs would have the names of those of an earlier frame in the same folder, as `dam.1.ply`
+/// beside `dam.1.bgeo` would: the daemon does the same. Full names for both would change with what else is in the folder.
+fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
+    let mut owner_of: HashMap<(PathBuf, String), PathBuf> = HashMap::new();
+    let mut kept = Vec::new();
+    for mut selected in sequences {
+        let mut rivals: Vec<(PathBuf, PathBuf)> = Vec::new();
+        selected.selected.retain(|file| {
+            let folder = file_of(&file.path).parent().map(Path::to_owned).unwrap_or_default();
+            let owner = owner_of.entry((folder, file.stem())).or_insert_with(|| file.path.clone());
+            let is_rival = *owner != file.path;
+            rivals.extend(is_rival.then(|| (owner.clone(), file.path.clone())));
+            !is_rival
+        });
+        if let Some((owner, rival)) = rivals.first() {
+            let others = match rivals.len() - 1 {
+                0 => String::new(),
+                count => format!(" and {} of {}", counted(count, "more frame"), selected.sequence.name),
+            };
+            console.fail(format_args!(
+                "error: {} and {} would both become {}.*: the first is converted, and the second{others} left out; convert \
+                 what is left out into another folder",
+                owner.display(),
+                rival.display(),
+                FrameFile::new(rival.clone()).stem()
+            ));
+        }
+        kept.extend((!selected.selected.is_empty()).then_some(selected));
+    }
+    kept
+}
+
+/// Names the folders whose files look like one sequence and are many: each of these gets its own voxel size.
+fn warn_of_single_frames(sequences: &[Sequence], console: &Console) {
+    for (folder, count) in single_frame_sequences(sequences) {
+        let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { &folder };
+        console.warn(format_args!("warning: {}: {}", folder.display(), single_frames_note(count)));
+    }
 }
 
 /// Refuses level sets where there must be particles, for a command that is called so.

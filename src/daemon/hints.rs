@@ -112,6 +112,7 @@ impl Daemon<'_> {
         }
         self.note_unreadable(index, &found);
         self.sight_all(index, found.files);
+        self.warn_of_single_frames();
         self.look_at_obstacles(index);
         let count = self.scan_count;
         // Nothing is known of what lies where the scan could not look.

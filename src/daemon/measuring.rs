@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::pipeline::{FileStamp, natural_order};
+use crate::pipeline::{FileStamp, FrameFile, natural_order, order_subframes, single_frames_note};
 
 use super::config::Watch;
 use super::frames::{FrameId, FrameState, Phase};
@@ -21,6 +21,17 @@ impl Daemon<'_> {
             self.show_sequence(index);
         }
         index
+    }
+
+    /// Warns, once a folder, of files that look like one sequence and are many, each with its own voxel size.
+    pub(super) fn warn_of_single_frames(&mut self) {
+        // Of two sequences that begin, the second frames may be yet to come.
+        let count_min = if self.config.once { 2 } else { 3 };
+        for (root, folder, count) in self.sequences.newly_fallen_apart(count_min) {
+            if self.config.watches[root].voxel_size.is_none() {
+                tracing::warn!(folder = %folder.display(), "{}", single_frames_note(count));
+            }
+        }
     }
 
     /// Has the sequences measured that wait for it and can be.
@@ -51,6 +62,7 @@ impl Daemon<'_> {
             })
             .collect();
         members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
+        order_subframes(&mut members, |(id, _)| FrameFile::new(id.path.to_path_buf()));
         let files: Vec<(PathBuf, FileStamp)> =
             members.into_iter().map_while(|(id, stamp)| Some((id.path.to_path_buf(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();

@@ -33,6 +33,16 @@ use super::journal::{SequenceCamera, SequenceKey, SequenceRecord, State};
 pub(super) struct Sequences {
     all: Vec<Sequence>,
     index_of: HashMap<(usize, PathBuf, String), usize>,
+    /// What files have in common whose names differ in their numbers only: their root and [`FrameFile::kin`].
+    kin: HashMap<(usize, PathBuf, String), Kin>,
+}
+
+/// Sequences whose names differ in their numbers only.
+#[derive(Debug, Default)]
+struct Kin {
+    sequence_count: usize,
+    frame_count: usize,
+    was_named: bool,
 }
 
 /// Frames whose names differ in their number only.
@@ -99,9 +109,16 @@ impl Sequences {
         watch: &Watch,
         remembered: impl FnOnce(&SequenceKey) -> Option<SequenceRecord>,
     ) -> usize {
-        let (folder, name) = FrameFile::new(id.path.to_path_buf()).sequence();
+        let file = FrameFile::new(id.path.to_path_buf());
+        let (folder, name) = file.sequence();
         let place = (id.root, folder, name);
-        if let Some(&index) = self.index_of.get(&place) {
+        let known = self.index_of.get(&place).copied();
+        if let Some((folder, shared_name)) = file.kin() {
+            let kin = self.kin.entry((id.root, folder, shared_name)).or_default();
+            kin.frame_count += 1;
+            kin.sequence_count += usize::from(known.is_none());
+        }
+        if let Some(index) = known {
             return index;
         }
         let (_, folder, name) = place.clone();
@@ -120,6 +137,21 @@ impl Sequences {
         });
         self.index_of.insert(place, self.all.len() - 1);
         self.all.len() - 1
+    }
+
+    /// Folders with this many sequences or more of one frame each, whose names differ in their numbers only; each is
+    /// named once: its root, the folder, and how many.
+    pub(super) fn newly_fallen_apart(&mut self, count_min: usize) -> Vec<(usize, PathBuf, usize)> {
+        let mut folders = Vec::new();
+        for ((root, folder, _), kin) in &mut self.kin {
+            let has_fallen = kin.sequence_count >= count_min && kin.sequence_count == kin.frame_count;
+            if has_fallen && !kin.was_named {
+                kin.was_named = true;
+                folders.push((*root, folder.clone(), kin.sequence_count));
+            }
+        }
+        folders.sort();
+        folders
     }
 
     pub(super) fn get(&self, index: usize) -> &Sequence {

@@ -63,6 +63,7 @@ mod certificate_file;
 mod crew;
 mod file_set;
 mod frame;
+mod frame_number;
 mod frame_particles;
 mod inspection;
 mod level_set_file;
@@ -129,7 +130,10 @@ pub use record::{RunRecord, SequenceRecord};
 pub use resurfacing::{BandToSurface, resurface_all};
 pub use shot::{ShotError, ShotFormat, ShotReport, ShotSource, is_shot, write_shot};
 pub use sink::{replace_own, stop_writing, write_whole};
-pub use source::{FrameFile, Sequence, has_particle_extension, natural_order, promises_particles, sequences};
+pub use source::{
+    FrameFile, Sequence, has_particle_extension, natural_order, order_subframes, promises_particles,
+    sequences, single_frame_sequences, single_frames_note,
+};
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
 pub use stamp::FileStamp;
 pub use steps::{

@@ -3,7 +3,7 @@
 //! ```text
 //!   dam.0012.bgeo.gz
 //!   └stem──┘└extension┘          the stem names the outputs: dam.0012.glb
-//!       └──┘                     the last number of the stem is the frame's
+//!       └──┘                     the frame's number (`frame_number.rs` says which it is)
 //!   dam.{}.bgeo.gz               what is left when it is taken out names the sequence
 //!
 //!   dump.lammpstrj/step=1000     a step of a file with several: its outputs are called dump.1000, and its number is 1000
@@ -13,12 +13,14 @@
 //! Natural order compares runs of digits as numbers: frame 9 comes before frame 10.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::packing::unpacked_name;
 
+use super::frame_number::{frame_number, varying_number, without_numbers};
+use super::outputs::OutputFormat;
 use super::steps::{STEP, frame_name, step_of};
 
 /// A file that holds, or should hold, a frame of particles; or a step of one.
@@ -26,15 +28,19 @@ use super::steps::{STEP, frame_name, step_of};
 pub struct FrameFile {
     /// Where it is, as it was asked for.
     pub path: PathBuf,
-    /// Where in the file name the frame's number stands: bytes of [`FrameFile::name`].
+    /// Where in the file name the frame's number stands, and its subframe: bytes of [`FrameFile::name`].
     number_span: Option<Range<usize>>,
+    /// A pattern says so, and not the name.
+    is_number_given: bool,
+    /// What its outputs are called, where that is not what the file is called.
+    output_stem: Option<String>,
 }
 
 impl FrameFile {
-    /// A file whose frame number is the last number of its stem.
+    /// A file whose name says which number is the frame's.
     pub fn new(path: PathBuf) -> FrameFile {
         let number_span = match step_of(&path) {
-            None => last_number(stem(&frame_name(&path))),
+            None => frame_number(numbered_part(&frame_name(&path))),
             // What follows a dot tells steps of one number apart.
             Some((_, step)) => {
                 let name = frame_name(&path);
@@ -44,12 +50,17 @@ impl FrameFile {
                 is_number.then_some(start..start + digits)
             }
         };
-        FrameFile { path, number_span }
+        FrameFile { path, number_span, is_number_given: false, output_stem: None }
     }
 
     /// A file whose frame number stands at a known place: bytes of the file name, all digits.
     pub fn with_number_at(path: PathBuf, number_span: Range<usize>) -> FrameFile {
-        FrameFile { path, number_span: Some(number_span) }
+        FrameFile { path, number_span: Some(number_span), is_number_given: true, output_stem: None }
+    }
+
+    /// The same file, with outputs of this name.
+    pub fn with_output_stem(self, stem: String) -> FrameFile {
+        FrameFile { output_stem: Some(stem), ..self }
     }
 
     /// The file name, without its folder; of a step, what tells it from others behind that.
@@ -57,8 +68,11 @@ impl FrameFile {
         frame_name(&self.path)
     }
 
-    /// The file name without what says that it is a file of particles: what outputs are called.
+    /// What outputs are called: the file name without its extension, unless another name was given.
     pub fn stem(&self) -> String {
+        if let Some(stem) = &self.output_stem {
+            return stem.clone();
+        }
         match step_of(&self.path) {
             Some((file, step)) => format!("{}.{step}", stem(&frame_name(file))),
             None => {
@@ -69,10 +83,26 @@ impl FrameFile {
         }
     }
 
-    /// The frame's number, where the name has one of up to 64 bits.
+    /// The frame's number, where the name has one of up to 64 bits. Subframes have the number of their frame.
     pub fn number(&self) -> Option<u64> {
         let span = self.number_span.clone()?;
-        self.name().get(span)?.parse().ok()
+        self.name().get(span)?.split('.').next()?.parse().ok()
+    }
+
+    /// The digits of the subframe, which is a fraction of a frame: `5` of `dam.0001.50`. Empty for a whole frame.
+    fn subframe(&self) -> String {
+        let name = self.name();
+        let number = self.number_span.clone().and_then(|span| name.get(span)).unwrap_or_default();
+        number.split_once('.').map_or("", |(_, digits)| digits.trim_end_matches('0')).to_owned()
+    }
+
+    /// The folder, and the name without its numbers: what files share that differ in their numbers only. `None` where a
+    /// pattern says which number is the frame's, of steps, and of names without a number.
+    pub fn kin(&self) -> Option<(PathBuf, String)> {
+        if self.is_number_given || self.number_span.is_none() || step_of(&self.path).is_some() {
+            return None;
+        }
+        Some((self.path.parent().map(Path::to_owned).unwrap_or_default(), without_numbers(&self.name())))
     }
 
     /// What the files of a sequence share: their folder, and the name with `{}` for the frame's number.
@@ -91,7 +121,7 @@ impl FrameFile {
     }
 }
 
-/// Files whose names differ only in the frame's number, in natural order.
+/// Files whose names differ only in the frame's number, ordered by it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Sequence {
     /// What to call it: the file's name, or `dam.{}.bgeo` where there are several.
@@ -100,8 +130,10 @@ pub struct Sequence {
     pub frames: Vec<FrameFile>,
 }
 
-/// Sorts files into sequences; the sequences, too, are in natural order.
+/// Sorts files into sequences; the sequences, too, are in natural order. Which number of a name is the frame's depends on
+/// the other names: see [`use_varying_numbers`].
 pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
+    use_varying_numbers(&mut files);
     files.sort_by(|a, b| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
     let mut sequences: Vec<Sequence> = Vec::new();
     let mut place_of: HashMap<(PathBuf, String), usize> = HashMap::new();
@@ -114,11 +146,66 @@ pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
         }
     }
     for sequence in &mut sequences {
+        order_subframes(&mut sequence.frames, FrameFile::clone);
         if sequence.frames.len() > 1 {
             sequence.name = sequence.frames[0].sequence().1;
         }
     }
     sequences
+}
+
+/// Puts the subframes of a sequence, which is in natural order, behind their frames.
+pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
+    if frames.iter().any(|frame| !file(frame).subframe().is_empty()) {
+        frames.sort_by_cached_key(|frame| {
+            let file = file(frame);
+            (file.number(), file.subframe())
+        });
+    }
+}
+
+/// Where the names of a folder say that another number than [`FrameFile::new`] found is the frame's, because it is the
+/// only one in which names differ, that one is taken: of `dam_0001_b7.ply` and `dam_0002_b7.ply` it is the first.
+fn use_varying_numbers(files: &mut [FrameFile]) {
+    let mut kin: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
+    for (index, file) in files.iter().enumerate() {
+        if let Some(key) = file.kin() {
+            kin.entry(key).or_default().push(index);
+        }
+    }
+    for members in kin.into_values().filter(|members| members.len() > 1) {
+        let names: Vec<String> = members.iter().map(|&index| files[index].name()).collect();
+        let stems: Vec<&str> = names.iter().map(|name| numbered_part(name)).collect();
+        for (index, span) in members.iter().zip(varying_number(&stems).unwrap_or_default()) {
+            let span_now = &mut files[*index].number_span;
+            // A subframe may vary within one frame.
+            if span_now.as_ref().is_none_or(|now| !(now.start <= span.start && span.end <= now.end)) {
+                *span_now = Some(span);
+            }
+        }
+    }
+}
+
+/// Folders in which names that differ in their numbers only are sequences of one frame each, and how many.
+pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
+    let mut counts: BTreeMap<(PathBuf, String), (usize, bool)> = BTreeMap::new();
+    for sequence in sequences {
+        if let Some(key) = sequence.frames.first().and_then(FrameFile::kin) {
+            let (count, are_single) = counts.entry(key).or_insert((0, true));
+            *count += 1;
+            *are_single &= sequence.frames.len() == 1;
+        }
+    }
+    let fallen_apart = counts.into_iter().filter(|(_, (count, are_single))| *count > 1 && *are_single);
+    fallen_apart.map(|((folder, _), (count, _))| (folder, count)).collect()
+}
+
+/// What to say of a folder that [`single_frame_sequences`] names.
+pub fn single_frames_note(count: usize) -> String {
+    format!(
+        "{count} files form {count} sequences of one frame each, so each gets its own voxel size; name the frame number with \
+         a pattern such as dam_####_v003.ply, or give --voxel-size"
+    )
 }
 
 /// Compares text with its runs of digits as numbers, however long; equal numbers with fewer zeros
@@ -162,19 +249,18 @@ fn stem(name: &str) -> &str {
     PARTICLE_EXTENSIONS.iter().find_map(|extension| strip_extension(unpacked, extension)).unwrap_or(name)
 }
 
+/// The file name without its extension, be it one of particles or of results.
+fn numbered_part(name: &str) -> &str {
+    let of_result = |format: OutputFormat| name.strip_suffix(format.extension())?.strip_suffix('.');
+    let found = OutputFormat::ALL.into_iter().find_map(of_result).filter(|left| !left.is_empty());
+    found.unwrap_or_else(|| stem(name))
+}
+
 /// `name` without `extension` in any case, if something is left.
 fn strip_extension<'a>(name: &'a str, extension: &str) -> Option<&'a str> {
     let cut = name.len().checked_sub(extension.len()).filter(|&cut| cut > 0)?;
     let (stem, end) = name.split_at_checked(cut)?;
     end.eq_ignore_ascii_case(extension).then_some(stem)
-}
-
-fn last_number(text: &str) -> Option<Range<usize>> {
-    let end = text.rfind(|c: char| c.is_ascii_digit())? + 1;
-    let start = text[..end]
-        .rfind(|c: char| !c.is_ascii_digit())
-        .map_or(0, |before| before + text[before..].chars().next().map_or(1, char::len_utf8));
-    Some(start..end)
 }
 
 fn digit_count(text: &[u8]) -> usize {
@@ -284,6 +370,67 @@ mod tests {
             ("a.11.ply", vec![Some(11)]),
         ];
         assert_eq!(found, expected.map(|(name, numbers)| (name.to_owned(), numbers)));
+    }
+
+    fn grouped(names: &[&str]) -> Vec<(String, Vec<String>)> {
+        let group = |s: Sequence| (s.name, s.frames.iter().map(FrameFile::name).collect());
+        let files: Vec<FrameFile> = names.iter().copied().map(file).collect();
+        let found = sequences(files.clone());
+        // The order in which files are found does not matter.
+        assert_eq!(sequences(files.into_iter().rev().collect()), found);
+        found.into_iter().map(group).collect()
+    }
+
+    #[test]
+    fn ordinary_names_are_one_sequence() {
+        for (names, sequence) in [
+            (&["dam_0001_v003.ply", "dam_0002_v003.ply", "dam_0003_v003.ply"][..], "dam_{}_v003.ply"),
+            (&["dam_0001_b7.ply", "dam_0002_b7.ply"], "dam_{}_b7.ply"),
+            (&["dam.0001.50.ply", "dam.0002.ply", "dam.0002.05.ply", "dam.0002.5.ply"], "dam.{}.ply"),
+            (&["f2_1_points.csv", "f2_2_points.csv", "f2_3_points.csv"], "f2_{}_points.csv"),
+            (&["frame_1_particles.csv", "frame_20_particles.csv"], "frame_{}_particles.csv"),
+        ] {
+            let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+            let refs: Vec<&str> = names.iter().map(String::as_str).collect();
+            assert_eq!(grouped(&refs), [(sequence.to_owned(), names)]);
+        }
+    }
+
+    #[test]
+    fn subframes_follow_their_frame_in_order() {
+        assert_eq!(file("dam.0001.50.glb").number(), Some(1));
+        let names = ["dam.0002.ply", "dam.0010.ply", "dam.0001.5.ply", "dam.0001.25.ply", "dam.0001.ply"];
+        let [sequence] = &sequences(names.map(file).to_vec())[..] else { panic!("one sequence") };
+        let order: Vec<_> = sequence.frames.iter().map(|file| (file.name(), file.number())).collect();
+        let expected = [
+            ("dam.0001.ply", 1),
+            ("dam.0001.25.ply", 1),
+            ("dam.0001.5.ply", 1),
+            ("dam.0002.ply", 2),
+            ("dam.0010.ply", 10),
+        ];
+        assert_eq!(order, expected.map(|(name, number)| (name.to_owned(), Some(number))));
+        // Subframes of a single frame are its subframes, and no frames.
+        let names = ["dam.0001.25.ply", "dam.0001.50.ply"].map(file).to_vec();
+        assert_eq!(sequences(names)[0].frames[1].number(), Some(1));
+    }
+
+    #[test]
+    fn counts_and_versions_keep_files_apart() {
+        for names in [
+            ["hilbert2_18856_particles.ply", "hilbert2_7954_particles.ply"],
+            ["dam2_v001.ply", "dam2_v002.ply"],
+            ["dam_1_2.ply", "dam_2_3.ply"],
+        ] {
+            assert_eq!(grouped(&names).len(), 2, "{names:?}");
+            let found = sequences(names.map(file).to_vec());
+            assert_eq!(single_frame_sequences(&found), [(PathBuf::new(), 2)], "{names:?}");
+        }
+        for names in [&["a.1.ply", "a.2.ply"][..], &["a.ply", "b.ply"], &["s1.1.ply", "s2.1.ply", "s2.2.ply"]]
+        {
+            let found = sequences(names.iter().copied().map(file).collect());
+            assert_eq!(single_frame_sequences(&found), [], "{names:?}");
+        }
     }
 
     #[test]

@@ -17,6 +17,7 @@ mod layers; // the house: no module imports its own row or a higher one
 mod level_sets; // level sets in .vdb as inputs
 mod library; // the example for other programs does what the command does
 mod manual; // pages for man and completions for shells: of every command and option
+mod names; // names of frames and results: frame numbers, single files, pipes, clashes
 mod obstacles; // what stands in the way: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
 mod own_shapes; // particles of their own sizes and shapes (paper, Fig. 11 and 13)

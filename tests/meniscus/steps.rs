@@ -163,9 +163,8 @@ fn more_steps_than_there_may_be_are_told() {
     // Others are not lost for it.
     write_dump(folder, &[1, 2]);
     let ran = convert(folder, &["many.xyz", "d.lammpstrj"]);
-    assert_eq!(ran.status, 0, "{}{}", ran.out, ran.err);
-    assert!(ran.err.contains("warning: many.xyz: XYZ atoms: more steps than the limit"), "{}", ran.err);
-    assert!(ran.err.contains("left out"), "{}", ran.err);
+    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+    assert!(ran.err.contains("error: many.xyz: XYZ atoms: more steps than the limit"), "{}", ran.err);
     assert!(folder.join("out/d.2.obj").exists(), "{}", ran.out);
 }
 
@@ -186,8 +185,10 @@ fn names_do_not_collide() {
     let folder = folder.path();
     write_ply(&folder.join("d.5.ply"), &block(5, 0.0));
     let ran = convert(folder, &["d.lammpstrj", "d.5.ply"]);
-    assert_eq!(ran.status, 2);
+    assert_eq!(ran.status, 1);
     assert!(ran.err.contains("would both become"), "{}", ran.err);
+    assert_eq!(names_in(&folder.join("out")), ["d.0.obj", "d.5.obj"]);
+    fs::remove_dir_all(folder.join("out")).expect("removed");
     // Nor is the dump replaced by what is made of it.
     fs::rename(folder.join("d.lammpstrj"), folder.join("d.5.obj")).expect("renamed");
     let ran = meniscus(folder, &["convert", "d.5.obj", "--out=.", "--format=obj", "--frames=5"]);

@@ -75,23 +75,27 @@ pub(super) enum Command {
     Man(ManArgs),
 }
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(after_long_help = CHOOSING)]
 pub(super) struct ConvertArgs {
     /// Files, folders, globs, or numbered patterns such as dam.####.bgeo, dam.%04d.bgeo, dam.{}.bgeo
     ///
     /// PLY, BGEO of any version, VTK, NumPy arrays, LAMMPS dumps, atoms in .xyz, raw XYZ and delimited text, packed by gzip or zstd or
     /// not; the content decides, not the name. Or level sets in .vdb, of which only the surface is made.
-    /// Frames run in natural order; files whose names differ only in the last number are one
-    /// sequence, and share their settings.
+    /// Frames run in natural order; files whose names differ only in the frame number are one
+    /// sequence, and share their settings. `-` reads one file from the standard input.
     #[arg(required_unless_present_any = ["print_settings", "plan"], value_name = "INPUT")]
     pub(super) inputs: Vec<PathBuf>,
 
-    /// Folder for the results; it is made if it is not there
+    /// Format of the standard input, by its usual extension, such as ply or bgeo.gz [default: found by content]
+    #[arg(long, value_name = "EXTENSION")]
+    pub(super) input_format: Option<String>,
+
+    /// Folder for the results; for a single frame also a file such as dam.glb, or - for the standard output
     ///
-    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on. A file appears under its name only when it
-    /// is whole. A result that would replace an input is refused.
-    #[arg(long, value_name = "DIR", required_unless_present_any = ["print_settings", "plan"])]
+    /// dam.0012.bgeo becomes DIR/dam.0012.glb and so on; a missing folder is made. The extension of a file is its format.
+    /// A file appears under its name only when it is whole. A result that would replace an input is refused.
+    #[arg(short, long, value_name = "PATH", required_unless_present_any = ["print_settings", "plan"])]
     pub(super) out: Option<PathBuf>,
 
     /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]

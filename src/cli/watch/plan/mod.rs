@@ -22,6 +22,7 @@ use crate::cli::choices::{
     choices, ignored, output_options, refuse_idle_quantize, refuse_stray_rounds, written_formats,
 };
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
+use crate::cli::destination::refuse_file_name;
 use crate::cli::quantities::memory_bytes;
 use crate::daemon::place::known_path;
 use crate::daemon::selection::Selection;
@@ -132,6 +133,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         None => Settings::check(&choices)?,
     }
     refuse_idle_quantize(frames.format.as_deref(), &frames.formats)?;
+    refuse_file_name(output)?;
     let written = written_formats(frames.format.as_deref(), &frames.formats);
     warnings.extend(ignored(&frames.method, &written, &frames.formats));
     Selection::new(frames.pattern.as_deref(), frames.recursive, Vec::new())?;

@@ -1,0 +1,179 @@
+//! Where `convert` writes: to a folder, to one file, or to the standard output.
+//!
+//! ```text
+//!   --out shot        a folder: one file for each frame and format
+//!   -o dam.ply        a file, if there is no folder of this name: one frame, in the format of its extension
+//!   -o -              the standard output: one frame, in one format; lines for the user go to the standard error
+//! ```
+//!
+//! A file is a folder and a name for the outputs of the only frame. What goes to the standard output is written to a folder
+//! of its own first, so that half a mesh never gets there.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use tempfile::TempDir;
+
+use crate::pipeline::OutputFormat;
+
+use super::Verdict;
+use super::args::{ConvertArgs, Format};
+use super::console::Console;
+use super::interrupt::remove_when_interrupted;
+use super::selecting::Selection;
+use super::wording::counted;
+
+/// Where the results go.
+pub(super) enum Destination {
+    /// Named after their frames, into a folder.
+    Folder,
+    /// One frame, to the file of this name.
+    File { out: PathBuf, stem: String },
+    /// One frame, to the standard output; until then its file is in this folder.
+    Stdout { folder: TempDir, extension: String },
+}
+
+impl Destination {
+    /// What `--out` names, and the arguments with a folder in its place.
+    ///
+    /// # Errors
+    /// When other options contradict it.
+    pub(super) fn of(args: &ConvertArgs, console: &mut Console) -> Result<(Destination, ConvertArgs)> {
+        let mut args = args.clone();
+        let Some(out) = args.out.clone() else { return Ok((Destination::Folder, args)) };
+        if is_stdout(&out) {
+            console.leave_out_to_a_file();
+            let format = only_format(&args)?;
+            let folder = private_folder()?;
+            args.out = Some(folder.path().to_owned());
+            args.format = Some(vec![format]);
+            let extension =
+                format.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
+            return Ok((Destination::Stdout { folder, extension }, args));
+        }
+        let Some(extension) = file_extension(&out) else { return Ok((Destination::Folder, args)) };
+        let name = out.display();
+        let Ok(format) = Format::from_str(&extension, false) else {
+            bail!(
+                "{name}: convert writes surfaces and not pictures: use `meniscus render`, or --preview {extension}"
+            );
+        };
+        if args.format.as_deref().is_some_and(|formats| formats.iter().any(|other| *other != format)) {
+            bail!(
+                "{name}: --format asks for other files than .{extension}: leave --format out, or name a folder"
+            );
+        }
+        let Some(stem) = out.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned) else {
+            bail!("{name}: expected a name in UTF-8");
+        };
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+        args.out = Some(folder.unwrap_or(Path::new(".")).to_owned());
+        args.format = Some(vec![format]);
+        Ok((Destination::File { out, stem }, args))
+    }
+
+    /// Names the outputs of the only frame.
+    ///
+    /// # Errors
+    /// When there are several frames for one file.
+    pub(super) fn name_outputs(&self, selection: &mut Selection) -> Result<()> {
+        let (place, stem) = match self {
+            Destination::Folder => return Ok(()),
+            Destination::File { out, stem } => (out.display().to_string(), stem.clone()),
+            Destination::Stdout { .. } => ("the standard output".to_owned(), STDOUT_STEM.to_owned()),
+        };
+        let mut selected: Vec<_> = selection.sequences.iter_mut().flat_map(|s| &mut s.selected).collect();
+        let [frame] = &mut selected[..] else {
+            bail!(
+                "{place}: there is room for one frame, and {} are selected: name a folder with --out, or one frame with --frames",
+                counted(selected.len(), "frame")
+            );
+        };
+        **frame = frame.clone().with_output_stem(stem);
+        Ok(())
+    }
+
+    /// Writes what belongs on the standard output.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub(super) fn send(self, verdict: Verdict) -> Result<Verdict> {
+        let Destination::Stdout { folder, extension } = self else { return Ok(verdict) };
+        if verdict == Verdict::NothingDone {
+            return Ok(verdict);
+        }
+        let path = folder.path().join(format!("{STDOUT_STEM}.{extension}"));
+        let mut file = File::open(&path).with_context(|| path.display().to_string())?;
+        let mut out = io::stdout().lock();
+        io::copy(&mut file, &mut out)
+            .and_then(|_| out.flush())
+            .context("cannot write to the standard output")?;
+        Ok(verdict)
+    }
+}
+
+/// A folder that is removed with its contents when this process ends, interrupted or not.
+///
+/// # Errors
+/// When none can be made.
+pub(super) fn private_folder() -> Result<TempDir> {
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    remove_when_interrupted(folder.path().to_owned());
+    Ok(folder)
+}
+
+/// Refuses a file where only a folder can be: several frames are written there.
+///
+/// # Errors
+/// When the path ends like a file of results, and is no folder.
+pub(super) fn refuse_file_name(out: &Path) -> Result<()> {
+    if is_stdout(out) {
+        bail!(
+            "--out {}: only `meniscus convert` writes to the standard output: name a folder",
+            out.display()
+        );
+    }
+    match file_extension(out) {
+        Some(extension) => bail!(
+            "{}: expected a folder for the results, and .{extension} names a file: name a folder, such as {}",
+            out.display(),
+            out.with_extension("").display()
+        ),
+        None => Ok(()),
+    }
+}
+
+fn is_stdout(out: &Path) -> bool {
+    ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| out == Path::new(name))
+}
+
+/// The extension, where a path names a file of results and not a folder.
+fn file_extension(out: &Path) -> Option<String> {
+    let extension = out.extension()?.to_str()?.to_owned();
+    let is_known = OutputFormat::ALL.iter().any(|format| format.extension() == extension);
+    let ends_like_a_folder = out.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
+    (is_known && !ends_like_a_folder && !out.is_dir()).then_some(extension)
+}
+
+/// The format for the standard output.
+fn only_format(args: &ConvertArgs) -> Result<Format> {
+    if args.skip_done {
+        bail!("--skip-done compares with files, and the standard output has none: leave one of them out");
+    }
+    if args.formats.preview.is_some() {
+        bail!(
+            "--preview writes a file of its own, and the standard output is for one: name a folder with --out"
+        );
+    }
+    match args.format.as_deref() {
+        None if args.particles_only => Ok(Format::Ply),
+        None => Ok(Format::Glb),
+        Some([format]) => Ok(*format),
+        Some(_) => bail!("the standard output is for one format: give one --format"),
+    }
+}
+
+const STDOUT_STEM: &str = "stdout";

@@ -1,0 +1,94 @@
+//! `convert -`: one file from the standard input, or from another pipe that a shell names, as `<(zcat dam.ply.gz)` does.
+//!
+//! The pipeline reads files, some of them twice, and a pipe can be read once. So it is copied to a temporary file first.
+
+use std::fs::File;
+use std::io::{self, IsTerminal, Read};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use tempfile::TempDir;
+
+use crate::pipeline::has_particle_extension;
+
+use super::args::ConvertArgs;
+use super::destination::private_folder;
+use super::quantities::memory_bytes;
+
+/// Where the copy is, until this is dropped.
+pub(super) struct StandardInput {
+    _folder: TempDir,
+}
+
+impl StandardInput {
+    /// Copies the pipe among the inputs, if there is one, and puts the copy in its place.
+    ///
+    /// # Errors
+    /// When it cannot be read or is larger than the memory limit, or when there are other inputs beside it.
+    pub(super) fn take(args: &mut ConvertArgs) -> Result<Option<StandardInput>> {
+        let Some(pipe) = args.inputs.iter().find(|input| is_pipe(input)).cloned() else {
+            if args.input_format.is_some() {
+                bail!("--input-format is for the standard input, and no INPUT is `-`: leave it out");
+            }
+            return Ok(None);
+        };
+        let name = if is_stdin(&pipe) { "the standard input".to_owned() } else { pipe.display().to_string() };
+        if args.inputs.len() > 1 {
+            bail!("{name} is one frame and has to be the only INPUT");
+        }
+        let file_name = match &args.input_format {
+            None => "stdin".to_owned(),
+            Some(format) => format!("stdin.{}", extension_of(format)?),
+        };
+        let folder = private_folder()?;
+        let path = folder.path().join(file_name);
+        let limit_bytes = memory_bytes(args.memory)?;
+        let mut file = File::create_new(&path).with_context(|| path.display().to_string())?;
+        let pipe = open(&pipe).with_context(|| name.clone())?;
+        let bytes = io::copy(&mut pipe.take(limit_bytes.saturating_add(1)), &mut file)
+            .with_context(|| name.clone())?;
+        match bytes {
+            0 => bail!("{name} is empty"),
+            bytes if bytes > limit_bytes => bail!(
+                "{name} is larger than the {limit_bytes} bytes that --memory allows: give more, or convert a file"
+            ),
+            _ => {}
+        }
+        args.inputs = vec![path];
+        Ok(Some(StandardInput { _folder: folder }))
+    }
+}
+
+fn open(pipe: &Path) -> io::Result<Box<dyn Read>> {
+    if !is_stdin(pipe) {
+        return Ok(Box::new(File::open(pipe)?));
+    }
+    let stdin = io::stdin();
+    if stdin.is_terminal() {
+        return Err(io::Error::other("it is a terminal: redirect a file or a program into it"));
+    }
+    Ok(Box::new(stdin.lock()))
+}
+
+fn is_stdin(input: &Path) -> bool {
+    ["-", "/dev/stdin", "/dev/fd/0", "/proc/self/fd/0"].iter().any(|name| input == Path::new(name))
+}
+
+/// Whether an input is a pipe that is open already. Named pipes are not: opening one may wait for ever.
+fn is_pipe(input: &PathBuf) -> bool {
+    let is_descriptor =
+        || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| input.parent() == Some(Path::new(folder)));
+    is_stdin(input) || is_descriptor() && input.metadata().is_ok_and(|metadata| !metadata.is_file())
+}
+
+/// The extension of a format, which may be typed with its dot.
+fn extension_of(format: &str) -> Result<&str> {
+    let extension = format.strip_prefix('.').unwrap_or(format);
+    let is_plain = extension.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'.');
+    if !is_plain || !(has_particle_extension(&format!("stdin.{extension}")) || extension == "vdb") {
+        bail!(
+            "--input-format {format}: expected the extension of a particle file, such as ply, bgeo, vtk, npy, csv or ply.gz, or vdb"
+        );
+    }
+    Ok(extension)
+}

@@ -1,0 +1,211 @@
+//! Which number of a file name is the frame's.
+//!
+//! ```text
+//!   dam_0001_v003        0001    a version (v, ver, version, rev, take, wedge before the digits) is not a frame
+//!   dam.0001.50          0001    frame 1, subframe .50; a subframe has fewer digits than its frame, which has 3 or more
+//!   hilbert2_7954_points    2    a count (particles, points, pts, .. after the digits) is not a frame
+//!   frame_12_particles     12    a number after frame, frm or step is the frame
+//!   take2_dam7              7    otherwise: the last number
+//! ```
+//!
+//! These rules need the name alone. Versions and counts are frames where a name has no other number. [`varying_number`]
+//! then looks at names that differ in their numbers only.
+
+use std::ops::Range;
+
+/// What a number in a name is, as far as the words around it say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    Frame,
+    Plain,
+    Count,
+    Version,
+}
+
+/// Words before a frame number, with or without a separator.
+const FRAME_WORDS: [&str; 4] = ["frame", "frm", "step", "timestep"];
+
+/// Words directly before the number of a version.
+const VERSION_WORDS: [&str; 6] = ["v", "ver", "version", "rev", "take", "wedge"];
+
+/// Words after a count, with or without a separator.
+const COUNT_WORDS: [&str; 9] =
+    ["particle", "particles", "point", "points", "pts", "parts", "vertices", "atoms", "spheres"];
+
+/// A frame number with fewer digits has no subframe: `take.2.1` is frame 1.
+const SUBFRAME_OF_DIGITS_MIN: usize = 3;
+
+/// Where the frame's number stands in the stem of a file name; with its subframe, if it has one: `0001.50`.
+pub(super) fn frame_number(stem: &str) -> Option<Range<usize>> {
+    let numbers = numbers(stem);
+    let of_role = |role| numbers.iter().rev().find(|number| role_of(stem, number) == role);
+    let found = [Role::Frame, Role::Plain, Role::Count, Role::Version].into_iter().find_map(of_role)?.clone();
+    Some(with_subframe(stem, &numbers, &found).unwrap_or(found))
+}
+
+/// The frame's number and the subframe behind it, where `found`, the last number of the stem, is a subframe.
+fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> Option<Range<usize>> {
+    let [.., frame, last] = numbers else { return None };
+    let follows_separator = stem[..frame.start].chars().next_back().is_none_or(|c| !c.is_alphanumeric());
+    let is_subframe = last == found
+        && last.end == stem.len()
+        && &stem[frame.end..last.start] == "."
+        && (SUBFRAME_OF_DIGITS_MIN.max(last.len() + 1)..).contains(&frame.len())
+        && follows_separator;
+    is_subframe.then(|| frame.start..last.end)
+}
+
+/// Where the frame's numbers stand in stems that are equal but for their numbers, when [`frame_number`] takes one that is
+/// the same in all of them, and exactly one other number differs. A version is never taken; a count only where three
+/// or more follow each other in even steps, as frames do.
+pub(super) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
+    let all: Vec<Vec<Range<usize>>> = stems.iter().map(|stem| numbers(stem)).collect();
+    let (first, first_numbers) = (stems.first()?, all.first()?);
+    let text = |index: usize, column: usize| Some(&stems[index][all[index].get(column)?.clone()]);
+    let varies = |column: &usize| (1..stems.len()).any(|index| text(index, *column) != text(0, *column));
+    let varying: Vec<usize> = (0..first_numbers.len()).filter(varies).collect();
+    let &[column] = &varying[..] else { return None };
+    let role = role_of(first, &first_numbers[column]);
+    let is_frame = match role {
+        Role::Frame | Role::Plain => true,
+        Role::Version => false,
+        Role::Count => are_even((0..stems.len()).filter_map(|index| text(index, column)?.parse().ok())),
+    };
+    is_frame.then(|| all.iter().filter_map(|numbers| numbers.get(column).cloned()).collect())
+}
+
+/// Whether three or more numbers are the same step apart.
+fn are_even(numbers: impl Iterator<Item = u64>) -> bool {
+    let mut numbers: Vec<u64> = numbers.collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    numbers.len() >= 3 && numbers.windows(3).all(|three| three[1] - three[0] == three[2] - three[1])
+}
+
+/// The text with `#` for each number: what names share that differ in their numbers only.
+pub(super) fn without_numbers(text: &str) -> String {
+    let mut shared = String::with_capacity(text.len());
+    let mut end = 0;
+    for number in numbers(text) {
+        shared += &text[end..number.start];
+        shared.push('#');
+        end = number.end;
+    }
+    shared + &text[end..]
+}
+
+/// All runs of digits.
+fn numbers(text: &str) -> Vec<Range<usize>> {
+    let mut numbers: Vec<Range<usize>> = Vec::new();
+    for (index, _) in text.bytes().enumerate().filter(|(_, byte)| byte.is_ascii_digit()) {
+        match numbers.last_mut() {
+            Some(number) if number.end == index => number.end += 1,
+            _ => numbers.push(index..index + 1),
+        }
+    }
+    numbers
+}
+
+fn role_of(stem: &str, number: &Range<usize>) -> Role {
+    let (before, after) = (&stem[..number.start], &stem[number.end..]);
+    let word_before = |text: &str| {
+        let letters = text.bytes().rev().take_while(u8::is_ascii_alphabetic).count();
+        text[text.len() - letters..].to_ascii_lowercase()
+    };
+    let word_after = |text: &str| {
+        let letters = text.bytes().take_while(u8::is_ascii_alphabetic).count();
+        text[..letters].to_ascii_lowercase()
+    };
+    let touching = word_before(before);
+    let separated = word_before(before.strip_suffix(SEPARATORS).unwrap_or(before));
+    let following = word_after(after.strip_prefix(SEPARATORS).unwrap_or(after));
+    let is_padded = number.len() > 1 && stem[number.clone()].starts_with('0');
+    if FRAME_WORDS.contains(&&*separated) {
+        Role::Frame
+    } else if VERSION_WORDS.contains(&&*touching) {
+        Role::Version
+    } else if !is_padded && COUNT_WORDS.contains(&&*following) {
+        Role::Count
+    } else {
+        Role::Plain
+    }
+}
+
+const SEPARATORS: [char; 4] = ['.', '_', '-', ' '];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_tell_the_frame_number() {
+        for (stem, expected) in [
+            ("dam.0012", Some("0012")),
+            ("dam_0001_v003", Some("0001")),
+            ("dam_0001.v2", Some("0001")),
+            ("dam_0001-v12", Some("0001")),
+            ("dam_V2_0001", Some("0001")),
+            ("dam_0001_take7", Some("0001")),
+            ("take2_frame7", Some("7")),
+            ("dam_v003", Some("003")),
+            ("v1.5", Some("5")),
+            ("wave3", Some("3")),
+            ("frame_12_particles", Some("12")),
+            ("frame12_0003", Some("12")),
+            ("hilbert2_7954_particles", Some("2")),
+            ("fluid2_0007_particles", Some("0007")),
+            ("fluid_7_particles", Some("7")),
+            ("dam_v2_17_particles", Some("17")),
+            ("ParticleData_Fluid_1", Some("1")),
+            ("ü3ß", Some("3")),
+            ("dam", None),
+            ("", None),
+        ] {
+            assert_eq!(frame_number(stem).map(|span| &stem[span]), expected, "{stem}");
+        }
+    }
+
+    #[test]
+    fn subframes_belong_to_their_frame() {
+        for (stem, expected) in [
+            ("dam.0001.50", "0001.50"),
+            ("dam_0001.5", "0001.5"),
+            ("0001.25", "0001.25"),
+            ("dam.1001.250", "1001.250"),
+            // A wedge, a take or a shot, and then the frame.
+            ("cache.0.0001", "0001"),
+            ("shot.010.0001", "0001"),
+            ("dam_v003.12", "12"),
+            ("sh010.12", "12"),
+            ("dam.2.1", "1"),
+            ("dam.0001-50", "50"),
+            ("dam.0001.50_b", "50"),
+        ] {
+            assert_eq!(frame_number(stem).map(|span| &stem[span]), Some(expected), "{stem}");
+        }
+    }
+
+    #[test]
+    fn number_that_alone_varies_is_the_frame() {
+        let taken = |stems: &[&'static str]| -> Option<Vec<&'static str>> {
+            let spans = varying_number(stems)?;
+            Some(stems.iter().zip(spans).map(|(stem, span)| &stem[span]).collect())
+        };
+        assert_eq!(taken(&["dam_0001_b7", "dam_0002_b7"]), Some(vec!["0001", "0002"]));
+        assert_eq!(taken(&["dam_0001_b7", "dam_0002_b8"]), None);
+        assert_eq!(taken(&["dam_0001_v1", "dam_0001_v2"]), None);
+        assert_eq!(taken(&["hilbert2_7954_particles", "hilbert2_18856_particles"]), None);
+        let counted = ["f2_1_points", "f2_2_points", "f2_3_points"];
+        assert_eq!(taken(&counted), Some(vec!["1", "2", "3"]));
+        assert_eq!(taken(&["f2_1_points", "f2_2_points", "f2_18856_points"]), None);
+        assert_eq!(taken(&["dam.7"]), None);
+        assert_eq!(taken(&[]), None);
+    }
+
+    #[test]
+    fn names_that_differ_in_numbers_share_the_rest() {
+        assert_eq!(without_numbers("dam_0001_v3.ply"), "dam_#_v#.ply");
+        assert_eq!(without_numbers("7ü"), "#ü");
+        assert_eq!(without_numbers("dam"), "dam");
+    }
+}

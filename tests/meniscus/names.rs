@@ -1,0 +1,256 @@
+//! Names of frames and of results: which number is the frame's, one file for one frame, pipes, clashes.
+
+use std::fs::{self, File};
+use std::io::{Read, Write};
+use std::path::Path;
+use std::process::Stdio;
+
+use tempfile::{TempDir, tempdir};
+
+use crate::scene::{Ran, block, command, meniscus, names_in, write_ply, write_sequence};
+
+const QUICK: [&str; 2] = ["--voxel-size", "0.1"];
+
+fn folder_with(names: &[&str]) -> TempDir {
+    let folder = tempdir().expect("a folder");
+    fs::create_dir(folder.path().join("in")).expect("made");
+    for (index, name) in names.iter().enumerate() {
+        // Frames have different spacings: settings of each frame's own would show.
+        let points: Vec<[f64; 3]> =
+            block(6, 0.0).iter().map(|point| point.map(|x| x * (1.0 + 0.1 * index as f64))).collect();
+        write_ply(&folder.path().join("in").join(name), &points);
+    }
+    folder
+}
+
+fn convert(folder: &Path, arguments: &[&str]) -> Ran {
+    meniscus(folder, &[&["convert"], arguments, &QUICK].concat())
+}
+
+/// Runs `convert` with these bytes on its standard input; what it writes is bytes, too.
+fn pipe(folder: &Path, arguments: &[&str], input: &[u8]) -> (i32, Vec<u8>, String) {
+    let mut command = command(folder, &[&["convert"], arguments].concat());
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().expect("it starts");
+    let mut stdin = child.stdin.take().expect("piped");
+    let input = input.to_vec();
+    // A command that refuses its arguments does not read.
+    let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
+    let output = child.wait_with_output().expect("it ends");
+    writer.join().expect("written");
+    (output.status.code().expect("a status"), output.stdout, String::from_utf8(output.stderr).expect("text"))
+}
+
+#[test]
+fn versions_and_subframes_are_one_sequence_everywhere() {
+    for (names, sequence) in [
+        (["dam_0001_v003.ply", "dam_0002_v003.ply", "dam_0003_v003.ply"], "dam_{}_v003.ply"),
+        (["dam.0001.ply", "dam.0001.50.ply", "dam.0002.ply"], "dam.{}.ply"),
+    ] {
+        let folder = folder_with(&names);
+        let path = folder.path();
+        let ran = meniscus(path, &["convert", "in", "--out", "out", "--format", "obj"]);
+        assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+        assert!(ran.out.contains(&format!("{sequence}: 3 frames, voxel size 0.05 ")), "{}", ran.out);
+        assert_eq!(names_in(&path.join("out")).len(), 3);
+        let arguments = ["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"];
+        let ran = meniscus(path, &arguments);
+        assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+        assert!(ran.out.contains(&format!("{sequence}: 3 frames, voxel size 0.05 ")), "{}", ran.out);
+        let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"];
+        let ran = meniscus(path, &watch);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        for name in names_in(&path.join("out")) {
+            let [one, other] =
+                ["out", "watched"].map(|out| fs::read(path.join(out).join(&name)).expect("there"));
+            assert!(one == other, "{name}: {}", ran.err);
+        }
+    }
+}
+
+#[test]
+fn folder_of_single_frames_is_warned_about() {
+    let folder = folder_with(&["dam_1_2.ply", "dam_2_3.ply"]);
+    let path = folder.path();
+    let note = "2 files form 2 sequences of one frame each, so each gets its own voxel size";
+    for arguments in [
+        &["convert", "in", "--out", "out", "--format", "obj"][..],
+        &["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"],
+        &["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"],
+    ] {
+        let ran = meniscus(path, arguments);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.matches(note).count(), 1, "{arguments:?}: {}", ran.err);
+        let ran = meniscus(path, &[arguments, &QUICK].concat());
+        assert!(!ran.err.contains(note), "{arguments:?}: {}", ran.err);
+    }
+    let ran = meniscus(path, &["convert", "in/dam_#_2.ply", "--out", "out", "--format", "obj"]);
+    assert!(!ran.err.contains(note), "{}", ran.err);
+}
+
+#[test]
+fn single_frame_is_written_to_the_named_file() {
+    let folder = folder_with(&["dam.7.ply"]);
+    let path = folder.path();
+    for format in ["glb", "gltf", "obj", "ply", "vtp", "stl", "usda", "vdb"] {
+        let file = format!("new/x.{format}");
+        let short = convert(path, &["in/dam.7.ply", "-o", &file]);
+        assert_eq!((short.status, &*short.err), (0, ""), "{format}: {}", short.out);
+        assert_eq!(names_in(&path.join("new")), [format!("x.{format}")]);
+        let ran = convert(path, &["in", "--out", "whole", "--format", format]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        let whole = fs::read(path.join(format!("whole/dam.7.{format}"))).expect("there");
+        assert!(fs::read(path.join(&file)).expect("there") == whole, "{format}");
+        let again = convert(path, &["in/dam.7.ply", "--skip-done", "--out", &file]);
+        assert!(again.status == 0 && again.out.contains("done"), "{format}: {} {}", again.out, again.err);
+        fs::remove_dir_all(path.join("new")).expect("removed");
+    }
+    let ran = convert(path, &["in", "-o", "x.vtp", "--particles-only"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let ran = convert(path, &["in", "-o", "y.vdb"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let ran = meniscus(path, &["convert", "y.vdb", "-o", "y.stl", "--format", "stl"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert_eq!(names_in(path), ["in", "whole", "x.vtp", "y.stl", "y.vdb"]);
+}
+
+#[test]
+fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    for (arguments, words) in [
+        (&["convert", "dam.#.ply", "-o", "x.obj"][..], &["x.obj", "2 frames", "name a folder"][..]),
+        (&["convert", "dam.#.ply", "-o", "-"], &["standard output", "2 frames", "name a folder"]),
+        (&["convert", "dam.1.ply", "-o", "x.obj", "--format", "ply"], &["x.obj", "--format"]),
+        (&["convert", "dam.1.ply", "-o", "x.png"], &["x.png", "meniscus render"]),
+        (&["convert", "dam.1.ply", "-o", "dam.1.ply"], &["would replace the input"]),
+        (
+            &["convert", "dam.1.ply", "-o", "x.stl", "--particles-only"],
+            &["--particles-only writes ply and vtp"],
+        ),
+        (&["convert", "dam.1.ply", "-o", "-", "--format", "ply,obj"], &["one format"]),
+        (&["convert", "dam.1.ply", "-o", "-", "--skip-done"], &["--skip-done"]),
+        (&["convert", "dam.1.ply", "-o", "o", "--input-format", "ply"], &["--input-format"]),
+        (
+            &["plan", "dam.#.ply", "--out", "x.glb", "--output", "p.json", "--shards", "1"],
+            &["x.glb", "folder"],
+        ),
+        (&["plan", "dam.#.ply", "--out", "-", "--output", "p.json", "--shards", "1"], &["name a folder"]),
+        (&["watch", ".", "--once", "--out", "x.glb"], &["x.glb", "folder"]),
+    ] {
+        let ran = meniscus(path, arguments);
+        assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
+        for word in words {
+            assert!(ran.err.contains(word), "{arguments:?} does not say {word}: {}", ran.err);
+        }
+    }
+    assert_eq!(names_in(path), ["dam.1.ply", "dam.2.ply"]);
+    // A folder may have any name.
+    fs::create_dir(path.join("old.obj")).expect("made");
+    for out in ["old.obj", "new.obj/"] {
+        let ran = convert(path, &["dam.#.ply", "--format", "obj", "--out", out]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(names_in(&path.join(out)), ["dam.1.obj", "dam.2.obj"]);
+    }
+}
+
+#[test]
+fn standard_input_and_output_carry_one_frame() {
+    let folder = folder_with(&["dam.7.ply"]);
+    let path = folder.path();
+    let bytes = fs::read(path.join("in/dam.7.ply")).expect("there");
+    let voxels = QUICK;
+    for (input, output, format) in [
+        (&["-", "--input-format", "ply"][..], &["-o", "-"][..], "glb"),
+        (&["-"], &["--out", "-", "--format", "obj"], "obj"),
+    ] {
+        let (status, out, err) = pipe(path, &[input, output, &voxels].concat(), &bytes);
+        assert_eq!(status, 0, "{err}");
+        assert!(err.contains("1 frame: 1 done"), "{err}");
+        // The same as with files of these names.
+        let same = tempdir().expect("a folder");
+        let name = if input.len() > 1 { "stdin.ply" } else { "stdin" };
+        fs::write(same.path().join(name), &bytes).expect("written");
+        let ran = convert(same.path(), &[name, "--format", format, "-o", &format!("x.{format}")]);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert!(out == fs::read(same.path().join(format!("x.{format}"))).expect("there"), "{format}");
+    }
+    let (status, out, err) = pipe(path, &["-", "-o", "y.obj", "--voxel-size", "0.1"], &bytes);
+    assert_eq!((status, &*err), (0, ""));
+    assert!(!out.is_empty() && path.join("y.obj").is_file());
+    for (arguments, input, words) in [
+        (&["-", "-o", "-"][..], &b""[..], "the standard input is empty"),
+        (&["-", "in", "-o", "x"], b"0 0 0", "only INPUT"),
+        (&["-", "-o", "-", "--input-format", "doc"], b"0 0 0", "--input-format doc"),
+        (&["-", "-o", "-", "--memory", "1MiB"], &[b'x'; (1 << 20) + 1], "--memory"),
+    ] {
+        let (status, out, err) = pipe(path, arguments, input);
+        assert_eq!((status, out.len()), (2, 0), "{arguments:?}: {err}");
+        assert!(err.contains(words), "{arguments:?}: {err}");
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn device_names_of_pipes_are_read() {
+    let folder = folder_with(&["dam.7.ply"]);
+    let bytes = fs::read(folder.path().join("in/dam.7.ply")).expect("there");
+    let (status, _, err) = pipe(folder.path(), &["/dev/stdin", "-o", "x.obj", "--voxel-size", "0.1"], &bytes);
+    assert_eq!((status, &*err), (0, ""));
+    assert_eq!(names_in(folder.path()), ["in", "x.obj"]);
+}
+
+/// A reader that goes away is an error, and no frame is half of one.
+#[test]
+fn closed_standard_output_is_an_error() {
+    let folder = folder_with(&["dam.7.ply"]);
+    let arguments = ["convert", "in", "-o", "-", "--voxel-size", "0.02"];
+    let mut command = command(folder.path(), &arguments);
+    let mut child = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    drop(child.stdout.take());
+    let mut err = String::new();
+    child.stderr.take().expect("piped").read_to_string(&mut err).expect("text");
+    assert_eq!(child.wait().expect("it ends").code(), Some(2), "{err}");
+    assert!(err.contains("cannot write to the standard output"), "{err}");
+}
+
+#[test]
+fn one_of_two_files_for_one_result_is_converted() {
+    let folder = folder_with(&["dam.1.ply", "dam.2.ply"]);
+    let path = folder.path();
+    let mut packed = flate2::write::GzEncoder::new(
+        File::create(path.join("in/dam.1.ply.gz")).expect("made"),
+        flate2::Compression::default(),
+    );
+    packed.write_all(&fs::read(path.join("in/dam.1.ply")).expect("there")).expect("packed");
+    packed.finish().expect("packed");
+    for number in 1..=2 {
+        fs::write(path.join(format!("in/dam.{number}.csv")), "x,y,z\n0,0,0\n0.1,0,0\n").expect("written");
+    }
+    let expected = convert(path, &["in/dam.#.csv", "--out", "expected", "--format", "obj"]);
+    assert_eq!(expected.status, 0, "{}", expected.err);
+    let ran = convert(path, &["in", "--out", "out", "--format", "obj"]);
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    for words in ["in/dam.1.csv and in/dam.1.ply would both become dam.1.*", "1 more frame of dam.{}.ply"] {
+        assert!(ran.err.contains(words), "{words}: {}", ran.err);
+    }
+    assert!(ran.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", ran.err);
+    let watch = ["watch", "in", "--once", "--out", "watched", "--format", "obj", "--settle", "10ms"];
+    let watched = meniscus(path, &[&watch[..], &QUICK].concat());
+    assert_eq!(watched.status, 1, "{}", watched.err);
+    for name in ["dam.1.obj", "dam.2.obj"] {
+        let [one, two, three] =
+            ["expected", "out", "watched"].map(|out| fs::read(path.join(out).join(name)).expect("there"));
+        assert!(one == two && two == three, "{name}");
+    }
+    let plan = ["plan", "in", "--out", "planned", "--output", "plan.json", "--shards", "1"];
+    let ran = meniscus(path, &[&plan[..], &QUICK].concat());
+    assert_eq!(ran.status, 1, "{}", ran.err);
+    assert!(ran.err.contains("would both become") && ran.out.contains("2 frames in 1 shard"), "{}", ran.out);
+}
