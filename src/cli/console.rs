@@ -45,21 +45,13 @@ impl Console {
 
     /// Prints a record as JSON, which has escapes of its own.
     pub(super) fn say_json(&mut self, record: &impl Serialize) -> serde_json::Result<()> {
-        let mut text = String::new();
-        for char in serde_json::to_string_pretty(record)?.chars() {
-            match char {
-                // Serde leaves these in strings as they are; all other control characters are escaped.
-                _ if char != '\n' && is_unsafe(char) => text += &format!("\\u{:04x}", u32::from(char)),
-                _ => text.push(char),
-            }
-        }
-        self.print(text);
+        self.print(json_text(record)?);
         Ok(())
     }
 
-    /// Prints a script of this program's own as it is.
-    pub(super) fn say_script(&mut self, script: &str) {
-        self.print(script.trim_end());
+    /// Prints text of this program's own, such as a script or [`json_text`], without escapes.
+    pub(super) fn say_as_is(&mut self, text: &str) {
+        self.print(text.trim_end());
     }
 
     fn print(&mut self, text: impl Display) {
@@ -133,6 +125,19 @@ impl Console {
     pub(super) fn finish(self) -> io::Result<()> {
         self.failure.map_or(Ok(()), Err)
     }
+}
+
+/// A record as JSON, without characters that could control the terminal.
+pub(super) fn json_text(record: &impl Serialize) -> serde_json::Result<String> {
+    let mut text = String::new();
+    for char in serde_json::to_string_pretty(record)?.chars() {
+        match char {
+            // Serde leaves these in strings as they are; all other control characters are escaped.
+            _ if char != '\n' && is_unsafe(char) => text += &format!("\\u{:04x}", u32::from(char)),
+            _ => text.push(char),
+        }
+    }
+    Ok(text)
 }
 
 /// Prints with the bar out of the way.

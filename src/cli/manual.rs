@@ -36,7 +36,7 @@ const PROGRAM: &str = "meniscus";
 pub(super) fn completions(args: &CompletionsArgs, console: &mut Console) -> Result<Verdict> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Typed::command(), PROGRAM, &mut script);
-    console.say_script(&String::from_utf8(script)?);
+    console.say_as_is(&String::from_utf8(script)?);
     Ok(Verdict::Done)
 }
 

@@ -106,7 +106,7 @@ impl Daemon<'_> {
         }
         match frames {
             Ok(None) => self.start_over(&id),
-            Ok(Some(found)) if found.frames.len() > 1 => self.take_steps(&id, stamp, found),
+            Ok(Some(found)) if found.has_several() => self.take_steps(&id, stamp, found),
             Ok(Some(_)) => {
                 self.forget_steps(&id);
                 self.hold(&id, stamp);
@@ -120,7 +120,7 @@ impl Daemon<'_> {
 
     /// A complete file has several steps: each goes on by itself.
     fn take_steps(&mut self, id: &FrameId, stamp: FileStamp, found: FileFrames) {
-        let steps: Vec<FrameId> = found.frames.iter().map(|frame| FrameId::new(id.root, frame)).collect();
+        let steps: Vec<FrameId> = found.paths().map(|frame| FrameId::new(id.root, &frame)).collect();
         let index_of = steps.iter().cloned().enumerate().map(|(index, step)| (step, index)).collect();
         let of_file = FileSteps { index_of, found };
         let before = self.steps_of.remove(id).map(|before| before.index_of).unwrap_or_default();

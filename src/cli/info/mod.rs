@@ -11,8 +11,10 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
 use std::fs;
+use std::iter;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::provenance::{self, read_provenance};
@@ -21,11 +23,11 @@ use meniscus_formats::{
 };
 use serde::Serialize;
 
-use crate::pipeline::{FrameError, file_of, frames_in, read_file, step_of};
+use crate::pipeline::{FrameError, file_of, frames_in, frames_in_unless, read_file, step_of};
 
 use super::Verdict;
 use super::args::InfoArgs;
-use super::console::Console;
+use super::console::{Console, json_text};
 use super::inputs::find_inputs;
 use super::wording::with_causes;
 
@@ -77,42 +79,61 @@ struct LayerRecord {
 /// # Errors
 /// When the result cannot be written as JSON.
 pub(super) fn info(args: &InfoArgs, console: &mut Console) -> Result<Verdict> {
-    let mut infos = Vec::new();
-    let mut failed_count = 0;
-    let paths: Vec<PathBuf> = args.files.iter().flat_map(|path| files_of(path, console)).collect();
-    for path in &paths {
-        let info = file_info(path);
-        match &info.error {
-            Some(error) => {
-                failed_count += 1;
-                console.warn(format_args!("error: {}: {error}", info.file));
+    let (mut count, mut failed_count) = (0, 0);
+    // An element of the JSON array waits until it is known whether a comma follows.
+    let mut last_element: Option<String> = None;
+    for given in &args.files {
+        // One at a time, for a file may have a million steps.
+        for path in files_of(given, console) {
+            let info = file_info(&path);
+            if args.json {
+                let element = indented(&json_text(&info)?);
+                match last_element.replace(element) {
+                    Some(before) => console.say_as_is(&format!("{before},")),
+                    None => console.say_as_is("["),
+                }
             }
-            None if !args.json => console.say_lines(info.to_string().lines()),
-            None => {}
+            match &info.error {
+                Some(error) => {
+                    failed_count += 1;
+                    console.warn(format_args!("error: {}: {error}", info.file));
+                }
+                None if !args.json => console.say_lines(info.to_string().lines()),
+                None => {}
+            }
+            count += 1;
         }
-        infos.push(info);
     }
     if args.json {
-        console.say_json(&infos)?;
+        console.say_as_is(&last_element.map_or("[]".to_owned(), |last| format!("{last}\n]")));
     }
     Ok(match failed_count {
         0 => Verdict::Done,
-        failed_count if failed_count < paths.len() => Verdict::SomeFailed,
+        failed_count if failed_count < count => Verdict::SomeFailed,
         _ => Verdict::NothingDone,
     })
 }
 
 /// The files that were meant. Of one with several steps each is told by itself; one that cannot be looked through is told as such.
-fn files_of(path: &Path, console: &Console) -> Vec<PathBuf> {
+fn files_of(path: &Path, console: &Console) -> Box<dyn Iterator<Item = PathBuf>> {
+    let alone = Box::new(iter::once(path.to_owned()));
     if path.symlink_metadata().is_ok() || step_of(path).is_some() {
-        return frames_in(path).unwrap_or_else(|_| vec![path.to_owned()]);
+        return match frames_in_unless(path, &AtomicBool::new(false)) {
+            Ok(frames) => Box::new(frames.paths()),
+            Err(_) => alone,
+        };
     }
     // What matches nothing is told as what is not there.
-    let Ok(found) = find_inputs(&[path.to_owned()]) else { return vec![path.to_owned()] };
+    let Ok(found) = find_inputs(&[path.to_owned()]) else { return alone };
     for warning in &found.warnings {
         console.warn(format_args!("warning: {warning}"));
     }
-    found.files.into_iter().map(|file| file.path).collect()
+    Box::new(found.files.into_iter().map(|file| file.path))
+}
+
+/// The lines of an element of a JSON array, moved to the right as the array's brackets demand.
+fn indented(json: &str) -> String {
+    json.lines().map(|line| format!("  {line}")).collect::<Vec<_>>().join("\n")
 }
 
 fn file_info(path: &Path) -> FileInfo {

@@ -34,8 +34,8 @@ pub(super) struct Contents {
     pub(super) unpacking_bytes: Option<u64>,
     /// In their order.
     pub(super) steps: Vec<Step>,
-    /// The index of a step by its name.
-    index_of: HashMap<String, usize>,
+    /// The indices of the steps, sorted by what their names are made of.
+    by_name: Vec<u32>,
     kind: Kind,
     /// `None` where nobody can tell later whether it was appended to: it is packed, or became shorter meanwhile.
     edges: Option<Edges>,
@@ -43,13 +43,36 @@ pub(super) struct Contents {
     before: Vec<(FileStamp, usize)>,
 }
 
-/// What is known of a step.
+/// A step of a file. A file may have a million, so the name is not stored.
 #[derive(Debug)]
 pub(super) struct Step {
-    /// What tells it from the others.
-    pub(super) name: String,
     /// Where it is, in the unpacked file.
     pub(super) found: FoundStep,
+    /// 1 for the first step with its number, 2 for the second, ..
+    count: u32,
+}
+
+impl Step {
+    /// What tells it from the others: its number, and for the second with that number and later ones, which it is.
+    pub(super) fn name(&self) -> String {
+        let number = self.found.number.map_or_else(|| UNNUMBERED.to_owned(), |number| number.to_string());
+        if self.count == 1 { number } else { format!("{number}.{}", self.count) }
+    }
+
+    /// What the name is made of.
+    fn key(&self) -> (Option<i64>, u32) {
+        (self.found.number, self.count)
+    }
+}
+
+/// What a name is made of; `None` for text that no step is called.
+fn key_of(name: &str) -> Option<(Option<i64>, u32)> {
+    let (number, count) = match name.split_once('.') {
+        Some((number, count)) => (number, count.parse().ok()?),
+        None => (name, 1),
+    };
+    let number = if number == UNNUMBERED { None } else { Some(number.parse().ok()?) };
+    Some((number, count))
 }
 
 /// More states of a file are not remembered. Whoever knows an older one looks at its steps again.
@@ -57,9 +80,11 @@ const BEFORE_MAX: usize = 16;
 
 impl Contents {
     fn new(stamp: FileStamp, kind: Kind, steps: Vec<FoundStep>) -> Contents {
-        let steps = named(steps);
-        let index_of = steps.iter().enumerate().map(|(index, step)| (step.name.clone(), index)).collect();
-        Contents { stamp, unpacking_bytes: None, steps, index_of, kind, edges: None, before: Vec::new() }
+        let steps = counted(steps);
+        // Limits keep the number of steps far below 2³².
+        let mut by_name: Vec<u32> = (0..steps.len() as u32).collect();
+        by_name.sort_by_key(|&index| steps[index as usize].key());
+        Contents { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
     }
 
     /// Those of what has no steps.
@@ -69,7 +94,13 @@ impl Contents {
 
     /// The step by this name.
     pub(super) fn step(&self, name: &str) -> io::Result<&FoundStep> {
-        self.index_of.get(name).map(|&index| &self.steps[index].found).ok_or_else(|| {
+        let step_at = |index: &u32| &self.steps[*index as usize];
+        let found = key_of(name).and_then(|key| {
+            let place = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
+            // Of `7` and `07` one is the name of a step.
+            Some(step_at(&self.by_name[place])).filter(|step| step.name() == name)
+        });
+        found.map(|step| &step.found).ok_or_else(|| {
             io::Error::new(io::ErrorKind::NotFound, format!("there is no step {name} in the file"))
         })
     }
@@ -237,17 +268,15 @@ impl<R: Read> Read for Watched<'_, R> {
     }
 }
 
-/// The steps with a name for each: its number, and where several have that, how many have had it.
-fn named(found: Vec<FoundStep>) -> Vec<Step> {
-    let mut counts = HashMap::new();
-    let named = found.into_iter().map(|found| {
-        let number = found.number.map_or_else(|| UNNUMBERED.to_owned(), |number| number.to_string());
-        let count = counts.entry(number.clone()).or_insert(0u64);
+/// The steps, each with how many have had its number up to it.
+fn counted(found: Vec<FoundStep>) -> Vec<Step> {
+    let mut counts: HashMap<Option<i64>, u32> = HashMap::new();
+    let counted = found.into_iter().map(|found| {
+        let count = counts.entry(found.number).or_insert(0);
         *count += 1;
-        let name = if *count == 1 { number } else { format!("{number}.{count}") };
-        Step { name, found }
+        Step { count: *count, found }
     });
-    named.collect()
+    counted.collect()
 }
 
 /// What a step without a number is called.
@@ -306,8 +335,8 @@ mod tests {
         }
     }
 
-    fn found(contents: &Contents) -> Vec<(&str, &FoundStep)> {
-        contents.steps.iter().map(|step| (&*step.name, &step.found)).collect()
+    fn found(contents: &Contents) -> Vec<(String, &FoundStep)> {
+        contents.steps.iter().map(|step| (step.name(), &step.found)).collect()
     }
 
     #[test]

@@ -74,18 +74,32 @@ pub fn frame_name(frame: &Path) -> String {
 /// # Errors
 /// When the file cannot be gone through.
 pub fn frames_in(file: &Path) -> Result<Vec<PathBuf>> {
-    Ok(frames_in_unless(file, &AtomicBool::new(false))?.frames)
+    Ok(frames_in_unless(file, &AtomicBool::new(false))?.paths().collect())
 }
 
 /// The frames of a file, and what is known of how they were before it was written again.
 #[derive(Clone, Debug)]
 pub struct FileFrames {
-    /// It, or the steps that it has.
-    pub frames: Vec<PathBuf>,
+    file: PathBuf,
     contents: Arc<Contents>,
 }
 
 impl FileFrames {
+    /// Whether the file has several steps, and is no frame itself.
+    pub fn has_several(&self) -> bool {
+        self.contents.steps.len() > 1
+    }
+
+    /// The file, or the steps that it has. Paths are made one by one: a file may have a million steps.
+    pub fn paths(&self) -> impl Iterator<Item = PathBuf> + use<> {
+        let FileFrames { file, contents } = self.clone();
+        let count = contents.steps.len().max(1);
+        (0..count).map(move |index| match &contents.steps[..] {
+            [] | [_] => file.clone(),
+            steps => file.join(format!("{STEP}{}", steps[index].name())),
+        })
+    }
+
     /// So many of the first frames are as they were when the file had this stamp: since then something was appended to it.
     pub fn kept_since(&self, stamp: &FileStamp) -> usize {
         self.contents.kept_since(stamp)
@@ -97,12 +111,7 @@ impl FileFrames {
 /// # Errors
 /// When the file cannot be gone through, or need not be any more.
 pub fn frames_in_unless(file: &Path, is_over: &AtomicBool) -> Result<FileFrames> {
-    let contents = contents_unless(file, is_over)?;
-    let frames = match &contents.steps[..] {
-        [] | [_] => vec![file.to_owned()],
-        steps => steps.iter().map(|step| file.join(format!("{STEP}{}", step.name))).collect(),
-    };
-    Ok(FileFrames { frames, contents })
+    Ok(FileFrames { file: file.to_owned(), contents: contents_unless(file, is_over)? })
 }
 
 /// Whether a file is of a kind that may hold several frames, by its first bytes.
@@ -316,6 +325,6 @@ mod tests {
         assert!(read(StepsFoundBy::Reader).is_some());
         assert!(read(StepsFoundBy::Another).is_some(), "it is known now");
         let over = frames_in_unless(&file, &AtomicBool::new(true));
-        assert_eq!(over.expect("it is known").frames.len(), 3);
+        assert_eq!(over.expect("it is known").paths().count(), 3);
     }
 }
