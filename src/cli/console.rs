@@ -6,6 +6,7 @@
 
 use std::fmt::{self, Display};
 use std::io::{self, Write};
+use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 
@@ -40,23 +41,31 @@ impl Console {
 
     /// Prints an error or a warning.
     pub(super) fn warn(&self, line: impl Display) {
-        // There is nobody left to tell that this failed.
-        let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{line}"));
+        print_error(self.bar.as_ref(), line);
     }
 
-    /// Shows a bar for so many frames, if somebody watches. Whether it does.
+    /// Shows a bar for so many frames, if the standard error is a terminal; of a lone frame only its stage. Returns
+    /// whether the bar stands in for a line about each frame.
     pub(super) fn show_bar(&mut self, frame_count: usize) -> bool {
-        if frame_count < 2 || !io::IsTerminal::is_terminal(&io::stderr()) {
+        if frame_count == 0 || !io::IsTerminal::is_terminal(&io::stderr()) {
             return false;
         }
-        let style = ProgressStyle::with_template(BAR).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let template = if frame_count == 1 { STAGE } else { BAR };
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         let style = style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
             // Text in memory takes everything.
             let _ = write!(text, "{:.1}", state.per_sec());
         });
         let bar = ProgressBar::with_draw_target(Some(frame_count as u64), ProgressDrawTarget::stderr());
+        // The time left goes on while a frame takes long.
+        bar.enable_steady_tick(TICK);
         self.bar = Some(bar.with_style(style));
-        true
+        frame_count > 1
+    }
+
+    /// The bar, if one is shown.
+    pub(super) fn bar(&self) -> Option<ProgressBar> {
+        self.bar.clone()
     }
 
     /// One frame more is done.
@@ -86,4 +95,15 @@ fn suspended<T>(bar: Option<&ProgressBar>, print: impl FnOnce() -> T) -> T {
     }
 }
 
-const BAR: &str = "{bar:32} {pos}/{len} frames, {rate} a second, {eta} left";
+/// Prints a line on the standard error, with the bar out of the way. If that fails, there is nowhere to report it.
+pub(super) fn print_error(bar: Option<&ProgressBar>, line: impl Display) {
+    let _ = suspended(bar, || writeln!(io::stderr().lock(), "{line}"));
+}
+
+const BAR: &str = "{bar:32} {pos}/{len} frames, {rate} a second, {eta} left  {wide_msg}";
+
+/// The same of a lone frame.
+const STAGE: &str = "{wide_msg}";
+
+/// The bar is drawn anew so often.
+const TICK: Duration = Duration::from_millis(500);

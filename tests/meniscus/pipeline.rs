@@ -128,6 +128,7 @@ impl Bench {
                 outputs: outputs.clone(),
                 number: None,
                 obstacles: Arc::default(),
+                framing: None,
             });
         }
         Bench { folder, frames }
@@ -194,6 +195,8 @@ pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
         in_flight: 5,
         memory_bytes: 1 << 30,
         steps_found_by: StepsFoundBy::Reader,
+        output_states: None,
+        observer: None,
     }
 }
 

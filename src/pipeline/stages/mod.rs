@@ -26,6 +26,7 @@ mod read;
 mod write;
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::thread;
 
 use crossbeam::channel::bounded;
@@ -35,6 +36,8 @@ use super::crew::{Crew, Tasks};
 use super::frame::{Frame, Outcome, Stage};
 use super::memory::default_memory_bytes;
 use super::method::Method;
+use super::observer::Observer;
+use super::output_states::OutputStates;
 use super::steps::StepsFoundBy;
 
 use line::{Ended, Line, is_failure};
@@ -69,6 +72,11 @@ pub struct Conduct<'a> {
     pub memory_bytes: u64,
     /// Who goes through a file with several frames that was written again. Where it is another, reading never waits for that.
     pub steps_found_by: StepsFoundBy,
+    /// The recorded states of outputs: a frame is not done if an output has other bytes than were recorded, and what is
+    /// written is recorded. `None`: bytes are neither recorded nor compared.
+    pub output_states: Option<&'a OutputStates>,
+    /// Hears how frames advance.
+    pub observer: Option<&'a dyn Observer>,
 }
 
 impl<'a> Conduct<'a> {
@@ -84,6 +92,20 @@ impl<'a> Conduct<'a> {
             in_flight: default_in_flight(pool.current_num_threads()),
             memory_bytes: default_memory_bytes(),
             steps_found_by: StepsFoundBy::Reader,
+            output_states: None,
+            observer: None,
+        }
+    }
+
+    /// Whether these outputs have the recorded bytes, as far as records are kept.
+    pub(super) fn has_recorded(&self, outputs: &[PathBuf]) -> bool {
+        self.output_states.is_none_or(|states| states.are_as_recorded(outputs.iter().map(PathBuf::as_path)))
+    }
+
+    /// Records outputs that were just written, if records are kept.
+    pub(super) fn record(&self, outputs: &[PathBuf]) {
+        if let Some(states) = self.output_states {
+            states.record(outputs);
         }
     }
 }
