@@ -67,6 +67,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
             outputs: outputs.clone(),
             number: Some(number as u64),
             obstacles: obstacles[number / 4 % 2].clone(),
+            framing: None,
         })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");

@@ -1,12 +1,12 @@
 //! What was measured on a frame, as it is shown.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::grid::LEAF_VOXELS;
 use crate::pipeline::FrameReport;
 
-/// What was measured on a frame that was converted. Lengths in voxels, times in seconds, sizes in bytes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+/// What was measured on a frame that was converted, as it is shown and as the journal keeps it. Lengths in voxels, times in seconds, sizes in bytes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Particles that were skinned.
     pub particles: usize,
@@ -31,7 +31,7 @@ pub struct Figures {
 }
 
 /// Seconds in each stage; with several frames under way, they overlap.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Seconds {
     /// Of reading.
     pub read: f64,
@@ -41,12 +41,15 @@ pub struct Seconds {
     pub smooth: f64,
     /// Of contouring.
     pub contour: f64,
-    /// Of writing.
+    /// Of writing, without pictures.
     pub write: f64,
+    /// Of pictures: rendered and written.
+    #[serde(default)]
+    pub preview: f64,
 }
 
 /// What was checked of the result.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CertificateView {
     /// Whether all that is promised holds.
     pub holds: bool,
@@ -75,6 +78,7 @@ impl Figures {
                 smooth: skin.seconds.smooth,
                 contour: skin.seconds.contour,
                 write: report.write_seconds,
+                preview: report.preview_seconds,
             },
             peak_memory_bytes: report.peak_memory_bytes,
             certificate: CertificateView {
@@ -90,7 +94,7 @@ impl Figures {
 
 impl Seconds {
     /// In the order of the stages.
-    pub fn by_stage(&self) -> [f64; 5] {
-        [self.read, self.rasterize, self.smooth, self.contour, self.write]
+    pub fn by_stage(&self) -> [f64; 6] {
+        [self.read, self.rasterize, self.smooth, self.contour, self.write, self.preview]
     }
 }

@@ -3,7 +3,7 @@
 use super::figures::Figures;
 
 /// The names of the stages, in the order of [`Stage`](crate::pipeline::Stage).
-pub const STAGES: [&str; 5] = ["read", "rasterize", "smooth", "contour", "write"];
+pub const STAGES: [&str; 6] = ["read", "rasterize", "smooth", "contour", "write", "preview"];
 
 /// What was counted since the daemon began.
 #[derive(Clone, Debug, Default, PartialEq)]

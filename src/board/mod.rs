@@ -34,7 +34,7 @@ use crate::pipeline::{SequenceRecord, Stage, natural_order};
 
 pub use figures::Figures;
 pub use metrics::{BUCKETS_S, Counters, Histogram, STAGES};
-pub use view::{Counts, FrameState, FrameSummary, FrameView, OutputView, Sample, Status};
+pub use view::{Counts, Forecast, FrameState, FrameSummary, FrameView, OutputView, Sample, Status};
 
 /// What there is to see of one daemon.
 #[derive(Debug)]
@@ -308,6 +308,12 @@ impl Board {
     pub fn status(&self) -> (Arc<Status>, Counts) {
         let state = self.lock();
         (Arc::clone(&state.status), state.counts)
+    }
+
+    /// How many results are to be expected, and when.
+    pub fn forecast(&self) -> Forecast {
+        let state = self.lock();
+        Forecast::new(&state.counts, state.samples.iter())
     }
 
     /// How it was in the last quarter of an hour.

@@ -118,3 +118,26 @@ fn a_value_is_in_the_first_bucket_that_holds_it() {
     }
     assert_eq!((histogram.counts[0], histogram.counts[1], histogram.counts[11]), (2, 1, 1));
 }
+
+#[test]
+fn forecast_takes_the_rate_of_times_with_work() {
+    let counts = Counts { queued: 6, working: 2, done: 10, failed: 3, ..Counts::default() };
+    let sample = |at_s: u64, converted: u64, queued: usize| Sample {
+        at_ms: at_s * 1000,
+        waiting: 0,
+        queued,
+        working: 0,
+        failed: 0,
+        converted,
+        memory_bytes: None,
+    };
+    // An hour without work, then two frames in ten seconds.
+    let samples = [sample(0, 0, 0), sample(3600, 0, 5), sample(3605, 1, 5), sample(3610, 2, 5)];
+    let forecast = Forecast::new(&counts, samples.iter());
+    assert_eq!(forecast, Forecast { expected_count: 18, seconds_left: Some(40.0) });
+    let unknown = Forecast { expected_count: 18, seconds_left: None };
+    assert_eq!(Forecast::new(&counts, samples[..2].iter()), unknown);
+    let over = Counts { done: 10, ..Counts::default() };
+    let expected = Forecast { expected_count: 10, seconds_left: None };
+    assert_eq!(Forecast::new(&over, samples.iter()), expected);
+}

@@ -32,7 +32,7 @@ pub struct FrameSummary {
     pub name: Arc<str>,
     /// How far it is.
     pub state: FrameState,
-    /// The stage it is in, if it is in one: read, rasterize, smooth, contour or write.
+    /// The stage it is in, if it is in one: one of [`STAGES`](super::STAGES).
     pub stage: Option<&'static str>,
     /// Why it failed, or waits.
     pub reason: Option<String>,
@@ -60,7 +60,7 @@ pub struct FrameView {
     pub input_bytes: u64,
     /// What was made of it.
     pub outputs: Vec<OutputView>,
-    /// What was measured, if it was converted in this run.
+    /// What was measured when it was converted, if that is known.
     pub figures: Option<Arc<Figures>>,
     /// What its outputs are called, but for their extensions.
     #[serde(skip)]
@@ -123,6 +123,43 @@ pub struct Status {
     /// What the process holds now.
     pub memory_bytes: Option<u64>,
 }
+
+/// How many results are to be expected, and when.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Forecast {
+    /// Frames that were seen so far and did not fail for good: as many will be done if no more come.
+    pub expected_count: usize,
+    /// How long the frames that are left will take at the present rate, in seconds; `None` while that is not known, and
+    /// when none is left.
+    pub seconds_left: Option<f64>,
+}
+
+impl Forecast {
+    /// By the counts and the last samples. The rate is that of the last minutes in which there was work.
+    pub(super) fn new<'a>(counts: &Counts, samples: impl DoubleEndedIterator<Item = &'a Sample>) -> Forecast {
+        let Counts { waiting, queued, working, retrying, done, failed: _ } = *counts;
+        let left_count = waiting + queued + working + retrying;
+        let (mut converted_count, mut work_ms) = (0, 0);
+        let mut later: Option<&Sample> = None;
+        for sample in samples.rev() {
+            if let Some(later) = later.filter(|_| sample.queued + sample.working > 0) {
+                converted_count += later.converted.saturating_sub(sample.converted);
+                work_ms += later.at_ms.saturating_sub(sample.at_ms);
+            }
+            if work_ms >= RATE_OVER_MS {
+                break;
+            }
+            later = Some(sample);
+        }
+        let is_known = left_count > 0 && converted_count > 0;
+        let seconds_left =
+            is_known.then(|| left_count as f64 * work_ms as f64 / 1e3 / converted_count as f64);
+        Forecast { expected_count: left_count + done, seconds_left }
+    }
+}
+
+/// The rate of a forecast is measured over so long.
+const RATE_OVER_MS: u64 = 300_000;
 
 /// How it was at one moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

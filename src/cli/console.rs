@@ -6,6 +6,7 @@
 
 use std::fmt::{self, Display};
 use std::io::{self, Write};
+use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use meniscus_formats::{escaped, is_unsafe};
@@ -56,7 +57,7 @@ impl Console {
 
     fn print(&mut self, text: impl Display) {
         if self.out_is_taken {
-            return self.print_on_error(text);
+            return print_on_error(self.bar.as_ref(), text);
         }
         if self.muted {
             return;
@@ -74,12 +75,7 @@ impl Console {
     /// Prints an error or a warning on one line, with what could forge a line or control the terminal
     /// [`escaped`].
     pub(super) fn warn(&self, line: impl Display) {
-        self.print_on_error(escaped(line));
-    }
-
-    fn print_on_error(&self, text: impl Display) {
-        // When the standard error is closed, no channel is left to report that on.
-        let _ = suspended(self.bar.as_ref(), || writeln!(io::stderr().lock(), "{text}"));
+        print_error(self.bar.as_ref(), line);
     }
 
     /// Prints an error that makes the command fail, whatever else succeeds: part of the input is left out.
@@ -93,19 +89,28 @@ impl Console {
         self.failed_count
     }
 
-    /// Shows a bar for so many frames, if somebody watches. Whether it does.
+    /// Shows a bar for so many frames, if the standard error is a terminal; of a lone frame only its stage. Returns
+    /// whether the bar stands in for a line about each frame.
     pub(super) fn show_bar(&mut self, frame_count: usize) -> bool {
-        if frame_count < 2 || !io::IsTerminal::is_terminal(&io::stderr()) {
+        if frame_count == 0 || !io::IsTerminal::is_terminal(&io::stderr()) {
             return false;
         }
-        let style = ProgressStyle::with_template(BAR).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let template = if frame_count == 1 { STAGE } else { BAR };
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         let style = style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
             // Text in memory takes everything.
             let _ = write!(text, "{:.1}", state.per_sec());
         });
         let bar = ProgressBar::with_draw_target(Some(frame_count as u64), ProgressDrawTarget::stderr());
+        // The time left goes on while a frame takes long.
+        bar.enable_steady_tick(TICK);
         self.bar = Some(bar.with_style(style));
-        true
+        frame_count > 1
+    }
+
+    /// The bar, if one is shown.
+    pub(super) fn bar(&self) -> Option<ProgressBar> {
+        self.bar.clone()
     }
 
     /// One frame more is done.
@@ -148,4 +153,20 @@ fn suspended<T>(bar: Option<&ProgressBar>, print: impl FnOnce() -> T) -> T {
     }
 }
 
-const BAR: &str = "{bar:32} {pos}/{len} frames, {rate} a second, {eta} left";
+/// Prints an error or a warning on one line, with what could forge a line or control the terminal [`escaped`].
+pub(super) fn print_error(bar: Option<&ProgressBar>, line: impl Display) {
+    print_on_error(bar, escaped(line));
+}
+
+/// Prints text on the standard error, with the bar out of the way. If that fails, there is nowhere to report it.
+fn print_on_error(bar: Option<&ProgressBar>, text: impl Display) {
+    let _ = suspended(bar, || writeln!(io::stderr().lock(), "{text}"));
+}
+
+const BAR: &str = "{bar:32} {pos}/{len} frames, {rate} a second, {eta} left  {wide_msg}";
+
+/// The same of a lone frame.
+const STAGE: &str = "{wide_msg}";
+
+/// The bar is drawn anew so often.
+const TICK: Duration = Duration::from_millis(500);

@@ -13,6 +13,8 @@ use crate::pipeline::{
 
 use super::Verdict;
 use super::console::Console;
+use super::output_records::OutputRecords;
+use super::progress::Progress;
 use super::tally::say_violations;
 use super::wording::{FRAMES_IN_VIEW, counted, described};
 
@@ -132,15 +134,30 @@ impl Run {
                 Work::IsDone(..) | Work::Impossible(_) => None,
             })
             .unzip();
-        let conduct =
-            Conduct { on_error: self.on_error, skip_done, certificates, memory_bytes, ..Conduct::new(pool) };
+        // A certificate has the hashes of the outputs; without one they are recorded where done frames are skipped.
+        let records = (skip_done && !certificates).then(|| OutputRecords::load(&frames));
         let has_bar = console.show_bar(frames.len());
+        let progress = Progress::new(frames.len(), pool.current_num_threads(), console.bar());
+        let conduct = Conduct {
+            on_error: self.on_error,
+            skip_done,
+            certificates,
+            memory_bytes,
+            output_states: records.as_ref().map(OutputRecords::states),
+            observer: Some(&progress),
+            ..Conduct::new(pool)
+        };
         pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
             // The record and what is told have the order of the inputs.
+            let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
+            progress.finished(&frames[index], report);
             self.note_without_outcome(&planned[self.noted_count..places[index]], console);
             self.note(&frames[index], planned[places[index]].sequence_index, &outcome, has_bar, console);
         });
         console.hide_bar();
+        if let Some(records) = &records {
+            records.save(console);
+        }
         self.note_without_outcome(&planned[self.noted_count..], console);
     }
 

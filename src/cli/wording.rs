@@ -14,7 +14,8 @@ pub(super) fn described(report: &FrameReport) -> String {
         + skin.seconds.smooth
         + skin.seconds.contour
         + skin.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds)
-        + report.write_seconds;
+        + report.write_seconds
+        + report.preview_seconds;
     format!(
         "{}, {}, {}, {seconds:.2} s",
         counted(skin.particle_count, "particle"),

@@ -5,7 +5,8 @@
 //!                   │           under way      now          for good
 //!   ────────────────┼──────────────────────────────────────────────────────────────────────────
 //!   same input,     │ convert   convert        convert      skip            skip, if its outputs
-//!   same settings   │                                                       are there
+//!   same settings   │                                                       are there; if one was
+//!                   │                                                       touched, contents decide
 //!   same size, else │ convert   convert        convert      the content     the content decides
 //!   a new stamp     │                                       decides
 //!   anything else   │ convert   convert        convert      convert         convert
@@ -60,14 +61,24 @@ pub enum ConvertReason {
     WasRefused,
 }
 
-/// Decides about a frame by its record, its stamp, and the fingerprint of the settings it would be
-/// converted with now. `output_missing` is the first of the recorded outputs that is not there in
-/// the size that was recorded.
+/// How the outputs of a frame compare with their records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputsNow<'a> {
+    /// All of them have the recorded stamps, or the recorded bytes.
+    AsRecorded,
+    /// All of them have the recorded sizes, but one has another stamp: only its bytes can tell whether it is damaged.
+    Touched,
+    /// This one is missing, or has another size or other bytes.
+    Missing(&'a Path),
+}
+
+/// Decides about a frame by its record, its stamp, the fingerprint of the settings it would be converted with now, and
+/// its outputs.
 pub fn decide(
     record: Option<&FrameRecord>,
     stamp: &FileStamp,
     settings: &str,
-    output_missing: Option<&Path>,
+    outputs: OutputsNow<'_>,
 ) -> Decision {
     let Some(record) = record else { return Decision::Convert(ConvertReason::New) };
     let skip_reason = match record.standing {
@@ -83,11 +94,15 @@ pub fn decide(
     if record.settings != settings {
         return Decision::Convert(ConvertReason::SettingsChanged);
     }
-    // What failed has no outputs that could be missing.
-    if let (Some(output), SkipReason::Done) = (output_missing, skip_reason) {
-        return Decision::Convert(ConvertReason::OutputMissing(output.to_owned()));
+    match (outputs, skip_reason) {
+        (OutputsNow::Missing(output), SkipReason::Done) => {
+            return Decision::Convert(ConvertReason::OutputMissing(output.to_owned()));
+        }
+        (OutputsNow::Touched, SkipReason::Done) => return Decision::CompareContent,
+        // A failed frame has no outputs.
+        (_, SkipReason::FailedUnchanged) | (OutputsNow::AsRecorded, _) => {}
     }
-    match (record.stamp == *stamp, record.hash) {
+    match (record.stamp.still_holds(stamp), record.hash) {
         (true, _) => Decision::Skip(skip_reason),
         (false, Some(_)) => Decision::CompareContent,
         (false, None) => Decision::Convert(ConvertReason::InputChanged),
@@ -112,7 +127,7 @@ impl fmt::Display for Decision {
         match self {
             Decision::Skip(reason) => reason.fmt(f),
             Decision::CompareContent => f.write_str(
-                "it was touched, moved or written again in the same size, so that its content decides",
+                "it or an output of it was touched, moved or written again in the same size, so that contents decide",
             ),
             Decision::Convert(reason) => reason.fmt(f),
         }
@@ -172,26 +187,26 @@ mod tests {
             particle_count: None,
             seconds: None,
             flaws: Vec::new(),
+            figures: None,
         }
     }
 
     fn stamp() -> FileStamp {
-        FileStamp { size: 100, modified_ns: 200, inode: 300 }
+        FileStamp { size: 100, modified_ns: 200, inode: 300, changed_ns: Some(400) }
     }
 
     /// What is there now, against the record.
     struct Now {
         stamp: FileStamp,
         settings: &'static str,
-        output_missing: Option<&'static str>,
+        outputs: OutputsNow<'static>,
     }
 
-    const ALIKE: fn() -> Now = || Now { stamp: stamp(), settings: SETTINGS, output_missing: None };
+    const ALIKE: fn() -> Now = || Now { stamp: stamp(), settings: SETTINGS, outputs: OutputsNow::AsRecorded };
 
     #[track_caller]
     fn check(standing: Standing, now: &Now, wanted: &Decision) {
-        let missing = now.output_missing.map(Path::new);
-        assert_eq!(decide(Some(&record(standing)), &now.stamp, now.settings, missing), *wanted);
+        assert_eq!(decide(Some(&record(standing)), &now.stamp, now.settings, now.outputs), *wanted);
     }
 
     fn touched() -> Now {
@@ -211,12 +226,21 @@ mod tests {
     }
 
     fn output_gone() -> Now {
-        Now { output_missing: Some("/out/a.glb"), ..ALIKE() }
+        Now { outputs: OutputsNow::Missing(Path::new("/out/a.glb")), ..ALIKE() }
+    }
+
+    fn output_touched() -> Now {
+        Now { outputs: OutputsNow::Touched, ..ALIKE() }
+    }
+
+    /// `chmod`, a new hard link, or a rewrite that set the modification time back.
+    fn status_changed() -> Now {
+        Now { stamp: FileStamp { changed_ns: Some(401), ..stamp() }, ..ALIKE() }
     }
 
     #[test]
     fn what_was_never_seen_is_converted() {
-        let decision = decide(None, &stamp(), SETTINGS, None);
+        let decision = decide(None, &stamp(), SETTINGS, OutputsNow::AsRecorded);
         assert_eq!(decision, Decision::Convert(ConvertReason::New));
     }
 
@@ -226,6 +250,8 @@ mod tests {
         check(Standing::Done, &ALIKE(), &Decision::Skip(SkipReason::Done));
         check(Standing::Done, &touched(), &Decision::CompareContent);
         check(Standing::Done, &moved(), &Decision::CompareContent);
+        check(Standing::Done, &status_changed(), &Decision::CompareContent);
+        check(Standing::Done, &output_touched(), &Decision::CompareContent);
         check(Standing::Done, &longer(), &Decision::Convert(ConvertReason::InputChanged));
         check(Standing::Done, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
         check(Standing::Done, &output_gone(), &Decision::Convert(missing.clone()));
@@ -240,6 +266,7 @@ mod tests {
     fn failed_is_skipped_until_something_changes() {
         check(Standing::Failed, &ALIKE(), &Decision::Skip(SkipReason::FailedUnchanged));
         check(Standing::Failed, &output_gone(), &Decision::Skip(SkipReason::FailedUnchanged));
+        check(Standing::Failed, &output_touched(), &Decision::Skip(SkipReason::FailedUnchanged));
         check(Standing::Failed, &touched(), &Decision::CompareContent);
         check(Standing::Failed, &longer(), &Decision::Convert(ConvertReason::InputChanged));
         check(Standing::Failed, &other_settings(), &Decision::Convert(ConvertReason::SettingsChanged));
@@ -256,10 +283,18 @@ mod tests {
     }
 
     #[test]
+    fn record_without_status_change_time_is_not_compared_in_it() {
+        let old = FileStamp { changed_ns: None, ..stamp() };
+        let record = FrameRecord { stamp: old, ..record(Standing::Done) };
+        let decision = decide(Some(&record), &stamp(), SETTINGS, OutputsNow::AsRecorded);
+        assert_eq!(decision, Decision::Skip(SkipReason::Done));
+    }
+
+    #[test]
     fn without_a_hash_another_stamp_is_another_input() {
         for standing in [Standing::Done, Standing::Failed] {
             let record = FrameRecord { hash: None, ..record(standing) };
-            let decision = decide(Some(&record), &touched().stamp, SETTINGS, None);
+            let decision = decide(Some(&record), &touched().stamp, SETTINGS, OutputsNow::AsRecorded);
             assert_eq!(decision, Decision::Convert(ConvertReason::InputChanged));
         }
     }

@@ -19,7 +19,7 @@ use twox_hash::XxHash3_128;
 use crate::pipeline::{FrameFile, file_of, is_missing_step, outputs_made_from, read_file};
 
 use super::config::{Patience, Watch};
-use super::decision::{ConvertReason, Decision, SkipReason, decide, decide_by_content};
+use super::decision::{ConvertReason, Decision, OutputsNow, SkipReason, decide, decide_by_content};
 use super::evidence::{completeness_of, sentinel_of};
 use super::journal::FrameRecord;
 use super::mounts::network_file_system;
@@ -56,7 +56,7 @@ pub struct Explanation {
     pub file: Option<FileFacts>,
     /// Whether its settings are those recorded; `None` where either is not known.
     pub settings_hold: Option<bool>,
-    /// The first of the recorded outputs that is not there.
+    /// The first of the recorded outputs that is missing or damaged.
     pub output_missing: Option<PathBuf>,
     /// What comes of it.
     pub verdict: Verdict,
@@ -167,18 +167,18 @@ fn facts(
         || completeness_of(file_of(frame)),
     );
     let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
-    let mut decision = decide(record, &seen.stamp, settings, output_missing);
+    let outputs = output_missing.map_or(OutputsNow::AsRecorded, OutputsNow::Missing);
+    let mut decision = decide(record, &seen.stamp, settings, outputs);
     let mut change = None;
     if let Some(record) = record {
+        let is_same = record.stamp.still_holds(&seen.stamp);
         let hash = match record.hash {
             // Only a file of the same size and another time has to be read to know.
-            Some(_) if record.stamp != seen.stamp && record.stamp.size == seen.stamp.size => {
-                Some(hash_of(frame)?)
-            }
+            Some(_) if !is_same && record.stamp.size == seen.stamp.size => Some(hash_of(frame)?),
             _ => None,
         };
         change = Some(match hash {
-            _ if record.stamp == seen.stamp => Change::Unchanged,
+            _ if is_same => Change::Unchanged,
             Some(hash) if record.hash == Some(hash) => Change::Touched,
             _ => Change::Rewritten,
         });
@@ -201,7 +201,7 @@ fn hash_of(path: &Path) -> io::Result<u128> {
 }
 
 fn first_missing_output(record: &FrameRecord) -> Option<PathBuf> {
-    let missing = record.outputs.iter().find(|output| !output.is_there());
+    let missing = record.outputs.iter().find(|output| !output.has_recorded_bytes());
     missing.map(|output| output.path.clone())
 }
 
@@ -328,13 +328,14 @@ mod tests {
                 stamp: FileStamp::of_path(&self.frame).expect("there"),
                 hash: Some(XxHash3_128::oneshot(FRAME)),
                 settings: "s".into(),
-                outputs: vec![OutputRecord { path: self.output.clone(), size_bytes: 4 }],
+                outputs: vec![OutputRecord { path: self.output.clone(), size_bytes: 4, state: None }],
                 reason: None,
                 attempt_count: 1,
                 at_ms: 0,
                 particle_count: None,
                 seconds: None,
                 flaws: Vec::new(),
+                figures: None,
             }
         }
 

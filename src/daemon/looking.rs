@@ -17,15 +17,15 @@ use std::time::Instant;
 use crate::pipeline::{FileStamp, Frame, FrameFile, OutputOptions, file_of, output_path};
 use crate::settings::Settings;
 
-use super::decision::{Decision, SkipReason, decide};
+use super::decision::{Decision, OutputsNow, SkipReason, decide};
 use super::evidence::{completeness_of, sentinel_of};
 use super::frames::{FrameId, FrameState, Phase};
-use super::journal::Standing;
+use super::journal::{OutputCheck, OutputRecord, Standing};
 use super::readiness::{Candidate, Readiness};
 use super::rounds::{Daemon, Failure};
 use super::scan::Seen;
 use super::selection::{Content, content};
-use super::sequences::{SequenceSettings, outputs_with};
+use super::sequences::SequenceSettings;
 
 impl Daemon<'_> {
     /// A file of a root was seen.
@@ -140,10 +140,16 @@ impl Daemon<'_> {
         // The record may be of the same file in another root, whose outputs lie elsewhere.
         let is_recorded = |path: &&PathBuf| record.outputs.iter().any(|output| output.path == **path);
         let unrecorded = wanted.iter().find(|path| !is_recorded(path));
-        let missing = record.outputs.iter().find(|output| !output.is_there()).map(|output| &output.path);
-        let missing = unrecorded.or(missing).map(|path| &**path);
+        let checks: Vec<OutputCheck> = record.outputs.iter().map(OutputRecord::check).collect();
+        let missing = checks.iter().position(|&check| check == OutputCheck::Missing);
+        let missing = unrecorded.or(missing.map(|index| &record.outputs[index].path));
+        let outputs = match missing {
+            Some(path) => OutputsNow::Missing(path),
+            None if checks.contains(&OutputCheck::Touched) => OutputsNow::Touched,
+            None => OutputsNow::AsRecorded,
+        };
         let settings = self.sequences.get(sequence).fingerprint(&self.obstacles[id.root], &id.path);
-        let phase = match decide(Some(record), stamp, &settings, missing) {
+        let phase = match decide(Some(record), stamp, &settings, outputs) {
             Decision::Skip(SkipReason::Done) => {
                 // Its outputs are its own, also when another input comes that would have the same.
                 self.claim_own(id).ok().map(|()| Phase::Done(*stamp))?
@@ -164,7 +170,7 @@ impl Daemon<'_> {
         Some(phase)
     }
 
-    /// A frame that is done stays so only while its outputs are there.
+    /// A frame that is done stays so only while its outputs are there, with the bytes that were written.
     pub(super) fn check_outputs(&mut self, id: &FrameId) {
         if !self.outputs_are_there {
             return;
@@ -173,6 +179,12 @@ impl Daemon<'_> {
         let missing = self.output_paths(id).into_iter().find(|path| !self.listings.has(path));
         if let Some(missing) = missing {
             tracing::info!(frame = %id.path.display(), "{} is gone: converted again", missing.display());
+            return self.ready(id, stamp);
+        }
+        let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path);
+        let mut recorded = record.into_iter().flat_map(|record| &record.outputs);
+        if let Some(changed) = recorded.find(|output| output.check() != OutputCheck::Unchanged) {
+            tracing::info!(frame = %id.path.display(), "{} has changed: its content is compared", changed.path.display());
             self.ready(id, stamp);
         }
     }
@@ -263,8 +275,8 @@ impl Daemon<'_> {
             frame.made_with = self.sequences.get(frame.sequence).fingerprint(&obstacles, &id.path);
         }
         let outputs = self.outputs(id);
-        let camera = self.frames.get(id).and_then(|frame| self.sequences.get(frame.sequence).camera);
-        let outputs = if camera.is_some() { Arc::new(outputs_with(&outputs, camera)) } else { outputs };
+        let framing =
+            self.frames.get(id).and_then(|frame| self.sequences.get(frame.sequence).framing.clone());
         let frame = Frame {
             input: id.path.to_path_buf(),
             stem: stem(&id.path),
@@ -272,7 +284,14 @@ impl Daemon<'_> {
             outputs,
             number: FrameFile::new(id.path.to_path_buf()).number(),
             obstacles,
+            framing,
         };
+        let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path);
+        for output in record.into_iter().flat_map(|record| &record.outputs) {
+            if let Some(state) = output.state {
+                self.output_states.put(&output.path, state);
+            }
+        }
         self.set_phase(id, Phase::Queued(stamp));
         self.note(id, Standing::Queued, stamp, None);
         self.queue.push(id, frame, stamp.modified_ns);

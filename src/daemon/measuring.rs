@@ -8,7 +8,7 @@ use super::config::Watch;
 use super::frames::{FrameId, FrameState, Phase};
 use super::journal::{SequenceRecord, Standing};
 use super::rounds::Daemon;
-use super::sequences::{MeasureOrder, Measured, SequenceSettings, fixed_camera};
+use super::sequences::{MeasureOrder, Measured, SequenceSettings, framing_of};
 
 impl Daemon<'_> {
     /// The index of the sequence that a file belongs to.
@@ -90,7 +90,7 @@ impl Daemon<'_> {
         sequence.sparse.extend(sparse.iter().cloned());
         let watch = &self.config.watches[root];
         sequence.settings = SequenceSettings::new(watch, record.as_ref());
-        sequence.camera = fixed_camera(watch, record.as_ref());
+        sequence.framing = framing_of(watch, record.as_ref());
         if record.is_none() {
             self.tell_of_sparse(index, &sparse);
         }
@@ -114,6 +114,22 @@ impl Daemon<'_> {
         }
         // More frames may have come meanwhile.
         self.dirty_sequences.insert(index);
+    }
+
+    /// Writes down the camera of a sequence, where it was refitted.
+    pub(super) fn note_camera(&mut self, index: usize) {
+        let sequence = self.sequences.get(index);
+        let Some(framed) = sequence.framing.as_ref().map(|framing| framing.framed()) else { return };
+        let (root, key) = (sequence.root, sequence.key.clone());
+        let records = &self.stores.of_watch(root).journal.state().sequences;
+        let Some(mut record) = records.get(&key).cloned() else { return };
+        let Some(camera) = record.camera.as_mut().filter(|camera| camera.framed != framed) else { return };
+        camera.framed = framed;
+        tracing::info!(
+            sequence = %key.folder.join(&key.name).display(),
+            "a frame leaves the picture: the camera is refitted for it and for later ones"
+        );
+        self.stores.of_watch_mut(root).write_down(|journal| journal.note_sequence(&key, record));
     }
 
     /// Frames wait for another one, which whoever waits for them should know.

@@ -67,7 +67,7 @@ pub use config::{Config, Order, Patience, Poll, Watch};
 
 use crate::board::Board;
 use crate::pipeline::{
-    Conduct, Frame, LevelSetSkinning, OnError, OutFolderError, Stage, StepsFoundBy, stream_seen,
+    Conduct, Frame, LevelSetSkinning, OnError, OutFolderError, OutputStates, Stage, StepsFoundBy, stream_seen,
 };
 
 use frames::FrameId;
@@ -201,7 +201,8 @@ pub fn run(
     let (to_loop_measured, measured) = unbounded();
     let (to_find_steps, steps_orders) = unbounded();
     let (to_loop_found, found_steps) = unbounded();
-    let daemon = Daemon::open(config, board, &queue, (to_measure, to_find_steps), notices)?;
+    let output_states = OutputStates::default();
+    let daemon = Daemon::open(config, board, (&queue, &output_states), (to_measure, to_find_steps), notices)?;
     let mirrors: Vec<PathBuf> = daemon.stores.iter().map(|store| store.folder.clone()).collect();
     let conduct = Conduct {
         pool: &pool,
@@ -213,6 +214,8 @@ pub fn run(
         // There is a thread for that.
         steps_found_by: StepsFoundBy::Another,
         mirrors: &mirrors,
+        output_states: Some(&output_states),
+        observer: None,
     };
     let began = |frame: &Frame, stage: Stage| {
         if let Some(board) = board {

@@ -2,11 +2,12 @@
 
 use std::io;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
+use crate::board::Figures;
 use crate::pipeline::{
-    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, flaws, gist, notes, output_path,
-    standing_notes,
+    FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, flaws, gist, notes, standing_notes,
 };
 
 use super::frames::{FrameId, FrameState, Phase};
@@ -39,7 +40,8 @@ impl Daemon<'_> {
 
     fn converted(&mut self, id: &FrameId, report: &FrameReport) {
         let skin = &report.skin;
-        let seconds = report.read_seconds + skin.seconds.total() + report.write_seconds;
+        let seconds =
+            report.read_seconds + skin.seconds.total() + report.write_seconds + report.preview_seconds;
         let sequence = self.frames.get(id).map(|frame| frame.sequence);
         // What is so with one frame is so with the next, as a rule.
         let is_new = |note: &String| {
@@ -49,14 +51,21 @@ impl Daemon<'_> {
         for note in standing.into_iter().chain(notes(report)) {
             tracing::warn!(frame = %id.path.display(), "{note}");
         }
+        if let Some(index) = sequence {
+            self.note_camera(index);
+        }
         self.room.was_enough();
         let outputs = report.outputs.iter().zip(&report.output_bytes);
-        let outputs = outputs.map(|(path, &size_bytes)| OutputRecord { path: path.clone(), size_bytes });
+        let outputs = outputs.map(|(path, &size_bytes)| {
+            let state = self.output_states.take(path);
+            OutputRecord { path: path.clone(), size_bytes, state }
+        });
         let record = FrameRecord {
             outputs: outputs.collect(),
             particle_count: Some(skin.particle_count),
             seconds: Some(rounded(seconds)),
             flaws: flaws(report),
+            figures: Some(Arc::new(Figures::of(report))),
             ..self.record(id, Standing::Done, report.input.stamp)
         };
         self.note_done(id, FrameRecord { hash: Some(report.input.hash), ..record });
@@ -70,22 +79,30 @@ impl Daemon<'_> {
             smooth_s = rounded(skin.seconds.smooth),
             contour_s = rounded(skin.seconds.contour),
             write_s = rounded(report.write_seconds),
+            preview_s = rounded(report.preview_seconds),
             queue = self.queue.len(),
             "converted"
         );
     }
 
     fn already_done(&mut self, id: &FrameId, frame: &Frame, input: &ReadInput) {
-        let outputs = frame.outputs.formats.iter().map(|&format| {
-            let path = output_path(&frame.outputs.folder, &frame.stem, format);
-            let size_bytes = path.metadata().map_or(0, |metadata| metadata.len());
-            OutputRecord { path, size_bytes }
+        let outputs = frame.output_paths().into_iter().map(|path| {
+            let state = self.output_states.take(&path);
+            let size_bytes = state.map_or(0, |state| state.stamp.size);
+            OutputRecord { path, size_bytes, state }
         });
-        let record = FrameRecord {
-            outputs: outputs.collect(),
-            hash: Some(input.hash),
-            ..self.record(id, Standing::Done, input.stamp)
+        let outputs: Vec<OutputRecord> = outputs.collect();
+        // What was measured when these very outputs were written is still true of them.
+        let known = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path).cloned();
+        let measured = known.filter(|known| are_the_same(&known.outputs, &outputs));
+        let record = self.record(id, Standing::Done, input.stamp);
+        let record = match measured {
+            Some(FrameRecord { particle_count, seconds, flaws, figures, .. }) => {
+                FrameRecord { particle_count, seconds, flaws, figures, ..record }
+            }
+            None => record,
         };
+        let record = FrameRecord { outputs, hash: Some(input.hash), ..record };
         self.note_done(id, record);
         count(self.board, |counters| counters.found_done += 1);
         self.show(id);
@@ -237,7 +254,15 @@ impl Daemon<'_> {
         stamp: FileStamp,
         reason: Option<String>,
     ) {
-        let record = FrameRecord { reason, ..self.record(id, standing, stamp) };
+        let mut record = FrameRecord { reason, ..self.record(id, standing, stamp) };
+        // A frame that is looked at again may turn out to be done: its outputs, and what was measured when they were
+        // written, are remembered until then.
+        if matches!(standing, Standing::Queued | Standing::Retrying)
+            && let Some(known) = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path)
+        {
+            let FrameRecord { outputs, particle_count, seconds, flaws, figures, .. } = known.clone();
+            record = FrameRecord { outputs, particle_count, seconds, flaws, figures, ..record };
+        }
         self.stores.of_watch_mut(id.root).write_down(|journal| journal.note_frame(&id.path, record));
         self.show(id);
     }
@@ -265,8 +290,18 @@ impl Daemon<'_> {
             particle_count: None,
             seconds: None,
             flaws: Vec::new(),
+            figures: None,
         }
     }
+}
+
+/// Whether these are the same files with the same bytes.
+fn are_the_same(known: &[OutputRecord], now: &[OutputRecord]) -> bool {
+    let bytes = |outputs: &[OutputRecord]| -> Vec<_> {
+        outputs.iter().map(|output| (output.path.clone(), output.state.map(|state| state.hash))).collect()
+    };
+    let known = bytes(known);
+    known == bytes(now) && known.iter().all(|(_, hash)| hash.is_some())
 }
 
 /// Seconds to the millisecond: more digits are noise in a log.

@@ -155,6 +155,7 @@ mod tests {
             outputs: Arc::new(outputs),
             number: None,
             obstacles: Arc::default(),
+            framing: None,
         }
     }
 

@@ -115,7 +115,10 @@ impl Candidate {
     pub fn see(&mut self, now: Instant, seen: &Seen, renamed: bool) {
         let later = Candidate::new(now, seen, renamed);
         if seen.stamp != self.stamp {
-            *self = later;
+            // A status change alone, as by `chmod`, takes nothing from the proof of the rename.
+            let renamed_before =
+                self.renamed && self.stamp.without_status_change() == seen.stamp.without_status_change();
+            *self = Candidate { renamed: renamed || renamed_before, ..later };
             return;
         }
         self.renamed |= renamed;
@@ -284,7 +287,7 @@ mod tests {
     const NONE: Sentinel = Sentinel::None;
 
     fn stamp(size: u64, modified_ns: i64, inode: u64) -> FileStamp {
-        FileStamp { size, modified_ns, inode }
+        FileStamp { size, modified_ns, inode, changed_ns: None }
     }
 
     /// Goes through the steps, each at its time in milliseconds after the start.

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use super::config::{Config, Patience, Poll, Watch};
-use super::mounts::{RootIdentity, network_file_system};
+use super::mounts::network_file_system;
 use super::place::known_path;
-use super::scan::{Scan, scan};
+use super::scan::{FolderIdentity, Scan, scan};
 use super::selection::{PatternError, Selection};
 use super::watcher::{WatchError, Watcher};
 
@@ -38,10 +38,12 @@ pub(super) struct Root<'a> {
     heard: HashSet<PathBuf>,
     /// When to look again.
     pub(super) next_scan: Instant,
+    /// When the loop last compared its identity.
+    pub(super) looked_at: Option<Instant>,
     /// It had frames when it was last looked into.
     had_frames: bool,
-    /// The file system it was on then.
-    identity: Option<RootIdentity>,
+    /// Which folder it was then: its path may be a link that is pointed elsewhere, or another disk may be mounted there.
+    identity: Option<FolderIdentity>,
 }
 
 /// On network file systems, unless somebody says how often.
@@ -85,6 +87,7 @@ impl<'a> Root<'a> {
             rescan_every: config.rescan_every,
             heard: HashSet::new(),
             next_scan: Instant::now(),
+            looked_at: None,
             had_frames: false,
             identity: None,
         })
@@ -113,9 +116,9 @@ impl<'a> Root<'a> {
     /// # Errors
     /// Why the folder is unavailable.
     pub(super) fn scan(&mut self, watcher: &mut Option<Watcher>) -> Result<Scan, String> {
-        let identity = RootIdentity::of(&self.path).ok();
+        let identity = FolderIdentity::of(&self.path).ok();
         if self.identity != identity {
-            // Events of a file system that was unmounted just stop: those of the new one must be asked for.
+            // Events of the folder that was there do not tell of this one, and those of an unmounted one just stop.
             self.stop_hearing(watcher);
             self.identity = identity;
         }
@@ -137,6 +140,11 @@ impl<'a> Root<'a> {
             }
         }
         found
+    }
+
+    /// Whether the path leads to another folder than at the last scan.
+    pub(super) fn is_another(&self) -> bool {
+        FolderIdentity::of(&self.path).ok() != self.identity
     }
 
     /// A scan, and all that came of it, has taken this long: when to look again.

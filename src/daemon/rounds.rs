@@ -9,7 +9,8 @@ use crossbeam::channel::{Receiver, Sender, never, select};
 
 use crate::board::Board;
 use crate::pipeline::{
-    Frame, ObstacleFiles, Outcome, OutputOptions, breaks_guarantee, natural_order, remove_left_behind,
+    Frame, ObstacleFiles, Outcome, OutputOptions, OutputStates, breaks_guarantee, natural_order,
+    remove_left_behind,
 };
 
 use super::config::{Config, Watch};
@@ -35,6 +36,8 @@ pub(super) struct Daemon<'a> {
     /// Where it shows what there is to see.
     pub(super) board: Option<&'a Board>,
     pub(super) queue: &'a Queue,
+    /// The recorded states of the outputs of queued frames, shared with the pipeline.
+    pub(super) output_states: &'a OutputStates,
     pub(super) to_measure: Sender<MeasureOrder>,
     pub(super) to_find_steps: Sender<StepsOrder>,
     pub(super) roots: Vec<Root<'a>>,
@@ -95,7 +98,7 @@ impl<'a> Daemon<'a> {
     pub(super) fn open(
         config: &'a Config,
         board: Option<&'a Board>,
-        queue: &'a Queue,
+        (queue, output_states): (&'a Queue, &'a OutputStates),
         (to_measure, to_find_steps): (Sender<MeasureOrder>, Sender<StepsOrder>),
         notices: &'a mut dyn FnMut(Notice),
     ) -> Result<Daemon<'a>, DaemonError> {
@@ -109,6 +112,7 @@ impl<'a> Daemon<'a> {
             config,
             board,
             queue,
+            output_states,
             to_measure,
             to_find_steps,
             roots,
@@ -212,12 +216,22 @@ impl<'a> Daemon<'a> {
             self.roots.iter_mut().for_each(Root::hear_again);
         }
         for root in 0..self.roots.len() {
-            if self.roots[root].next_scan <= now && !self.config.once {
+            if !self.config.once && (self.roots[root].next_scan <= now || self.is_another_root(root, now)) {
                 self.scan_root(root);
             }
         }
         self.resolve_sequences();
         self.tell(now);
+    }
+
+    /// Whether a root leads to another folder now: one call of the system, at most once a second.
+    fn is_another_root(&mut self, index: usize, now: Instant) -> bool {
+        let root = &mut self.roots[index];
+        if root.looked_at.is_some_and(|at| now.duration_since(at) < TURN_MAX) {
+            return false;
+        }
+        root.looked_at = Some(now);
+        root.is_another()
     }
 
     /// How long there is nothing to do.

@@ -186,7 +186,7 @@ impl Edges {
 
 /// Which folder it is, by whatever way it was reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct FolderIdentity {
+pub(super) struct FolderIdentity {
     #[cfg(unix)]
     device_and_inode: (u64, u64),
     #[cfg(not(unix))]
@@ -195,14 +195,14 @@ struct FolderIdentity {
 
 impl FolderIdentity {
     #[cfg(unix)]
-    fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(super) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         use std::os::unix::fs::MetadataExt;
         let metadata = fs::metadata(folder)?;
         Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
     }
 
     #[cfg(not(unix))]
-    fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(super) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         Ok(FolderIdentity { path: folder.canonicalize()? })
     }
 }

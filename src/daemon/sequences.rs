@@ -19,7 +19,7 @@ use glam::DVec3;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    CameraChoice, FileStamp, FrameError, FrameFile, ObstacleFiles, ObstacleStamps, OutputOptions,
+    FileStamp, FrameError, FrameFile, Framed, Framing, ObstacleFiles, ObstacleStamps, OutputOptions,
     PictureOptions, automatic_voxel_size, file_of, sequence_bounds, settings_fingerprint,
 };
 use crate::settings::{OwnRadii, Settings};
@@ -55,7 +55,7 @@ pub(super) struct Sequence {
     /// Its settings, or what is missing.
     pub(super) settings: SequenceSettings,
     /// The camera that was placed for its pictures, if one had to be.
-    pub(super) camera: Option<CameraChoice>,
+    pub(super) framing: Option<Arc<Framing>>,
     /// Frames that were looked at and have too few particles to measure the spacing.
     pub(super) sparse: HashSet<FrameId>,
     /// That its frames wait for one with more particles was told.
@@ -125,12 +125,12 @@ impl Sequences {
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
         let remembered = remembered(&key);
         let settings = SequenceSettings::new(watch, remembered.as_ref());
-        let camera = fixed_camera(watch, remembered.as_ref());
+        let framing = framing_of(watch, remembered.as_ref());
         self.all.push(Sequence {
             key,
             root: id.root,
             settings,
-            camera,
+            framing,
             sparse: HashSet::new(),
             is_told: false,
             told: HashSet::new(),
@@ -173,8 +173,7 @@ impl SequenceSettings {
     /// there are to be pictures.
     pub(super) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
         let voxel_size = watch.voxel_size.or(remembered.map(|record| record.voxel_size));
-        let camera = fixed_camera(watch, remembered);
-        let lacks_camera = watch.outputs.needs_camera() && camera.is_none();
+        let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
         let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
         let settings = match voxel_size {
             None => unknown(),
@@ -182,8 +181,8 @@ impl SequenceSettings {
                 if lacks_camera {
                     return unknown();
                 }
-                let outputs = outputs_with(&watch.outputs, camera);
-                let fingerprint = settings_fingerprint(&settings, &outputs).into();
+                // With the camera as it was asked for: one that is refitted makes no frame stale.
+                let fingerprint = settings_fingerprint(&settings, &watch.outputs).into();
                 Ok(SequenceSettings::Fixed(Arc::new(settings), fingerprint))
             }),
         };
@@ -192,15 +191,10 @@ impl SequenceSettings {
 }
 
 /// The camera that is remembered for the pictures of a sequence, if one was placed for what is asked for now.
-pub(super) fn fixed_camera(watch: &Watch, remembered: Option<&SequenceRecord>) -> Option<CameraChoice> {
-    let SequenceCamera { asked, fixed } = remembered?.camera.as_ref()?;
-    (watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs)).then_some(*fixed)
-}
-
-/// What is written with the camera of a sequence, if one was placed.
-pub(super) fn outputs_with(outputs: &OutputOptions, camera: Option<CameraChoice>) -> OutputOptions {
-    let picture = PictureOptions { camera: camera.unwrap_or(outputs.picture.camera), ..outputs.picture };
-    OutputOptions { picture, ..outputs.clone() }
+pub(super) fn framing_of(watch: &Watch, remembered: Option<&SequenceRecord>) -> Option<Arc<Framing>> {
+    let SequenceCamera { asked, framed } = remembered?.camera.as_ref()?;
+    let is_asked = watch.outputs.needs_camera() && *asked == asked_camera(&watch.outputs);
+    is_asked.then(|| Arc::new(Framing::new(&watch.outputs, framed.clone())))
 }
 
 /// All that a camera depends on beside the frame.
@@ -325,8 +319,8 @@ fn measured_on(path: &Path, order: &MeasureOrder) -> Result<Option<SequenceRecor
     let settings = Settings::resolve(record.voxel_size, &order.watch.choices);
     let radius = settings.map_or(record.voxel_size, |settings| settings.radius_min);
     let Some(bounds) = sequence_bounds(&[path], radius)? else { return Ok(None) };
-    let fixed = outputs.with_camera_around(widened(bounds, outputs.up().direction())).picture.camera;
-    let camera = Some(SequenceCamera { asked: asked_camera(outputs), fixed });
+    let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
+    let camera = Some(SequenceCamera { asked: asked_camera(outputs), framed });
     Ok(Some(SequenceRecord { camera, ..record }))
 }
 

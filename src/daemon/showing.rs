@@ -3,7 +3,6 @@
 //! Nothing here decides anything. Without a board nothing is shown, and nothing else changes.
 
 use std::path::{Component, Path};
-use std::sync::Arc;
 
 use serde_json::{Value, json};
 
@@ -20,18 +19,12 @@ use super::rounds::Daemon;
 use super::sequences::SequenceSettings;
 
 impl Daemon<'_> {
-    /// Shows how far a frame is.
-    pub(super) fn show(&self, id: &FrameId) {
-        self.show_with(id, None);
-    }
-
     /// Shows a frame that was converted, and counts it.
     pub(super) fn show_converted(&self, id: &FrameId, report: &FrameReport) {
         let Some(board) = self.board else { return };
-        let figures = Figures::of(report);
         let (input_bytes, output_bytes) = (report.input.stamp.size, report.output_bytes.iter().sum());
-        board.count(|counters| counters.add_converted(&figures, input_bytes, output_bytes));
-        self.show_with(id, Some(Arc::new(figures)));
+        board.count(|counters| counters.add_converted(&Figures::of(report), input_bytes, output_bytes));
+        self.show(id);
     }
 
     /// Takes a frame off the board.
@@ -41,16 +34,15 @@ impl Daemon<'_> {
         }
     }
 
-    fn show_with(&self, id: &FrameId, figures: Option<Arc<Figures>>) {
+    /// Shows how far a frame is.
+    pub(super) fn show(&self, id: &FrameId) {
         let (Some(board), Some(frame)) = (self.board, self.frames.get(id)) else { return };
         let Some(state) = state_of(&frame.phase) else { return self.unshow(id) };
         let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path);
         // That of an earlier file, or of an earlier failure, says nothing of this one.
         let record = record.filter(|record| is_about(record, &frame.phase));
-        let outputs: Vec<OutputView> = match state {
-            FrameState::Done => record.map_or_else(Vec::new, |record| self.shown_outputs(id, record)),
-            _ => Vec::new(),
-        };
+        let done = record.filter(|_| state == FrameState::Done);
+        let outputs: Vec<OutputView> = done.map_or_else(Vec::new, |record| self.shown_outputs(id, record));
         let failure = self.failed.get(id).map(|failure| failure.reason.clone());
         let reason = failure.or_else(|| record.and_then(|record| record.reason.clone()));
         let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
@@ -62,16 +54,16 @@ impl Daemon<'_> {
                 state,
                 stage: None,
                 reason: reason.filter(|_| state != FrameState::Done),
-                since_ms: record.filter(|_| state == FrameState::Done).map_or_else(now_ms, |done| done.at_ms),
-                particles: record.and_then(|record| record.particle_count),
-                seconds: record.and_then(|record| record.seconds),
+                since_ms: done.map_or_else(now_ms, |done| done.at_ms),
+                particles: done.and_then(|record| record.particle_count),
+                seconds: done.and_then(|record| record.seconds),
                 surface,
                 picture,
             },
             attempts: frame.attempt_count,
             input_bytes: frame.phase.stamp().size,
             outputs,
-            figures,
+            figures: done.and_then(|record| record.figures.clone()),
             stem: self.shown_stem(id),
         });
     }

@@ -47,8 +47,10 @@ const FILES_MAX: usize = 10_000;
 /// be looked into have none.
 pub fn waiting(state: &State) -> Waiting {
     let Some(plan) = state.plan.clone() else { return Waiting::default() };
-    let known: Known =
-        state.frames.iter().map(|(input, frame)| (file_of(input).to_owned(), frame.stamp)).collect();
+    let known = state.frames.iter();
+    let known: Known = known
+        .map(|(input, frame)| (file_of(input).to_owned(), frame.stamp.without_status_change()))
+        .collect();
     let (tell, told) = channel();
     let until = Instant::now() + TIME_MAX;
     // Where a folder hangs, it ends with the program.
@@ -59,7 +61,7 @@ pub fn waiting(state: &State) -> Waiting {
     }
 }
 
-/// Files as the journal knows them.
+/// Files as the journal knows them, without their status change times.
 type Known = HashSet<(PathBuf, FileStamp)>;
 
 /// What is told of a search: a file, or that this was all.
@@ -102,7 +104,7 @@ fn look_for(
         let is_trusted = trust_clock(&watch.input.join("any"));
         let Ok(found) = scan(&watch.input, &watch.input, &selection, is_trusted) else { continue };
         for (path, seen) in found.files {
-            let file = (path, seen.stamp);
+            let file = (path, seen.stamp.without_status_change());
             if known.contains(&file) {
                 continue;
             }

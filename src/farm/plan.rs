@@ -98,6 +98,7 @@ impl Plan {
             outputs: Arc::clone(&sequence.outputs),
             number: planned.number,
             obstacles: Arc::clone(obstacles),
+            framing: None,
         }
     }
 }

@@ -11,11 +11,14 @@ use crate::report::SkinReport;
 use crate::settings::Settings;
 use crate::skin::{TooFine, TooLarge};
 
+use super::framing::Framing;
 use super::obstacles::ObstacleFiles;
 use super::out_folder::is_disk_full;
-use super::outputs::OutputOptions;
+use super::outputs::{OutputOptions, output_path};
+use super::picture::PictureOptions;
 use super::source::FrameFile;
 use super::stamp::FileStamp;
+use super::viewpoint::CameraChoice;
 
 /// One frame to convert.
 #[derive(Clone, Debug)]
@@ -32,6 +35,9 @@ pub struct Frame {
     pub number: Option<u64>,
     /// What stands in the way.
     pub obstacles: Arc<ObstacleFiles>,
+    /// The camera of its sequence, where frames that are not known yet may make it another one; else that of the
+    /// outputs is taken.
+    pub framing: Option<Arc<Framing>>,
 }
 
 impl Frame {
@@ -44,7 +50,25 @@ impl Frame {
             outputs: Arc::clone(outputs),
             number: file.number(),
             obstacles: Arc::default(),
+            framing: None,
         }
+    }
+
+    /// The same frame with its pictures taken by this camera.
+    pub(super) fn taken_by(&self, camera: CameraChoice) -> Frame {
+        let picture = PictureOptions { camera, ..self.outputs.picture };
+        Frame { outputs: Arc::new(OutputOptions { picture, ..(*self.outputs).clone() }), ..self.clone() }
+    }
+
+    /// Whether a picture is made of it.
+    pub(super) fn has_pictures(&self) -> bool {
+        self.outputs.formats.iter().any(|format| format.picture().is_some())
+    }
+
+    /// The files that the frame becomes.
+    pub fn output_paths(&self) -> Vec<PathBuf> {
+        let OutputOptions { folder, formats, .. } = &*self.outputs;
+        formats.iter().map(|&format| output_path(folder, &self.stem, format)).collect()
     }
 }
 
@@ -92,8 +116,10 @@ pub struct FrameReport {
     pub obstacle_open_edge_count: usize,
     /// Seconds of reading and parsing.
     pub read_seconds: f64,
-    /// Seconds of encoding and writing.
+    /// Seconds of encoding and writing, without pictures.
     pub write_seconds: f64,
+    /// Seconds of rendering and writing pictures.
+    pub preview_seconds: f64,
     /// The most memory that this process has held at any time until the frame was written;
     /// `None` where the system does not tell.
     pub peak_memory_bytes: Option<u64>,
@@ -123,6 +149,8 @@ pub enum Stage {
     Contour,
     /// Mesh and level set to files.
     Write,
+    /// Level set to pictures.
+    Preview,
 }
 
 impl fmt::Display for Stage {
@@ -133,6 +161,7 @@ impl fmt::Display for Stage {
             Stage::Smooth => "smooth",
             Stage::Contour => "contour",
             Stage::Write => "write",
+            Stage::Preview => "preview",
         })
     }
 }

@@ -45,6 +45,15 @@ pub trait Method: Sync {
     ) -> Result<Self::Rasterized, Cause>;
     /// The second stage.
     fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause>;
+    /// The second stage; `advanced` hears how much of it is done, from 0 to 1.
+    fn smooth_observed(
+        &self,
+        rasterized: Self::Rasterized,
+        settings: &Settings,
+        _advanced: &mut dyn FnMut(f64),
+    ) -> Result<Self::Smoothed, Cause> {
+        self.smooth(rasterized, settings)
+    }
     /// The third stage, for what is to be written.
     fn contour(
         &self,
@@ -121,12 +130,22 @@ impl Method for LevelSetSkinning {
     }
 
     fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause> {
+        self.smooth_observed(rasterized, settings, &mut |_| {})
+    }
+
+    fn smooth_observed(
+        &self,
+        rasterized: Self::Rasterized,
+        settings: &Settings,
+        advanced: &mut dyn FnMut(f64),
+    ) -> Result<Self::Smoothed, Cause> {
         Ok(match rasterized {
             Skinned::Whole(rasterized, particles) => {
-                Skinned::Whole(skin::smooth(rasterized, settings), particles)
+                Skinned::Whole(skin::smooth_observed(rasterized, settings, advanced), particles)
             }
             Skinned::Tiled(frame) => {
-                Skinned::Tiled(Box::new(tiled::smooth(*frame, settings).map_err(Cause::Scratch)?))
+                let smoothed = tiled::smooth(*frame, settings, advanced).map_err(Cause::Scratch)?;
+                Skinned::Tiled(Box::new(smoothed))
             }
         })
     }

@@ -16,6 +16,7 @@ use crate::settings::{Pairs, Settings};
 
 use super::certificate_file::hash_text;
 use super::frame::Frame;
+use super::framing::Framed;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::PictureOptions;
@@ -126,6 +127,19 @@ fn owned(pairs: Pairs) -> Vec<(String, String)> {
 /// Whether every output of a frame is there, whole, and records what this run would record. Whole
 /// is one that has its end; bytes overwritten in the middle are not found out.
 pub(super) fn is_done(frame: &Frame, hash: u128, obstacles: &str) -> bool {
+    match frame.framing.as_ref().filter(|_| frame.has_pictures()) {
+        None => records_all(frame, hash, obstacles),
+        // A picture that was taken before the camera of the sequence was refitted is as good as a new one.
+        Some(framing) => {
+            let Framed { camera, earlier, .. } = framing.framed();
+            let mut cameras = std::iter::once(camera).chain(earlier);
+            cameras.any(|camera| records_all(&frame.taken_by(camera), hash, obstacles))
+        }
+    }
+}
+
+/// Whether every output of a frame is there, whole, and records exactly this.
+fn records_all(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     let options = &*frame.outputs;
     options.formats.iter().all(|&format| {
         let wanted = provenance(frame, (hash, obstacles), format);

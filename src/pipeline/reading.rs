@@ -1,6 +1,6 @@
 //! From a file to particles.
 
-use std::fs::{File, Metadata};
+use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -138,7 +138,6 @@ pub struct InputFile {
     file: File,
     path: PathBuf,
     stamp: FileStamp,
-    changed: StatusChange,
     /// A pipe has no state that it could be in again, and no places.
     is_regular: bool,
 }
@@ -152,8 +151,7 @@ impl InputFile {
         let file = open_regular(path)?;
         let metadata = file.metadata()?;
         let (stamp, is_regular) = (FileStamp::of(&metadata), metadata.is_file());
-        let changed = status_change(&metadata);
-        Ok(InputFile { file, path: path.to_owned(), stamp, changed, is_regular })
+        Ok(InputFile { file, path: path.to_owned(), stamp, is_regular })
     }
 
     /// What the file system said of it when it was opened.
@@ -179,9 +177,7 @@ impl InputFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
             at_name => at_name?,
         };
-        let metadata = self.file.metadata()?;
-        let is_same = FileStamp::of(&metadata) == self.stamp && status_change(&metadata) == self.changed;
-        Ok(is_same && at_name == self.stamp)
+        Ok(FileStamp::of(&self.file.metadata()?) == self.stamp && at_name == self.stamp)
     }
 
     /// The hash of the whole file, the same as of its bytes in memory. It is never there whole: a piece is read
@@ -202,20 +198,6 @@ impl InputFile {
         }
         Ok(hasher.finish_128())
     }
-}
-
-/// When the system last noted a change of the file, which nobody can set back, as the time of writing can be.
-type StatusChange = Option<(i64, i64)>;
-
-#[cfg(unix)]
-fn status_change(metadata: &Metadata) -> StatusChange {
-    use std::os::unix::fs::MetadataExt;
-    Some((metadata.ctime(), metadata.ctime_nsec()))
-}
-
-#[cfg(not(unix))]
-fn status_change(_metadata: &Metadata) -> StatusChange {
-    None
 }
 
 impl ReadAt for InputFile {
@@ -314,7 +296,7 @@ mod tests {
         let write_unseen = || {
             let modified = fs::metadata(&path).expect("there").modified().expect("a time");
             // Until the clock of the file system goes on, a change has the time of the one before.
-            let changed = || status_change(&fs::metadata(&path).expect("there"));
+            let changed = || FileStamp::of_path(&path).expect("there").changed_ns;
             let before = changed();
             while changed() == before {
                 fs::write(&path, "TEXT").expect("written");

@@ -203,6 +203,8 @@ struct SecondsRecord {
     smooth: f64,
     contour: f64,
     write: f64,
+    /// Of pictures.
+    preview: f64,
 }
 
 /// What was checked, and what came of it.
@@ -415,6 +417,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
             smooth: seconds.smooth,
             contour: seconds.contour,
             write: report.write_seconds,
+            preview: report.preview_seconds,
         },
         peak_memory_bytes: report.peak_memory_bytes,
         certificate: certificate_record(&report.skin),

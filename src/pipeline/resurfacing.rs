@@ -93,13 +93,17 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
         outputs: Arc::clone(&band.outputs),
         number: None,
         obstacles: Arc::new(ObstacleFiles::default()),
+        framing: None,
     };
     let provenance = |format| level_set_provenance(&frame, input.hash, band.slack_voxels, format);
     let is_done = |&format: &OutputFormat| {
         let path = output_path(&band.outputs.folder, &band.stem, format);
         records(&path, provenance_kind(format), &provenance(format)).unwrap_or(false)
     };
-    if conduct.skip_done && band.outputs.formats.iter().all(is_done) {
+    if conduct.skip_done
+        && band.outputs.formats.iter().all(is_done)
+        && conduct.has_recorded(&frame.output_paths())
+    {
         return Err(Outcome::AlreadyDone { input, fault: None });
     }
     let mut notes = std::mem::take(&mut file.notes);
@@ -124,6 +128,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
         )
     });
     let Written { paths, sizes_bytes } = written.map_err(Outcome::Failed)?;
+    conduct.record(&paths);
     let report = FrameReport {
         input,
         skin: surface.report.clone(),

@@ -5,8 +5,7 @@ use std::io;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Size, time of the last write, and which file it is: two files with equal stamps are taken for the
-/// same one, unchanged.
+/// Size, times and inode of a file: two files with equal stamps are taken for the same one, unchanged.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct FileStamp {
     /// Bytes.
@@ -15,6 +14,11 @@ pub struct FileStamp {
     pub modified_ns: i64,
     /// The file's number on its file system; 0 where there is no such thing.
     pub inode: u64,
+    /// Nanoseconds since 1970 of the last status change (ctime). A program can set the modification time back, but not
+    /// this one, so it reveals a file that was rewritten under its old modification time. `chmod`, new hard links and
+    /// restored backups change it, too: a difference in it alone is a reason to compare contents and no more.
+    /// `None` on systems without it, and in journals of older versions.
+    pub changed_ns: Option<i64>,
 }
 
 impl FileStamp {
@@ -30,7 +34,26 @@ impl FileStamp {
     pub fn of(metadata: &Metadata) -> FileStamp {
         // On a system that keeps no times, the size and the number have to do.
         let modified = metadata.modified().ok().and_then(nanoseconds);
-        FileStamp { size: metadata.len(), modified_ns: modified.unwrap_or(0), inode: inode(metadata) }
+        FileStamp {
+            size: metadata.len(),
+            modified_ns: modified.unwrap_or(0),
+            inode: inode(metadata),
+            changed_ns: status_change(metadata),
+        }
+    }
+
+    /// Whether a file with this stamp is still unchanged if it has the stamp `now`. A status change time that
+    /// either of them lacks is not compared.
+    pub fn still_holds(&self, now: &FileStamp) -> bool {
+        let changes = self.changed_ns.zip(now.changed_ns);
+        self.without_status_change() == now.without_status_change()
+            && changes.is_none_or(|(was, is)| was == is)
+    }
+
+    /// The same stamp without the status change time.
+    #[must_use]
+    pub fn without_status_change(&self) -> FileStamp {
+        FileStamp { changed_ns: None, ..*self }
     }
 }
 
@@ -40,6 +63,17 @@ fn nanoseconds(time: SystemTime) -> Option<i64> {
         Ok(after) => i64::try_from(after.as_nanos()).ok(),
         Err(before) => i64::try_from(before.duration().as_nanos()).ok().map(|before| -before),
     }
+}
+
+#[cfg(unix)]
+fn status_change(metadata: &Metadata) -> Option<i64> {
+    use std::os::unix::fs::MetadataExt;
+    metadata.ctime().checked_mul(1_000_000_000)?.checked_add(metadata.ctime_nsec())
+}
+
+#[cfg(not(unix))]
+fn status_change(_metadata: &Metadata) -> Option<i64> {
+    None
 }
 
 #[cfg(unix)]
@@ -56,6 +90,44 @@ fn inode(_metadata: &Metadata) -> u64 {
 mod tests {
     use super::*;
     use std::time::Duration;
+
+    #[test]
+    fn unknown_status_change_is_not_compared() {
+        let stamp = |changed_ns| FileStamp { size: 1, modified_ns: 2, inode: 3, changed_ns };
+        for (was, now, expected) in [
+            (Some(4), Some(4), true),
+            (Some(4), Some(5), false),
+            (None, Some(5), true),
+            (Some(4), None, true),
+            (None, None, true),
+        ] {
+            assert_eq!(stamp(was).still_holds(&stamp(now)), expected, "{was:?} {now:?}");
+        }
+        assert!(!stamp(None).still_holds(&FileStamp { size: 9, ..stamp(None) }));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn rewritten_file_with_old_modification_time_has_another_stamp() {
+        use std::fs::{self, File};
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a");
+        fs::write(&path, "text").expect("written");
+        let before = FileStamp::of_path(&path).expect("there");
+        let modified = fs::metadata(&path).and_then(|metadata| metadata.modified()).expect("a time");
+        // The file system's clock ticks every few milliseconds.
+        while FileStamp::of_path(&path).expect("there").changed_ns == before.changed_ns {
+            fs::write(&path, "TEXT").expect("written");
+            File::options()
+                .write(true)
+                .open(&path)
+                .and_then(|file| file.set_modified(modified))
+                .expect("set");
+        }
+        let after = FileStamp::of_path(&path).expect("there");
+        assert_eq!(after.without_status_change(), before.without_status_change());
+        assert!(!before.still_holds(&after));
+    }
 
     #[test]
     fn times_before_1970_differ_like_others() {

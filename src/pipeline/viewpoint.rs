@@ -100,6 +100,19 @@ impl CameraChoice {
         self.up.unwrap_or(up)
     }
 
+    /// Whether the camera is placed around what is seen.
+    pub(super) fn is_around(&self) -> bool {
+        matches!(self.place, Place::Around { .. })
+    }
+
+    /// The same camera, but one that zooms in has all of the bounds in view.
+    pub(super) fn not_zoomed_in(mut self) -> CameraChoice {
+        if let Place::Around { zoom: Some(zoom), .. } = &mut self.place {
+            *zoom = zoom.min(1.0);
+        }
+        self
+    }
+
     /// Whether the bounds of what is seen matter.
     pub fn needs_bounds(&self) -> bool {
         matches!(self.place, Place::Around { .. }) || self.ground.is_none()
@@ -128,6 +141,17 @@ impl Viewpoint {
         let tan_half_view = (self.view_degrees.to_radians() / 2.0).tan();
         let camera = Camera::towards(self.target - self.eye, self.top, tan_half_view);
         Camera { eye: self.eye, ..camera }
+    }
+
+    /// Whether all that is within these bounds is in pictures that are `aspect` times as wide as high.
+    pub(super) fn holds(&self, [least, greatest]: [DVec3; 2], aspect: f64) -> bool {
+        let Camera { eye, right, up, forward, tan_half_view } = self.camera();
+        (0..8).all(|corner| {
+            let side = |axis: usize| if corner >> axis & 1 == 0 { least[axis] } else { greatest[axis] };
+            let away = DVec3::new(side(0), side(1), side(2)) - eye;
+            let half = away.dot(forward) * tan_half_view;
+            away.dot(right).abs() <= half * aspect && away.dot(up).abs() <= half
+        })
     }
 
     /// The same around what is in the middle, so many degrees to the right.

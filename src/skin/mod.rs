@@ -146,9 +146,18 @@ pub fn rasterize<S: ParticleSource>(
 
 /// The second stage: the constrained smoothing.
 pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
+    smooth_observed(rasterized, settings, &mut |_| {})
+}
+
+/// The second stage; `advanced` hears how much of it is done, from 0 to 1.
+pub fn smooth_observed(
+    rasterized: Rasterized,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> Smoothed {
     let started = Instant::now();
     let Rasterized { bins, mut band, bounds, obstacles, mut report } = rasterized;
-    let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
+    let smoothed = smooth::smooth_observed(&mut band, &bounds, &smooth_config(settings), advanced);
     report_smoothing(&mut report, smoothed, settings);
     report.seconds.smooth = started.elapsed().as_secs_f64();
     Smoothed { bins, band, bounds, obstacles, report }

@@ -118,14 +118,18 @@ fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<
     tiles.map(|tile| tile.to_array()).collect()
 }
 
-/// The second call: the constrained smoothing.
+/// The second call: the constrained smoothing. `advanced` hears how much of it is done, from 0 to 1.
 ///
 /// # Errors
 /// Those of the storages.
-pub fn smooth<S>(mut frame: TiledFrame<S>, settings: &Settings) -> io::Result<TiledFrame<S>> {
+pub fn smooth<S>(
+    mut frame: TiledFrame<S>,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> io::Result<TiledFrame<S>> {
     let started = Instant::now();
     let config = smooth_config(settings);
-    let smoothed = tiles::smooth(&mut frame.shelves, &frame.tiling, frame.half_width, &config)?;
+    let smoothed = tiles::smooth(&mut frame.shelves, &frame.tiling, frame.half_width, &config, advanced)?;
     report_smoothing(&mut frame.report, smoothed, settings);
     frame.report.seconds.smooth = started.elapsed().as_secs_f64();
     Ok(frame)
@@ -272,9 +276,8 @@ mod tests {
     }
 
     fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> Surface {
-        contour(smooth(frame, settings).expect("in memory"), settings, &[Stored::AsTheyAre])
-            .expect("in memory")
-            .0
+        let smoothed = smooth(frame, settings, &mut |_| {}).expect("in memory");
+        contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory").0
     }
 
     #[test]
@@ -376,7 +379,7 @@ mod tests {
         let whole =
             super::super::contour(super::super::smooth(whole, settings), settings, &[Stored::AsTheyAre]);
         let frame = rasterize(cloud, settings, shaping, obstacles.clone(), 4, storages());
-        let smoothed = smooth(frame.expect("in memory"), settings).expect("in memory");
+        let smoothed = smooth(frame.expect("in memory"), settings, &mut |_| {}).expect("in memory");
         let (tiled, _) = contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory");
         assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
         assert!(tiled.band.phi == whole.band.phi, "{settings:?}");

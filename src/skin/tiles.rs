@@ -147,13 +147,19 @@ pub(super) fn smooth(
     tiling: &Tiling,
     half_width: f32,
     config: &Config,
+    advanced: &mut dyn FnMut(f64),
 ) -> io::Result<SmoothReport> {
     let mut report = SmoothReport::new(config);
-    for act in acts(config, (HALO_LEAVES * LEAF_EDGE) as u32) {
+    let acts = acts(config, (HALO_LEAVES * LEAF_EDGE) as u32);
+    let step = 1.0 / (acts.len() * tiling.tiles.len()).max(1) as f64;
+    let mut done_count = 0;
+    for act in acts {
         assert!(act.reach_voxels().is_some(), "an act that reaches everywhere was to be refused");
         let mut tally = Tally::default();
         for tile in &tiling.tiles {
             tally = tally.and(perform(shelves, tiling, tile, half_width, config, act)?);
+            done_count += 1;
+            advanced(f64::from(done_count) * step);
         }
         shelves.turn(act.writes());
         report.add(act, tally);

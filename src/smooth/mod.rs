@@ -91,11 +91,24 @@ pub struct SmoothReport {
 
 /// Smooths `band` within `bounds`.
 pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> SmoothReport {
+    smooth_observed(band, bounds, config, &mut |_| {})
+}
+
+/// Smooths `band` within `bounds`. `advanced` hears how much of it is done, from 0 to 1.
+pub fn smooth_observed(
+    band: &mut NarrowBand,
+    bounds: &Bounds,
+    config: &Config,
+    advanced: &mut dyn FnMut(f64),
+) -> SmoothReport {
     let mut report = SmoothReport::new(config);
     let mut memory = Memory::new(band.topology.len());
-    for act in acts(config, u32::MAX) {
+    let acts = acts(config, u32::MAX);
+    let act_count = acts.len() as f64;
+    for (index, act) in acts.into_iter().enumerate() {
         let tally = Work { config, band, bounds, memory: &mut memory, own: None }.perform(act);
         report.add(act, tally);
+        advanced((index + 1) as f64 / act_count);
     }
     report
 }

@@ -61,6 +61,7 @@ pub(super) fn status(board: &Board) -> Answer {
         "ready": board.is_ready(),
         "status": status,
         "frames": counts,
+        "forecast": board.forecast(),
         "converted": counters.converted,
         "found_done": counters.found_done,
         "failures": counters.failures,

@@ -1,7 +1,7 @@
 //! The window: what is on the [board](crate::board), for a browser and for programs, by HTTP.
 //!
 //! ```text
-//!   serve     sockets ──▶ requests: how many, how large, how slow
+//!   serve     sockets ──▶ requests: how large, how slow; connections: how many
 //!   access    who may ask: the name of the host, the token
 //!   routes    what is asked for          api       frames, settings, status as JSON
 //!   answer    what every answer says     events    changes, as they come
@@ -18,6 +18,7 @@ mod access;
 mod answer;
 mod api;
 mod assets;
+mod connections;
 mod events;
 mod files;
 mod metrics;

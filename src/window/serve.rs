@@ -1,13 +1,14 @@
 //! From sockets to requests: how many at once, how large, and how slow they may be.
 //!
 //! Whoever takes an answer too slowly would hold a place for good. So each has some time that it may hold us up, which
-//! runs while it takes nothing and comes back with what it takes; and the last places are for those who only ask
-//! whether the daemon runs.
+//! runs while it takes nothing and comes back with what it takes. When all places are taken, the connection that is
+//! idle for longest makes room; and while nearly all are busy, only health checks are answered.
 
 use std::convert::Infallible;
+use std::future::{Future, poll_fn};
 use std::io;
 use std::net::TcpListener;
-use std::pin::Pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -17,16 +18,16 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep, sleep, timeout};
 
 use super::Shared;
+use super::connections::{BusyContent, Connection, Connections};
 use super::routes::{answer_in_a_crowd, answer_to};
 
-/// Others wait until one of these has ended.
+/// For more, idle ones are closed.
 const CONNECTIONS_MAX: usize = 512;
 
-/// So many of them are only for those who ask whether the daemon runs.
+/// While all but this many are busy, only health checks are answered.
 const PLACES_FOR_HEALTH: usize = 16;
 
 /// What a request may say before its body, and in how many lines.
@@ -55,25 +56,23 @@ const CLOCK_IS_WRONG: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type
 /// Serves all who come, until the window closes.
 pub(super) async fn serve(listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let room = Arc::new(Semaphore::new(CONNECTIONS_MAX));
-    let accepting = tokio::spawn(accept_all(listener, Arc::clone(&room), Arc::clone(&shared)));
+    let connections = Arc::new(Connections::new(CONNECTIONS_MAX, CONNECTIONS_MAX - PLACES_FOR_HEALTH));
+    let accepting = tokio::spawn(accept_all(listener, Arc::clone(&connections), Arc::clone(&shared)));
     let mut closing = shared.closing.clone();
     // It fails when whoever could close the window is gone: then it is closed.
     let _ = closing.wait_for(|&is_closing| is_closing).await;
     accepting.abort();
     // What does not end in time is cut off.
-    let _ = timeout(CLOSING_PATIENCE, room.acquire_many(CONNECTIONS_MAX as u32)).await;
+    let _ = timeout(CLOSING_PATIENCE, connections.all_ended()).await;
     Ok(())
 }
 
-async fn accept_all(listener: tokio::net::TcpListener, room: Arc<Semaphore>, shared: Arc<Shared>) {
+async fn accept_all(listener: tokio::net::TcpListener, connections: Arc<Connections>, shared: Arc<Shared>) {
     loop {
-        // The semaphore is never closed.
-        let Ok(place) = Arc::clone(&room).acquire_owned().await else { return };
         match listener.accept().await {
             Ok((stream, _)) => {
-                let is_crowded = room.available_permits() < PLACES_FOR_HEALTH;
-                tokio::spawn(answer_all(stream, place, is_crowded, Arc::clone(&shared)));
+                let connection = Arc::new(connections.add().await);
+                tokio::spawn(answer_all(stream, connection, Arc::clone(&connections), Arc::clone(&shared)));
             }
             // The system is short of something, or the other side is gone already.
             Err(_) => sleep(REFUSED_WAIT).await,
@@ -82,7 +81,12 @@ async fn accept_all(listener: tokio::net::TcpListener, room: Arc<Semaphore>, sha
 }
 
 /// Answers the requests of one connection.
-async fn answer_all(stream: TcpStream, _place: OwnedSemaphorePermit, is_crowded: bool, shared: Arc<Shared>) {
+async fn answer_all(
+    stream: TcpStream,
+    connection: Arc<Connection>,
+    connections: Arc<Connections>,
+    shared: Arc<Shared>,
+) {
     let Ok(local) = stream.local_addr() else { return };
     if SystemTime::now() < UNIX_EPOCH {
         // hyper cannot write the date of an answer.
@@ -92,22 +96,31 @@ async fn answer_all(stream: TcpStream, _place: OwnedSemaphorePermit, is_crowded:
     // Events are small, and nobody wants to wait for them.
     let _ = stream.set_nodelay(true);
     let service = service_fn(|request| {
-        let shared = Arc::clone(&shared);
+        let (shared, answering) = (Arc::clone(&shared), connection.begin());
+        let is_crowded = connections.is_crowded();
         async move {
-            Ok::<_, Infallible>(match is_crowded {
+            let answer = match is_crowded {
                 true => answer_in_a_crowd(&shared, &request, local).await,
                 false => answer_to(&shared, &request, local).await,
-            })
+            };
+            Ok::<_, Infallible>(answer.map(|content| BusyContent { content, _answering: answering }))
         }
     });
-    let served = http1::Builder::new()
-        .timer(TokioTimer::new())
-        .header_read_timeout(HEAD_PATIENCE)
-        .max_buf_size(HEAD_BYTES_MAX)
-        .max_headers(HEAD_LINES_MAX)
-        .serve_connection(TokioIo::new(Guarded::new(stream)), service)
-        .await;
-    if let Err(error) = served {
+    let mut served = pin!(
+        http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(HEAD_PATIENCE)
+            .max_buf_size(HEAD_BYTES_MAX)
+            .max_headers(HEAD_LINES_MAX)
+            .serve_connection(TokioIo::new(Guarded::new(stream, Arc::clone(&connection))), service)
+    );
+    let mut is_to_close = pin!(connection.is_to_close());
+    let ended = poll_fn(|context| match is_to_close.as_mut().poll(context) {
+        // It makes room for another: dropping it closes the socket.
+        Poll::Ready(()) => Poll::Ready(Ok(())),
+        Poll::Pending => served.as_mut().poll(context),
+    });
+    if let Err(error) = ended.await {
         tracing::debug!("a connection of the window has ended: {error}");
     }
 }
@@ -119,11 +132,12 @@ struct Guarded {
     patience: Duration,
     /// Since when it does, and when that is enough; `None` while it takes what it is sent.
     held: Option<(Instant, Pin<Box<Sleep>>)>,
+    connection: Arc<Connection>,
 }
 
 impl Guarded {
-    fn new(stream: TcpStream) -> Guarded {
-        Guarded { stream, patience: STALL_PATIENCE, held: None }
+    fn new(stream: TcpStream, connection: Arc<Connection>) -> Guarded {
+        Guarded { stream, patience: STALL_PATIENCE, held: None, connection }
     }
 
     /// The other side has taken so many bytes.
@@ -171,8 +185,10 @@ impl AsyncWrite for Guarded {
     }
 
     fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // A socket has nothing to flush: what is written is with the system.
-        Pin::new(&mut self.get_mut().stream).poll_flush(context)
+        // A socket has nothing to flush: what is written is with the system. Its caller flushes after the last byte.
+        let this = self.get_mut();
+        this.connection.flushed();
+        Pin::new(&mut this.stream).poll_flush(context)
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {

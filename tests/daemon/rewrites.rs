@@ -57,6 +57,104 @@ fn a_frame_that_is_touched_is_not_converted_again() {
     scene.assert_as_converted(&FORMATS);
 }
 
+/// Writes a file in place, in the same length, and sets its modification time back, as `rsync --inplace -t` does.
+fn rewrite_unseen(scene: &Scene, within: &str, bytes: &[u8]) {
+    let path = scene.path(within);
+    let before = fs::metadata(&path).expect("there");
+    assert_eq!(before.len(), bytes.len() as u64);
+    let modified = before.modified().expect("a time");
+    let mut file = OpenOptions::new().write(true).open(&path).expect("opened");
+    file.write_all(bytes).expect("written");
+    file.set_times(FileTimes::new().set_modified(modified)).expect("set");
+}
+
+#[test]
+fn frame_rewritten_with_its_old_size_time_and_inode_is_converted_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    let daemon = watch(&scene, &[]);
+    daemon.await_lines(2, "both are converted", Line::is_converted);
+    rewrite_unseen(&scene, "in/dam.1.ply", &ply(&block(6, 0.11, 0.4)));
+    daemon.await_lines(3, "the first is converted again", Line::is_converted);
+    daemon.finish();
+    // The same while no daemon runs.
+    rewrite_unseen(&scene, "in/dam.2.ply", &ply(&block(6, 0.1, 0.45)));
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.2.ply"]);
+    scene.assert_as_converted(&FORMATS);
+}
+
+#[test]
+fn frame_whose_status_alone_changed_is_found_done_by_its_content() {
+    use std::os::unix::fs::PermissionsExt;
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    let once = || scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once().assert_status(0);
+    fs::set_permissions(scene.path("in/dam.1.ply"), PermissionsExt::from_mode(0o600)).expect("set");
+    fs::hard_link(scene.path("in/dam.2.ply"), scene.path("elsewhere/link.ply")).expect("linked");
+    let again = once();
+    again.assert_status(0);
+    assert_eq!((again.converted().len(), again.found_done().len()), (0, 2));
+    // Found out once, it is recorded.
+    let again = once();
+    assert_eq!((again.converted().len(), again.found_done().len()), (0, 0));
+}
+
+#[test]
+fn output_with_a_flipped_byte_is_made_again() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    let daemon = scene.watch(&[&["--settle", "10ms", "--rescan", "50ms"], &FORMATS[..]].concat());
+    daemon.await_lines(2, "both are converted", Line::is_converted);
+    flip_byte(&scene, "out/dam.1.vdb");
+    daemon.await_lines(3, "the damaged one is made again", |line| line.is_converted());
+    touch(&scene, "out/dam.2.obj");
+    let is_second = |line: &Line| line.is_found_done() && line.is_about("dam.2.ply");
+    daemon.await_lines(1, "the touched one is found done", is_second);
+    assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 3);
+    scene.assert_as_converted(&FORMATS);
+    flip_byte(&scene, "out/dam.2.obj");
+    let why = scene.run(&["why", "in/dam.2.ply", "--out", "out"]);
+    assert!(why.out.contains("dam.2.obj"), "{}{}", why.out, why.err);
+    let once = scene.once(&[&["--settle", "10ms"], &FORMATS[..]].concat());
+    once.assert_status(0);
+    assert_eq!(once.converted(), ["dam.2.ply"]);
+    scene.assert_as_converted(&FORMATS);
+}
+
+/// Replaces a file by one that differs in the middle.
+fn flip_byte(scene: &Scene, within: &str) {
+    let mut bytes = scene.bytes(within);
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    scene.put(within, bytes);
+}
+
+#[test]
+fn root_that_is_a_link_to_another_folder_now_is_scanned_again() {
+    let scene = Scene::new();
+    scene.write("take1/dam.1.ply", ply(&moving(1)));
+    scene.write("take2/dam.1.ply", ply(&moving(2)));
+    scene.write("take2/dam.2.ply", ply(&moving(3)));
+    fs::remove_dir(scene.path("in")).expect("removed");
+    let point_to = |take: &str| {
+        std::os::unix::fs::symlink(scene.path(take), scene.path("elsewhere/link")).expect("linked");
+        fs::rename(scene.path("elsewhere/link"), scene.path("in")).expect("renamed");
+    };
+    point_to("take1");
+    let daemon = watch(&scene, &[]);
+    daemon.await_lines(1, "the first take is converted", Line::is_converted);
+    point_to("take2");
+    daemon.await_lines(3, "the second take is converted", Line::is_converted);
+    // Changes in the second one are heard.
+    scene.write("take2/dam.3.ply", ply(&moving(4)));
+    daemon.await_converted("dam.3.ply");
+    daemon.finish();
+    scene.assert_as_converted(&FORMATS);
+}
+
 fn touch(scene: &Scene, within: &str) {
     let file = OpenOptions::new().write(true).open(scene.path(within)).expect("opened");
     file.set_times(FileTimes::new().set_modified(SystemTime::now())).expect("touched");

@@ -241,6 +241,29 @@ fn what_is_done_is_not_done_again() {
 }
 
 #[test]
+fn skip_done_makes_an_output_with_a_flipped_byte_again() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 3);
+    let arguments = ["dam.#.ply", "--out", "o", "--skip-done"];
+    converted(path, &arguments);
+    let damaged = path.join("o/dam.2.glb");
+    let whole = fs::read(&damaged).expect("written");
+    let mut bytes = whole.clone();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    // A new file: its stamp differs even where the clock of the file system has not moved on.
+    fs::remove_file(&damaged).expect("removed");
+    fs::write(&damaged, bytes).expect("written");
+    // The same bytes in a new file are no damage.
+    fs::copy(path.join("o/dam.3.glb"), path.join("copy")).expect("copied");
+    fs::rename(path.join("copy"), path.join("o/dam.3.glb")).expect("renamed");
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 2);
+    assert!(fs::read(&damaged).expect("written") == whole);
+    assert_eq!(converted(path, &arguments).matches("done already").count(), 3);
+}
+
+#[test]
 fn the_report_says_what_was_measured() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();

@@ -18,7 +18,7 @@ use meniscus_formats::provenance::{Kind, read_provenance};
 use rayon::ThreadPoolBuilder;
 use tempfile::tempdir;
 
-use crate::scene::{meniscus, names_in, write_sequence};
+use crate::scene::{block, meniscus, names_in, write_ply, write_sequence};
 
 /// World units.
 const VOXEL_SIZE: f64 = 0.05;
@@ -271,6 +271,48 @@ fn previews_of_a_sequence_have_one_camera() {
     assert_eq!(meniscus(path, &convert).out.matches("done already").count(), 3);
     let other = [&convert[..], &["--camera", "azimuth=90"]].concat();
     assert_eq!(meniscus(path, &other).out.matches("done already").count(), 0);
+}
+
+#[test]
+fn splash_that_leaves_the_picture_of_watch_is_not_cropped() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir(path.join("in")).expect("made");
+    // A splash, whose second frame is far outside the first one's picture.
+    let frame = |number: usize, shift: f64| {
+        let moved = block(6, shift).into_iter().map(|[x, y, z]| [x, y + 2.0 * shift, z]);
+        let moved: Vec<[f64; 3]> = moved.collect();
+        write_ply(&path.join(format!("in/dam.{number}.ply")), &moved);
+    };
+    let watch =
+        ["watch", "in", "--out", "o", "--once", "--settle", "0", "--unproven", "0", "--format", "vdb"];
+    let watch =
+        [&watch[..], &["--preview", "png", "--preview-size", "64x48", "--voxel-size", "0.05"]].concat();
+    let run = || {
+        let ran = meniscus(path, &watch);
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        ran.err
+    };
+    let picture = |number: usize| path.join(format!("o/dam.{number}.png"));
+    let is_converted = |log: &str| log.matches("converted").count();
+    frame(1, 0.0);
+    run();
+    let first = camera_in(&picture(1));
+    frame(2, 3.0);
+    let log = run();
+    assert!(log.contains("the camera is refitted"), "{log}");
+    let second = camera_in(&picture(2));
+    assert_ne!(first, second);
+    // What is in the picture of the second camera keeps it, also after a restart; and no frame is converted again for
+    // the refit, not even one that has to be looked at again.
+    frame(3, 1.5);
+    let untouched = [1, 2].map(|number| fs::read(picture(number)).expect("there"));
+    fs::copy(path.join("in/dam.1.ply"), path.join("in/copy")).expect("copied");
+    fs::rename(path.join("in/copy"), path.join("in/dam.1.ply")).expect("renamed");
+    let log = run();
+    assert_eq!(camera_in(&picture(3)), second);
+    assert_eq!((is_converted(&log), log.matches("was done already").count()), (1, 1), "{log}");
+    assert!(untouched == [1, 2].map(|number| fs::read(picture(number)).expect("there")));
 }
 
 #[test]

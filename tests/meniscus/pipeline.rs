@@ -128,6 +128,7 @@ impl Bench {
                 outputs: outputs.clone(),
                 number: None,
                 obstacles: Arc::default(),
+                framing: None,
             });
         }
         Bench { folder, frames }
@@ -195,6 +196,8 @@ pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
         memory_bytes: 1 << 30,
         steps_found_by: StepsFoundBy::Reader,
         mirrors: &[],
+        output_states: None,
+        observer: None,
     }
 }
 

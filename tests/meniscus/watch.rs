@@ -163,13 +163,17 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
         stamp: FileStamp::of_path(frame).expect("the frame is there"),
         hash: None,
         settings: "settings".into(),
-        outputs: result.iter().map(|path| OutputRecord { path: path.to_path_buf(), size_bytes: 0 }).collect(),
+        outputs: result
+            .iter()
+            .map(|path| OutputRecord { path: path.to_path_buf(), size_bytes: 0, state: None })
+            .collect(),
         reason: result.err().map(str::to_owned),
         attempt_count: 1,
         at_ms: 1,
         particle_count: result.ok().map(|_| 216),
         seconds: None,
         flaws: Vec::new(),
+        figures: None,
     };
     let mut journal = Journal::open(&out.join(".meniscus")).expect("a journal");
     journal.note_frame(&frame.canonicalize().expect("a path"), record).expect("noted");

@@ -238,14 +238,18 @@ impl StatusRecord {
 
 /// The files of the frames, as the journal knows them.
 struct Files<'a> {
-    /// Each as a daemon took it.
+    /// Each as a daemon took it, without its status change time.
     taken: HashSet<(&'a Path, FileStamp)>,
     has_daemon: bool,
 }
 
 impl<'a> Files<'a> {
     fn new(state: &'a State, has_daemon: bool) -> Files<'a> {
-        let taken = state.frames.iter().map(|(input, frame)| (file_of(input), frame.stamp)).collect();
+        let taken = state
+            .frames
+            .iter()
+            .map(|(input, frame)| (file_of(input), frame.stamp.without_status_change()))
+            .collect();
         Files { taken, has_daemon }
     }
 
@@ -256,7 +260,7 @@ impl<'a> Files<'a> {
         }
         let file = file_of(input);
         match FileStamp::of_path(file) {
-            Ok(stamp) if file == input || stamp == frame.stamp => false,
+            Ok(stamp) if file == input || frame.stamp.still_holds(&stamp) => false,
             Ok(stamp) => !self.may_be_growing(file, stamp, frame) && is_missing_step(input).unwrap_or(false),
             // A folder that is not there may come back with all that was in it.
             Err(error) => is_absent(file, &error) && file.parent().is_some_and(Path::exists),
@@ -266,7 +270,9 @@ impl<'a> Files<'a> {
     /// Whether a file is larger, and a daemon is at work that has yet to take it as it is: a simulation may be appending
     /// to it. Then it has its steps still, and going through it would take minutes each time that somebody asks.
     fn may_be_growing(&self, file: &Path, stamp: FileStamp, frame: &FrameRecord) -> bool {
-        self.has_daemon && stamp.size > frame.stamp.size && !self.taken.contains(&(file, stamp))
+        self.has_daemon
+            && stamp.size > frame.stamp.size
+            && !self.taken.contains(&(file, stamp.without_status_change()))
     }
 }
 

@@ -19,6 +19,7 @@ fn frame(standing: Standing, at_ms: u64) -> FrameRecord {
         particle_count: None,
         seconds: None,
         flaws: Vec::new(),
+        figures: None,
     }
 }
 
@@ -31,7 +32,8 @@ fn state() -> State {
     let mut state = State { daemon: Some(daemon(DaemonState::Running)), ..State::default() };
     let mut add = |name: String, record| state.frames.insert(Path::new("/sim").join(name), record);
     for number in 1..=30 {
-        let outputs = vec![OutputRecord { path: format!("/out/dam.{number}.glb").into(), size_bytes: 1 }];
+        let outputs =
+            vec![OutputRecord { path: format!("/out/dam.{number}.glb").into(), size_bytes: 1, state: None }];
         let (particle_count, seconds) = (Some(250_000), Some(2.25));
         let done = frame(Standing::Done, 1000 * number);
         add(format!("dam.{number}.ply"), FrameRecord { outputs, particle_count, seconds, ..done });

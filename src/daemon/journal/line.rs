@@ -21,11 +21,13 @@
 use std::ffi::OsString;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use twox_hash::XxHash3_64;
 
-use crate::pipeline::FileStamp;
+use crate::pipeline::{FileStamp, Framed, OutputState};
 
 use super::plan::WirePlan;
 use super::state::{
@@ -77,6 +79,8 @@ struct WireFrame {
     modified_ns: i64,
     inode: u64,
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    changed_ns: Option<i64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     hash: Option<String>,
     settings: String,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -91,6 +95,9 @@ struct WireFrame {
     seconds: Option<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     flaws: Vec<String>,
+    /// As `/api/frames/NAME` has them: that form is promised, too. For people; what cannot be read is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    figures: Option<serde_json::Value>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -108,6 +115,17 @@ enum WireStanding {
 struct WireOutput {
     path: WirePath,
     size_bytes: u64,
+    #[serde(flatten, default, skip_serializing_if = "Option::is_none")]
+    state: Option<WireOutputState>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct WireOutputState {
+    modified_ns: i64,
+    inode: u64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    changed_ns: Option<i64>,
+    hash: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -123,6 +141,12 @@ struct WireSequence {
     /// The camera that was asked for, and where it is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     camera: Option<[String; 2]>,
+    /// What the camera is placed around, six numbers.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    camera_around: Vec<String>,
+    /// The cameras before it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    earlier_cameras: Vec<String>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -173,9 +197,16 @@ impl WireEntry {
 
 impl WireFrame {
     fn of(input: &Path, record: &FrameRecord) -> WireFrame {
+        let state = |OutputState { stamp, hash }: OutputState| WireOutputState {
+            modified_ns: stamp.modified_ns,
+            inode: stamp.inode,
+            changed_ns: stamp.changed_ns,
+            hash: format!("{hash:032x}"),
+        };
         let output = |output: &OutputRecord| WireOutput {
             path: WirePath::of(&output.path),
             size_bytes: output.size_bytes,
+            state: output.state.map(state),
         };
         WireFrame {
             input: WirePath::of(input),
@@ -183,6 +214,7 @@ impl WireFrame {
             size_bytes: record.stamp.size,
             modified_ns: record.stamp.modified_ns,
             inode: record.stamp.inode,
+            changed_ns: record.stamp.changed_ns,
             hash: record.hash.map(|hash| format!("{hash:032x}")),
             settings: record.settings.clone(),
             outputs: record.outputs.iter().map(output).collect(),
@@ -192,6 +224,7 @@ impl WireFrame {
             particles: record.particle_count,
             seconds: record.seconds,
             flaws: record.flaws.clone(),
+            figures: record.figures.as_ref().and_then(|figures| serde_json::to_value(&**figures).ok()),
         }
     }
 
@@ -200,12 +233,24 @@ impl WireFrame {
             Some(digits) => Some(u128::from_str_radix(&digits, 16).ok()?),
             None => None,
         };
-        let output = |output: WireOutput| {
-            Some(OutputRecord { path: output.path.into_path()?, size_bytes: output.size_bytes })
+        let output = |WireOutput { path, size_bytes, state }: WireOutput| {
+            let state = match state {
+                Some(WireOutputState { modified_ns, inode, changed_ns, hash }) => Some(OutputState {
+                    stamp: FileStamp { size: size_bytes, modified_ns, inode, changed_ns },
+                    hash: u128::from_str_radix(&hash, 16).ok()?,
+                }),
+                None => None,
+            };
+            Some(OutputRecord { path: path.into_path()?, size_bytes, state })
         };
         let record = FrameRecord {
             standing: self.standing.into_standing(),
-            stamp: FileStamp { size: self.size_bytes, modified_ns: self.modified_ns, inode: self.inode },
+            stamp: FileStamp {
+                size: self.size_bytes,
+                modified_ns: self.modified_ns,
+                inode: self.inode,
+                changed_ns: self.changed_ns,
+            },
             hash,
             settings: self.settings,
             outputs: self.outputs.into_iter().map(output).collect::<Option<_>>()?,
@@ -215,6 +260,7 @@ impl WireFrame {
             particle_count: self.particles,
             seconds: self.seconds,
             flaws: self.flaws,
+            figures: self.figures.and_then(|figures| serde_json::from_value(figures).ok()).map(Arc::new),
         };
         Some(Entry::Frame(self.input.into_path()?, record))
     }
@@ -246,6 +292,10 @@ impl WireStanding {
 
 impl WireSequence {
     fn of(key: &SequenceKey, record: &SequenceRecord) -> WireSequence {
+        let framed = record.camera.as_ref();
+        let around = framed.and_then(|camera| camera.framed.around);
+        let around = around.map(|[least, greatest]| [least.to_array(), greatest.to_array()].concat());
+        let earlier = framed.into_iter().flat_map(|camera| &camera.framed.earlier);
         WireSequence {
             folder: WirePath::of(&key.folder),
             name: key.name.clone(),
@@ -253,7 +303,9 @@ impl WireSequence {
             voxel_size: record.voxel_size.to_string(),
             spacing: record.spacing.map(|spacing| spacing.to_string()),
             measured_on: record.measured_on.as_deref().map(WirePath::of),
-            camera: record.camera.as_ref().map(|camera| [camera.asked.clone(), camera.fixed.to_string()]),
+            camera: framed.map(|camera| [camera.asked.clone(), camera.framed.camera.to_string()]),
+            camera_around: around.into_iter().flatten().map(|number| number.to_string()).collect(),
+            earlier_cameras: earlier.map(|camera| camera.to_string()).collect(),
         }
     }
 
@@ -270,7 +322,20 @@ impl WireSequence {
                 None => None,
             },
             camera: match self.camera {
-                Some([asked, fixed]) => Some(SequenceCamera { asked, fixed: fixed.parse().ok()? }),
+                Some([asked, camera]) => {
+                    let cameras = self.earlier_cameras.iter().map(|camera| camera.parse().ok());
+                    let earlier = cameras.collect::<Option<_>>()?;
+                    let numbers = self.camera_around.iter().map(|number| number.parse().ok());
+                    let around = match numbers.collect::<Option<Vec<f64>>>()?[..] {
+                        [] => None,
+                        [x, y, z, to_x, to_y, to_z] => {
+                            Some([DVec3::new(x, y, z), DVec3::new(to_x, to_y, to_z)])
+                        }
+                        _ => return None,
+                    };
+                    let framed = Framed { camera: camera.parse().ok()?, around, earlier };
+                    Some(SequenceCamera { asked, framed })
+                }
                 None => None,
             },
         };
@@ -344,6 +409,7 @@ fn from_units(units: &[u16]) -> Option<OsString> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::board::Figures;
 
     #[track_caller]
     fn comes_back(entry: &Entry) {
@@ -363,16 +429,37 @@ mod tests {
     fn frame(input: impl Into<PathBuf>, standing: Standing) -> Entry {
         let record = FrameRecord {
             standing,
-            stamp: FileStamp { size: u64::MAX, modified_ns: i64::MIN, inode: u64::MAX },
+            stamp: FileStamp {
+                size: u64::MAX,
+                modified_ns: i64::MIN,
+                inode: u64::MAX,
+                changed_ns: Some(i64::MAX),
+            },
             hash: Some(0x0123_4567_89ab_cdef),
             settings: "h=0.1 \"quoted\"\n⏎".to_owned(),
-            outputs: vec![OutputRecord { path: "/out/dam.0001.glb".into(), size_bytes: 1 << 60 }],
+            outputs: vec![
+                OutputRecord { path: "/out/dam.0001.glb".into(), size_bytes: 1 << 60, state: None },
+                OutputRecord {
+                    path: "/out/dam.0001.vdb".into(),
+                    size_bytes: 7,
+                    state: Some(OutputState {
+                        stamp: FileStamp {
+                            size: 7,
+                            modified_ns: i64::MIN,
+                            inode: u64::MAX,
+                            changed_ns: Some(-1),
+                        },
+                        hash: u128::MAX,
+                    }),
+                },
+            ],
             reason: Some("line 3:\tno number\r\n".to_owned()),
             attempt_count: 3,
             at_ms: 1_760_000_000_000,
             particle_count: Some(250_000),
             seconds: Some(0.25),
             flaws: vec!["1 particle left out".to_owned()],
+            figures: Some(Arc::new(Figures { particles: 250_000, vertices: 3, ..Figures::default() })),
         };
         Entry::Frame(input.into(), record)
     }
@@ -398,9 +485,19 @@ mod tests {
             particle_count: None,
             seconds: None,
             flaws: Vec::new(),
+            figures: None,
             ..record
         };
         comes_back(&Entry::Frame(input, bare));
+    }
+
+    #[test]
+    fn frame_of_an_older_journal_is_read_without_what_is_new() {
+        let record = r#"{"frame":{"input":"/in/a.ply","standing":"done","size_bytes":5,"modified_ns":6,"inode":7,"hash":"00000000000000000000000000000008","settings":"s","outputs":[{"path":"/out/a.glb","size_bytes":9}],"attempts":0,"at_ms":1}}"#;
+        let line = format!("{:016x} {record}", XxHash3_64::oneshot(record.as_bytes()));
+        let Some(Entry::Frame(_, record)) = parse_line(line.as_bytes()) else { panic!("not a frame") };
+        assert_eq!(record.stamp, FileStamp { size: 5, modified_ns: 6, inode: 7, changed_ns: None });
+        assert_eq!(record.outputs, [OutputRecord { path: "/out/a.glb".into(), size_bytes: 9, state: None }]);
     }
 
     #[cfg(unix)]
@@ -427,7 +524,13 @@ mod tests {
                 measured_on: Some("/sim/dam.0001.bgeo".into()),
                 camera: Some(SequenceCamera {
                     asked: "1280x720 auto".to_owned(),
-                    fixed: "eye=0.1:2:3,target=0:0:0,view=30,up=y,ground=none".parse().expect("a camera"),
+                    framed: Framed {
+                        camera: "eye=0.1:2:3,target=0:0:0,view=30,up=y,ground=none"
+                            .parse()
+                            .expect("a camera"),
+                        around: Some([DVec3::splat(-voxel_size), DVec3::new(0.1, 1.0 / 3.0, 1e9)]),
+                        earlier: vec!["eye=1:2:3,target=0:0:0".parse().expect("a camera")],
+                    },
                 }),
             };
             comes_back(&Entry::Sequence(key.clone(), record));

@@ -44,8 +44,8 @@ use line::{parse_line, push_line};
 use state::{Entry, Key};
 
 pub use state::{
-    DaemonRecord, DaemonState, FrameRecord, OutputRecord, PlanRecord, SequenceCamera, SequenceKey,
-    SequenceRecord, Standing, State,
+    DaemonRecord, DaemonState, FrameRecord, OutputCheck, OutputRecord, PlanRecord, SequenceCamera,
+    SequenceKey, SequenceRecord, Standing, State,
 };
 
 /// The folder, in that of the outputs, of what the daemon keeps for itself.

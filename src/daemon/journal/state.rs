@@ -4,9 +4,11 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
+use crate::board::Figures;
 use crate::daemon::config::{Patience, Watch};
-use crate::pipeline::{CameraChoice, FileStamp};
+use crate::pipeline::{FileStamp, Framed, OutputState};
 
 /// All that is remembered.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,6 +50,8 @@ pub struct FrameRecord {
     pub seconds: Option<f64>,
     /// What is not as it should be though it was converted, a sentence each.
     pub flaws: Vec<String>,
+    /// What was measured on it, where it was converted.
+    pub figures: Option<Arc<Figures>>,
 }
 
 /// How far a frame has come.
@@ -76,12 +80,42 @@ pub struct OutputRecord {
     pub path: PathBuf,
     /// Bytes.
     pub size_bytes: u64,
+    /// Its stamp and the hash of its bytes; `None` in journals of older versions.
+    pub state: Option<OutputState>,
+}
+
+/// How an output compares with its record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OutputCheck {
+    /// It has the recorded stamp.
+    Unchanged,
+    /// It has the recorded size and another stamp: its hash decides.
+    Touched,
+    /// It is missing, or has another size: one that lost its end is as good as missing.
+    Missing,
 }
 
 impl OutputRecord {
-    /// Whether it is there, as long as it was written: one that lost its end is as good as gone.
-    pub fn is_there(&self) -> bool {
-        self.path.metadata().is_ok_and(|metadata| metadata.len() == self.size_bytes)
+    /// Compares the file with the record, without reading it.
+    pub fn check(&self) -> OutputCheck {
+        match (FileStamp::of_path(&self.path), self.state) {
+            (Ok(now), _) if now.size != self.size_bytes => OutputCheck::Missing,
+            (Ok(now), Some(state)) if !state.stamp.still_holds(&now) => OutputCheck::Touched,
+            (Ok(_), _) => OutputCheck::Unchanged,
+            (Err(_), _) => OutputCheck::Missing,
+        }
+    }
+
+    /// Whether the file has the recorded bytes. It is read only if its stamp differs.
+    pub fn has_recorded_bytes(&self) -> bool {
+        match self.check() {
+            OutputCheck::Unchanged => true,
+            OutputCheck::Missing => false,
+            OutputCheck::Touched => {
+                let now = OutputState::of_path(&self.path).ok().map(|now| now.hash);
+                now.is_some() && now == self.state.map(|state| state.hash)
+            }
+        }
     }
 }
 
@@ -109,13 +143,13 @@ pub struct SequenceRecord {
     pub camera: Option<SequenceCamera>,
 }
 
-/// A camera that was placed by a frame.
+/// A camera that was placed by a frame, and refitted where later ones left its picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceCamera {
     /// What was asked for; with something else, another is placed.
     pub asked: String,
     /// What came of it.
-    pub fixed: CameraChoice,
+    pub framed: Framed,
 }
 
 /// The daemon that writes the journal.

@@ -18,16 +18,26 @@ fn open(folder: &Path) -> Journal {
 fn frame_record(standing: Standing, attempt_count: u32) -> FrameRecord {
     FrameRecord {
         standing,
-        stamp: FileStamp { size: 12_345, modified_ns: 1_760_000_000_123_456_789, inode: 77 },
+        stamp: FileStamp {
+            size: 12_345,
+            modified_ns: 1_760_000_000_123_456_789,
+            inode: 77,
+            changed_ns: Some(1_760_000_000_123_456_790),
+        },
         hash: Some(u128::MAX / 3),
         settings: "0123456789abcdef0123456789abcdef".to_owned(),
-        outputs: vec![OutputRecord { path: "/out/water/dam.0001.glb".into(), size_bytes: 1_234_567 }],
+        outputs: vec![OutputRecord {
+            path: "/out/water/dam.0001.glb".into(),
+            size_bytes: 1_234_567,
+            state: None,
+        }],
         reason: None,
         attempt_count,
         at_ms: 1_760_000_000_000,
         particle_count: Some(250_000),
         seconds: Some(0.5),
         flaws: Vec::new(),
+        figures: None,
     }
 }
 

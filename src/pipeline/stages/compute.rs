@@ -53,8 +53,16 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         ended: &Sender<Ended<K>>,
     ) {
         let method = self.method;
-        let work = move |rasterized, settings: &Settings| method.smooth(rasterized, settings);
+        let observer = self.conduct.observer;
         for Parcel { label, known, content } in from {
+            let frame = label.frame.clone();
+            let work = move |rasterized, settings: &Settings| {
+                method.smooth_observed(rasterized, settings, &mut |fraction| {
+                    if let Some(observer) = observer {
+                        observer.advanced(&frame, Stage::Smooth, fraction);
+                    }
+                })
+            };
             let computed = self.compute(Stage::Smooth, &label, content, work);
             if !self.pass(label, known, computed, to, ended) {
                 return;
@@ -95,7 +103,7 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         work: impl FnOnce(A, &Settings) -> Result<B, Cause> + Send + 'env,
     ) -> Result<B, FrameError> {
         let settings = Arc::clone(&label.frame.settings);
-        (self.began)(&label.frame, stage);
+        self.begin(&label.frame, stage);
         let computed = FrameError::catch(&label.frame.input, stage, || {
             self.crew.run(label.number, move || work(content, &settings))
         });

@@ -100,6 +100,14 @@ impl<'a, 'scope, 'env: 'scope, M> Line<'a, 'scope, 'env, M> {
         }
     }
 
+    /// A frame begins a stage.
+    pub(super) fn begin(&self, frame: &Frame, stage: Stage) {
+        (self.began)(frame, stage);
+        if let Some(observer) = self.conduct.observer {
+            observer.began(frame, stage);
+        }
+    }
+
     /// What came of a frame is known.
     pub(super) fn end<K>(&self, Label { number, key, frame }: Label<K>, outcome: Outcome) -> Ended<K> {
         if is_failure(&outcome) {

@@ -26,9 +26,8 @@ mod read;
 mod write;
 
 use std::collections::BTreeMap;
-use std::thread;
-
 use std::path::PathBuf;
+use std::thread;
 
 use crossbeam::channel::bounded;
 use rayon::ThreadPool;
@@ -37,6 +36,8 @@ use super::crew::{Crew, Tasks};
 use super::frame::{Frame, Outcome, Stage};
 use super::memory::default_memory_bytes;
 use super::method::Method;
+use super::observer::Observer;
+use super::output_states::OutputStates;
 use super::steps::StepsFoundBy;
 
 use line::{Ended, Line, is_failure};
@@ -74,6 +75,11 @@ pub struct Conduct<'a> {
     /// Folders of outputs that mirror folders of inputs: links below them are not written through, for other accounts may
     /// have made them.
     pub mirrors: &'a [PathBuf],
+    /// The recorded states of outputs: a frame is not done if an output has other bytes than were recorded, and what is
+    /// written is recorded. `None`: bytes are neither recorded nor compared.
+    pub output_states: Option<&'a OutputStates>,
+    /// Hears how frames advance.
+    pub observer: Option<&'a dyn Observer>,
 }
 
 impl<'a> Conduct<'a> {
@@ -90,6 +96,20 @@ impl<'a> Conduct<'a> {
             memory_bytes: default_memory_bytes(),
             steps_found_by: StepsFoundBy::Reader,
             mirrors: &[],
+            output_states: None,
+            observer: None,
+        }
+    }
+
+    /// Whether these outputs have the recorded bytes, as far as records are kept.
+    pub(super) fn has_recorded(&self, outputs: &[PathBuf]) -> bool {
+        self.output_states.is_none_or(|states| states.are_as_recorded(outputs.iter().map(PathBuf::as_path)))
+    }
+
+    /// Records outputs that were just written, if records are kept.
+    pub(super) fn record(&self, outputs: &[PathBuf]) {
+        if let Some(states) = self.output_states {
+            states.record(outputs);
         }
     }
 }

@@ -60,7 +60,7 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(READING_MEMORY).saturating_add(obstacle_bytes);
         let mut memory = self.budget.hold(bytes);
-        (self.began)(frame, Stage::Read);
+        self.begin(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
         let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
@@ -68,7 +68,11 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         // frames of this line keep as it is; and nobody takes their room between this and the next.
         let standing_bytes = read.obstacles.all_bytes - read.obstacles.own_bytes;
         self.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
-        memory.resize(read.particles.size_bytes().saturating_add(read.obstacles.own_bytes));
+        let given_bytes = read.particles.size_bytes().saturating_add(read.obstacles.own_bytes);
+        if let Some(observer) = self.conduct.observer {
+            observer.planned(frame, &read.plan, given_bytes);
+        }
+        memory.resize(given_bytes);
         let read_seconds = start.elapsed().as_secs_f64();
         let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
         Ok((read, Known { input, read_seconds, notes, obstacles, memory, seat: None }))
@@ -131,7 +135,9 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let obstacles = obstacles.recorded();
         let fault = match certificates {
             true => certified_fault(frame, input.hash, &obstacles),
-            false => is_done(frame, input.hash, &obstacles).then_some(None),
+            false => (is_done(frame, input.hash, &obstacles)
+                && self.conduct.has_recorded(&frame.output_paths()))
+            .then_some(None),
         };
         fault.map_or(Ok(()), |fault| Err(Outcome::AlreadyDone { input, fault }))
     }

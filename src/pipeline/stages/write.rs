@@ -3,16 +3,20 @@
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
-use std::sync::Arc;
-use std::time::Instant;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender};
+use glam::DVec3;
 
-use crate::pipeline::frame::{FrameError, FrameReport, Outcome, Stage};
+use crate::pipeline::frame::{Frame, FrameError, FrameReport, Outcome, Stage};
 use crate::pipeline::memory::peak_memory_bytes;
 use crate::pipeline::open::require_no_links;
+use crate::pipeline::outputs::OutputFormat;
+use crate::pipeline::picture::Scene;
 use crate::pipeline::writing::{Written, surface_notes, write_files, write_surface};
 use crate::skin::Surface;
+use crate::space::Lattice;
 
 use super::line::{Ended, Known, Label, Line, Parcel};
 
@@ -44,19 +48,35 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
 
     fn write_one<K>(&self, label: &Label<K>, known: Known<'_>, surface: Surface) -> Outcome {
         let start = Instant::now();
-        let frame = &label.frame;
-        (self.began)(frame, Stage::Write);
+        self.begin(&label.frame, Stage::Write);
         let made_from = (known.input.hash, known.obstacles.0.as_str());
         let surface = Arc::new(surface);
-        let write = |format, out: &mut BufWriter<&File>| {
-            write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out)
+        let frame = &match label.frame.framing.as_ref().filter(|_| label.frame.has_pictures()) {
+            Some(framing) => label.frame.taken_by(framing.camera_for(bounds_of(&surface, &label.frame))),
+            None => label.frame.clone(),
+        };
+        let preview_time = Mutex::new(Duration::ZERO);
+        let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
+            let mut write =
+                || write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out);
+            if format.picture().is_none() {
+                return write();
+            }
+            let start = Instant::now();
+            self.begin(&label.frame, Stage::Preview);
+            let written = write();
+            self.begin(&label.frame, Stage::Write);
+            *preview_time.lock().unwrap_or_else(PoisonError::into_inner) += start.elapsed();
+            written
         };
         let written = FrameError::catch(&frame.input, Stage::Write, || {
             self.refuse_links(&frame.outputs.folder)?;
             let certify = self.conduct.certificates.then_some((known.input.hash, &surface.report));
             let written = write_files(frame, write, certify)?;
+            self.conduct.record(&frame.output_paths());
             Ok((written, surface_notes(&surface, &frame.outputs, &frame.settings)))
         });
+        let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
         match written.flatten() {
             Ok((Written { paths, sizes_bytes }, notes)) => Outcome::Converted(Box::new(FrameReport {
                 input: known.input,
@@ -64,7 +84,8 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
                 obstacles: known.obstacles.0.clone(),
                 obstacle_open_edge_count: known.obstacles.1,
                 read_seconds: known.read_seconds,
-                write_seconds: start.elapsed().as_secs_f64(),
+                write_seconds: start.elapsed().saturating_sub(preview_time).as_secs_f64(),
+                preview_seconds: preview_time.as_secs_f64(),
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
@@ -73,4 +94,10 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
             Err(error) => Outcome::Failed(error),
         }
     }
+}
+
+/// The box that holds the surface, without what strayed.
+fn bounds_of(surface: &Surface, frame: &Frame) -> Option<[DVec3; 2]> {
+    let lattice = Lattice { voxel_size: frame.settings.voxel_size };
+    Scene { band: &surface.band, lattice, origin: DVec3::ZERO, velocity: None }.bounds()
 }

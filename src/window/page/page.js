@@ -14,7 +14,7 @@ const PLAY_MS = 1000 / 12;
 const PREFETCH = 4;
 // What is only scrolled past needs no picture.
 const PICTURE_MS = 90;
-const STAGES = ['read', 'rasterize', 'smooth', 'contour', 'write'];
+const STAGES = ['read', 'rasterize', 'smooth', 'contour', 'write', 'preview'];
 
 const $ = id => document.getElementById(id);
 let frames = new Map(); // by name
@@ -338,7 +338,7 @@ async function showFrame() {
     ['in all', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
-  else if (frame.state === 'done') parts.push(make('p', 'note', 'Not converted since the daemon began: it has no more figures of it.'));
+  else if (frame.state === 'done') parts.push(make('p', 'note', 'It was not converted by this daemon or an earlier one that kept figures: there are no more of them.'));
   for (const note of figures?.notes ?? []) parts.push(make('p', 'note', note));
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);
@@ -421,17 +421,32 @@ function plain(value) {
 // ---- the chart ----
 
 let samples = [];
+let forecast = {};
 async function showFlow() {
   if (!document.hidden) {
     try {
       const told = await json('api/status');
-      ({ status, samples } = told);
+      ({ status, samples, forecast } = told);
       drawFlow();
+      showForecast();
     } catch {
       // The link says so.
     }
   }
   setTimeout(showFlow, 5000);
+}
+
+/** How many results are to be expected, and when, as an estimate. */
+function showForecast() {
+  const { expected_count: expected, seconds_left: left } = forecast;
+  const time = left === null || left === undefined ? '' : `, about ${span(left)} left`;
+  $('flow-forecast').textContent = expected ? `${number(counts.done)} of ${number(expected)} frames done${time}` : '';
+}
+
+function span(value) {
+  if (value < 90) return `${Math.round(value)} s`;
+  if (value < 5400) return `${Math.round(value / 60)} min`;
+  return value < 172800 ? `${(value / 3600).toFixed(1)} h` : `${(value / 86400).toFixed(1)} days`;
 }
 
 /** Frames a minute as a line, what is queued and under way as an area; each has a scale of its own, which is written above it. */

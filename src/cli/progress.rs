@@ -1,0 +1,265 @@
+//! Progress of a run: the stage and percentage of the frame that is under way for longest, and an estimate for a frame that
+//! will take long or need much memory, before it is computed.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use indicatif::ProgressBar;
+
+use crate::pipeline::{Frame, FrameReport, Observer, Stage};
+use crate::settings::{Integrator, Settings};
+use crate::skin::Plan;
+
+use super::console::print_error;
+
+/// Hears what the pipeline reports, and shows it.
+#[derive(Debug)]
+pub(super) struct Progress {
+    /// Where stage and percentage are shown, if anywhere.
+    bar: Option<ProgressBar>,
+    /// Threads that work on one frame.
+    threads_per_frame: f64,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// In the order in which they began.
+    under_way: VecDeque<UnderWay>,
+    /// Computing seconds for a GiB of a plan, the most of all frames that were finished in this run.
+    measured_s_per_gib: Option<f64>,
+    /// The last estimate that was announced: a similar one is not announced again.
+    announced: Option<Estimate>,
+}
+
+#[derive(Debug)]
+struct UnderWay {
+    input: PathBuf,
+    stage: Stage,
+    /// Of the stage, from 0 to 1.
+    fraction: f64,
+    /// How much there is to compute, in GiB of a plan.
+    work_gib: f64,
+}
+
+/// What a frame will need.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Estimate {
+    bytes: u64,
+    seconds: f64,
+}
+
+/// From here on a frame is announced.
+const ANNOUNCED_FROM: Estimate = Estimate { bytes: 1 << 30, seconds: 60.0 };
+
+/// A later frame is announced if it needs so many times more than the one before.
+const ANNOUNCED_AGAIN: f64 = 1.5;
+
+const GIB: f64 = (1_u64 << 30) as f64;
+
+/// Computing seconds for a GiB of a plan on one thread, with the default integrator: a third more than the large frames of
+/// docs/performance.md took. Frames that are finished in the same run replace it.
+const S_PER_GIB: f64 = 45.0;
+
+/// So many times longer it takes in tiles: parts are computed twice, and go through files.
+const TILED: f64 = 3.0;
+
+/// Parts of the time of a frame: read, rasterize, smooth, contour, write, preview.
+const SHARES: [f64; 6] = [0.05, 0.3, 0.45, 0.15, 0.03, 0.02];
+
+impl Progress {
+    /// Of so many frames on so many threads.
+    pub(super) fn new(frame_count: usize, thread_count: usize, bar: Option<ProgressBar>) -> Progress {
+        let side_by_side = frame_count.clamp(1, thread_count.max(1));
+        let threads_per_frame = thread_count as f64 / side_by_side as f64;
+        Progress { bar, threads_per_frame, state: Mutex::default() }
+    }
+
+    /// A frame is finished; if it was converted, with this report.
+    pub(super) fn finished(&self, frame: &Frame, report: Option<&FrameReport>) {
+        let mut state = self.lock();
+        let place = state.under_way.iter().position(|one| one.input == frame.input);
+        let Some(ended) = place.and_then(|place| state.under_way.remove(place)) else { return };
+        if let Some(report) = report.filter(|_| ended.work_gib > 0.0) {
+            let measured = report.skin.seconds.total() / ended.work_gib;
+            state.measured_s_per_gib =
+                Some(state.measured_s_per_gib.map_or(measured, |most| most.max(measured)));
+        }
+        self.show(&state);
+    }
+
+    fn show(&self, state: &State) {
+        if let Some(bar) = &self.bar {
+            bar.set_message(state.under_way.front().map_or_else(String::new, UnderWay::told));
+        }
+    }
+
+    fn estimate(&self, state: &State, settings: &Settings, plan: &Plan, given_bytes: u64) -> Estimate {
+        let bytes = plan.memory_bytes.saturating_add(given_bytes);
+        let per_gib = state
+            .measured_s_per_gib
+            .unwrap_or_else(|| S_PER_GIB * integrator_factor(settings) / self.threads_per_frame);
+        Estimate { bytes, seconds: work_gib(plan) * per_gib }
+    }
+
+    /// An update that panics leaves a number behind, at worst.
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Observer for Progress {
+    fn planned(&self, frame: &Frame, plan: &Plan, given_bytes: u64) {
+        let mut state = self.lock();
+        let estimate = self.estimate(&state, &frame.settings, plan, given_bytes);
+        if let Some(one) = state.under_way.iter_mut().find(|one| one.input == frame.input) {
+            one.work_gib = work_gib(plan);
+        }
+        if estimate.is_worth_announcing(state.announced) {
+            state.announced = Some(estimate);
+            drop(state);
+            print_error(self.bar.as_ref(), estimate.announcement(&frame.input));
+        }
+    }
+
+    fn began(&self, frame: &Frame, stage: Stage) {
+        let mut state = self.lock();
+        match state.under_way.iter_mut().find(|one| one.input == frame.input) {
+            Some(one) => (one.stage, one.fraction) = (stage, 0.0),
+            None => state.under_way.push_back(UnderWay {
+                input: frame.input.clone(),
+                stage,
+                fraction: 0.0,
+                work_gib: 0.0,
+            }),
+        }
+        self.show(&state);
+    }
+
+    fn advanced(&self, frame: &Frame, _stage: Stage, fraction: f64) {
+        let mut state = self.lock();
+        if let Some(one) = state.under_way.iter_mut().find(|one| one.input == frame.input) {
+            one.fraction = fraction;
+        }
+        self.show(&state);
+    }
+}
+
+impl UnderWay {
+    fn told(&self) -> String {
+        let before: f64 = SHARES[..self.stage as usize].iter().sum();
+        let percent = 100.0 * (before + SHARES[self.stage as usize] * self.fraction);
+        let name = self.input.file_name().unwrap_or_default().to_string_lossy();
+        format!("{name}: {}, about {percent:.0} %", self.stage)
+    }
+}
+
+impl Estimate {
+    fn is_worth_announcing(&self, last: Option<Estimate>) -> bool {
+        let is_large = |over: Estimate| self.bytes > over.bytes || self.seconds > over.seconds;
+        let again = last.map(|last| Estimate {
+            bytes: (last.bytes as f64 * ANNOUNCED_AGAIN) as u64,
+            seconds: last.seconds * ANNOUNCED_AGAIN,
+        });
+        is_large(ANNOUNCED_FROM) && again.is_none_or(is_large)
+    }
+
+    fn announcement(&self, input: &Path) -> String {
+        let time = match self.seconds {
+            seconds if seconds < 60.0 => "less than a minute".to_owned(),
+            seconds if seconds < 5400.0 => format!("{:.0} min", (seconds / 60.0).ceil()),
+            seconds => format!("{:.1} h", seconds / 3600.0),
+        };
+        let gib = self.bytes as f64 / GIB;
+        format!("note: {}: will need about {gib:.1} GiB of memory and {time} (estimates)", input.display())
+    }
+}
+
+/// How much there is to compute, in GiB of a plan in memory.
+fn work_gib(plan: &Plan) -> f64 {
+    let tiled = if plan.tile_leaves.is_some() { TILED } else { 1.0 };
+    plan.whole_bytes as f64 / GIB * tiled
+}
+
+/// How many times longer than the default integrator another one takes, roughly.
+fn integrator_factor(settings: &Settings) -> f64 {
+    match settings.integrator {
+        Integrator::Fast => 1.0,
+        Integrator::Implicit => 3.0,
+        // An explicit step is one application of the operator; the default integrator has some dozens of them in all.
+        Integrator::Explicit | Integrator::Adaptive => (f64::from(settings.steps) / 40.0).max(1.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    use crate::pipeline::{FrameFile, OutputFormat, OutputOptions};
+    use crate::settings::Choices;
+
+    fn frame(name: &str) -> Frame {
+        let settings = Settings::resolve(0.1, &Choices::default()).expect("settings");
+        let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
+        Frame::new(&FrameFile::new(name.into()), &Arc::new(settings), &Arc::new(outputs))
+    }
+
+    fn plan(gib: u64) -> Plan {
+        Plan { memory_bytes: gib << 30, tile_leaves: None, whole_bytes: gib << 30 }
+    }
+
+    #[test]
+    fn frame_under_way_for_longest_is_shown_with_stage_and_percentage() {
+        let bar = ProgressBar::hidden();
+        let progress = Progress::new(2, 1, Some(bar.clone()));
+        let [one, two] = ["in/dam.1.ply", "in/dam.2.ply"].map(frame);
+        progress.began(&one, Stage::Read);
+        progress.began(&two, Stage::Read);
+        progress.began(&one, Stage::Smooth);
+        assert_eq!(bar.message(), "dam.1.ply: smooth, about 35 %");
+        progress.advanced(&one, Stage::Smooth, 0.5);
+        assert_eq!(bar.message(), "dam.1.ply: smooth, about 57 %");
+        progress.finished(&one, None);
+        assert_eq!(bar.message(), "dam.2.ply: read, about 0 %");
+        progress.began(&two, Stage::Preview);
+        assert_eq!(bar.message(), "dam.2.ply: preview, about 98 %");
+        progress.finished(&two, None);
+        assert_eq!(bar.message(), "");
+    }
+
+    #[test]
+    fn large_frame_is_announced_once_and_a_much_larger_one_again() {
+        let announced = |large: Estimate, last| large.is_worth_announcing(last);
+        let large = Estimate { bytes: 2 << 30, seconds: 90.0 };
+        let small = Estimate { bytes: 1 << 29, seconds: 10.0 };
+        assert!(!announced(small, None));
+        assert!(announced(large, None));
+        assert!(announced(Estimate { seconds: 61.0, ..small }, None));
+        assert!(announced(Estimate { bytes: 2 << 30, ..small }, None));
+        assert!(!announced(large, Some(large)));
+        assert!(announced(Estimate { seconds: 200.0, ..large }, Some(large)));
+        assert_eq!(
+            large.announcement(Path::new("dam.ply")),
+            "note: dam.ply: will need about 2.0 GiB of memory and 2 min (estimates)"
+        );
+    }
+
+    #[test]
+    fn estimate_follows_what_this_run_measured() {
+        let progress = Progress::new(10, 2, None);
+        let frame = frame("in/dam.1.ply");
+        let estimate =
+            |progress: &Progress| progress.estimate(&progress.lock(), &frame.settings, &plan(2), 0).seconds;
+        assert_eq!(estimate(&progress), 2.0 * S_PER_GIB);
+        // A lone frame has all threads.
+        assert_eq!(estimate(&Progress::new(1, 2, None)), S_PER_GIB);
+        progress.began(&frame, Stage::Read);
+        progress.planned(&frame, &plan(1), 0);
+        let mut report = FrameReport::default();
+        report.skin.seconds.smooth = 7.0;
+        progress.finished(&frame, Some(&report));
+        assert_eq!(estimate(&progress), 14.0);
+    }
+}
