@@ -14,8 +14,10 @@
 //! A shard asks this before it converts a frame, and the whole is asked the same once all shards are through: so what is found
 //! wanting in the end is what a shard that runs again makes again, and nothing else.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
+use meniscus_formats::Error;
 use meniscus_formats::provenance::read_provenance;
 use meniscus_formats::wholeness::is_whole;
 use twox_hash::XxHash3_128;
@@ -70,20 +72,32 @@ pub struct Inspection {
 
 /// Looks at the outputs of a frame, and at its input and obstacles as far as they are there.
 pub fn inspect(frame: &Frame) -> Inspection {
-    let input_hash = match step_of(&frame.input) {
-        None => {
-            let file = InputFile::open(&frame.input).ok().filter(InputFile::is_regular);
-            file.and_then(|file| file.hash().ok())
-        }
-        Some(step) => read_step(step, StepsFoundBy::Reader)
-            .ok()
-            .flatten()
-            .map(|(bytes, _)| XxHash3_128::oneshot(&bytes)),
+    let (input_hash, unreadable) = match hash_of_input(&frame.input) {
+        Ok(hash) => (hash, None),
+        // It may have been removed since; anything else that keeps it from being read is no proof of that.
+        Err(Error::Io(error)) if error.kind() != io::ErrorKind::NotFound => (None, Some(error)),
+        Err(_) => (None, None),
     };
     let obstacles = frame.obstacles.find(frame.number).ok().map(|found| found.recorded());
     let (input_is_there, obstacles_are_there) = (input_hash.is_some(), obstacles.is_some());
-    let state = inspect_made_from(frame, &MadeFrom { input_hash, obstacles });
+    let state = match (inspect_made_from(frame, &MadeFrom { input_hash, obstacles }), unreadable) {
+        (FrameState::Done | FrameState::Uncertified(_), Some(error)) => FrameState::Stale(format!(
+            "{}: {error}; the results cannot be compared with their input",
+            frame.input.display()
+        )),
+        (state, _) => state,
+    };
     Inspection { state, input_is_there, obstacles_are_there }
+}
+
+/// The hash of an input; `None` where it is not a regular file, or has no such step.
+fn hash_of_input(path: &Path) -> Result<Option<u128>, Error> {
+    let Some(step) = step_of(path) else {
+        let file = InputFile::open(path)?;
+        return Ok(if file.is_regular() { Some(file.hash()?) } else { None });
+    };
+    let found = read_step(step, StepsFoundBy::Reader)?;
+    Ok(found.map(|(bytes, _)| XxHash3_128::oneshot(&bytes)))
 }
 
 /// The same, of a frame of whose input all is known: `None` if it must be made again, and else what its certificate says

@@ -52,7 +52,7 @@ fn control_characters_in_file_names_are_escaped_in_all_output() {
     let json: Value = serde_json::from_str(&run(path, &["info", "--json", frame], 0).out).expect("JSON");
     assert_eq!(json[0]["file"], *frame, "the name is whole in JSON");
     run(path, &["convert", frame, "--out", "out", "--print-settings"], 0);
-    run(path, &["plan", frame, "--out", "out", "--plan", "plan.json"], 0);
+    run(path, &["plan", frame, "--out", "out", "--shards", "1", "-o", "plan.json"], 0);
     run(path, &["verify", "out", "--plan", "plan.json"], 1);
     run(path, &["sequence", "out", "--out", "shot.glb"], 0);
     run(path, &["render", frame, "--out", "pictures", "--size", "32x32"], 0);

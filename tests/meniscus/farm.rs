@@ -274,6 +274,26 @@ fn a_shard_that_was_killed_goes_on_where_it_was() {
     assert!(out.eq(outputs(&folder.join("one"))));
 }
 
+/// That an input was removed may be intended. One that is there and cannot be read leaves open whether the results
+/// are of it.
+#[cfg(unix)]
+#[test]
+fn verify_fails_for_an_input_that_exists_and_cannot_be_read() {
+    let folder = planned(2, 1);
+    let folder = folder.path();
+    succeeded(&shard(folder, 0));
+    succeeded(&verify(folder));
+    fs::remove_file(folder.join("in/dam.1.ply")).expect("removed");
+    succeeded(&verify(folder));
+    std::os::unix::fs::symlink("dam.2.ply", folder.join("in/dam.2.link")).expect("linked");
+    fs::remove_file(folder.join("in/dam.2.ply")).expect("removed");
+    // A link that leads to itself: nobody can read it, not even root.
+    fs::rename(folder.join("in/dam.2.link"), folder.join("in/dam.2.ply")).expect("renamed");
+    let verified = verify(folder);
+    assert_eq!(verified.status, 1, "{}{}", verified.out, verified.err);
+    assert!(verified.err.contains("cannot be compared with their input"), "{}", verified.err);
+}
+
 #[test]
 fn shards_without_frames_are_done_at_once() {
     let folder = planned(2, 5);

@@ -1,0 +1,255 @@
+//! What is run, and what must hold afterwards.
+
+use std::collections::BTreeSet;
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::scene::{
+    CHEAP, FORMATS, FRAME_COUNT, FaultKind, Faults, Files, PLAN, Ran, Random, References, Scene, Version,
+    files_in, stem, tell,
+};
+
+/// What a cycle had of faults.
+pub(crate) struct Figures {
+    pub(crate) fault_count: u64,
+    pub(crate) kill_count: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Way {
+    Convert,
+    Watch,
+    Farm,
+}
+
+const CONVERT: [&str; 4] = ["convert", "in", "--out", "out"];
+const WATCH: [&str; 9] = ["watch", "in", "--out", "out", "--once", "--settle", "1ms", "--log", "json"];
+
+struct Cycle<'a> {
+    seed: u64,
+    way: Way,
+    scene: Scene,
+    references: &'a References,
+    /// Whether outputs of an earlier version of the frames were there.
+    has_old: bool,
+    random: Random,
+}
+
+/// One cycle.
+pub(crate) fn run(seed: u64, shim: &Path, references: &References) -> Figures {
+    let mut random = Random(seed);
+    let way = [Way::Convert, Way::Watch, Way::Farm][usize::try_from(seed % 3).expect("small")];
+    let has_old = random.below(3) > 0;
+    let mut cycle = Cycle { seed, way, scene: Scene::new(), references, has_old, random };
+    if has_old {
+        cycle.scene.put_frames(Version::Old);
+        cycle.assert_all_is_made(Version::Old);
+    }
+    cycle.scene.put_frames(Version::New);
+    let mut kill_count = 0;
+    for _ in 0..=cycle.random.below(3) {
+        let kind = match cycle.random.below(3) {
+            0 => FaultKind::Rate([10, 40, 120][usize::try_from(cycle.random.below(3)).expect("small")]),
+            1 => FaultKind::Nth(1 + cycle.random.below(150)),
+            _ => FaultKind::Kill(1 + cycle.random.below(40)),
+        };
+        let seed = cycle.random.below(u64::MAX);
+        let faults = Faults { shim, seed, kind, no_pause: way == Way::Watch };
+        kill_count += u64::from(cycle.run_with(&faults));
+    }
+    cycle.assert_all_is_made(Version::New);
+    let log = cycle.scene.fault_log();
+    if std::env::var_os("MENISCUS_FAULT_SEED").is_some() {
+        tell(&format!("seed {seed}, {way:?}:\n{log}"));
+    }
+    let fault_count = log.lines().filter(|line| !line.starts_with("kill")).count() as u64;
+    Figures { fault_count, kill_count }
+}
+
+impl Cycle<'_> {
+    /// Runs the commands with faults, and checks what they leave after each. Whether the program was killed.
+    fn run_with(&mut self, faults: &Faults<'_>) -> bool {
+        let commands: Vec<Vec<&str>> = match self.way {
+            Way::Convert => vec![[&CONVERT[..], &CHEAP].concat()],
+            Way::Watch => vec![[&WATCH[..], &CHEAP].concat()],
+            Way::Farm => {
+                let shard = |shard: &'static str| vec!["convert", "--plan", "plan.json", "--shard", shard];
+                vec![
+                    [&PLAN[..], &CHEAP[..8]].concat(),
+                    shard("0"),
+                    shard("1"),
+                    vec!["verify", "out", "--plan", "plan.json"],
+                ]
+            }
+        };
+        let mut was_killed = false;
+        for arguments in commands {
+            let before = files_in(&self.scene.path("out"));
+            let ran = self.scene.run(&arguments, Some(faults));
+            let is_killed = ran.status.signal() == Some(9);
+            let about = || {
+                let (out, err, log) = (&ran.out, &ran.err, self.scene.fault_log());
+                format!(
+                    "seed {} ({:?}, old outputs: {}), {faults:?}, {arguments:?}, {}:\n{out}{err}faults:\n{log}",
+                    self.seed, self.way, self.has_old, ran.status
+                )
+            };
+            assert!(is_killed || ran.status.code().is_some_and(|code| code <= 2), "{}", about());
+            let after = files_in(&self.scene.path("out"));
+            self.assert_whole(&after, &about);
+            self.assert_nothing_lost(&before, &after, faults, &about);
+            if !is_killed {
+                self.assert_no_wrong_success(&arguments, &ran, &after, &about);
+            }
+            was_killed |= is_killed;
+        }
+        was_killed
+    }
+
+    /// Runs without faults make everything, and leave nothing else.
+    fn assert_all_is_made(&self, version: Version) {
+        let about = |ran: &Ran| {
+            let log = self.scene.fault_log();
+            format!(
+                "seed {} ({:?}), without faults:\n{}{}faults:\n{log}",
+                self.seed, self.way, ran.out, ran.err
+            )
+        };
+        let run = |arguments: &[&str]| {
+            let ran = self.scene.run(arguments, None);
+            assert_eq!(ran.status.code(), Some(0), "{}", about(&ran));
+            ran
+        };
+        let last = match self.way {
+            Way::Convert => run(&[&CONVERT[..], &CHEAP].concat()),
+            Way::Watch => run(&[&WATCH[..], &CHEAP].concat()),
+            Way::Farm => {
+                run(&[&PLAN[..], &CHEAP[..8]].concat());
+                run(&["convert", "--plan", "plan.json", "--shard", "0"]);
+                run(&["convert", "--plan", "plan.json", "--shard", "1"]);
+                run(&["verify", "out", "--plan", "plan.json"])
+            }
+        };
+        let found = files_in(&self.scene.path("out"));
+        for (name, bytes) in self.references.of(version) {
+            if self.is_made(name) {
+                assert!(found.get(name) == Some(bytes), "{name} is not as it should be: {}", about(&last));
+            }
+        }
+        let is_more = |name: &&String| !self.references.of(version).contains_key(*name);
+        // Only the daemon looks for what killed processes left.
+        let more =
+            found.keys().filter(is_more).filter(|name| self.way == Way::Watch || !name.starts_with('.'));
+        let more: Vec<&String> = more.collect();
+        assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
+    }
+
+    /// Whether a file of this name is made in this way.
+    fn is_made(&self, name: &str) -> bool {
+        self.way == Way::Farm || !name.ends_with(".certificate.json")
+    }
+
+    /// Whatever can be seen under the name of an output is one, and whole.
+    fn assert_whole(&self, found: &Files, about: &dyn Fn() -> String) {
+        for (name, bytes) in found.iter().filter(|(name, _)| !name.starts_with('.')) {
+            let is_known = |version: Version| self.references.of(version).get(name) == Some(bytes);
+            let is_old = self.has_old && is_known(Version::Old);
+            assert!(is_old || is_known(Version::New), "{name} is half written, or unknown: {}", about());
+        }
+    }
+
+    /// A frame that had all its outputs still has them: all of one version. Where the program was killed or several
+    /// operations failed, what cannot be put back is kept under a hidden name.
+    fn assert_nothing_lost(
+        &self,
+        before: &Files,
+        after: &Files,
+        faults: &Faults<'_>,
+        about: &dyn Fn() -> String,
+    ) {
+        let is_strict = matches!(faults.kind, FaultKind::Nth(_));
+        for number in 1..=FRAME_COUNT {
+            let had = self.whole_sets(before, number);
+            if had.is_empty() {
+                continue;
+            }
+            let is_kept = |version: &Version| {
+                self.names(number).iter().all(|name| {
+                    let wanted = &self.references.of(*version)[name];
+                    after.get(name) == Some(wanted)
+                        || after.iter().any(|(other, bytes)| other.starts_with('.') && bytes == wanted)
+                })
+            };
+            let has = self.whole_sets(after, number);
+            let is_there = match is_strict {
+                true => !has.is_empty(),
+                false => !has.is_empty() || had.iter().any(is_kept),
+            };
+            assert!(is_there, "the outputs of frame {number} are lost: {}", about());
+        }
+    }
+
+    /// The versions of which all outputs of a frame are there.
+    fn whole_sets(&self, found: &Files, number: usize) -> Vec<Version> {
+        let versions = [Version::New, Version::Old].into_iter();
+        let is_whole = |version: &Version| {
+            let reference = self.references.of(*version);
+            self.names(number).iter().all(|name| found.get(name) == Some(&reference[name]))
+        };
+        versions.filter(is_whole).collect()
+    }
+
+    fn names(&self, number: usize) -> Vec<String> {
+        FORMATS.iter().map(|format| format!("{}.{format}", stem(number))).collect()
+    }
+
+    /// What is said to be done is done.
+    fn assert_no_wrong_success(
+        &self,
+        arguments: &[&str],
+        ran: &Ran,
+        after: &Files,
+        about: &dyn Fn() -> String,
+    ) {
+        let is_current = |number: usize| self.whole_sets(after, number).contains(&Version::New);
+        let current: Vec<usize> = (1..=FRAME_COUNT).filter(|&number| is_current(number)).collect();
+        let said: BTreeSet<usize> = match arguments[0] {
+            "watch" => (1..=FRAME_COUNT).filter(|&number| is_logged_done(&ran.err, number)).collect(),
+            _ => (1..=FRAME_COUNT).filter(|&number| is_printed_done(&ran.out, number)).collect(),
+        };
+        for number in &said {
+            assert!(current.contains(number), "frame {number} is said to be done: {}", about());
+        }
+        if ran.status.code() != Some(0) {
+            return;
+        }
+        match arguments {
+            ["plan", ..] => {
+                let plan = std::fs::read(self.scene.path("plan.json")).expect("a plan that was made");
+                let plan: Value = serde_json::from_slice(&plan).expect("JSON");
+                let count = plan["frames"].as_array().map_or(0, Vec::len);
+                assert_eq!(count, FRAME_COUNT, "frames are missing in the plan: {}", about());
+            }
+            // A shard has its frames only; those that it says are done were checked.
+            ["convert", "--plan", ..] => assert!(!said.is_empty(), "it did nothing: {}", about()),
+            _ => assert_eq!(current.len(), FRAME_COUNT, "exit status 0, and not all is there: {}", about()),
+        }
+    }
+}
+
+fn is_printed_done(out: &str, number: usize) -> bool {
+    let name = format!("{}.ply: ", stem(number));
+    let is_done =
+        |line: &str| line.contains(&name) && (line.contains(" particles") || line.ends_with("done already"));
+    out.lines().any(is_done)
+}
+
+fn is_logged_done(log: &str, number: usize) -> bool {
+    let name = format!("{}.ply", stem(number));
+    let lines = log.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let is_done = |line: &Value| matches!(line["message"].as_str(), Some("converted" | "was done already"));
+    let is_about = |line: &Value| line["frame"].as_str().is_some_and(|frame| frame.ends_with(&name));
+    lines.filter(is_about).filter(is_done).count() > 0
+}
