@@ -10,7 +10,6 @@ mod volume;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
-use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
@@ -21,7 +20,7 @@ use meniscus_formats::{
 };
 use serde::Serialize;
 
-use crate::pipeline::{FrameError, file_of, frames_in, read_file, step_of};
+use crate::pipeline::{FrameError, file_of, frames_in, read_file, read_regular, step_of};
 
 use super::Verdict;
 use super::args::InfoArgs;
@@ -136,7 +135,7 @@ impl FileInfo {
             None => {
                 // One that has too many frames is not read whole to be told so.
                 frames_in(path)?;
-                fs::read(path)?
+                read_regular(path)?
             }
             Some(_) => read_file(path).map_err(|error| reason(&error))?,
         };
