@@ -13,13 +13,14 @@
 //!   remove the old files
 //! ```
 //!
-//! A rename that fails puts the old files back. A process that is killed leaves its record without a lock:
-//! [`sweep_temporaries`](super::temporary::sweep_temporaries) finds it and puts the old files back. That happens when a
-//! daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames, readers can see a
-//! mixed set; a certificate, which has the hashes of all files of its frame, tells them.
+//! A rename that fails puts the old files back; a name that was free becomes free again. A process that is killed leaves its
+//! record without a lock: [`sweep_temporaries`](super::temporary::sweep_temporaries) finds it and goes on with the renames,
+//! so that no output that somebody has seen is taken away. Where that is impossible, for a new file is gone, it puts the old files back. That
+//! happens when a daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames,
+//! readers can see a mixed set; a certificate, which has the hashes of all files of its frame, tells them.
 //!
-//! A file that somebody else has replaced since is left as it is: the record has the size and the time of the last write of each new file.
-//! A name that was free becomes free again.
+//! A file that somebody else has replaced since is left as it is: the record has the size and the time of the last write of
+//! each new and old file.
 //!
 //! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
 
@@ -32,7 +33,9 @@ use std::sync::MutexGuard;
 
 use super::sink::{Unseen, sync_folder};
 use super::stamp::FileStamp;
-use super::temporary::{Temporary, leave_behind, lock_abandoned, random_number, remove_if_there, under_way};
+use super::temporary::{
+    Temporary, is_temporary_name, leave_behind, lock_abandoned, random_number, remove_if_there, under_way,
+};
 
 /// What the name of a record begins with; 16 hexadecimal digits follow.
 const RECORD_PREFIX: &str = ".meniscus-set-";
@@ -48,15 +51,22 @@ const RECORD_BYTES_MAX: u64 = 1 << 20;
 /// So often it is tried to put the old files back before that is left for later.
 const UNDO_ATTEMPTS: usize = 3;
 
+/// What tells a file from another that has its name later; a rename keeps it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Trait {
+    size: u64,
+    modified_ns: i64,
+}
+
 /// A name, and the file that is to appear there.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Member {
     name: Box<OsStr>,
-    /// Whether a file had the name before.
-    replaces: bool,
-    /// Of the new file; a rename keeps both.
-    size: u64,
-    modified_ns: i64,
+    /// The name of the new file until then.
+    temporary: Box<OsStr>,
+    new: Trait,
+    /// Of the file that had the name before, if there was one.
+    old: Option<Trait>,
 }
 
 /// Lets several files of one folder appear under their names.
@@ -96,9 +106,10 @@ pub(super) fn replace_together(files: &[Unseen]) -> Result<(), (PathBuf, io::Err
 fn member(file: &Unseen) -> Result<Member, (PathBuf, io::Error)> {
     let failed = |error| (file.path().to_owned(), error);
     let name = file.path().file_name().ok_or_else(|| failed(io::ErrorKind::InvalidFilename.into()))?;
-    let replaces = exists(file.path()).map_err(failed)?;
+    let temporary = file.written_path().file_name().unwrap_or_default();
+    let old = trait_of(file.path()).map_err(failed)?;
     let FileStamp { size, modified_ns, .. } = file.stamp();
-    Ok(Member { name: name.into(), replaces, size, modified_ns })
+    Ok(Member { name: name.into(), temporary: temporary.into(), new: Trait { size, modified_ns }, old })
 }
 
 /// Writes the record: onto the disk where files will be replaced, for a crash of the machine must not come between these.
@@ -107,7 +118,7 @@ fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
         format!("{RECORD_PREFIX}{:016x}", random_number())
     })?;
     record.file().write_all(&record_bytes(members))?;
-    if members.iter().any(|member| member.replaces) {
+    if members.iter().any(|member| member.old.is_some()) {
         record.file().sync_all()?;
     }
     Ok(record)
@@ -115,10 +126,15 @@ fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
 
 fn record_bytes(members: &[Member]) -> Vec<u8> {
     let mut bytes = RECORD_HEAD.to_vec();
-    for Member { name, replaces, size, modified_ns } in members {
-        bytes.extend(format!("{} {size} {modified_ns} ", if *replaces { '=' } else { '+' }).bytes());
-        bytes.extend(name.as_encoded_bytes());
-        bytes.push(0);
+    let text = |it: &Trait| format!("{} {}", it.size, it.modified_ns);
+    for Member { name, temporary, new, old } in members {
+        let old = old.as_ref().map(text).unwrap_or_default();
+        for part in
+            [name.as_encoded_bytes(), temporary.as_encoded_bytes(), text(new).as_bytes(), old.as_bytes()]
+        {
+            bytes.extend(part);
+            bytes.push(0);
+        }
     }
     bytes.extend(RECORD_END);
     bytes
@@ -127,23 +143,32 @@ fn record_bytes(members: &[Member]) -> Vec<u8> {
 /// The members in the bytes of a record; `None` where it is not whole: then nothing was replaced, or all was.
 fn parse_record(bytes: &[u8]) -> Option<Vec<Member>> {
     let lines = bytes.strip_prefix(RECORD_HEAD)?.strip_suffix(RECORD_END)?;
-    let lines = lines.split_inclusive(|byte| *byte == 0).map(|line| line.strip_suffix(&[0]));
-    lines.map(|line| parse_member(line?)).collect()
+    let parts: Option<Vec<&[u8]>> =
+        lines.split_inclusive(|byte| *byte == 0).map(|part| part.strip_suffix(&[0])).collect();
+    parts?.chunks(4).map(parse_member).collect()
 }
 
-fn parse_member(line: &[u8]) -> Option<Member> {
-    let mut parts = line.splitn(4, |byte| *byte == b' ');
-    let mut text = || str::from_utf8(parts.next()?).ok();
-    let replaces = match text()? {
-        "=" => true,
-        "+" => false,
-        _ => return None,
+fn parse_member(parts: &[&[u8]]) -> Option<Member> {
+    let &[name, temporary, new, old] = parts else { return None };
+    // Nothing outside the folder is touched, and nothing that is not ours is renamed, whoever wrote the record.
+    let plain = |bytes: &[u8]| {
+        name_of_bytes(bytes)
+            .filter(|name| Path::new(name).file_name() == Some(name) && !bytes.contains(&b'/'))
     };
-    let (size, modified_ns) = (text()?.parse().ok()?, text()?.parse().ok()?);
-    let name = name_of_bytes(parts.next()?)?;
-    // Nothing outside the folder is touched, whoever wrote the record.
-    let is_name = Path::new(&name).file_name() == Some(&name) && !name.as_encoded_bytes().contains(&b'/');
-    is_name.then(|| Member { name: name.into(), replaces, size, modified_ns })
+    let temporary = plain(temporary)?;
+    if !is_temporary_name(&temporary.to_string_lossy()) {
+        return None;
+    }
+    let old = match old {
+        b"" => None,
+        old => Some(parse_trait(old)?),
+    };
+    Some(Member { name: plain(name)?.into(), temporary: temporary.into(), new: parse_trait(new)?, old })
+}
+
+fn parse_trait(bytes: &[u8]) -> Option<Trait> {
+    let (size, modified_ns) = str::from_utf8(bytes).ok()?.split_once(' ')?;
+    Some(Trait { size: size.parse().ok()?, modified_ns: modified_ns.parse().ok()? })
 }
 
 #[cfg(unix)]
@@ -168,6 +193,10 @@ impl FileSet {
         self.record_path.with_file_name(&member.name)
     }
 
+    fn temporary_path(&self, member: &Member) -> PathBuf {
+        self.record_path.with_file_name(&member.temporary)
+    }
+
     /// Where the old file of a member is kept.
     fn old_path(&self, index: usize) -> PathBuf {
         let mut path = self.record_path.clone().into_os_string();
@@ -179,7 +208,7 @@ impl FileSet {
     fn replace(&self, files: &[Unseen]) -> Result<(), (PathBuf, io::Error)> {
         let mut is_kept = vec![true; files.len()];
         for (index, file) in files.iter().enumerate() {
-            if self.members[index].replaces {
+            if self.members[index].old.is_some() {
                 match change::hard_link(file.path(), &self.old_path(index)) {
                     // Somebody else has just removed it.
                     Err(error) if error.kind() == io::ErrorKind::NotFound => {}
@@ -207,7 +236,7 @@ impl FileSet {
     fn remove_old_files(&self) {
         for (index, member) in self.members.iter().enumerate() {
             let old = self.old_path(index);
-            if member.replaces && remove_if_there(&old).is_err() {
+            if member.old.is_some() && remove_if_there(&old).is_err() {
                 leave_behind(old);
             }
         }
@@ -229,6 +258,10 @@ impl FileSet {
             drop(locked);
             return (path, error);
         };
+        for member in &self.members {
+            // Else the set could be completed later, which has failed.
+            let _ = remove_if_there(&self.temporary_path(member));
+        }
         locked.remove(&self.record_path);
         drop(locked);
         record.keep();
@@ -236,18 +269,42 @@ impl FileSet {
         (path, io::Error::new(error.kind(), what))
     }
 
+    /// Whether some new files have their names, and the others can still get theirs.
+    fn can_be_completed(&self) -> io::Result<bool> {
+        let mut is_begun = false;
+        for (index, member) in self.members.iter().enumerate() {
+            let found = trait_of(&self.path(member))?;
+            if found == Some(member.new) {
+                is_begun = true;
+                continue;
+            }
+            let is_as_before = found == member.old || found.is_none() && exists(&self.old_path(index))?;
+            if !is_as_before || trait_of(&self.temporary_path(member))? != Some(member.new) {
+                return Ok(false);
+            }
+        }
+        Ok(is_begun)
+    }
+
+    /// Renames the new files that do not have their names yet.
+    fn complete(&self) -> io::Result<()> {
+        for member in &self.members {
+            let path = self.path(member);
+            if trait_of(&path)? != Some(member.new) {
+                change::rename(&self.temporary_path(member), &path)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Puts the old files back, as far as nobody else has replaced the new ones. May be done again, and after any part of
     /// it.
     fn undo(&self) -> io::Result<()> {
         for (index, member) in self.members.iter().enumerate() {
             let (path, old) = (self.path(member), self.old_path(index));
-            let found = match path.symlink_metadata() {
-                Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-                found => Some(FileStamp::of(&found?)),
-            };
-            let is_new = found
-                .is_some_and(|found| (found.size, found.modified_ns) == (member.size, member.modified_ns));
-            match (member.replaces, exists(&old)?) {
+            let found = trait_of(&path)?;
+            let is_new = found == Some(member.new);
+            match (member.old.is_some(), exists(&old)?) {
                 (true, true) => {
                     if is_new || found.is_none() {
                         change::rename(&old, &path)?;
@@ -264,12 +321,20 @@ impl FileSet {
     }
 }
 
-/// Whether a file has this name, or a link, or anything else.
-fn exists(path: &Path) -> io::Result<bool> {
+/// What has this name; `None` if it is free.
+fn trait_of(path: &Path) -> io::Result<Option<Trait>> {
     match path.symlink_metadata() {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
-        found => found.map(|_| true),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        found => {
+            let FileStamp { size, modified_ns, .. } = FileStamp::of(&found?);
+            Ok(Some(Trait { size, modified_ns }))
+        }
     }
+}
+
+/// Whether a name is taken.
+fn exists(path: &Path) -> io::Result<bool> {
+    Ok(trait_of(path)?.is_some())
 }
 
 /// Whether this is the name of a record.
@@ -288,21 +353,28 @@ fn is_number(text: &str) -> bool {
     text.len() == 16 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// Puts back the old files of a set whose process was killed; whether it was.
+/// Completes a set whose process was killed, or puts its old files back; whether it was killed.
 ///
 /// # Errors
-/// When the system refuses: then they stay where they are kept.
+/// When the system refuses: then all that is needed stays, and it can be tried again.
 pub(super) fn recover(record_path: &Path) -> io::Result<bool> {
     let Some(mut file) = lock_abandoned(record_path)? else { return Ok(false) };
     let mut bytes = Vec::new();
     (&mut file).take(RECORD_BYTES_MAX).read_to_end(&mut bytes)?;
     let members = parse_record(&bytes).unwrap_or_default();
     let set = FileSet { record_path: record_path.to_owned(), members };
-    set.undo()?;
-    if let Some(folder) = record_path.parent() {
-        sync_folder(folder);
+    let completed = match set.can_be_completed()? {
+        true => set.complete(),
+        false => set.undo(),
+    };
+    match completed {
+        // Somebody else removed a new file meanwhile.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => set.undo()?,
+        completed => completed?,
     }
+    sync_folder(record_path.parent().unwrap_or(Path::new("")));
     change::remove(record_path)?;
+    set.remove_old_files();
     Ok(true)
 }
 
@@ -459,7 +531,7 @@ mod tests {
     }
 
     #[test]
-    fn lasting_failure_is_undone_later() {
+    fn lasting_failure_leaves_all_old_or_all_new_files_when_it_is_over() {
         for (old_count, without_links) in [(3, false), (3, true), (1, false), (0, false)] {
             for changes_left in 0..20 {
                 let folder = tempfile::tempdir().expect("a folder");
@@ -468,8 +540,11 @@ mod tests {
                 let result = publish_new(folder.path());
                 TROUBLE.set(None);
                 recover_all(folder.path());
-                let wanted = expected(result.as_ref().err().map(|_| old_count));
-                assert_eq!(contents(folder.path()), wanted, "{old_count} {without_links} {changes_left}");
+                let found = contents(folder.path());
+                // All new, where the last step before the end was the first that failed.
+                let is_good =
+                    found == expected(None) || result.is_err() && found == expected(Some(old_count));
+                assert!(is_good, "{old_count} {without_links} {changes_left}: {found:?}");
             }
         }
     }
@@ -520,31 +595,59 @@ mod tests {
             }
             // Before each rename, and before the record is removed.
             assert!(
-                killed_count >= 4 && restored_count >= 4,
+                killed_count >= 4 && restored_count >= 1,
                 "{old_count}: {killed_count}, {restored_count}"
             );
+            assert!(restored_count < killed_count, "what was begun is completed");
         }
     }
+
+    fn example(name: &OsStr, old: Option<Trait>) -> Member {
+        let temporary = OsStr::new(".a b.tmp-0123456789abcdef").into();
+        Member { name: name.into(), temporary, new: Trait { size: 7, modified_ns: -5 }, old }
+    }
+
+    const OLD: Option<Trait> = Some(Trait { size: 12, modified_ns: 1 << 60 });
 
     #[test]
     fn abandoned_set_does_not_undo_a_later_one() {
         let folder = tempfile::tempdir().expect("a folder");
         write_old(folder.path(), 3);
-        let new = |name: &str| folder.path().join(name);
-        // As though a process was killed after its second rename.
-        let members: Vec<Member> = NAMES
-            .iter()
-            .map(|name| Member { name: OsStr::new(name).into(), replaces: true, size: 7, modified_ns: 1 })
-            .collect();
-        let record_path = new(".meniscus-set-0123456789abcdef");
+        // As though a process was killed, and this was seen only after another set.
+        let members = NAMES.map(|name| example(OsStr::new(name), OLD)).into();
+        let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
         let set = FileSet { record_path: record_path.clone(), members };
         fs::write(&record_path, record_bytes(&set.members)).expect("written");
-        for index in 0..3 {
+        for (index, member) in set.members.iter().enumerate() {
             fs::write(set.old_path(index), "older").expect("written");
+            fs::write(set.temporary_path(member), "older").expect("written");
         }
         publish_new(folder.path()).expect("published");
         sweep_temporaries(folder.path()).expect("there");
         assert_eq!(contents(folder.path()), expected(None));
+    }
+
+    #[test]
+    fn set_whose_new_file_is_gone_is_put_back() {
+        for old_count in [3, 1, 0] {
+            let folder = tempfile::tempdir().expect("a folder");
+            write_old(folder.path(), old_count);
+            let unseen = NAMES.map(|name| {
+                let write = |out: &mut io::BufWriter<&File>| Ok(write!(out, "the new {name}")?);
+                write_unseen(&folder.path().join(name), write).expect("written")
+            });
+            let members: Vec<Member> = unseen.iter().map(|file| member(file).expect("known")).collect();
+            let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
+            fs::write(&record_path, record_bytes(&members)).expect("written");
+            let set = FileSet { record_path, members };
+            for (index, file) in unseen.iter().enumerate().take(old_count) {
+                fs::hard_link(file.path(), set.old_path(index)).expect("linked");
+            }
+            fs::rename(unseen[0].written_path(), unseen[0].path()).expect("renamed");
+            drop(unseen);
+            sweep_temporaries(folder.path()).expect("there");
+            assert_eq!(contents(folder.path()), expected(Some(old_count)), "{old_count}");
+        }
     }
 
     #[test]
@@ -563,19 +666,20 @@ mod tests {
 
     #[test]
     fn record_is_read_back_and_one_that_is_cut_off_or_points_elsewhere_is_void() {
-        let member =
-            |name: &OsStr, replaces| Member { name: name.into(), replaces, size: 12, modified_ns: -5 };
-        let mut members = vec![member(OsStr::new("a b.glb"), true), member(OsStr::new("ü\n.vdb"), false)];
+        let mut members = vec![example(OsStr::new("a b.glb"), OLD), example(OsStr::new("ü\n.vdb"), None)];
         #[cfg(unix)]
-        members.push(member(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), true));
+        members.push(example(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), OLD));
         let bytes = record_bytes(&members);
         assert_eq!(parse_record(&bytes), Some(members));
         for length in 0..bytes.len() {
             assert_eq!(parse_record(&bytes[..length]), None, "{length}");
         }
         for name in ["../a.glb", "/etc/passwd", "..", "", "."] {
-            let bytes = record_bytes(&[member(OsStr::new(name), false)]);
+            let bytes = record_bytes(&[example(OsStr::new(name), None)]);
             assert_eq!(parse_record(&bytes), None, "{name}");
         }
+        let foreign =
+            Member { temporary: OsStr::new("precious").into(), ..example(OsStr::new("a.glb"), None) };
+        assert_eq!(parse_record(&record_bytes(&[foreign])), None);
     }
 }

@@ -544,7 +544,7 @@ mod tests {
         for (uri, word) in [
             ("../a.bin", "not beside"),
             (absolute_uri.as_str(), "not beside"),
-            ("b.bin", "no regular file"),
+            ("b.bin", "not a regular file"),
             ("c.bin", "c.bin"),
         ] {
             fs::write(&path, DOCUMENT.replace("URI", uri)).expect("written");

@@ -166,36 +166,41 @@ fn is_still_at(path: &Path, file: &File) -> bool {
     stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
 }
 
-/// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, and puts back the files
-/// that a [set](super::file_set) replaced in part before its process was killed. Where the file system has no locks, that is
+/// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
+/// [set](super::file_set) of files whose process was killed, or put the old files back. Where the file system has no locks, that is
 /// those that nobody has written to for a day. Returns how many there were; those that may not be removed are left.
 ///
 /// # Errors
 /// When the folder cannot be read, or files cannot be put back.
 pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
-    let (mut swept_count, mut old_files, mut failure) = (0, Vec::new(), None);
+    let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         let name = entry.file_name().to_string_lossy().into_owned();
-        let record = record_of_old_file(&entry.path());
-        if let Some(record) = record {
-            // When all records are dealt with.
+        if let Some(record) = record_of_old_file(&entry.path()) {
             old_files.push((entry.path(), record));
-        } else if (is_temporary_name(&name) || is_record_name(&name)) && entry.file_type()?.is_file() {
-            let path = entry.path();
-            let swept = if is_record_name(&name) { recover(&path) } else { sweep(&path) };
-            match swept {
-                Ok(is_swept) => swept_count += usize::from(is_swept),
-                // It belongs to another account.
-                Err(error) if error.kind() == io::ErrorKind::PermissionDenied => {}
-                Err(error) if is_record_name(&name) => {
-                    let what =
-                        format!("a set of files that was replaced in part cannot be put back: {error}");
-                    failure = Some(io::Error::new(error.kind(), what));
-                }
-                Err(_) => {}
+        } else if is_record_name(&name) && entry.file_type()?.is_file() {
+            records.push(entry.path());
+        } else if is_temporary_name(&name) && entry.file_type()?.is_file() {
+            temporaries.push(entry.path());
+        }
+    }
+    let (mut swept_count, mut is_other_at_it, mut failure) = (0, false, None);
+    for path in records {
+        match recover(&path) {
+            Ok(true) => swept_count += 1,
+            Ok(false) => is_other_at_it = true,
+            // It belongs to another account.
+            Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
+            Err(error) => {
+                let what = format!("files that were replaced in part cannot be put back: {error}");
+                failure = Some(io::Error::new(error.kind(), what));
             }
         }
+    }
+    // Whoever completes a set needs its temporary files.
+    if !is_other_at_it && failure.is_none() {
+        swept_count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
     }
     for (path, record) in old_files {
         let _ = remove_old_file(&path, &record);
@@ -243,7 +248,7 @@ fn temporary_name(name: &str, number: u64) -> String {
 }
 
 /// Whether a file may be called so only as a temporary one of this program.
-fn is_temporary_name(name: &str) -> bool {
+pub(super) fn is_temporary_name(name: &str) -> bool {
     let is_digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
     let number = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY_MARK));
     number.is_some_and(|(_, number)| number.len() == 16 && number.bytes().all(is_digit))

@@ -7,6 +7,7 @@
 mod bursts; // more files at once than the system tells of; folders that come with files in them
 mod conflicts; // outputs that would meet other files: our own, the user's, another daemon's
 mod killed; // killed at any moment, nothing is lost and nothing half-made is ever seen
+mod links; // links and named pipes in the place of files
 mod oddities; // what is no frame, and frames that cannot be read
 mod remembered; // what is done, failed or fixed stays so after a restart, also without the journal
 mod rewrites; // frames that change after they were converted, while they are, or before

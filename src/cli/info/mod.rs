@@ -10,7 +10,6 @@ mod volume;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
-use std::fs;
 use std::iter;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -23,7 +22,7 @@ use meniscus_formats::{
 };
 use serde::Serialize;
 
-use crate::pipeline::{FrameError, file_of, frames_in, frames_in_unless, read_file, step_of};
+use crate::pipeline::{FrameError, file_of, frames_in, frames_in_unless, read_file, read_regular, step_of};
 
 use super::Verdict;
 use super::args::InfoArgs;
@@ -157,7 +156,7 @@ impl FileInfo {
             None => {
                 // One that has too many frames is not read whole to be told so.
                 frames_in(path)?;
-                fs::read(path)?
+                read_regular(path)?
             }
             Some(_) => read_file(path).map_err(|error| reason(&error))?,
         };

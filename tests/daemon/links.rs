@@ -1,0 +1,180 @@
+//! Links and named pipes in the place of files that the daemon opens: links are not written through, and pipes are not
+//! waited for. A command that waits fails here by the patience of the scene.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+
+use rustix::fs::{CWD, FileType, Mode, mknodat};
+use rustix::process::Signal;
+
+use crate::scene::{Line, NO_SCANS, Scene, moving, names_in, ply};
+
+const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
+const QUICK: [&str; 2] = ["--settle", "20ms"];
+const ONCE: [&str; 7] = ["watch", "in", "--out", "out", "--once", "--settle", "20ms"];
+const STATUS: [&str; 3] = ["status", "--out", "out"];
+
+fn make_pipe(scene: &Scene, within: &str) {
+    mknodat(CWD, scene.path(within), FileType::Fifo, Mode::from_raw_mode(0o644), 0).expect("a pipe");
+}
+
+/// A scene with a frame and what a daemon remembers.
+fn scene_with_state() -> Scene {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    scene.once(&[&QUICK[..], &FORMATS].concat()).assert_status(0);
+    scene.write("precious", "precious");
+    scene
+}
+
+#[test]
+fn lock_or_journal_that_is_a_link_or_a_pipe_is_refused() {
+    let scene = scene_with_state();
+    for name in ["lock", "journal"] {
+        let path = format!("out/.meniscus/{name}");
+        let kept = scene.bytes(&path);
+        for kind in ["a symbolic link", "a pipe"] {
+            scene.remove(&path);
+            match kind {
+                "a pipe" => make_pipe(&scene, &path),
+                _ => symlink(scene.path("precious"), scene.path(&path)).expect("a link"),
+            }
+            for arguments in [&ONCE[..], &STATUS] {
+                let ran = scene.run(arguments);
+                assert_eq!(ran.status, Some(2), "{arguments:?}, {name} is {kind}: {}", ran.err);
+                let expected = format!("not a regular file: {kind}");
+                assert!(ran.err.contains(&expected) && ran.err.contains(".meniscus"), "{name}: {}", ran.err);
+            }
+            assert_eq!(scene.bytes("precious"), b"precious");
+        }
+        scene.remove(&path);
+        scene.write(&path, kept);
+    }
+    scene.once(&QUICK).assert_status(0);
+}
+
+#[test]
+fn state_folder_that_is_a_link_is_refused() {
+    let scene = scene_with_state();
+    let [state, away] = ["out/.meniscus", "away"].map(|within| scene.path(within));
+    fs::rename(&state, &away).expect("renamed");
+    symlink(&away, &state).expect("a link");
+    let before = scene.bytes("away/journal");
+    for arguments in [&ONCE[..], &STATUS] {
+        let ran = scene.run(arguments);
+        assert_eq!(ran.status, Some(2), "{}", ran.err);
+        assert!(ran.err.contains(".meniscus is a symbolic link"), "{}", ran.err);
+    }
+    assert_eq!(scene.bytes("away/journal"), before);
+}
+
+/// What was asked for by name may be a link: it has no name that others know.
+#[test]
+fn journal_folder_and_out_folder_that_were_asked_for_may_be_links() {
+    let scene = Scene::new();
+    scene.put_moving([1]);
+    for name in ["journals", "outputs"] {
+        fs::create_dir(scene.path(name)).expect("made");
+    }
+    symlink(scene.path("journals"), scene.path("linked")).expect("a link");
+    symlink(scene.path("outputs"), scene.path("out")).expect("a link");
+    scene.once(&[&QUICK[..], &FORMATS, &["--journal", "linked"]].concat()).assert_status(0);
+    assert!(scene.path("journals/journal").is_file() && scene.path("outputs/dam.1.obj").is_file());
+    let ran = scene.run(&[&STATUS[..], &["--journal", "linked"]].concat());
+    assert_eq!(ran.status, Some(0), "{}", ran.err);
+}
+
+#[test]
+fn journal_that_becomes_a_link_or_a_pipe_is_replaced_under_a_running_daemon() {
+    let scene = scene_with_state();
+    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &FORMATS].concat());
+    for (number, is_pipe) in [(2, false), (3, true)] {
+        scene.remove("out/.meniscus/journal");
+        match is_pipe {
+            true => make_pipe(&scene, "out/.meniscus/journal"),
+            false => symlink(scene.path("precious"), scene.path("out/.meniscus/journal")).expect("a link"),
+        }
+        scene.put_moving([number]);
+        daemon.await_converted(&format!("dam.{number}.ply"));
+    }
+    daemon.finish();
+    assert_eq!(scene.bytes("precious"), b"precious");
+    assert!(scene.path("out/.meniscus/journal").symlink_metadata().expect("there").is_file());
+    let again = scene.once(&[&QUICK[..], &FORMATS].concat());
+    again.assert_status(0);
+    assert!(again.converted().is_empty() && again.found_done().is_empty(), "the journal knows all");
+}
+
+#[test]
+fn output_subfolder_that_is_a_link_is_not_written_through() {
+    let scene = Scene::new();
+    fs::create_dir_all(scene.path("home/deep")).expect("made");
+    fs::create_dir(scene.path("out")).expect("made");
+    symlink(scene.path("home"), scene.path("out/shot")).expect("a link");
+    scene.write("in/shot/dam.1.ply", ply(&moving(1)));
+    scene.write("in/shot/deep/dam.1.ply", ply(&moving(1)));
+    scene.write("in/other/dam.1.ply", ply(&moving(1)));
+    let once = scene.once(&[&QUICK[..], &FORMATS, &["--recursive"]].concat());
+    once.assert_status(1);
+    let failures = once.log.iter().filter(|line| line.level == "ERROR");
+    let is_told = |line: &&Line| line.message.contains("out/shot is a symbolic link");
+    assert_eq!(failures.filter(is_told).count(), 2, "{}", crate::scene::told(&once.log));
+    assert_eq!(names_in(&scene.path("home")), ["deep"]);
+    assert!(names_in(&scene.path("home/deep")).is_empty());
+    assert_eq!(names_in(&scene.path("out/other")), ["dam.1.obj", "dam.1.vdb"]);
+}
+
+/// Pipes in the place of an output, a certificate, an input, and the plan.
+#[test]
+fn pipes_do_not_hold_up_verify_and_convert() {
+    let scene = Scene::new();
+    scene.put_moving(1..=2);
+    let plan =
+        scene.run(&["plan", "in", "--out", "out", "--shards", "1", "--format", "obj", "-o", "plan.json"]);
+    assert_eq!(plan.status, Some(0), "{}", plan.err);
+    let shard = ["convert", "--plan", "plan.json", "--shard", "0"];
+    let first = scene.run(&shard);
+    assert_eq!(first.status, Some(0), "{}", first.err);
+    let verify = || scene.run(&["verify", "out", "--plan", "plan.json"]);
+    assert_eq!(verify().status, Some(0));
+    for name in names_in(&scene.path("out")) {
+        let within = format!("out/{name}");
+        let kept = scene.bytes(&within);
+        scene.remove(&within);
+        make_pipe(&scene, &within);
+        assert_ne!(verify().status, Some(0), "{name}");
+        scene.remove(&within);
+        scene.write(&within, kept);
+    }
+    scene.remove("in/dam.1.ply");
+    make_pipe(&scene, "in/dam.1.ply");
+    // As where the input is gone: the outputs are compared with what is known.
+    let verified = verify();
+    assert_eq!(verified.status, Some(0), "{}", verified.err);
+    let convert = ["convert", "in/dam.1.ply", "--out", "again", "--voxel-size", "0.1", "--skip-done"];
+    for arguments in [&convert[..], &convert[..6], &["info", "in"], &shard] {
+        let ran = scene.run(arguments);
+        assert_ne!(ran.status, None, "{arguments:?}");
+    }
+    let ran = scene.run(&convert);
+    assert_eq!(ran.status, Some(2), "{}", ran.err);
+    assert!(ran.err.contains("dam.1.ply") && ran.err.contains("not a regular file: a pipe"), "{}", ran.err);
+    scene.remove("plan.json");
+    make_pipe(&scene, "plan.json");
+    assert_ne!(verify().status, Some(0));
+}
+
+/// The process that reads it would hang, and hear no other signal.
+#[test]
+fn configuration_that_is_a_pipe_does_not_keep_the_daemon_from_ending() {
+    let scene = Scene::new();
+    let text = "[[watch]]\ninput = \"in\"\noutput = \"out\"\n";
+    scene.write("meniscus.toml", text);
+    let daemon = scene.start_as(&["watch", "--config", "meniscus.toml", "--log", "json"]);
+    daemon.await_ready();
+    scene.remove("meniscus.toml");
+    make_pipe(&scene, "meniscus.toml");
+    daemon.signal(Signal::HUP);
+    daemon.await_line("it is refused", |line| line.message.contains("not a regular file: a pipe"));
+    daemon.finish();
+}
