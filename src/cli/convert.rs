@@ -257,6 +257,7 @@ fn is_done_without_inputs(frame: &Frame) -> bool {
 fn refuse_beside_plan(args: &ConvertArgs) -> Result<()> {
     let ConvertArgs {
         inputs,
+        input_format,
         out,
         format,
         frames,
@@ -269,6 +270,7 @@ fn refuse_beside_plan(args: &ConvertArgs) -> Result<()> {
         ..
     } = args;
     let is_alone = inputs.is_empty()
+        && input_format.is_none()
         && out.is_none()
         && format.is_none()
         && frames.is_none()
