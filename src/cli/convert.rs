@@ -263,6 +263,7 @@ fn done_without_inputs(frame: &Frame) -> Option<Option<String>> {
 fn refuse_beside_plan(args: &ConvertArgs) -> Result<()> {
     let ConvertArgs {
         inputs,
+        input_format,
         out,
         format,
         frames,
@@ -275,6 +276,7 @@ fn refuse_beside_plan(args: &ConvertArgs) -> Result<()> {
         ..
     } = args;
     let is_alone = inputs.is_empty()
+        && input_format.is_none()
         && out.is_none()
         && format.is_none()
         && frames.is_none()

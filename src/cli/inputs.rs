@@ -122,6 +122,11 @@ impl Found {
         }
     }
 
+    /// How many files and unreadable paths there are.
+    fn count(&self) -> usize {
+        self.files.len() + self.unreadable.len()
+    }
+
     /// Counts files that are no frames, of which this is the first by path.
     fn pass_over(&mut self, first: PathBuf, count: usize) {
         let (before, count_before) = self.passed_over.take().unwrap_or_else(|| (first.clone(), 0));
@@ -130,7 +135,7 @@ impl Found {
 
     fn add_folder(&mut self, folder: &Path) -> Result<()> {
         let files = files_in(folder).with_context(|| folder.display().to_string())?;
-        let count_before = self.files.len();
+        let count_before = self.count();
         let file_count = files.len();
         let has_level_set = files.iter().any(|path| is_level_set(path));
         for path in files {
@@ -142,7 +147,7 @@ impl Found {
                 Err(error) => self.unreadable.push((path, error.to_string())),
             }
         }
-        if self.files.len() == count_before && self.unreadable.is_empty() {
+        if self.count() == count_before {
             let hint = if has_level_set { ": level sets are given by name, or by a pattern" } else { "" };
             bail!(
                 "{}: no frames of particles among the {file_count} files of this folder{hint}",
@@ -156,11 +161,11 @@ impl Found {
         let pattern = input
             .to_str()
             .ok_or_else(|| anyhow!("{}: no such file, and no pattern in UTF-8", input.display()))?;
-        let count_before = self.files.len();
+        let count_before = self.count();
         let name = input.file_name().and_then(|name| name.to_str()).unwrap_or_default();
         if let Some(number) = NumberPattern::find(name) {
             self.add_numbered(input, &number)?;
-            if self.files.len() == count_before && self.unreadable.is_empty() && number.width_min > 1 {
+            if self.count() == count_before && number.width_min > 1 {
                 bail!(
                     "{pattern}: no file matches; for numbers of any width, write {}{{}}{}",
                     number.before,
@@ -176,7 +181,7 @@ impl Found {
             let hint = if is_foreign { "; the number is written ####, as in dam.####.bgeo" } else { "" };
             bail!("{pattern}: no such file or folder{hint}");
         }
-        if self.files.len() == count_before && self.unreadable.is_empty() {
+        if self.count() == count_before {
             bail!("{pattern}: no file matches");
         }
         Ok(())
@@ -184,7 +189,11 @@ impl Found {
 
     fn add_numbered(&mut self, input: &Path, number: &NumberPattern<'_>) -> Result<()> {
         for folder in self.folders(input.parent().unwrap_or(Path::new("")))? {
-            for path in files_in(&folder).with_context(|| input.display().to_string())? {
+            let files = files_in(&folder).unwrap_or_else(|error| {
+                self.note_unreadable(&folder, &error);
+                Vec::new()
+            });
+            for path in files {
                 let span =
                     path.file_name().and_then(|name| name.to_str()).and_then(|name| number.span_in(name));
                 if let Some(span) = span {
