@@ -99,7 +99,7 @@ fn usda_shot(up: UpAxis) -> (String, Vec<String>) {
     let (shot, files) = gathered(up);
     let mut bytes = Vec::new();
     let open = |index: usize| Ok(Cursor::new(&files[index]));
-    let notes = usda::write_sequence(&shot, 25.0, &provenance(), open, &mut bytes).expect("written");
+    let notes = usda::write_sequence(&shot, (25.0, 0.01), &provenance(), open, &mut bytes).expect("written");
     (String::from_utf8(bytes).expect("UTF-8"), notes)
 }
 
@@ -229,7 +229,7 @@ fn shots_that_cannot_be_are_refused() {
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     let both = |shot: &[ShotFrame]| {
         let glb = gltf::write_sequence(shot, 24.0, &[], open, &mut Vec::new());
-        (glb, usda::write_sequence(shot, 24.0, &[], open, &mut Vec::new()).map(|_| ()))
+        (glb, usda::write_sequence(shot, (24.0, 1.0), &[], open, &mut Vec::new()).map(|_| ()))
     };
     // Frames at one time, frames that differ in what is up.
     shot[1].code = 5;

@@ -196,6 +196,7 @@ fn without_file(
         ("--smooth-normals", smooth_normals.is_some(), has_mesh, "meshes"),
         ("--quads", *quads, has_quads, ".obj, .vtp and .usda"),
         ("--up", format_args.up.is_some(), has_up || has_picture, ".glb, .gltf, .usda and pictures"),
+        ("--meters-per-unit", format_args.meters_per_unit.is_some(), has(OutputFormat::Usda), ".usda"),
         ("--preview-size", format_args.preview_size.is_some(), has_picture, "--preview"),
         ("--camera", format_args.camera.is_some(), has_picture, "--preview"),
         ("--vdb-half", format_args.vdb_half, vdb, ".vdb"),
@@ -247,6 +248,7 @@ pub(super) fn output_options(
             UpChoice::Y => gltf::UpAxis::Y,
             UpChoice::Z => gltf::UpAxis::Z,
         },
+        meters_per_unit: args.meters_per_unit.unwrap_or(1.0),
         quantize: args.quantize,
         vdb_half: args.vdb_half,
         vdb_compression: match args.vdb_compression.unwrap_or(CompressionChoice::Blosc) {

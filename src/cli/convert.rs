@@ -67,7 +67,10 @@ fn convert_to(
         return convert_level_sets(args, &selection, start, console);
     }
     let Selection { sequences, found, .. } = selection;
-    warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
+    // A .usda of the whole sequence says what a unit is, too.
+    let meters_per_unit = args.formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
+    let judged = FormatArgs { meters_per_unit, ..args.formats.clone() };
+    warn_of_ignored(&args.method, args.format.as_deref(), &judged, console);
     if let Some(warning) = level_warning() {
         console.warn(format_args!("warning: {warning}"));
     }

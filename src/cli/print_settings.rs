@@ -114,6 +114,9 @@ fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
     if outputs.formats.iter().any(has_up) || preview.is_some() {
         keys.push(("up".to_owned(), quoted(up_name(outputs.up).to_owned())));
     }
+    if outputs.formats.contains(&OutputFormat::Usda) {
+        keys.push(("meters_per_unit".to_owned(), outputs.meters_per_unit.to_string()));
+    }
     if outputs.quantize {
         keys.push(("quantize".to_owned(), outputs.quantize.to_string()));
     }

@@ -7,7 +7,7 @@ use anyhow::bail;
 use bytesize::ByteSize;
 
 use crate::daemon::Poll;
-use crate::pipeline::default_memory_bytes;
+use crate::pipeline::{METERS_PER_UNIT, default_memory_bytes};
 
 /// Nobody waits longer; and a moment so far away can still be computed.
 const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);
@@ -75,6 +75,13 @@ fn at_least(text: &str, duration: Duration, least: Duration) -> Result<Duration,
 pub(super) fn parse_listen(text: &str) -> Result<SocketAddr, String> {
     text.parse()
         .map_err(|_| format!("`{text}` is no address with a port, such as 127.0.0.1:7700 or [::1]:7700"))
+}
+
+/// The length of a world unit in metres.
+pub(super) fn parse_meters_per_unit(text: &str) -> Result<f64, String> {
+    let meters = text.trim().parse().ok().filter(|meters| METERS_PER_UNIT.contains(meters));
+    let [least, most] = [METERS_PER_UNIT.start(), METERS_PER_UNIT.end()];
+    meters.ok_or_else(|| format!("`{text}` is not a number of metres from {least:e} to {most:e}"))
 }
 
 /// A number of bytes.

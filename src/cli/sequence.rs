@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
-    FrameFile, OutputFormat, OutputOptions, ShotFormat, ShotReport, ShotSource, are_one_file, files_in,
-    is_shot, sequences, write_shot,
+    FrameFile, OutputFormat, OutputOptions, ShotFormat, ShotOptions, ShotReport, ShotSource, are_one_file,
+    files_in, is_shot, sequences, write_shot,
 };
 
 use super::Verdict;
@@ -47,7 +47,11 @@ pub(super) fn sequence(args: &SequenceArgs, console: &mut Console) -> Result<Ver
     };
     let source = |file: &FrameFile| ShotSource { path: file.path.clone(), number: file.number() };
     let sources: Vec<ShotSource> = sequence.frames.iter().map(source).collect();
-    let shot = thread_pool(None)?.install(|| write_shot(&args.output, format, &sources, args.fps))?;
+    if args.meters_per_unit.is_some() && format != ShotFormat::Usda {
+        console.warn("warning: --meters-per-unit has no effect: it is for .usda");
+    }
+    let options = ShotOptions { fps: args.fps, meters_per_unit: args.meters_per_unit.unwrap_or(1.0) };
+    let shot = thread_pool(None)?.install(|| write_shot(&args.output, format, &sources, options))?;
     tell_gaps(&args.output, &sources, console);
     told(&args.output, &shot, console);
     Ok(if shot.left_out.is_empty() { Verdict::Done } else { Verdict::SomeFailed })
@@ -125,7 +129,7 @@ fn refuse_folder(path: &Path) -> Result<()> {
 /// The shots that are asked for beside frames.
 pub(super) struct Shots {
     files: Vec<(PathBuf, ShotFormat)>,
-    fps: f64,
+    options: ShotOptions,
     /// Whether some of the frames were asked for: then others need not be there.
     are_picked: bool,
 }
@@ -166,7 +170,8 @@ impl Shots {
         if files.is_empty() && fps.is_some() {
             bail!("--fps is for a shot: give --sequence-glb or --sequence-usda as well");
         }
-        Ok(Shots { files, fps: fps.unwrap_or(FPS), are_picked })
+        let options = ShotOptions { fps: fps.unwrap_or(FPS), meters_per_unit: outputs.meters_per_unit };
+        Ok(Shots { files, options, are_picked })
     }
 
     /// The files.
@@ -186,7 +191,7 @@ impl Shots {
     pub(super) fn write(&self, frames: &[ShotSource], verdict: Verdict, console: &mut Console) -> Verdict {
         let mut verdict = verdict;
         for (path, format) in &self.files {
-            match write_shot(path, *format, frames, self.fps) {
+            match write_shot(path, *format, frames, self.options) {
                 Ok(shot) => {
                     if !self.are_picked {
                         tell_gaps(path, frames, console);

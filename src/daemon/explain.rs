@@ -303,6 +303,7 @@ mod tests {
                     folder: out,
                     formats: vec![OutputFormat::Glb],
                     up: meniscus_formats::gltf::UpAxis::Y,
+                    meters_per_unit: 1.0,
                     quantize: false,
                     vdb_half: false,
                     vdb_compression: meniscus_formats::vdb::Compression::None,

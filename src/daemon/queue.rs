@@ -143,6 +143,7 @@ mod tests {
             folder: PathBuf::new(),
             formats: Vec::new(),
             up: gltf::UpAxis::Y,
+            meters_per_unit: 1.0,
             quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::None,

@@ -19,8 +19,8 @@ use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
-    AutomaticVoxelSize, CameraChoice, GENERATOR_AND_VERSION, OutputFormat, OutputOptions, PictureOptions,
-    compression_name, file_of, open_regular, up_name, write_whole,
+    AutomaticVoxelSize, CameraChoice, GENERATOR_AND_VERSION, METERS_PER_UNIT, OutputFormat, OutputOptions,
+    PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
 };
 use crate::settings::{Choices, Settings};
 
@@ -61,6 +61,8 @@ struct Head {
 struct Outputs {
     formats: Vec<String>,
     up: String,
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    meters_per_unit: f64,
     quantize: bool,
     vdb_half: bool,
     vdb_compression: String,
@@ -239,11 +241,21 @@ fn replaced_input(plan: &Plan) -> Option<usize> {
     plan.frames.iter().position(|planned| outputs.contains(file_of(&planned.input)))
 }
 
+fn one() -> f64 {
+    1.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
+fn is_one(number: &f64) -> bool {
+    *number == 1.0
+}
+
 impl Outputs {
     fn of(options: &OutputOptions) -> Outputs {
         Outputs {
             formats: options.formats.iter().map(|format| format.extension().to_owned()).collect(),
             up: up_name(options.up).to_owned(),
+            meters_per_unit: options.meters_per_unit,
             quantize: options.quantize,
             vdb_half: options.vdb_half,
             vdb_compression: compression_name(options.vdb_compression).to_owned(),
@@ -273,11 +285,15 @@ impl Outputs {
         if !self.picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
             return Err(PlanError::at("/outputs/picture_size", "each must be 16 to 8192"));
         }
+        if !METERS_PER_UNIT.contains(&self.meters_per_unit) {
+            return Err(PlanError::at("/outputs/meters_per_unit", "it must be from 1e-9 to 1e9"));
+        }
         let unknown = |place: &str, name: &str| PlanError::at(place, format!("`{name}` is not known"));
         Ok(OutputOptions {
             folder,
             formats,
             up: up.ok_or_else(|| unknown("/outputs/up", &self.up))?,
+            meters_per_unit: self.meters_per_unit,
             quantize: self.quantize,
             vdb_half: self.vdb_half,
             vdb_compression: compression

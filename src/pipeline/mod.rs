@@ -123,7 +123,9 @@ pub use out_folder::{
     refuse_file_for_folder,
 };
 pub use output_states::{OutputState, OutputStates};
-pub use outputs::{Conflict, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path};
+pub use outputs::{
+    Conflict, METERS_PER_UNIT, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path,
+};
 pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
 pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
@@ -134,7 +136,7 @@ pub use provenance::{
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use resurfacing::{BandToSurface, resurface_all};
-pub use shot::{ShotError, ShotFormat, ShotReport, ShotSource, is_shot, write_shot};
+pub use shot::{ShotError, ShotFormat, ShotOptions, ShotReport, ShotSource, is_shot, write_shot};
 pub use sink::{replace_own, stop_writing, write_whole};
 pub use source::{
     FrameFile, Sequence, has_particle_extension, natural_order, order_subframes, promises_particles,

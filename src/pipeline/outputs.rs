@@ -7,6 +7,7 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::fs;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -95,6 +96,9 @@ impl OutputFormat {
     }
 }
 
+/// How many metres a world unit may have: from a nanometre to a million kilometres.
+pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
+
 /// What is written of each frame, and where.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutputOptions {
@@ -104,6 +108,8 @@ pub struct OutputOptions {
     pub formats: Vec<OutputFormat>,
     /// Which axis of the particles points up, for glTF, where it must be y, and for USD, which asks.
     pub up: gltf::UpAxis,
+    /// The length of a world unit in metres, positive and finite: USD says it.
+    pub meters_per_unit: f64,
     /// Small integers in .glb.
     pub quantize: bool,
     /// 16-bit values in .vdb.
@@ -122,6 +128,7 @@ impl OutputOptions {
             folder: folder.into(),
             formats: formats.to_vec(),
             up: gltf::UpAxis::Y,
+            meters_per_unit: 1.0,
             quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,

@@ -267,6 +267,10 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static 
         OutputFormat::Glb if options.quantize => {
             vec![("up", up_name(options.up).to_owned()), ("quantize", options.quantize.to_string())]
         }
+        OutputFormat::Usda if options.meters_per_unit != 1.0 => vec![
+            ("up", up_name(options.up).to_owned()),
+            ("meters_per_unit", options.meters_per_unit.to_string()),
+        ],
         OutputFormat::Glb | OutputFormat::Gltf | OutputFormat::Usda => {
             vec![("up", up_name(options.up).to_owned())]
         }
@@ -300,6 +304,9 @@ pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Ve
     let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].iter().any(has);
     if has_up && options.up != gltf::UpAxis::Y {
         chosen.push(("up", up_name(options.up).to_owned()));
+    }
+    if has(&OutputFormat::Usda) && options.meters_per_unit != 1.0 {
+        chosen.push(("meters_per_unit", options.meters_per_unit.to_string()));
     }
     if has(&OutputFormat::Glb) && options.quantize {
         chosen.push(("quantize", options.quantize.to_string()));

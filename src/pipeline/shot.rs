@@ -57,6 +57,15 @@ pub struct ShotSource {
     pub number: Option<u64>,
 }
 
+/// How a shot plays in other programs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShotOptions {
+    /// Frames per second.
+    pub fps: f64,
+    /// The length of a world unit in metres, which a .usda says.
+    pub meters_per_unit: f64,
+}
+
 /// What came of a shot.
 #[derive(Debug, Default)]
 pub struct ShotReport {
@@ -95,8 +104,9 @@ pub fn write_shot(
     path: &Path,
     format: ShotFormat,
     sources: &[ShotSource],
-    fps: f64,
+    options: ShotOptions,
 ) -> Result<ShotReport, ShotError> {
+    let ShotOptions { fps, meters_per_unit } = options;
     let fail = |what: String| ShotError { path: path.to_owned(), what };
     if sources.iter().any(|source| are_one_file(&source.path, path)) {
         return Err(fail("the shot would replace a frame of it".to_owned()));
@@ -123,7 +133,9 @@ pub fn write_shot(
     let written = write_whole(path, |out| {
         match format {
             ShotFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
-            ShotFormat::Usda => report.notes = usda::write_sequence(&frames, fps, &provenance, open, out)?,
+            ShotFormat::Usda => {
+                report.notes = usda::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
+            }
         }
         Ok(refuse_written(&opened)?)
     });

@@ -125,7 +125,12 @@ pub(super) fn write_made<'env>(
         }
         OutputFormat::Usda => {
             let quads = quads_of(surface, frame);
-            let options = usda::WriteOptions { up: options.up, quads, ..usda::WriteOptions::default() };
+            let options = usda::WriteOptions {
+                up: options.up,
+                meters_per_unit: options.meters_per_unit,
+                quads,
+                ..usda::WriteOptions::default()
+            };
             for index in 0..usda::batch_count(&mesh, &options) {
                 let (surface, options, provenance) =
                     (Arc::clone(surface), options.clone(), provenance.clone());

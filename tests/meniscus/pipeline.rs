@@ -107,6 +107,7 @@ impl Bench {
             folder: folder.path().join("out"),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
             up: gltf::UpAxis::Y,
+            meters_per_unit: 1.0,
             quantize: false,
             vdb_half: false,
             vdb_compression: vdb::Compression::Blosc,

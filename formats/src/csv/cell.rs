@@ -129,40 +129,6 @@ pub(super) fn has_decimal_comma(text: &[u8]) -> bool {
     commas == 1 && matches!(meaning(&with_point), Meaning::Number(_))
 }
 
-/// Whether a 32-bit real cannot stand for the number that `text` says and `value` is.
-///
-/// That is so if more than 7 digits are written, and the nearest 32-bit real is further away than
-/// half of the last digit. Numbers that were 32-bit reals before they were printed, with however
-/// many digits, therefore always pass; most 64-bit reals printed in full do not.
-pub(super) fn exceeds_f32(text: &[u8], value: f64) -> bool {
-    let nearest = f64::from(narrow(value));
-    if nearest == value || !value.is_finite() {
-        return false;
-    }
-    let difference = (value - nearest).abs();
-    // Nearly always it is enough to look where the point is.
-    let decimal_count = text.iter().rev().position(|&byte| byte == b'.').unwrap_or(0);
-    let has_exponent = text.iter().rev().take(EXPONENT_BYTES_MAX).any(|byte| byte.is_ascii_alphabetic());
-    let half_of_last_digit = 0.5 * NEGATIVE_POWERS.get(decimal_count).copied().unwrap_or(0.0);
-    if !has_exponent && difference <= half_of_last_digit {
-        return false;
-    }
-    exceeds_f32_by(text, value, difference)
-}
-
-/// [`exceeds_f32`] for what needs a closer look.
-#[cold]
-fn exceeds_f32_by(text: &[u8], value: f64, difference: f64) -> bool {
-    const DIGITS_ALWAYS_HELD: u32 = 7; // as near as makes no difference: 6 hold exactly
-    if difference.is_infinite() {
-        return true;
-    }
-    let (digit_count, last_digit_exponent) = written_precision(text);
-    let half_of_last_digit = 0.5 * power_of_ten(last_digit_exponent);
-    let rounding_of_value = f64::EPSILON * value.abs();
-    digit_count > DIGITS_ALWAYS_HELD && difference > half_of_last_digit + rounding_of_value
-}
-
 /// Whether `text` is an integer that a 64-bit real cannot stand for.
 #[inline]
 pub(super) fn is_rounded_integer(text: &[u8]) -> bool {
@@ -185,40 +151,6 @@ pub(super) fn is_rounded(magnitude: u128) -> bool {
     f64::MANTISSA_DIGITS < bit_count
 }
 
-/// The number of significant digits, and the power of ten that the last of them counts.
-fn written_precision(text: &[u8]) -> (u32, i32) {
-    let mut digit_count = 0u32;
-    let mut decimal_count = 0i32;
-    let mut after_point = false;
-    for (at, byte) in text.iter().enumerate() {
-        match byte {
-            b'0'..=b'9' => {
-                digit_count += u32::from(0 < digit_count || *byte != b'0');
-                decimal_count += i32::from(after_point);
-            }
-            b'.' => after_point = true,
-            b'e' | b'E' | b'd' | b'D' => {
-                let exponent =
-                    std::str::from_utf8(&text[at + 1..]).ok().and_then(|digits| digits.parse().ok());
-                return (digit_count, exponent.unwrap_or(0i32).saturating_sub(decimal_count));
-            }
-            _ => {}
-        }
-    }
-    (digit_count, -decimal_count)
-}
-
-fn power_of_ten(exponent: i32) -> f64 {
-    let tabulated = usize::try_from(-i64::from(exponent)).ok().and_then(|index| NEGATIVE_POWERS.get(index));
-    tabulated.copied().unwrap_or_else(|| 10f64.powi(exponent))
-}
-
-/// The nearest 32-bit real; what is beyond them becomes infinite.
-#[expect(clippy::cast_possible_truncation, reason = "called where 32 bits are meant")]
-pub(super) fn narrow(value: f64) -> f32 {
-    value as f32
-}
-
 /// A piece of the file in quotes, for a message.
 pub(super) fn shown(text: &[u8]) -> String {
     format!("\"{}\"", excerpt(text))
@@ -226,12 +158,3 @@ pub(super) fn shown(text: &[u8]) -> String {
 
 /// Words for a number that is not there, in lower case. (`nan` is a number.)
 const MISSING: [&[u8]; 7] = [b"", b"na", b"n/a", b"#n/a", b"null", b"none", b"-"];
-
-/// Bytes of the longest exponent with its letter: `e-308`.
-const EXPONENT_BYTES_MAX: usize = 5;
-
-/// Numbers are rarely written with more decimals than these.
-const NEGATIVE_POWERS: [f64; 24] = [
-    1e0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14, 1e-15,
-    1e-16, 1e-17, 1e-18, 1e-19, 1e-20, 1e-21, 1e-22, 1e-23,
-];

@@ -9,7 +9,7 @@
 //!
 //! Columns of parts that were read side by side are joined where that makes what reading on would have made.
 
-use super::cell::{exceeds_f32, is_rounded, is_rounded_integer, narrow};
+use super::cell::{is_rounded, is_rounded_integer};
 use std::collections::HashMap;
 
 /// The values of one column, one per row.
@@ -18,8 +18,6 @@ pub(super) struct Column {
     pub(super) values: ColumnValues,
     /// Whether any cell held a value; until then it may still become a column of texts.
     has_value: bool,
-    /// Whether a number was written that a 32-bit real cannot stand for.
-    pub(super) exceeds_f32: bool,
     /// Whether an integer was written that may read differently among reals: −0, +5, or one of many digits.
     has_odd_integer: bool,
     /// Whether an integer was written that is another one as a 64-bit real.
@@ -46,25 +44,14 @@ impl Column {
     /// An empty column with room for `row_count` numbers.
     pub(super) fn with_capacity(row_count: usize) -> Column {
         let values = ColumnValues::Integers(Vec::with_capacity(row_count));
-        Column {
-            values,
-            has_value: false,
-            exceeds_f32: false,
-            has_odd_integer: false,
-            has_rounded_integer: false,
-        }
+        Column { values, has_value: false, has_odd_integer: false, has_rounded_integer: false }
     }
 
     /// Appends a number other than an integer; `text` is how it was written.
     #[inline]
     pub(super) fn push_real(&mut self, value: f64, text: &[u8]) {
         self.has_value = true;
-        if !self.exceeds_f32 {
-            self.exceeds_f32 = exceeds_f32(text, value);
-        }
-        if !self.has_rounded_integer && is_rounded_integer(text) {
-            (self.has_rounded_integer, self.exceeds_f32) = (true, true);
-        }
+        self.has_rounded_integer = self.has_rounded_integer || is_rounded_integer(text);
         if let Some(reals) = self.reals() {
             reals.push(value);
         }
@@ -166,7 +153,6 @@ impl Column {
             }
         }
         self.has_value |= next.has_value;
-        self.exceeds_f32 |= next.exceeds_f32;
         self.has_odd_integer |= next.has_odd_integer;
         self.has_rounded_integer |= next.has_rounded_integer;
     }
@@ -176,11 +162,6 @@ impl Column {
         if let ColumnValues::Integers(integers) = &mut self.values {
             let integers = std::mem::take(integers);
             self.has_rounded_integer |= integers.iter().any(|value| is_rounded(value.unsigned_abs().into()));
-            self.exceeds_f32 |= self.has_rounded_integer
-                || integers.iter().any(|&value| {
-                    let value = integer_as_real(value);
-                    f64::from(narrow(value)) != value
-                });
             // Of one size: the allocation stays.
             self.values = ColumnValues::Reals(integers.into_iter().map(integer_as_real).collect());
         }
@@ -228,5 +209,5 @@ fn integer_as_real(value: i64) -> f64 {
 /// The index of none.
 const NO_TEXT: i32 = -1;
 
-/// Integers up to here are 32-bit reals, too.
-const PLAIN_INTEGER_MAX: u64 = 1 << f32::MANTISSA_DIGITS;
+/// Integers up to here are 64-bit reals, too.
+const PLAIN_INTEGER_MAX: u64 = 1 << f64::MANTISSA_DIGITS;

@@ -1,6 +1,5 @@
 //! From columns to the position and attributes.
 
-use super::cell::narrow;
 use super::column::{Column, ColumnValues};
 use super::layout::{self, Layout};
 use super::rows::Table;
@@ -48,13 +47,7 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
 
 fn positions(columns: &mut [Column], position: [usize; 3], row_count: usize) -> Positions {
     let [x, y, z] = position.map(|index| take_reals(&mut columns[index]));
-    let exceeds_f32 = position.iter().any(|&index| columns[index].exceeds_f32);
-    let rows = (0..row_count).map(|row| [x[row], y[row], z[row]]);
-    if exceeds_f32 {
-        Positions::F64(rows.collect())
-    } else {
-        Positions::F32(rows.map(|position| position.map(narrow)).collect())
-    }
+    Positions::F64((0..row_count).map(|row| [x[row], y[row], z[row]]).collect())
 }
 
 /// Each column of text is an attribute of its own: their tables differ.
@@ -70,7 +63,7 @@ fn take_texts(group: &Group, names: &[String], columns: &mut [Column], attribute
     }
 }
 
-/// The values of a group, row by row, in the narrowest type that holds them all.
+/// The values of a group, row by row: 64-bit reals, or integers in the narrowest type that holds them all.
 fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
     if let Some(range) = integer_range(group, columns) {
         let all = |low: i64, high: i64| range.is_none_or(|(min, max)| low <= min && max <= high);
@@ -95,11 +88,7 @@ fn numbers(group: &Group, columns: &mut [Column], row_count: usize) -> Values {
     if group.scale != 1.0 {
         reals.iter_mut().for_each(|value| *value *= group.scale);
     }
-    if group.columns.iter().any(|&index| columns[index].exceeds_f32) {
-        Values::F64(reals)
-    } else {
-        Values::F32(reals.into_iter().map(narrow).collect())
-    }
+    Values::F64(reals)
 }
 
 /// The least and the greatest value of a group, if all its columns hold integers. None of none.

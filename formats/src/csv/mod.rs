@@ -14,11 +14,9 @@
 //! of a line is allowed everywhere; quotes may surround any cell, on one line.
 //!
 //! What a column holds is told by its values: text if the first is none that a number can be, else
-//! integers as long as all are, else reals. Reals are kept in 64 bits if the file says more than a
-//! 32-bit one can stand for: if any value has more than 7 digits, and the nearest 32-bit real is
-//! further away than half of the last one. Numbers that were 32-bit reals before they were printed
-//! stay such. An attribute, and the position, is decided as a whole. Integers that are rounded thereby, being beyond 64 bits or
-//! beside other numbers, are told.
+//! integers as long as all are, else reals. Reals have 64 bits, however few digits are written: the digits of
+//! one particle must not change how another is read. Integers that are rounded as reals, being beyond 64 bits or
+//! beside other numbers, get a note.
 //!
 //! Not read: decimal commas, several tables in one file, quoted line breaks; for LAMMPS dumps see [`crate::lammps`].
 

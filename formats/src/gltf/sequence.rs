@@ -1,11 +1,15 @@
 //! A whole shot in one `.glb`: a node for each frame, and an animation that shows one after the other.
 //!
 //! ```text
-//!   node      scale          0   t1   t2   t3   end       seconds; STEP: each value holds until the next key
+//!   node      scale          0   1.5  2.5  3.5           frames; STEP: each value holds until the next key
 //!   frame 1   1 → 0          1    0
 //!   frame 2   0 → 1 → 0      0    1    0
-//!   frame 3   0 → 1          0         1          1
+//!   frame 3   0 → 1          0         1    1
 //! ```
+//!
+//! A program that shows whole frames, as Blender does, counts them from 1 and shows what is there at n / fps seconds. So
+//! that frame n of its scene shows frame n of the shot, frame n lasts from n − ½ to n + ½, and rounding cannot show a
+//! neighbour. The first frame also fills the time before it.
 //!
 //! What is scaled by zero is not seen. There are extensions for visibility, but Blender and three.js do not read them
 //! yet, and every program that plays glTF scales. At rest the first frame is shown.
@@ -152,13 +156,14 @@ const KEY_BYTES: u64 = 16;
 /// The keys of each frame; none of a frame without a mesh.
 fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
     let first = frames.first().map_or(0, |frame| frame.code);
+    // Half a frame before the frame's own time; the first frame is number 1.
     #[expect(clippy::cast_possible_truncation, reason = "times have 32 bits")]
-    let seconds = |code: u64| ((code.saturating_sub(first)) as f64 / fps) as f32;
+    let seconds = |code: u64| ((code.saturating_sub(first) as f64 + 0.5) / fps) as f32;
     let mut all = Vec::with_capacity(frames.len());
     for (index, frame) in frames.iter().enumerate() {
         let next = frames.get(index + 1).map(|next| seconds(next.code));
         let end = next.unwrap_or_else(|| seconds(frame.code.saturating_add(1)));
-        let start = seconds(frame.code);
+        let start = if index == 0 { 0.0 } else { seconds(frame.code) };
         if end <= start {
             return Err(invalid(format!("{} and the next frame are shown at the same time", frame.name)));
         }

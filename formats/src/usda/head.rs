@@ -6,6 +6,9 @@ use crate::gltf::UpAxis;
 
 use super::FORMAT;
 
+/// The prim at the root, which a stage that references the layer gets.
+pub(super) const ROOT: &str = "root";
+
 /// What the last line of a file begins with.
 pub(super) const LAST_LINE: &str = "# end: ";
 
@@ -20,8 +23,13 @@ pub struct LayerInfo {
     pub frames: Option<u64>,
 }
 
-/// The text before the prim. `times` is what is said of the time codes of a shot, lines of it.
-pub(super) fn head(provenance: &Provenance, info: &LayerInfo, up: UpAxis, name: &str, times: &str) -> String {
+/// The text before the mesh, with the start of the prim that the mesh is in. `times` is what is said of the time codes of a shot, lines of it.
+pub(super) fn head(
+    provenance: &Provenance,
+    info: &LayerInfo,
+    (up, meters_per_unit): (UpAxis, f64),
+    times: &str,
+) -> String {
     let mut text = "#usda 1.0\n(\n    customLayerData = {\n        dictionary meniscus = {\n".to_owned();
     for (key, value) in provenance {
         text += &format!("            string {} = {}\n", key_of(key), quoted(value));
@@ -31,13 +39,15 @@ pub(super) fn head(provenance: &Provenance, info: &LayerInfo, up: UpAxis, name: 
     text += &format!("            int64 faces = {faces}\n");
     text += &frames.map(|frames| format!("            int64 frames = {frames}\n")).unwrap_or_default();
     text += &format!(
-        "            int64 vertices = {vertices}\n        }}\n    }}\n    defaultPrim = \"{name}\"\n"
+        "            int64 vertices = {vertices}\n        }}\n    }}\n    defaultPrim = \"{ROOT}\"\n"
     );
     let up = match up {
         UpAxis::Y => "Y",
         UpAxis::Z => "Z",
     };
-    text + &format!("{times}    metersPerUnit = 1\n    upAxis = \"{up}\"\n)\n\n")
+    text + &format!(
+        "{times}    metersPerUnit = {meters_per_unit}\n    upAxis = \"{up}\"\n)\n\ndef Xform \"{ROOT}\"\n{{\n"
+    )
 }
 
 /// What [`head`] said of what made the file.
@@ -157,7 +167,7 @@ mod tests {
         ];
         for frames in [None, Some(240)] {
             let info = LayerInfo { vertices: u64::from(u32::MAX) + 1, faces: 7, frames };
-            let text = head(&provenance, &info, UpAxis::Z, "surface", "") + "def Mesh \"surface\"\n";
+            let text = head(&provenance, &info, (UpAxis::Z, 1.0), "") + "def Mesh \"surface\"\n";
             assert_eq!(read_provenance(text.as_bytes()).expect("a head"), provenance);
             assert_eq!(read_layer_info(text.as_bytes()).expect("a head"), Some(info));
             for length in 0..text.len() {

@@ -6,7 +6,8 @@
 //!       customLayerData = { dictionary meniscus = { string radius = "0.025" .. } .. }     what made it
 //!       defaultPrim, metersPerUnit, upAxis; of a shot its time codes
 //!   )
-//!   def Mesh "surface"
+//!   def Xform "root"
+//!       def Mesh "surface"
 //!   {
 //!       int[] faceVertexCounts = [3, 3, ..]        or  int[] faceVertexCounts.timeSamples = { 1: [3, ..], 2: [..] }
 //!       point3f[] points = [(0.5, 1, 2), ..]

@@ -42,7 +42,7 @@ const CODE_MAX: u64 = 1 << 53;
 /// increase, and frames that differ in which axis is up; [`Error::Unsupported`] for codes beyond 2⁵³.
 pub fn write_sequence<R: Read + Seek>(
     frames: &[ShotFrame],
-    fps: f64,
+    (fps, meters_per_unit): (f64, f64),
     provenance: &Provenance,
     open: impl Fn(usize) -> io::Result<R>,
     out: &mut impl Write,
@@ -59,7 +59,8 @@ pub fn write_sequence<R: Read + Seek>(
         (format!("    endTimeCode = {}\n", codes[1]), format!("    startTimeCode = {}\n", codes[0]));
     let times = format!("{end}    framesPerSecond = {fps}\n{start}    timeCodesPerSecond = {fps}\n");
     let (attributes, notes) = shot.attributes()?;
-    write!(out, "{}def Mesh \"{PRIM}\"\n{{\n", head(provenance, &info, shot.up, PRIM, &times))?;
+    let head = head(provenance, &info, (shot.up, meters_per_unit), &times);
+    write!(out, "{head}    def Mesh \"{PRIM}\"\n    {{\n")?;
 
     shot.write_extents(out)?;
     shot.write_samples("int[] faceVertexCounts", "", out, |index, _| {
@@ -70,7 +71,7 @@ pub fn write_sequence<R: Read + Seek>(
         let triangles = frames[index].file.read_triangles(&mut open(index)?)?;
         Ok(Elements::FaceCorners { triangles: &triangles, quads: &[] }.texts())
     })?;
-    out.write_all(b"    uniform token orientation = \"rightHanded\"\n")?;
+    out.write_all(b"        uniform token orientation = \"rightHanded\"\n")?;
     for attribute in &attributes {
         let Attribute { semantic, name, first, arity, about } = attribute;
         shot.write_samples(name, about, out, |index, place| {
@@ -82,10 +83,10 @@ pub fn write_sequence<R: Read + Seek>(
             Ok(Elements::Reals { values: &values, stride, first, arity }.texts())
         })?;
     }
-    out.write_all(b"    uniform token subdivisionScheme = \"none\"\n")?;
+    out.write_all(b"        uniform token subdivisionScheme = \"none\"\n")?;
     shot.write_origins(out)?;
     let count = frames.len();
-    write!(out, "}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces\n")?;
+    write!(out, "    }}\n}}\n\n{LAST_LINE}{count} frames, {vertices} vertices, {faces} faces\n")?;
     Ok(notes)
 }
 
@@ -110,7 +111,7 @@ struct Attribute {
     about: String,
 }
 
-const OF_VERTICES: &str = "        interpolation = \"vertex\"\n";
+const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
 impl<'a> Shot<'a> {
     fn of(frames: &'a [ShotFrame]) -> Result<Shot<'a>> {
@@ -205,11 +206,11 @@ impl<'a> Shot<'a> {
         texts: impl Fn(usize, &FramePlace) -> Result<Vec<Vec<u8>>>,
     ) -> Result<()> {
         if !about.is_empty() {
-            write!(out, "    {name} (\n{about}    )\n")?;
+            write!(out, "        {name} (\n{about}        )\n")?;
         }
-        writeln!(out, "    {name}.timeSamples = {{")?;
+        writeln!(out, "        {name}.timeSamples = {{")?;
         for (index, frame) in self.frames.iter().enumerate() {
-            write!(out, "        {}: [", frame.code)?;
+            write!(out, "            {}: [", frame.code)?;
             if let Some(place) = &self.places[index] {
                 for text in texts(index, place)? {
                     out.write_all(&text)?;
@@ -217,7 +218,7 @@ impl<'a> Shot<'a> {
             }
             out.write_all(b"],\n")?;
         }
-        out.write_all(b"    }\n")?;
+        out.write_all(b"        }\n")?;
         Ok(())
     }
 
@@ -229,14 +230,14 @@ impl<'a> Shot<'a> {
         out: &mut impl Write,
         line: impl Fn(usize) -> Result<String>,
     ) -> Result<()> {
-        writeln!(out, "    {name}.timeSamples = {{")?;
+        writeln!(out, "        {name}.timeSamples = {{")?;
         for (index, frame) in self.frames.iter().enumerate() {
             let line = line(index)?;
-            writeln!(out, "        {}: {line},", frame.code)?;
+            writeln!(out, "            {}: {line},", frame.code)?;
             let held = self.frames.get(index + 1).map(|next| next.code - 1).filter(|&held| held > frame.code);
-            held.map(|held| writeln!(out, "        {held}: {line},")).transpose()?;
+            held.map(|held| writeln!(out, "            {held}: {line},")).transpose()?;
         }
-        out.write_all(b"    }\n")?;
+        out.write_all(b"        }\n")?;
         Ok(())
     }
 
@@ -262,7 +263,7 @@ impl<'a> Shot<'a> {
             return Ok(());
         }
         self.write_lines("double3 xformOp:translate", out, |index| Ok(triple(origin(index))))?;
-        out.write_all(b"    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n")?;
+        out.write_all(b"        uniform token[] xformOpOrder = [\"xformOp:translate\"]\n")?;
         Ok(())
     }
 }

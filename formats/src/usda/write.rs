@@ -41,7 +41,9 @@ const TUPLE_MAX: usize = 4;
 pub struct WriteOptions {
     /// Which axis of the mesh points up.
     pub up: UpAxis,
-    /// The name of the prim: letters, digits and underscores.
+    /// The length of a world unit in metres, positive and finite.
+    pub meters_per_unit: f64,
+    /// The name of the mesh's prim, which is in the root's: letters, digits and underscores.
     pub name: String,
     /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
     /// are triangles.
@@ -50,7 +52,7 @@ pub struct WriteOptions {
 
 impl Default for WriteOptions {
     fn default() -> WriteOptions {
-        WriteOptions { up: UpAxis::Y, name: "surface".into(), quads: Arc::default() }
+        WriteOptions { up: UpAxis::Y, meters_per_unit: 1.0, name: "surface".into(), quads: Arc::default() }
     }
 }
 
@@ -99,8 +101,8 @@ pub fn encode_batch(
         check_quads(FORMAT, mesh.triangles, &options.quads)?;
         let info = LayerInfo { vertices, faces, frames: None };
         let name = plain_name(&options.name);
-        let head = head(provenance, &info, options.up, &name, "");
-        return Ok(vec![format!("{head}def Mesh \"{name}\"\n{{\n").into_bytes()]);
+        let head = head(provenance, &info, (options.up, options.meters_per_unit), "");
+        return Ok(vec![format!("{head}    def Mesh \"{name}\"\n    {{\n").into_bytes()]);
     };
     let sections = sections(mesh, options);
     let tasks = tasks(&sections);
@@ -108,7 +110,7 @@ pub fn encode_batch(
     let end = (first + TASKS_AT_ONCE).min(tasks.len());
     let mut texts: Vec<Vec<u8>> = tasks[first..end].par_iter().map(|task| task.text(&sections)).collect();
     if end == tasks.len() {
-        texts.push(format!("}}\n\n{LAST_LINE}{vertices} vertices, {faces} faces\n").into_bytes());
+        texts.push(format!("    }}\n}}\n\n{LAST_LINE}{vertices} vertices, {faces} faces\n").into_bytes());
     }
     Ok(texts)
 }
@@ -123,13 +125,17 @@ struct Section<'a> {
 impl<'a> Section<'a> {
     /// A property that is one line.
     fn line(text: String) -> Section<'a> {
-        Section { open: format!("    {text}\n"), elements: None, close: String::new() }
+        Section { open: format!("        {text}\n"), elements: None, close: String::new() }
     }
 
     /// A property with a value for each vertex or face.
     fn array(name: &str, elements: Elements<'a>, about: &str) -> Section<'a> {
-        let about = if about.is_empty() { String::new() } else { format!(" (\n{about}    )") };
-        Section { open: format!("    {name} = ["), elements: Some(elements), close: format!("]{about}\n") }
+        let about = if about.is_empty() { String::new() } else { format!(" (\n{about}        )") };
+        Section {
+            open: format!("        {name} = ["),
+            elements: Some(elements),
+            close: format!("]{about}\n"),
+        }
     }
 }
 
@@ -162,7 +168,7 @@ fn tasks(sections: &[Section]) -> Vec<Task> {
     sections.iter().enumerate().flat_map(runs_of).collect()
 }
 
-const OF_VERTICES: &str = "        interpolation = \"vertex\"\n";
+const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
 fn sections<'a>(mesh: &MeshView<'a>, options: &'a WriteOptions) -> Vec<Section<'a>> {
     let (triangles, quads) = (mesh.triangles, &*options.quads);
@@ -284,7 +290,7 @@ fn primvar<'a>(kind: &str, name: &str, elements: Elements<'a>, element_size: usi
 fn about(element_size: usize) -> String {
     match element_size {
         1 => OF_VERTICES.to_owned(),
-        size => format!("        elementSize = {size}\n{OF_VERTICES}"),
+        size => format!("            elementSize = {size}\n{OF_VERTICES}"),
     }
 }
 
@@ -293,7 +299,7 @@ fn strings<'a>(name: &str, arity: usize, table: &'a [String], indices: &'a [i32]
     let distinct: Vec<String> = table.iter().map(|text| quoted(text)).chain([quoted("")]).collect();
     let (values, about) = (distinct.join(", "), about(arity));
     vec![
-        Section::line(format!("string[] primvars:{name} = [{values}] (\n{about}    )")),
+        Section::line(format!("string[] primvars:{name} = [{values}] (\n{about}        )")),
         Section::array(&format!("int[] primvars:{name}:indices"), Elements::Strings { table, indices }, ""),
     ]
 }

@@ -5,14 +5,18 @@
 
 use clap::{Args, ValueEnum};
 
-use crate::cli::quantities::{PictureSize, parse_picture_size};
+use crate::cli::quantities::{PictureSize, parse_meters_per_unit, parse_picture_size};
 use crate::pipeline::CameraChoice;
 
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct FormatArgs {
     /// Which axis of the particles points up: in glTF it must be y, and z is turned there; USD says it [default: y]
-    #[arg(long, value_name = "AXIS")]
+    #[arg(long, value_name = "AXIS", ignore_case = true)]
     pub(in crate::cli) up: Option<UpChoice>,
+
+    /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 where particles are in centimetres [default: 1]
+    #[arg(long, value_name = "M", value_parser = parse_meters_per_unit)]
+    pub(in crate::cli) meters_per_unit: Option<f64>,
 
     /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's width
     ///
@@ -94,6 +98,7 @@ impl FormatArgs {
     pub(in crate::cli) fn over(&self, below: &FormatArgs) -> FormatArgs {
         FormatArgs {
             up: self.up.or(below.up),
+            meters_per_unit: self.meters_per_unit.or(below.meters_per_unit),
             quantize: self.quantize || below.quantize,
             vdb_half: self.vdb_half || below.vdb_half,
             vdb_compression: self.vdb_compression.or(below.vdb_compression),

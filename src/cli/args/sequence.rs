@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::cli::quantities::parse_meters_per_unit;
+
 #[derive(Debug, Args)]
 #[command(after_long_help = PLAYING)]
 pub(in crate::cli) struct SequenceArgs {
@@ -15,9 +17,13 @@ pub(in crate::cli) struct SequenceArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// Frames per second, more than 0 and at most 1000
+    /// Frames per second, more than 0 and at most 1000: those of the scene that the shot is for
     #[arg(long, value_name = "N", default_value_t = FPS, value_parser = parse_fps)]
     pub(in crate::cli) fps: f64,
+
+    /// Length of a world unit in metres, 1e-9 to 1e9, for .usda [default: 1]
+    #[arg(long, value_name = "M", value_parser = parse_meters_per_unit)]
+    pub(in crate::cli) meters_per_unit: Option<f64>,
 }
 
 /// The same, where the frames are converted.
@@ -31,7 +37,7 @@ pub(in crate::cli) struct ShotArgs {
     #[arg(long, value_name = "FILE")]
     pub(in crate::cli) sequence_usda: Option<PathBuf>,
 
-    /// Frames per second of the shot, more than 0 and at most 1000 [default: 24]
+    /// Frames per second of the shot, more than 0 and at most 1000: those of the scene that it is for [default: 24]
     #[arg(long, value_name = "N", value_parser = parse_fps)]
     pub(in crate::cli) fps: Option<f64>,
 }
@@ -50,6 +56,9 @@ the time codes. In a .glb one frame of the shot is the greatest step that divide
 are shown as 0, 1 and 3 would be. Where some have no number, or they do not grow, frames are counted from 1.
 
 The shot may replace an older shot, and no frame.
+
+Frame n of a scene shows frame n of the .glb if the scene has the same frames per second as --fps: in Blender set the frame
+rate (24 by default) before importing. At a lower rate the scene skips frames.
 
 A .glb shows one node after the other by an animation of their scales, in steps; it must stay below 4 GiB. A .usda has no
 such limit: it is one mesh, whose samples should not be blended between frames.

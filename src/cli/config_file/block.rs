@@ -94,6 +94,17 @@ impl<'a> Block<'a> {
         Ok(self.get(key, "a number", number)?.map(|(number, _)| number))
     }
 
+    /// A number within the limits of an option.
+    pub(super) fn number_as(&self, key: &str, parse: fn(&str) -> Result<f64, String>) -> Result<Option<f64>> {
+        let number = |value: &DeValue<'_>| match value {
+            DeValue::Float(float) => Some(float.as_str().to_owned()),
+            DeValue::Integer(_) => integer(value).map(|integer| integer.to_string()),
+            _ => None,
+        };
+        let found = self.get(key, "a number", number)?;
+        found.map(|(text, start)| self.understood(key, parse(&text), start)).transpose()
+    }
+
     /// A whole number in a range.
     pub(super) fn count<T>(&self, key: &str, range: RangeInclusive<T>) -> Result<Option<T>>
     where

@@ -22,7 +22,8 @@ use super::args::{
     SolverArgs, SurfaceArgs,
 };
 use super::quantities::{
-    parse_bytes, parse_duration, parse_listen, parse_picture_size, parse_poll, parse_rescan,
+    parse_bytes, parse_duration, parse_listen, parse_meters_per_unit, parse_picture_size, parse_poll,
+    parse_rescan,
 };
 use crate::pipeline::read_regular_text;
 use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
@@ -89,6 +90,7 @@ fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
             method: method_args(block)?,
             formats: FormatArgs {
                 up: block.choice("up")?,
+                meters_per_unit: block.number_as("meters_per_unit", parse_meters_per_unit)?,
                 quantize: block.switch("quantize")?,
                 vdb_half: block.switch("vdb_half")?,
                 vdb_compression: block.choice("vdb_compression")?,
@@ -174,7 +176,7 @@ fn keys_of(block: &str) -> &'static [&'static str] {
 
 const ROOT_KEYS: [&str; 2] = ["watch", "daemon"];
 
-const WATCH_KEYS: [&str; 41] = [
+const WATCH_KEYS: [&str; 42] = [
     "input",
     "output",
     "pattern",
@@ -210,6 +212,7 @@ const WATCH_KEYS: [&str; 41] = [
     "redistance_every",
     "cg_tolerance",
     "up",
+    "meters_per_unit",
     "quantize",
     "vdb_half",
     "vdb_compression",

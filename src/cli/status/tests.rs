@@ -61,6 +61,7 @@ fn plan() -> PlanRecord {
             folder: "/out".into(),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb],
             up: meniscus_formats::gltf::UpAxis::Y,
+            meters_per_unit: 1.0,
             quantize: false,
             vdb_half: false,
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,

@@ -48,6 +48,9 @@ struct WireOutputs {
     folder: WirePath,
     formats: Vec<WireFormat>,
     up: WireUp,
+    /// As text; missing for metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    meters_per_unit: Option<String>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     quantize: bool,
     vdb_half: bool,
@@ -140,12 +143,22 @@ impl WireWatch {
 
 impl WireOutputs {
     fn of(options: &OutputOptions) -> WireOutputs {
-        let OutputOptions { folder, formats, up, quantize, vdb_half, vdb_compression, picture } = options;
+        let OutputOptions {
+            folder,
+            formats,
+            up,
+            meters_per_unit,
+            quantize,
+            vdb_half,
+            vdb_compression,
+            picture,
+        } = options;
         let has_picture = formats.iter().any(|format| format.picture().is_some());
         WireOutputs {
             folder: WirePath::of(folder),
             formats: formats.iter().map(|&format| format.into()).collect(),
             up: (*up).into(),
+            meters_per_unit: text(Some(*meters_per_unit).filter(|meters| *meters != 1.0)),
             quantize: *quantize,
             vdb_half: *vdb_half,
             vdb_compression: (*vdb_compression).into(),
@@ -159,6 +172,7 @@ impl WireOutputs {
             folder: self.folder.into_path()?,
             formats: self.formats.into_iter().map(Into::into).collect(),
             up: self.up.into(),
+            meters_per_unit: number(self.meters_per_unit)?.unwrap_or(1.0),
             quantize: self.quantize,
             vdb_half: self.vdb_half,
             vdb_compression: self.vdb_compression.into(),
@@ -209,6 +223,7 @@ mod tests {
                 folder: "/out".into(),
                 formats: Vec::new(),
                 up: UpAxis::Y,
+                meters_per_unit: 1.0,
                 quantize: false,
                 vdb_half: false,
                 vdb_compression: Compression::None,
@@ -230,6 +245,7 @@ mod tests {
             outputs: OutputOptions {
                 formats: OutputFormat::ALL.to_vec(),
                 up: UpAxis::Z,
+                meters_per_unit: 0.01_f64.next_up(),
                 quantize: true,
                 vdb_half: true,
                 ..bare().outputs
