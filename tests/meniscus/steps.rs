@@ -127,7 +127,9 @@ fn what_is_done_is_left_as_steps_are_appended() {
     let ran = convert(folder, &["d.lammpstrj", "--skip-done"]);
     succeeded(&ran);
     assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
-    assert_eq!(names_in(&folder.join("out")), ["d.0.obj", "d.20.obj", "d.5.obj"]);
+    // Beside them is what is recorded of them.
+    let names = names_in(&folder.join("out")).into_iter().filter(|name| !name.starts_with('.'));
+    assert_eq!(names.collect::<Vec<_>>(), ["d.0.obj", "d.20.obj", "d.5.obj"]);
     let after = fs::metadata(folder.join("out/d.5.obj")).and_then(|m| m.modified()).expect("there");
     assert_eq!(before, after);
 }
