@@ -10,6 +10,7 @@
 
 use std::time::{Duration, Instant};
 
+use meniscus_formats::escaped;
 use sd_notify::NotifyState;
 use tracing::warn;
 
@@ -28,7 +29,12 @@ impl Service {
     }
 
     pub(in crate::cli::watch) fn tell(&mut self, notice: &Notice) {
-        if let Some(message) = self.message(notice, Instant::now()) {
+        // A line break, such as in the name of a folder, would begin another message.
+        let escaped_status = match notice {
+            Notice::Status(status) => Some(Notice::Status(escaped(status).to_string())),
+            _ => None,
+        };
+        if let Some(message) = self.message(escaped_status.as_ref().unwrap_or(notice), Instant::now()) {
             send(&[message]);
         }
     }
@@ -61,8 +67,7 @@ pub(in crate::cli::watch) fn tell_reloading() {
 
 /// A reload changed nothing: the service goes on as it was.
 pub(in crate::cli::watch) fn tell_not_reloaded(why: &str) {
-    // A line ends a message.
-    send(&[NotifyState::Ready, NotifyState::Status(&why.replace('\n', " "))]);
+    send(&[NotifyState::Ready, NotifyState::Status(&escaped(why).to_string())]);
 }
 
 /// A message that is lost is no reason to stop work; it is told in the log.
@@ -97,7 +102,7 @@ mod tests {
         service.tell(&Notice::Ready);
         service.tell(&Notice::Alive);
         service.tell(&Notice::Alive);
-        service.tell(&Notice::Status("3 frames wait".into()));
+        service.tell(&Notice::Status("3 frames wait\nMAINPID=1".into()));
         tell_reloading();
         tell_not_reloaded("two\nlines");
         service.tell(&Notice::Stopping);
@@ -136,9 +141,9 @@ mod tests {
             panic!("{messages:?}")
         };
         assert_eq!((&**ready, &**alive), ("READY=1", "WATCHDOG=1"));
-        assert_eq!((&**status, &**stopping), ("STATUS=3 frames wait", "STOPPING=1"));
+        assert_eq!((&**status, &**stopping), ("STATUS=3 frames wait\\nMAINPID=1", "STOPPING=1"));
         let time = reloading.strip_prefix("RELOADING=1\nMONOTONIC_USEC=").expect("a time");
         assert!(time.parse::<u64>().is_ok_and(|time| time > 0), "{time}");
-        assert_eq!(not_reloaded, "READY=1\nSTATUS=two lines");
+        assert_eq!(not_reloaded, "READY=1\nSTATUS=two\\nlines");
     }
 }
