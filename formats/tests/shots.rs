@@ -243,7 +243,7 @@ fn shots_that_cannot_be_are_refused() {
     files[3].truncate(2000);
     let open = |index: usize| -> io::Result<_> { Ok(Cursor::new(&files[index])) };
     assert!(gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
-    assert!(usda::write_sequence(&shot, 24.0, &[], open, &mut Vec::new()).is_err());
+    assert!(usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new()).is_err());
     // Nothing but empty frames is a scene without anything.
     let (shot, files) = gathered(UpAxis::Y);
     let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&files[2])) };
@@ -278,7 +278,7 @@ fn what_is_no_frame_is_told() {
             let shot = [ShotFrame { name: "a".into(), code: 1, file }];
             let open = |_: usize| -> io::Result<_> { Ok(Cursor::new(&broken)) };
             let _ = gltf::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
-            let _ = usda::write_sequence(&shot, 24.0, &[], open, &mut Vec::new());
+            let _ = usda::write_sequence(&shot, (24.0, 1.0), &[], open, &mut Vec::new());
         }
     }
 }
@@ -302,7 +302,7 @@ fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
     let file = FrameFile::read(&mut Cursor::new(bytes))?;
     let shot = [ShotFrame { name: "a".into(), code: 1, file }];
     let mut text = Vec::new();
-    let notes = usda::write_sequence(&shot, 24.0, &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
+    let notes = usda::write_sequence(&shot, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
     Ok((String::from_utf8(text).expect("UTF-8"), notes))
 }
 
