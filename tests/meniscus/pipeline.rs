@@ -194,6 +194,7 @@ pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
         in_flight: 5,
         memory_bytes: 1 << 30,
         steps_found_by: StepsFoundBy::Reader,
+        mirrors: &[],
     }
 }
 
