@@ -134,13 +134,10 @@ fn sigterm_ends_a_daemon_that_hangs() {
     assert!(lines.any(|line| line.is_ok_and(|line| line.contains("ready"))), "the child is ready");
     kill_process(Pid::from_child(&child), Signal::TERM).expect("sent");
     let start = Instant::now();
-    while start.elapsed() < Duration::from_secs(60) {
-        if let Some(status) = child.try_wait().expect("a child") {
-            assert_eq!(status.code(), Some(0), "{status}");
-            return;
-        }
+    while child.try_wait().expect("a child").is_none() && start.elapsed() < Duration::from_secs(60) {
         std::thread::sleep(Duration::from_millis(10));
     }
-    child.kill().expect("killed");
-    panic!("it does not end");
+    // One that has ended does not mind.
+    let _ = child.kill();
+    assert_eq!(child.wait().expect("ended").code(), Some(0));
 }
