@@ -4,7 +4,7 @@
 
 use std::fs::File;
 use std::io::{self, IsTerminal, Read};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
@@ -75,7 +75,7 @@ fn is_stdin(input: &Path) -> bool {
 }
 
 /// Whether an input is a pipe that is open already. Named pipes are not: opening one may wait for ever.
-fn is_pipe(input: &PathBuf) -> bool {
+fn is_pipe(input: &Path) -> bool {
     let is_descriptor =
         || ["/dev/fd", "/proc/self/fd"].iter().any(|folder| input.parent() == Some(Path::new(folder)));
     is_stdin(input) || is_descriptor() && input.metadata().is_ok_and(|metadata| !metadata.is_file())

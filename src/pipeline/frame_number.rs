@@ -52,7 +52,7 @@ fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> 
         && &stem[frame.end..last.start] == "."
         && (SUBFRAME_OF_DIGITS_MIN.max(last.len() + 1)..).contains(&frame.len())
         && follows_separator;
-    is_subframe.then(|| frame.start..last.end)
+    is_subframe.then_some(frame.start..last.end)
 }
 
 /// Where the frame's numbers stand in stems that are equal but for their numbers, when [`frame_number`] takes one that is
