@@ -33,7 +33,7 @@ pub type Rounding = fn(&Mesh) -> Vec<Vec3>;
 const PIECE: usize = 4096;
 
 /// After so many rounds what is left stays. One or two do as a rule.
-const ROUNDS_MAX: usize = 12;
+const ROUNDS_MAX: usize = 64;
 
 /// Up to this part of its longest edge, the shortest edge of a triangle vanishes; a longer one is part of a cap.
 const NEEDLE: f64 = 0.1;
@@ -146,6 +146,13 @@ impl<'a> Surgery<'a> {
             || self.turn_edge(triangle, ends(longest.1))
             || self.collapse_edge(ends(shortest.1))
             || self.collapse_edge(ends(middle.1))
+            || self.turn_edge(triangle, ends(middle.1))
+            || self.collapse_edge(ends(longest.1))
+    }
+
+    /// How many of these triangles have no area, each at the positions of each file.
+    fn flat_count(&self, triangles: impl Iterator<Item = [u32; 3]>) -> usize {
+        triangles.map(|triangle| self.views.iter().filter(|view| is_flat(view, triangle)).count()).sum()
     }
 
     fn triangles_of(&self, vertex: u32) -> &[u32] {
@@ -194,12 +201,12 @@ impl<'a> Surgery<'a> {
         let moved = |triangle: u32| {
             self.triangles[triangle as usize].map(|corner| if corner == vertex { target } else { corner })
         };
-        let is_sound = |&triangle: &u32| {
-            let (old, new) = (self.triangles[triangle as usize], moved(triangle));
-            let gets_flat = self.views.iter().any(|view| is_flat(view, new) && !is_flat(view, old));
-            !gets_flat && (self.may_fold || faces_alike(self.views[0], old, new))
-        };
-        if !own.iter().filter(|triangle| !gone.contains(triangle)).all(is_sound) {
+        let kept = || own.iter().copied().filter(|triangle| !gone.contains(triangle));
+        // Triangles without area become fewer with each operation: so there is an end.
+        let flat_before = self.flat_count(own.iter().map(|&triangle| self.triangles[triangle as usize]));
+        let faces_alike =
+            |triangle: u32| faces_alike(self.views[0], self.triangles[triangle as usize], moved(triangle));
+        if self.flat_count(kept().map(moved)) >= flat_before || !(self.may_fold || kept().all(faces_alike)) {
             return false;
         }
         for &triangle in &own {
@@ -232,10 +239,11 @@ impl<'a> Surgery<'a> {
             && self.triangles_of(a).len() > 3
             && self.triangles_of(b).len() > 3;
         let (one, other) = ([c, a, d], [d, b, c]);
-        let is_flat = self.views.iter().any(|view| is_flat(view, one) || is_flat(view, other));
         let old = self.triangles[beyond as usize];
+        let flat_before = self.flat_count([self.triangles[triangle as usize], old].into_iter());
+        let is_better = self.flat_count([one, other].into_iter()) < flat_before;
         let is_alike = || [one, other].iter().all(|&new| faces_alike(self.views[0], old, new));
-        if !is_manifold || is_flat || !(self.may_fold || is_alike()) {
+        if !is_manifold || !is_better || !(self.may_fold || is_alike()) {
             return false;
         }
         self.triangles[triangle as usize] = one;
@@ -273,7 +281,7 @@ fn is_flat(view: &[Vec3], triangle: [u32; 3]) -> bool {
 
 /// Whether two triangles face the same side, more or less. One without area faces all sides.
 fn faces_alike(view: &[Vec3], old: [u32; 3], new: [u32; 3]) -> bool {
-    is_flat(view, old) || area_vector(view, old).dot(area_vector(view, new)) > 0.0
+    is_flat(view, old) || is_flat(view, new) || area_vector(view, old).dot(area_vector(view, new)) > 0.0
 }
 
 #[cfg(test)]
