@@ -302,7 +302,7 @@ fn usda_of(bytes: &[u8]) -> Result<(String, Vec<String>), Error> {
     let file = FrameFile::read(&mut Cursor::new(bytes))?;
     let shot = [ShotFrame { name: "a".into(), code: 1, file }];
     let mut text = Vec::new();
-    let notes = usda::write_sequence(&shot, 24.0, &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
+    let notes = usda::write_sequence(&shot, (24.0, 1.0), &[], |_| Ok(Cursor::new(bytes)), &mut text)?;
     Ok((String::from_utf8(text).expect("UTF-8"), notes))
 }
 
