@@ -223,6 +223,18 @@ mod tests {
         Wanted::by(&Settings::resolve(1.0, &choices).expect("sound"))
     }
 
+    /// The method knows no formats, so it has the names of its own: they must be those of the readers.
+    #[test]
+    fn velocities_and_colors_are_called_as_the_readers_call_them() {
+        for (role, meaning) in [(Role::Velocity, Meaning::Velocity), (Role::Color, Meaning::Color)] {
+            let values = AttributeValues::Numbers(vec![0.0; 3]);
+            let attribute = Attribute { name: "some name".to_owned(), meaning, arity: 3, values };
+            for alias in aliases(role) {
+                assert!(attribute.is_called(alias) && attribute.is_called(&alias.to_uppercase()), "{alias}");
+            }
+        }
+    }
+
     #[test]
     fn what_is_wanted_is_kept_under_any_of_its_names() {
         let named = |names: &[&str]| {
