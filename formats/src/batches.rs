@@ -91,6 +91,8 @@ pub(crate) struct Records {
     pub(crate) position: PositionInRecord,
     /// What a user should know.
     pub(crate) notes: Vec<String>,
+    /// The name of the attribute that is the velocity.
+    pub(crate) velocity: Option<String>,
 }
 
 /// How to take a position from a record.
@@ -175,6 +177,11 @@ impl<F: ReadAt> ParticleBatches<F> {
     /// What a user should know though the file can be read. What is wrong with attributes is not known here.
     pub fn notes(&self) -> &[String] {
         &self.records.notes
+    }
+
+    /// The name of the attribute that is the particles' velocity, if there is one.
+    pub fn velocity(&self) -> Option<&str> {
+        self.records.velocity.as_deref()
     }
 }
 

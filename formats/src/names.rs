@@ -102,6 +102,11 @@ pub fn roles_of(attributes: &[(&str, usize)]) -> Vec<Option<Role>> {
     roles
 }
 
+/// The names by which an attribute with this role is known, in lower case, the best first.
+pub fn aliases(role: Role) -> &'static [&'static str] {
+    ROLES.iter().find(|(named, _)| *named == role).map_or(&[], |(_, aliases)| aliases)
+}
+
 /// The rank of a name among those of a position of three values, lower being better; `None` of any other name.
 pub(crate) fn position_rank(name: &str) -> Option<usize> {
     let stem = matched_part(name).to_ascii_lowercase();

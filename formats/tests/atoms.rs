@@ -11,7 +11,7 @@ fn read(text: &str) -> ParticleFrame {
 #[test]
 fn atoms_have_elements_and_positions() {
     let frame = read("3\nwater\nO 0.0 0.0 0.5\n H  0.75 0.5 0\r\nH\t-0.75 0.5 0\n");
-    assert_eq!(frame.positions, Positions::F32(vec![[0.0, 0.0, 0.5], [0.75, 0.5, 0.0], [-0.75, 0.5, 0.0]]));
+    assert_eq!(frame.positions, Positions::F64(vec![[0.0, 0.0, 0.5], [0.75, 0.5, 0.0], [-0.75, 0.5, 0.0]]));
     assert_eq!(frame.attributes.len(), 1);
     assert_eq!(frame.attributes[0].name, "element");
     assert!(matches!(&frame.attributes[0].values, Values::Strings { table, .. } if table.len() == 2));
@@ -20,7 +20,7 @@ fn atoms_have_elements_and_positions() {
 #[test]
 fn atomic_numbers_stand_for_elements() {
     let frame = read("2\n\n8 0.5 0.25 1\n 1 1 2 3\n");
-    assert_eq!(frame.positions, Positions::F32(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));
+    assert_eq!(frame.positions, Positions::F64(vec![[0.5, 0.25, 1.0], [1.0, 2.0, 3.0]]));
     assert_eq!(frame.attributes[0].name, "element");
     assert_eq!(frame.attributes[0].values, Values::I32(vec![8, 1]));
 }
@@ -58,7 +58,7 @@ fn columns_behind_the_position_are_kept() {
     let frame = read(&format!("1\n{comment}\nO 7 0 0 0.5 1 2.5 3 0.25 0.5\n"));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
     assert_eq!(found, [("species", 1, None), ("id", 1, Some(Role::Id)), ("velo", 3, None), ("q", 2, None)]);
-    assert_eq!(frame.attributes[2].values, Values::F32(vec![1.0, 2.5, 3.0]));
+    assert_eq!(frame.attributes[2].values, Values::F64(vec![1.0, 2.5, 3.0]));
 }
 
 /// As `"\n".join` writes them; but so ends a file as well that is still being written.

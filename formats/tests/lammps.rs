@@ -20,7 +20,7 @@ fn dump(bounds: &str, columns: &str, row: &str) -> String {
 #[test]
 fn a_step_is_a_frame() {
     let frame = read(DUMP);
-    assert_eq!(frame.positions, Positions::F32(vec![[0.5, 0.25, 1.0], [0.75, 0.25, 1.0]]));
+    assert_eq!(frame.positions, Positions::F64(vec![[0.5, 0.25, 1.0], [0.75, 0.25, 1.0]]));
     let found: Vec<_> = frame.attributes.iter().map(|a| (a.name.as_str(), a.arity, a.role)).collect();
     let expected = [
         ("id", 1, Some(Role::Id)),
@@ -36,7 +36,7 @@ fn a_step_is_a_frame() {
 #[test]
 fn diameters_are_halved_and_told() {
     let frame = read(&dump("pp pp pp\n0 1\n0 1\n0 1\n", "x y z diameter", "0 0 0 0.5"));
-    assert_eq!(frame.attributes[0].values, Values::F32(vec![0.25]));
+    assert_eq!(frame.attributes[0].values, Values::F64(vec![0.25]));
     assert_eq!(frame.notes, ["`diameter` is taken for a diameter: the radius is half of it."]);
 }
 
@@ -72,7 +72,7 @@ fn columns_of_any_name_are_kept() {
         found,
         [("element", 1, None), ("c_s[1]", 1, None), ("c_s[2]", 1, None), ("diameter", 1, Some(Role::Radius))]
     );
-    assert_eq!(frame.attributes[3].values, Values::F32(vec![0.25]));
+    assert_eq!(frame.attributes[3].values, Values::F64(vec![0.25]));
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn several_steps_are_told_apart() {
     let mut expected: Vec<_> = steps.iter().map(|step| (step.timestep, step.range.end)).collect();
     expected[2].1 += 1;
     assert_eq!(found, expected);
-    assert_eq!(frames[1].positions, Positions::F32(vec![[0.5, 0.25, 1.0], [0.875, 0.25, 1.0]]));
+    assert_eq!(frames[1].positions, Positions::F64(vec![[0.5, 0.25, 1.0], [0.875, 0.25, 1.0]]));
     assert!(frames[2].positions.is_empty());
     let error = read_particles(text.as_bytes(), "a", &Limits::default()).unwrap_err().to_string();
     assert!(error.contains("3 time steps, 1000 to 3000"), "{error}");

@@ -137,7 +137,7 @@ fn every_frame_is_in_a_glb_as_it_is_in_its_own_file() {
             });
             assert!(data[0] == data[1] && data[0].len() >= 4, "{}", frame.code);
         }
-        // Each is shown from its time to that of the next, the last for as long as one frame.
+        // Each is shown from half a frame before its time, which is one frame for the first, to where the next begins.
         let animation = shot.animations().next().expect("an animation");
         let keys: Vec<(usize, Vec<f32>, Vec<f32>)> = animation
             .channels()
@@ -153,9 +153,9 @@ fn every_frame_is_in_a_glb_as_it_is_in_its_own_file() {
             .collect();
         let scale = 2.0;
         let expected = [
-            (0, vec![0.0, 0.04], vec![1.0, 0.0]),
-            (1, vec![0.0, 0.04, 0.16], vec![0.0, scale, 0.0]),
-            (2, vec![0.0, 0.2, 0.24], vec![0.0, 1.0, 1.0]),
+            (0, vec![0.0, 0.06], vec![1.0, 0.0]),
+            (1, vec![0.0, 0.06, 0.18], vec![0.0, scale, 0.0]),
+            (2, vec![0.0, 0.22, 0.26], vec![0.0, 1.0, 1.0]),
         ];
         assert_eq!(keys, expected);
         let at_rest: Vec<f32> = nodes.iter().map(|node| node.transform().decomposed().2[0]).collect();
@@ -166,7 +166,7 @@ fn every_frame_is_in_a_glb_as_it_is_in_its_own_file() {
 
 fn samples<'a>(text: &'a str, name: &str) -> Vec<(&'a str, &'a str)> {
     let start = text.split(&format!(" {name}.timeSamples = {{\n")).nth(1).unwrap_or_else(|| panic!("{name}"));
-    let lines = start.split("\n    }\n").next().expect("an end").lines();
+    let lines = start.split("\n        }\n").next().expect("an end").lines();
     lines.map(|line| line.trim().trim_end_matches(',').split_once(": ").expect("a time")).collect()
 }
 
@@ -181,6 +181,8 @@ fn a_usda_has_a_sample_of_each_frame() {
         let (text, notes) = usda_shot(up);
         assert!(text.contains(if up == UpAxis::Z { "upAxis = \"Z\"" } else { "upAxis = \"Y\"" }));
         assert!(text.contains("    startTimeCode = 5\n    timeCodesPerSecond = 25\n"));
+        assert!(text.contains("    defaultPrim = \"root\"\n") && text.contains("    metersPerUnit = 0.01\n"));
+        assert!(text.contains("\ndef Xform \"root\"\n{\n    def Mesh \"surface\"\n    {\n"));
         let [points, corners, origins, extents] =
             ["points", "faceVertexIndices", "xformOp:translate", "extent"].map(|name| samples(&text, name));
         let velocities = samples(&text, "velocities");

@@ -8,7 +8,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
-    ShotSource, gist, keeps_guarantees, notes, output_path, standing_notes,
+    ShotSource, gist, keeps_guarantees, notes, output_path, standing_notes, velocity_hint,
 };
 
 use super::Verdict;
@@ -67,6 +67,8 @@ pub(super) struct Run {
     untold_count: usize,
     /// The .glb of each frame that is done, where there is one.
     shot_frames: Vec<ShotSource>,
+    /// Whether the hint at velocities that are not asked for was printed.
+    is_velocity_told: bool,
     /// How many frames were noted before the first of these.
     failed_first: Option<usize>,
 }
@@ -88,6 +90,7 @@ impl Run {
             told: HashSet::new(),
             untold_count: 0,
             shot_frames: Vec::new(),
+            is_velocity_told: false,
             failed_first: None,
         }
     }
@@ -218,6 +221,12 @@ impl Run {
                 self.untold_count += known.len();
                 for note in new.into_iter().chain(notes(report)) {
                     console.warn(format_args!("warning: {name}: {note}"));
+                }
+                // Once is enough.
+                if let Some(velocity) = &report.unused_velocity
+                    && !std::mem::replace(&mut self.is_velocity_told, true)
+                {
+                    console.say(format_args!("note: {}", velocity_hint(velocity)));
                 }
                 if !has_bar {
                     console.say(format_args!("{name}: {}", described(report)));

@@ -8,6 +8,7 @@ use std::time::Instant;
 use crate::board::Figures;
 use crate::pipeline::{
     FileStamp, Frame, FrameError, FrameReport, Outcome, ReadInput, Stage, flaws, gist, notes, standing_notes,
+    velocity_hint,
 };
 
 use super::frames::{FrameId, FrameState, Phase};
@@ -50,6 +51,12 @@ impl Daemon<'_> {
         let standing: Vec<String> = standing_notes(report).into_iter().filter(is_new).collect();
         for note in standing.into_iter().chain(notes(report)) {
             tracing::warn!(frame = %id.path.display(), "{note}");
+        }
+        let hint = report.unused_velocity.as_deref().map(velocity_hint);
+        if let Some(hint) = hint
+            .filter(|hint| sequence.is_none_or(|index| self.sequences.get_mut(index).told.insert(gist(hint))))
+        {
+            tracing::info!(frame = %id.path.display(), "{hint}");
         }
         if let Some(index) = sequence {
             self.note_camera(index);

@@ -72,8 +72,8 @@ impl Meaning {
     /// What users call it.
     fn names(self) -> &'static [&'static str] {
         match self {
-            Meaning::Velocity => &["velocity", "v"],
-            Meaning::Color => &["color", "colour", "Cd"],
+            Meaning::Velocity => &["velocity", "velocities", "vel", "v"],
+            Meaning::Color => &["color", "colour", "colors", "colours", "cd", "rgb", "rgba"],
             Meaning::Radius => &["radius", "pscale"],
             Meaning::Id => &["id"],
             Meaning::Other => &[],

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use meniscus_formats::names::aliases;
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
 use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, attribute_of};
@@ -126,11 +127,37 @@ impl Wanted {
         let missing = named.iter().filter(|name| !is_there(name));
         let notes =
             missing.map(|name| format!("no attribute `{name}` for the surface: {}", there())).collect();
-        let is_wanted = |attribute: &Attribute| {
-            let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
-            is_needed || self.is_selected(attribute)
+        // Of `v` and `velocity`, `--attributes v` means the one that is called so, and not the one that means it.
+        let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
+        let is_named = |attribute: &Attribute| {
+            named.iter().any(|name| match has_own(name) {
+                true => attribute.name.eq_ignore_ascii_case(name),
+                false => attribute.is_called(name),
+            })
         };
-        Ok((all.into_iter().filter(is_wanted).collect(), notes))
+        let is_all = self.selected == Some(AttributeSelection::All);
+        let keep: Vec<bool> = all
+            .iter()
+            .map(|attribute| {
+                let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
+                is_needed || is_all || is_named(attribute)
+            })
+            .collect();
+        let kept = all.into_iter().zip(keep).filter_map(|(attribute, keep)| keep.then_some(attribute));
+        Ok((kept.collect(), notes))
+    }
+
+    /// Whether the surface is to have the velocities of the particles, which have this name.
+    pub(super) fn has_velocity(&self, name: &str) -> bool {
+        let asked = |asked: &String| {
+            let is = |other: &str| asked.eq_ignore_ascii_case(other);
+            is(name) || aliases(Role::Velocity).iter().any(|alias| is(alias))
+        };
+        match &self.selected {
+            None => false,
+            Some(AttributeSelection::All) => true,
+            Some(AttributeSelection::Named(names)) => names.iter().any(asked),
+        }
     }
 
     /// Whether the surface is to have this attribute.
@@ -194,6 +221,18 @@ mod tests {
 
     fn wanted(choices: Choices) -> Wanted {
         Wanted::by(&Settings::resolve(1.0, &choices).expect("sound"))
+    }
+
+    /// The method knows no formats, so it has the names of its own: they must be those of the readers.
+    #[test]
+    fn velocities_and_colors_are_called_as_the_readers_call_them() {
+        for (role, meaning) in [(Role::Velocity, Meaning::Velocity), (Role::Color, Meaning::Color)] {
+            let values = AttributeValues::Numbers(vec![0.0; 3]);
+            let attribute = Attribute { name: "some name".to_owned(), meaning, arity: 3, values };
+            for alias in aliases(role) {
+                assert!(attribute.is_called(alias) && attribute.is_called(&alias.to_uppercase()), "{alias}");
+            }
+        }
     }
 
     #[test]

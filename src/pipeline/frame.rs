@@ -129,6 +129,15 @@ pub struct FrameReport {
     pub output_bytes: Vec<u64>,
     /// What a user should know though the frame was converted.
     pub notes: Vec<String>,
+    /// The name of the particles' velocities, where there are some and the outputs could have them but do not.
+    pub unused_velocity: Option<String>,
+}
+
+/// How to have the velocities of particles in the outputs, for whoever did not ask for them.
+pub fn velocity_hint(name: &str) -> String {
+    format!(
+        "frames have the attribute \"{name}\" (velocity); --attributes {name} adds it to the outputs for motion blur"
+    )
 }
 
 /// What a note says, whatever its numbers are: one with the same gist need not be told again of the next frame.

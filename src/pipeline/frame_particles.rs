@@ -52,6 +52,11 @@ impl FileParticles {
     pub(super) fn notes(&self) -> Vec<String> {
         self.batches.notes().to_vec()
     }
+
+    /// The name of the velocities, which are not read.
+    pub(super) fn unused_velocity(&self) -> Option<String> {
+        self.batches.velocity().map(str::to_owned)
+    }
 }
 
 impl FrameParticles {

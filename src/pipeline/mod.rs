@@ -105,7 +105,9 @@ mod writing;
 pub use attributes::Wanted;
 pub use bounds::{NOTHING, bounds_of_particles, is_level_set, sequence_bounds};
 pub use certificate_file::certificate_path;
-pub use frame::{Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist};
+pub use frame::{
+    Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist, velocity_hint,
+};
 pub use frame_particles::FrameParticles;
 pub use framing::{Framed, Framing};
 pub use inspection::{FrameState, Inspection, inspect};

@@ -81,6 +81,11 @@ impl OutputFormat {
         self != OutputFormat::Vdb && self.picture().is_none()
     }
 
+    /// Whether its files have attributes such as velocities.
+    pub fn has_attributes(self) -> bool {
+        !matches!(self, OutputFormat::Obj | OutputFormat::Stl | OutputFormat::Png)
+    }
+
     /// Whether its files have quads where that is asked for.
     pub fn has_quads(self) -> bool {
         matches!(self, OutputFormat::Obj | OutputFormat::Vtp | OutputFormat::Usda)

@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::packing::read_head;
-use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, read_particles, refuse_foreign};
+use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, Role, read_particles, refuse_foreign};
 use twox_hash::xxhash3_128::Hasher;
 
 use crate::particles::{Cloud, Particles, Shapes};
@@ -23,6 +23,8 @@ pub struct ReadFrame {
     pub cloud: Cloud,
     /// What a user should know though the file was read.
     pub notes: Vec<String>,
+    /// The name of the velocities, where the file has some that are not wanted.
+    pub unused_velocity: Option<String>,
 }
 
 /// The bytes of a file, or of a step of one.
@@ -241,10 +243,13 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
     let ParticleFrame { positions, attributes, mut notes } = frame;
     let missing =
         |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
+    let velocity = attributes.iter().find(|attribute| attribute.role == Some(Role::Velocity));
+    let unused_velocity =
+        velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
     let (attributes, more) = wanted.of(attributes).map_err(missing)?;
     notes.extend(more);
     let cloud = Cloud { positions: particles(positions), shapes: Shapes::Balls, attributes };
-    Ok(ReadFrame { cloud, notes })
+    Ok(ReadFrame { cloud, notes, unused_velocity })
 }
 
 /// The same vectors under the method's own type.

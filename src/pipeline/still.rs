@@ -49,7 +49,7 @@ impl StillFrame {
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);
             let read = parse_particles(path, &bytes, &Wanted::by(settings)).map_err(|error| error.cause)?;
-            let ReadFrame { cloud, notes } = read;
+            let ReadFrame { cloud, notes, .. } = read;
             Ok(StillFrame { path: path.to_owned(), number, cloud, hash, notes })
         })
     }

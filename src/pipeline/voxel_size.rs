@@ -133,7 +133,7 @@ mod tests {
             };
             let positions = Particles::Double(Vec::clone(&positions));
             let cloud = Cloud { attributes: vec![radii], ..Cloud::from(positions) };
-            ReadFrame { cloud, notes: Vec::new() }
+            ReadFrame { cloud, notes: Vec::new(), unused_velocity: None }
         };
         let own = OwnRadii { attribute: "pscale".into(), scale: 2.0 };
         let small = measured(Path::new("a"), &of_radii([0.25, 0.01, 40.0]), Some(&own)).expect("enough");

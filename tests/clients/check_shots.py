@@ -113,13 +113,13 @@ def shot(folder, kind):
     codes = [int(ply.stem.split(".")[1]) for ply in plys]
     faults, seen = [], []
     for code, ply in zip(codes, plys):
-        # A .glb begins at zero seconds; the time codes of USD are frames.
-        bpy.context.scene.frame_set(code - codes[0] if kind == "glb" else code)
+        # Frame 1 of the scene is the first frame of a .glb; the time codes of USD are frames.
+        bpy.context.scene.frame_set(code - codes[0] + 1 if kind == "glb" else code)
         faults += [f"frame {code}: {fault}" for fault in faults_of(objects, ply)]
         seen.append(len(shown(objects)[0]))
     if kind == "glb":
         # What is missing leaves its time to the frame before it.
-        bpy.context.scene.frame_set(3 - codes[0])
+        bpy.context.scene.frame_set(3 - codes[0] + 1)
         faults += [f"frame 3: {fault}" for fault in faults_of(objects, plys[1])]
     if len(set(seen)) != len(seen):
         faults.append("frames that should differ are the same")
@@ -130,7 +130,7 @@ def pictures(folder):
     """The last frame of each shot, taken from one place."""
     points, _ = read_ply(sorted(folder.glob("moving.*.ply"))[-1])
     images = {}
-    for kind, time in (("glb", 3), ("usda", 4)):
+    for kind, time in (("glb", 4), ("usda", 4)):
         imported(folder / f"shot.{kind}")
         bpy.context.scene.frame_set(time)
         stage(Matrix(), points.min(axis=0), points.max(axis=0))

@@ -94,7 +94,7 @@ def volume_faults(triangles, frame):
 
 def usda(path, frame, points, triangles):
     stage = Usd.Stage.Open(str(path))
-    mesh = UsdGeom.Mesh(stage.GetDefaultPrim())
+    mesh = mesh_under_root(stage)
     faults = mesh_faults(mesh, Usd.TimeCode.Default(), points, triangles)
     if (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) != ("Z", 1):
         faults.append("its axis or its unit is another")
@@ -102,6 +102,14 @@ def usda(path, frame, points, triangles):
     if made_by["input"] != f"{path.stem}.csv":
         faults.append(f"it says that it was made from {made_by['input']}")
     return f"{len(points)} points, {len(mesh.GetFaceVertexCountsAttr().Get())} faces", faults
+
+
+def mesh_under_root(stage):
+    """The mesh, which a stage that references the layer gets with the Xform above it."""
+    root = stage.GetDefaultPrim()
+    if not UsdGeom.Xform(root):
+        raise ValueError("its default prim is not an Xform")
+    return UsdGeom.Mesh(root.GetChild("surface"))
 
 
 def mesh_faults(mesh, time, points, triangles, rounding=0.0):
@@ -129,7 +137,7 @@ def mesh_faults(mesh, time, points, triangles, rounding=0.0):
 
 def shot(folder):
     stage = Usd.Stage.Open(str(folder / "shot.usda"))
-    mesh = UsdGeom.Mesh(stage.GetDefaultPrim())
+    mesh = mesh_under_root(stage)
     frames = sorted(folder.glob("moving.*.ply"))
     codes = [int(path.stem.split(".")[1]) for path in frames]
     faults = []

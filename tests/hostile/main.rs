@@ -17,4 +17,5 @@ mod claims; // headers that promise, and headers without end
 mod clocks; // files from the past and the future, clocks that are set
 mod names; // names that are no text
 mod scene; // a folder with good frames, and the command in it
+mod sizes; // many steps, many leaves: memory in proportion
 mod trees; // links that lead in circles, and what may not be read

@@ -274,3 +274,119 @@ fn a_frame_without_attributes_says_so() {
     let ran = meniscus(folder.path(), &typed);
     assert!(ran.status == 0 && ran.err.contains("no attribute `velocity`"), "{}", ran.err);
 }
+
+#[test]
+fn velocity_is_found_by_any_of_its_names() {
+    let folder = tempdir().expect("a folder");
+    write_frame(folder.path(), 4);
+    let bytes = |name: &str| {
+        let ran = meniscus(
+            folder.path(),
+            &[
+                "convert",
+                "f.bgeo",
+                "--out",
+                "o",
+                "--voxel-size",
+                "0.05",
+                "--format",
+                "glb",
+                "--attributes",
+                name,
+            ],
+        );
+        assert_eq!((ran.status, &*ran.err), (0, ""), "{name}: {}", ran.out);
+        // What was asked for is recorded as it was typed.
+        let text =
+            String::from_utf8_lossy(&fs::read(folder.path().join("o/f.glb")).expect("written")).into_owned();
+        text.contains("_VELOCITY")
+    };
+    for name in ["v", "V", "vel", "velocity", "Velocities"] {
+        assert!(bytes(name), "{name}");
+    }
+    assert!(!bytes("age"));
+}
+
+#[test]
+fn attribute_of_the_very_name_comes_before_one_of_that_meaning() {
+    let folder = tempdir().expect("a folder");
+    let mut frame = frame(4);
+    let count = frame.positions.len();
+    frame.attributes.push(attribute("velocity", 3, Values::F32(vec![1.0; 3 * count])));
+    let mut bytes = Vec::new();
+    bgeo::write(&frame, &mut bytes).expect("written");
+    fs::write(folder.path().join("f.bgeo"), bytes).expect("written");
+    let ran = convert(folder.path(), "o", &["--attributes", "v"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let names = told(folder.path()).to_string();
+    assert!(names.contains("\"v\"") && !names.contains("\"velocity\""), "{names}");
+}
+
+#[test]
+fn velocity_that_is_not_asked_for_is_mentioned_once() {
+    let folder = tempdir().expect("a folder");
+    write_frame(folder.path(), 4);
+    fs::copy(folder.path().join("f.bgeo"), folder.path().join("g.bgeo")).expect("copied");
+    let hint = "note: frames have the attribute \"v\" (velocity); --attributes v adds it";
+    let count = |more: &[&str]| {
+        let arguments = ["convert", "f.bgeo", "g.bgeo", "--out", "o", "--voxel-size", "0.05"];
+        let ran = meniscus(folder.path(), &[&arguments[..], more].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        ran.out.matches(hint).count() + ran.err.matches(hint).count()
+    };
+    assert_eq!(count(&["--format", "glb"]), 1);
+    assert_eq!(count(&["--format", "glb", "--attributes", "vel"]), 0);
+    assert_eq!(count(&["--format", "glb", "--attributes", "all"]), 0);
+    // These have no place for it.
+    assert_eq!(count(&["--format", "obj,stl"]), 0);
+    let ran =
+        meniscus(folder.path(), &["convert", "f.bgeo", "--out", "p", "--particles-only", "--format", "ply"]);
+    assert!(ran.status == 0 && !ran.out.contains("note:"), "{}{}", ran.out, ran.err);
+}
+
+#[test]
+fn axis_is_understood_in_capitals_and_units_are_written() {
+    let folder = tempdir().expect("a folder");
+    write_frame(folder.path(), 4);
+    let convert = |more: &[&str]| {
+        let arguments = ["convert", "f.bgeo", "--out", "o", "--voxel-size", "0.05"];
+        meniscus(folder.path(), &[&arguments[..], more].concat())
+    };
+    let ran = convert(&["--format", "usda", "--up", "Z", "--meters-per-unit", "0.01"]);
+    assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
+    let text = fs::read_to_string(folder.path().join("o/f.usda")).expect("written");
+    for line in ["upAxis = \"Z\"", "metersPerUnit = 0.01", "defaultPrim = \"root\""] {
+        assert!(text.contains(&format!("    {line}\n")), "{line}");
+    }
+    assert!(text.contains("def Xform \"root\"\n{\n    def Mesh \"surface\"\n"));
+    let ran = convert(&["--format", "obj", "--meters-per-unit", "0.01"]);
+    assert!(ran.status == 0 && ran.err.contains("--meters-per-unit"), "{}", ran.err);
+    for wrong in ["0", "-1", "1e10", "inf", "nan", "m"] {
+        let ran = convert(&["--format", "usda", &format!("--meters-per-unit={wrong}")]);
+        assert!(ran.status == 2 && ran.err.contains("number of metres"), "{wrong}: {}", ran.err);
+    }
+}
+
+#[test]
+fn digits_of_a_far_particle_move_no_vertex_elsewhere() {
+    let folder = tempdir().expect("a folder");
+    let vertices = |far: &str| {
+        let mut text = String::from("x,y,z\n");
+        for [x, y, z] in block(6, 0.0125) {
+            text += &format!("{x},{y},{z}\n");
+        }
+        fs::write(folder.path().join("f.csv"), format!("{text}{far},0,0\n")).expect("written");
+        let arguments = ["convert", "f.csv", "--out", "o", "--voxel-size", "0.05", "--format", "obj"];
+        assert_eq!(meniscus(folder.path(), &arguments).status, 0);
+        let obj = fs::read_to_string(folder.path().join("o/f.obj")).expect("written");
+        let near = |line: &&str| {
+            line.strip_prefix("v ").is_some_and(|rest| {
+                rest.split(' ').next().and_then(|x| x.parse::<f64>().ok()).is_some_and(|x| x < 5.0)
+            })
+        };
+        obj.lines().filter(near).map(str::to_owned).collect::<Vec<_>>()
+    };
+    let short = vertices("10.5");
+    assert!(short.len() > 100);
+    assert_eq!(vertices("10.500000123"), short);
+}

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
+use crate::raw_vdb::{Cell, raw_level_set};
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
 /// A block of particles as a level set that is hardly smoothed, `in/block.vdb`, and as a mesh.
@@ -124,4 +125,106 @@ fn what_needs_particles_is_refused_by_name() {
     }
     let ran = meniscus(folder, &["convert", "block.ply", "--out=out", "--band-slack=1"]);
     assert!(ran.status == 2 && ran.err.contains("--band-slack is for level sets"), "{}", ran.err);
+}
+
+/// A ball of 3 units in the middle of a cube of 12.8, as a file with `value` of each distance in voxels.
+fn ball(value: impl Fn(f32) -> f32) -> Vec<u8> {
+    raw_level_set(0.1, 0.3, |cell| {
+        let values: Box<[f32; 512]> = Box::new(std::array::from_fn(|offset| {
+            let local = [offset / 64, offset / 8 % 8, offset % 8];
+            let square = |axis: usize| (cell[axis] * 8 + local[axis] as i32 - 64).pow(2);
+            value(((square(0) + square(1) + square(2)) as f32).sqrt() - 30.0)
+        }));
+        match values.iter().all(|value| *value == values[0]) {
+            true => Cell::Tile(values[0]),
+            false => Cell::Leaf(values),
+        }
+    })
+}
+
+const NO_BAND: [fn(f32) -> f32; 3] = [
+    // A step function, and distances on one side only.
+    |distance| 0.3f32.copysign(distance),
+    |distance| if distance < 0.0 { -0.3 } else { (0.1 * distance).min(0.3) },
+    |distance| if distance < 0.0 { (0.1 * distance).max(-0.3) } else { 0.3 },
+];
+
+#[test]
+fn level_set_without_a_band_is_rebuilt_with_a_warning() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    fs::create_dir(folder.join("in")).expect("made");
+    let expected = 4.0 / 3.0 * std::f64::consts::PI * 27.0;
+    for (index, value) in NO_BAND.into_iter().enumerate() {
+        fs::write(folder.join("in/block.vdb"), ball(value)).expect("written");
+        for slack in ["--band-slack=0", "--band-slack=1"] {
+            let ran = convert(folder, &["--format=obj,vdb", slack]);
+            assert_eq!(ran.status, 0, "{}", ran.err);
+            assert!(ran.err.contains("no distances next to the surface"), "{}", ran.err);
+            assert!(!ran.out.contains("does not hold"), "{}", ran.out);
+            let mesh = info(folder, "out/block.obj")["mesh"].clone();
+            assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
+            let volume = number(&mesh["volume"]);
+            assert!((volume / expected - 1.0).abs() < 0.03, "{index} {slack}: {volume} {expected}");
+        }
+    }
+}
+
+#[test]
+fn surface_between_tiles_is_rebuilt() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    fs::create_dir(folder.join("in")).expect("made");
+    // A cube of 4 × 4 × 4 tiles: its faces lie midway between voxels.
+    let is_inside = |cell: [i32; 3]| cell.iter().all(|at| (6..10).contains(at));
+    let bytes = raw_level_set(0.1, 0.3, |cell| Cell::Tile(if is_inside(cell) { -0.3 } else { 0.3 }));
+    fs::write(folder.join("in/block.vdb"), bytes).expect("written");
+    let ran = convert(folder, &["--format=obj"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    let mesh = info(folder, "out/block.obj")["mesh"].clone();
+    assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
+    let volume = number(&mesh["volume"]);
+    assert!((volume / 3.2f64.powi(3) - 1.0).abs() < 0.02, "{volume}");
+}
+
+#[test]
+fn obstacle_without_a_band_leaves_no_hole() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    write_ply(&folder.join("block.ply"), &block(12, 0.0125));
+    // As the block of particles is small, so is the ball: 0.3 units around (0.64, 0.64, 0.64).
+    for value in NO_BAND {
+        let bytes = raw_level_set(0.01, 0.03, |cell| {
+            Cell::Leaf(Box::new(std::array::from_fn(|offset| {
+                let local = [offset / 64, offset / 8 % 8, offset % 8];
+                let square = |axis: usize| (cell[axis] * 8 + local[axis] as i32 - 64).pow(2);
+                0.1 * value(((square(0) + square(1) + square(2)) as f32).sqrt() - 30.0)
+            })))
+        });
+        fs::write(folder.join("ball.vdb"), bytes).expect("written");
+        let arguments = ["convert", "block.ply", "--out=out", "--format=obj", "--voxel-size=0.05"];
+        let ran = meniscus(folder, &[&arguments[..], &["--obstacle=ball.vdb"]].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert!(ran.err.contains("ball.vdb: the file has no distances next to the surface"), "{}", ran.err);
+        let mesh = info(folder, "out/block.obj")["mesh"].clone();
+        assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
+    }
+}
+
+#[test]
+fn level_set_beyond_the_memory_fails_and_says_how_much_would_do() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    fs::create_dir(folder.join("in")).expect("made");
+    // A voxel inside in every eighth leaf, so that all of the cube is near to some surface.
+    let bytes = raw_level_set(0.1, 0.3, |cell| match cell.iter().all(|at| at % 2 == 1) {
+        true => Cell::Leaf(Box::new(std::array::from_fn(|offset| if offset == 292 { -0.05 } else { 0.05 }))),
+        false => Cell::Tile(0.3),
+    });
+    fs::write(folder.join("in/block.vdb"), bytes).expect("written");
+    let ran = convert(folder, &["--format=obj", "--band-slack=1", "--memory=16MiB"]);
+    assert_eq!(ran.status, 2, "{}", ran.err);
+    let needed = ran.err.split("use --memory ").nth(1).and_then(|rest| rest.split(' ').next());
+    let needed = needed.unwrap_or_else(|| panic!("{}", ran.err));
+    succeeded(&convert(folder, &["--format=obj", "--band-slack=1", &format!("--memory={needed}")]));
 }

@@ -25,6 +25,7 @@ mod particles_only; // particles from one format to another, without a surface
 mod pictures; // of balls, of which all is known; their files, and the command that makes them
 mod pipeline; // frames through the stages, with a quick method in place of the real one
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
+mod raw_vdb; // level sets as no program writes them
 mod readme; // every command in the README, run as it stands there
 mod scene; // small frames of particles, and a way to run the command
 mod service; // the daemon as a service: what systemd hears, and what signals do

@@ -49,7 +49,15 @@ pub(crate) fn records(header: &Header, file_bytes: u64, rest: &[u8]) -> Result<R
         count: header.point_count,
         position: PositionInRecord::Bgeo,
         notes: notes(header, rest),
+        velocity: velocity_name(header),
     })
+}
+
+fn velocity_name(header: &Header) -> Option<String> {
+    let named: Vec<(&str, usize)> =
+        header.attributes.iter().map(|attribute| (attribute.name.as_str(), attribute.arity)).collect();
+    let place = roles_of(&named).iter().position(|role| *role == Some(Role::Velocity))?;
+    Some(header.attributes[place].name.clone())
 }
 
 /// Bytes of all points, which the file has.

@@ -164,7 +164,7 @@ fn keys(frames: &[ShotFrame], fps: f64) -> Result<Vec<Vec<Key>>> {
         let next = frames.get(index + 1).map(|next| seconds(next.code));
         let end = next.unwrap_or_else(|| seconds(frame.code.saturating_add(1)));
         let start = if index == 0 { 0.0 } else { seconds(frame.code) };
-        if end <= start {
+        if end <= seconds(frame.code) {
             return Err(invalid(format!("{} and the next frame are shown at the same time", frame.name)));
         }
         if !frame.file.has_mesh() {

@@ -2,7 +2,7 @@
 
 use crate::batches::{PositionInRecord, Records};
 use crate::bytes::Endian;
-use crate::data::Positions;
+use crate::data::{Positions, Role};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::scalar::Scalar;
@@ -35,9 +35,11 @@ pub(crate) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Resu
     let scalars = position.map(|property| scalar_of(element, property));
     let mut notes = notes(element, &columns);
     notes.extend(note_on_faces(header));
+    let velocity = columns.groups.iter().find(|group| group.role == Some(Role::Velocity));
+    let velocity = velocity.map(|group| group.name.clone());
     let columns = PositionColumns { offsets: position.map(|property| offsets[property]), scalars };
     let position = PositionInRecord::Ply { columns, endian };
-    Ok(Some(Records { format: FORMAT, offset: at, stride, count, position, notes }))
+    Ok(Some(Records { format: FORMAT, offset: at, stride, count, position, notes, velocity }))
 }
 
 /// Where a position is in a record: bytes from its start, and types.

@@ -56,12 +56,19 @@ pub(super) struct Label<K> {
 pub(super) struct Known<'a> {
     pub(super) input: ReadInput,
     pub(super) read_seconds: f64,
-    pub(super) notes: Vec<String>,
+    pub(super) noted: Noted,
     /// What is recorded of its obstacles, and at how many edges they are open.
     pub(super) obstacles: (String, usize),
     pub(super) memory: Reservation<'a>,
     /// While it computes.
     pub(super) seat: Option<Seat<'a>>,
+}
+
+/// What a user should know of what was read.
+pub(super) struct Noted {
+    pub(super) notes: Vec<String>,
+    /// The name of velocities that are not wanted.
+    pub(super) unused_velocity: Option<String>,
 }
 
 /// What reading hands to rasterization.

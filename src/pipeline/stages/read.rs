@@ -23,7 +23,7 @@ use crate::pipeline::steps::{reading_bytes, step_of};
 use crate::settings::{Anisotropy, Settings};
 
 use super::Conduct;
-use super::line::{Ended, Known, Label, Line, Parcel, Read, outcome_of};
+use super::line::{Ended, Known, Label, Line, Noted, Parcel, Read, outcome_of};
 
 impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
     /// Reads frames until there are none, or nobody listens any more.
@@ -63,7 +63,7 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         self.begin(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
-        let (read, input, notes) = read.map_err(Outcome::Failed).flatten()?;
+        let (read, input, noted) = read.map_err(Outcome::Failed).flatten()?;
         // Those that stand still are there for the frames that follow, too. They are named by where they are, which the
         // frames of this line keep as it is; and nobody takes their room between this and the next.
         let standing_bytes = read.obstacles.all_bytes - read.obstacles.own_bytes;
@@ -75,11 +75,11 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         memory.resize(given_bytes);
         let read_seconds = start.elapsed().as_secs_f64();
         let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
-        Ok((read, Known { input, read_seconds, notes, obstacles, memory, seat: None }))
+        Ok((read, Known { input, read_seconds, noted, obstacles, memory, seat: None }))
     }
 
     /// The particles of a frame, and the notes on them.
-    fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
+    fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
         let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
         let of_obstacle = |error| FrameError::of_stage(frame, Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
@@ -95,9 +95,9 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
             let streamed = FileParticles::open(&frame.input, file)
                 .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
             if let Some(particles) = streamed {
-                let notes = particles.notes();
+                let noted = Noted { notes: particles.notes(), unused_velocity: particles.unused_velocity() };
                 let particles = FrameParticles::OnDisk(Box::new(particles));
-                return self.planned(number, frame, move || Ok((particles, notes)), obstacles, input);
+                return self.planned(number, frame, move || Ok((particles, noted)), obstacles, input);
             }
         }
         let unchanged = read_frame_unchanged(&frame.input, self.conduct.steps_found_by).map_err(failed)?;
@@ -107,7 +107,8 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
-            Ok((FrameParticles::InMemory(read.cloud), read.notes))
+            let noted = Noted { notes: read.notes, unused_velocity: read.unused_velocity };
+            Ok((FrameParticles::InMemory(read.cloud), noted))
         };
         self.planned(number, frame, parse, obstacles, input)
     }
@@ -147,13 +148,14 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         &self,
         number: usize,
         frame: &Frame,
-        parse: impl FnOnce() -> Result<(FrameParticles, Vec<String>), FrameError> + Send + 'env,
+        parse: impl FnOnce() -> Result<(FrameParticles, Noted), FrameError> + Send + 'env,
         found: FoundObstacles,
         input: ReadInput,
-    ) -> Result<(Read, ReadInput, Vec<String>), Outcome> {
+    ) -> Result<(Read, ReadInput, Noted), Outcome> {
         let (method, frame, allowed_bytes) = (self.method, frame.clone(), self.conduct.memory_bytes);
         let planned = self.crew.run(number, move || {
-            let (particles, mut notes) = parse()?;
+            let (particles, mut noted) = parse()?;
+            let notes = &mut noted.notes;
             let kept_bytes_max = allowed_bytes / OBSTACLE_SHARE;
             let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
             let loaded = frame.obstacles.load(found, &frame.settings, kept_bytes_max);
@@ -167,10 +169,10 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
                     "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB (--memory)"
                 ));
             }
-            Ok((Read { particles, obstacles, plan }, notes))
+            Ok((Read { particles, obstacles, plan }, noted))
         });
-        let (read, notes) = planned.map_err(outcome_of)?;
-        Ok((read, input, notes))
+        let (read, noted) = planned.map_err(outcome_of)?;
+        Ok((read, input, noted))
     }
 }
 

@@ -89,7 +89,11 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
                 peak_memory_bytes: peak_memory_bytes(),
                 outputs: paths,
                 output_bytes: sizes_bytes,
-                notes: [known.notes, notes].concat(),
+                notes: [known.noted.notes, notes].concat(),
+                unused_velocity: known
+                    .noted
+                    .unused_velocity
+                    .filter(|_| frame.outputs.formats.iter().any(|format| format.has_attributes())),
             })),
             Err(error) => Outcome::Failed(error),
         }

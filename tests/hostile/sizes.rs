@@ -1,0 +1,81 @@
+//! Files that are well-formed and hold very much of something: each takes memory in proportion to its size.
+
+use std::fmt::Write as _;
+
+use meniscus_formats::LevelSetView;
+use meniscus_formats::vdb::{WriteOptions, write};
+
+use crate::scene::{Scene, tell};
+
+/// Enough for what is kept of each step to show.
+const STEPS: usize = 40_000;
+
+/// The program, the file, and what is known of each step.
+const INFO_BYTES_MAX: u64 = 48 << 20;
+
+fn steps(count: usize) -> String {
+    let mut text = String::new();
+    for step in 0..count {
+        writeln!(text, "ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n0\nITEM: ATOMS id x y z")
+            .expect("room");
+    }
+    text
+}
+
+#[test]
+fn info_of_many_steps_takes_little_memory() {
+    let scene = Scene::new();
+    scene.write("many.lammpstrj", steps(STEPS));
+    for arguments in [&["info", "many.lammpstrj"][..], &["info", "--json", "many.lammpstrj"]] {
+        let ran = scene.run(arguments);
+        assert_eq!(ran.status, Some(0), "{}", ran.err);
+        assert_eq!(ran.out.matches("many.lammpstrj/step=").count(), STEPS);
+        tell(&format!("{} steps: {} MiB", STEPS, ran.peak_bytes >> 20));
+        assert!(ran.peak_bytes <= INFO_BYTES_MAX, "{} of {INFO_BYTES_MAX} bytes", ran.peak_bytes);
+    }
+}
+
+/// A file with a voxel inside in each of so many leaves, none of which are neighbours.
+fn scattered(edge_count: i32) -> Vec<u8> {
+    let mut origins = Vec::new();
+    for x in 0..edge_count {
+        for y in 0..edge_count {
+            origins.extend((0..edge_count).map(|z| [x, y, z].map(|at| 32 * at)));
+        }
+    }
+    let leaf: [f32; 512] = std::array::from_fn(|offset| if offset == 292 { -0.5 } else { 0.5 });
+    let leaves = vec![leaf; origins.len()];
+    let view = LevelSetView {
+        origins: &origins,
+        leaves: &leaves,
+        half_width_voxels: 3.0,
+        voxel_size: 0.1,
+        grids: &[],
+    };
+    let mut bytes = Vec::new();
+    write(&view, &WriteOptions::default(), &[], &mut bytes).expect("written");
+    bytes
+}
+
+/// The program itself, and what the allocator keeps.
+const BESIDE_BYTES: u64 = 40 << 20;
+
+#[test]
+fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
+    let scene = Scene::new();
+    scene.write("scattered.vdb", scattered(8));
+    let convert = |memory: &str| {
+        let slack = ["--band-slack", "1", "--steps", "1", "--laplacian-steps", "1"];
+        let arguments = ["convert", "scattered.vdb", "--out", "out", "--format", "obj", "--memory", memory];
+        scene.run(&[&arguments[..], &slack].concat())
+    };
+    let ran = convert("32MiB");
+    assert_eq!(ran.status, Some(2), "{}", ran.err);
+    assert!(ran.peak_bytes <= (32 << 20) + BESIDE_BYTES, "{}", ran.peak_bytes);
+    let needed = ran.err.split("use --memory ").nth(1).and_then(|rest| rest.split("MiB").next());
+    let needed: u64 = needed.and_then(|needed| needed.parse().ok()).unwrap_or_else(|| panic!("{}", ran.err));
+    let ran = convert(&format!("{needed}MiB"));
+    assert_eq!(ran.status, Some(0), "{}", ran.err);
+    tell(&format!("{needed} MiB allowed: {} MiB", ran.peak_bytes >> 20));
+    assert!(ran.peak_bytes <= (needed << 20) + BESIDE_BYTES, "{} of {needed} MiB", ran.peak_bytes);
+}

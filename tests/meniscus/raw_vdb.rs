@@ -1,0 +1,90 @@
+//! A plain writer of OpenVDB files with one float grid, which knows nothing of narrow bands: it writes what it is given.
+//!
+//! All leaves and tiles are in the cube of 128 voxels from the origin on, in a single lower node. Nothing is compressed, so each
+//! value of the file is written out.
+
+/// What is in a place of 8³ voxels of the cube.
+pub(crate) enum Cell {
+    /// A tile with one value, inactive.
+    Tile(f32),
+    /// A leaf: values with z fastest, all of them inactive.
+    Leaf(Box<[f32; 512]>),
+}
+
+/// Cells along an edge of the cube.
+const EDGE: i32 = 16;
+
+/// The bytes of a level set with this background; `cell` says what is at the cell with these coordinates, 0 to 15.
+pub(crate) fn raw_level_set(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> Vec<u8> {
+    let mut file = vec![0x20, 0x42, 0x44, 0x56, 0, 0, 0, 0];
+    for number in [224u32, 10, 0] {
+        file.extend(number.to_le_bytes());
+    }
+    file.push(1); // offsets follow
+    file.extend([b'0'; 36]); // in place of a UUID
+    file.extend(0u32.to_le_bytes()); // metadata
+    file.extend(1u32.to_le_bytes()); // grids
+    for text in ["surface", "Tree_float_5_4_3", ""] {
+        push_string(text, &mut file);
+    }
+    let (head, buffers) = grid(voxel_size, background, cell);
+    let start = file.len() + 24;
+    for offset in [start, start + head.len(), start + head.len() + buffers.len()] {
+        file.extend((offset as u64).to_le_bytes());
+    }
+    [file, head, buffers].concat()
+}
+
+/// Everything up to the buffers of the leaves, and these.
+fn grid(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> (Vec<u8>, Vec<u8>) {
+    let mut head = 0u32.to_le_bytes().to_vec(); // no compression
+    head.extend(1u32.to_le_bytes());
+    push_string("class", &mut head);
+    push_string("string", &mut head);
+    push_string("level set", &mut head);
+    push_string("UniformScaleMap", &mut head);
+    let (inverse, square) = (1.0 / voxel_size, 1.0 / voxel_size / voxel_size);
+    for number in [voxel_size, voxel_size, inverse, square, 0.5 * inverse] {
+        (0..3).for_each(|_| head.extend(number.to_le_bytes()));
+    }
+    head.extend(1u32.to_le_bytes()); // buffers for each leaf
+    head.extend(background.to_le_bytes());
+    head.extend(0u32.to_le_bytes()); // tiles of the root
+    head.extend(1u32.to_le_bytes()); // children
+    head.extend([0; 12]);
+    // The upper node has one child, the first.
+    push_mask(32_768, |slot| slot == 0, &mut head);
+    push_mask(32_768, |_| false, &mut head);
+    push_values((0..32_768).map(|slot| if slot == 0 { 0.0 } else { background }), &mut head);
+    let cells: Vec<Cell> =
+        (0..EDGE.pow(3)).map(|slot| cell([slot / (EDGE * EDGE), slot / EDGE % EDGE, slot % EDGE])).collect();
+    push_mask(4096, |slot| matches!(cells[slot], Cell::Leaf(_)), &mut head);
+    push_mask(4096, |_| false, &mut head);
+    let value = |cell: &Cell| if let Cell::Tile(value) = cell { *value } else { 0.0 };
+    push_values(cells.iter().map(value), &mut head);
+    let mut buffers = Vec::new();
+    for values in
+        cells.iter().filter_map(|cell| if let Cell::Leaf(values) = cell { Some(values) } else { None })
+    {
+        push_mask(512, |_| false, &mut head);
+        push_mask(512, |_| false, &mut buffers);
+        push_values(values.iter().copied(), &mut buffers);
+    }
+    (head, buffers)
+}
+
+fn push_string(text: &str, out: &mut Vec<u8>) {
+    out.extend((text.len() as u32).to_le_bytes());
+    out.extend(text.as_bytes());
+}
+
+fn push_mask(count: usize, is_on: impl Fn(usize) -> bool, out: &mut Vec<u8>) {
+    for byte in 0..count / 8 {
+        out.push((0..8).fold(0, |bits, bit| bits | u8::from(is_on(8 * byte + bit)) << bit));
+    }
+}
+
+fn push_values(values: impl Iterator<Item = f32>, out: &mut Vec<u8>) {
+    out.push(6); // all of them
+    values.for_each(|value| out.extend(value.to_le_bytes()));
+}
