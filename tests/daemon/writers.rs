@@ -96,7 +96,7 @@ fn folders_that_lead_to_themselves_end() {
 #[test]
 fn a_slow_writer_is_waited_for() {
     let scene = Scene::new();
-    let daemon = watch(&scene, &[]);
+    let daemon = watch(&scene, &["--unproven", "1h"]);
     let binary = ply(&moving(1));
     let text = text_ply(&moving(2)).into_bytes();
     let files = [("in/dam.1.ply", &binary), ("in/dam.2.ply", &text)]
@@ -111,10 +111,12 @@ fn a_slow_writer_is_waited_for() {
             (&*file).write_all(&bytes[place(bytes, part)..place(bytes, part + 1)]).expect("written");
         }
         for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]).filter(|_| part < 5) {
-            daemon.await_waiting(name, place(bytes, part + 1), "not complete");
+            // Of text the header does not say how long it is: the format may not be able to tell.
+            daemon.await_waiting(name, place(bytes, part + 1), "complete");
         }
     }
     drop(files);
+    scene.write("in/dam.2.done", "");
     for name in ["dam.1.ply", "dam.2.ply"] {
         assert_eq!(particle_count(&daemon.await_converted(name)), 216);
     }

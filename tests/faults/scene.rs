@@ -97,16 +97,19 @@ pub(crate) fn stem(number: usize) -> String {
 /// Files by their names.
 pub(crate) type Files = BTreeMap<String, Vec<u8>>;
 
-/// The files in a folder; none where there is none.
+/// The files in a folder, and in those below it as `folder/name`; none where there is no folder.
 pub(crate) fn files_in(folder: &Path) -> Files {
-    let entries = fs::read_dir(folder).into_iter().flatten().map(|entry| entry.expect("an entry"));
-    let files = entries.filter(|entry| entry.file_type().expect("a type").is_file());
+    let mut files = Files::new();
+    for entry in fs::read_dir(folder).into_iter().flatten().map(|entry| entry.expect("an entry")) {
+        let name = entry.file_name().into_string().expect("text");
+        if entry.file_type().expect("a type").is_dir() {
+            let inside = files_in(&entry.path()).into_iter();
+            files.extend(inside.map(|(within, bytes)| (format!("{name}/{within}"), bytes)));
+        } else {
+            files.insert(name, fs::read(entry.path()).expect("readable"));
+        }
+    }
     files
-        .map(|entry| {
-            let name = entry.file_name().into_string().expect("text");
-            (name, fs::read(entry.path()).expect("readable"))
-        })
-        .collect()
 }
 
 /// The outputs that each version of the frames must have, those of a farm included.
