@@ -76,7 +76,6 @@ fn what_is_no_frame_is_no_trouble() {
         symlink(scene.path(&name("pipe")), scene.path(&name("linked_pipe"))).expect("a link");
         make_pipe(&scene, &format!("in/dam.{number}.done"));
         symlink("/dev/zero", scene.path(&name("endless"))).expect("a link");
-        symlink(scene.path(&name("self")), scene.path(&name("self"))).expect("a link");
         scene.write(&format!("in/notes.{number}.txt"), "the voxel size is too large, I think\n");
         scene.write(&format!("in/.dam.{number}.ply"), "hidden");
         scene.write(&format!("in/dam.{number}.mov"), "no particles");
