@@ -110,13 +110,14 @@ fn a_slow_writer_is_waited_for() {
         for (file, bytes) in &files {
             (&*file).write_all(&bytes[place(bytes, part)..place(bytes, part + 1)]).expect("written");
         }
-        for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]).filter(|_| part < 5) {
-            // Of text the header does not say how long it is: the format may not be able to tell.
-            daemon.await_waiting(name, place(bytes, part + 1), "complete");
+        for ((_, bytes), name) in files.iter().zip(["dam.1.ply", "dam.2.ply"]) {
+            // The header does not say how long text is: of most of it only reading tells whether it is complete.
+            if part < 3 || (part < 5 && name == "dam.1.ply") {
+                daemon.await_waiting(name, place(bytes, part + 1), "complete");
+            }
         }
     }
     drop(files);
-    scene.write("in/dam.2.done", "");
     for name in ["dam.1.ply", "dam.2.ply"] {
         assert_eq!(particle_count(&daemon.await_converted(name)), 216);
     }

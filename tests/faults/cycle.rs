@@ -140,8 +140,9 @@ impl Cycle<'_> {
         }
         let is_more = |name: &&String| !self.references.of(version).contains_key(*name);
         // Only the daemon looks for what killed processes left.
-        let more =
-            found.keys().filter(is_more).filter(|name| self.way == Way::Watch || !name.starts_with('.'));
+        let is_state = |name: &&String| name.starts_with(".meniscus/");
+        let is_left = |name: &&String| self.way == Way::Watch || !name.starts_with('.');
+        let more = found.keys().filter(is_more).filter(is_left).filter(|name| !is_state(name));
         let more: Vec<&String> = more.collect();
         assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
     }

@@ -53,9 +53,9 @@ fn control_characters_in_file_names_are_escaped_in_all_output() {
     assert_eq!(json[0]["file"], *frame, "the name is whole in JSON");
     run(path, &["convert", frame, "--out", "out", "--print-settings"], 0);
     run(path, &["plan", frame, "--out", "out", "--shards", "1", "-o", "plan.json"], 0);
-    run(path, &["verify", "out", "--plan", "plan.json"], 1);
-    run(path, &["sequence", "out", "--out", "shot.glb"], 0);
-    run(path, &["render", frame, "--out", "pictures", "--size", "32x32"], 0);
+    run(path, &["verify", "out", "--plan", "plan.json"], 2);
+    run(path, &["sequence", "out", "-o", "shot.glb"], 0);
+    run(path, &["info", "missing\u{1b}[2J\nerror: forged.ply"], 2);
 }
 
 #[test]
