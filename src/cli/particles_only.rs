@@ -59,7 +59,7 @@ pub(super) fn write_particles(
         tally.note(&frames[index].input, &outcome, described, (has_bar, console));
     });
     console.hide_bar();
-    Ok(tally.finish((frames.len(), true), start.elapsed().as_secs_f64(), console))
+    Ok(tally.finish(frames.len(), start.elapsed().as_secs_f64(), console))
 }
 
 /// Refuses what is about surfaces.

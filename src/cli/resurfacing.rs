@@ -77,7 +77,7 @@ pub(super) fn convert_level_sets(
     let pool = thread_pool(args.threads)?;
     let conduct = conduct(args, &pool)?;
     out_folder.keep();
-    let mut tally = Tally::default();
+    let mut tally = Tally::of_surfaces(args.allow_violations);
     let has_bar = console.show_bar(bands.len());
     let described = |report: &FrameReport| {
         let mesh = &report.skin.mesh;
@@ -92,7 +92,7 @@ pub(super) fn convert_level_sets(
         tally.note(&bands[index].input, &outcome, described, (has_bar, console));
     });
     console.hide_bar();
-    Ok(tally.finish((bands.len(), args.allow_violations), start.elapsed().as_secs_f64(), console))
+    Ok(tally.finish(bands.len(), start.elapsed().as_secs_f64(), console))
 }
 
 /// Refuses what needs particles, what needs a slack where there is none, and what level sets are not converted to.

@@ -12,6 +12,8 @@ use super::wording::{counted, failed_validation};
 /// What became of the frames.
 #[derive(Default)]
 pub(super) struct Tally {
+    /// Whether surfaces may fail validation; `None` for frames without surfaces.
+    allow_violations: Option<bool>,
     done_count: usize,
     failed_count: usize,
     /// Frames that were made and break a guarantee.
@@ -22,6 +24,11 @@ pub(super) struct Tally {
 }
 
 impl Tally {
+    /// The tally of frames that become surfaces.
+    pub(super) fn of_surfaces(allow_violations: bool) -> Tally {
+        Tally { allow_violations: Some(allow_violations), ..Tally::default() }
+    }
+
     /// Tells what became of a frame; `described` says of one that was made how it is.
     pub(super) fn note(
         &mut self,
@@ -34,7 +41,8 @@ impl Tally {
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;
-                self.broken_count += usize::from(!keeps_guarantees(report));
+                let is_broken = self.allow_violations.is_some() && !keeps_guarantees(report);
+                self.broken_count += usize::from(is_broken);
                 for note in &report.notes {
                     if self.told.insert(gist(note)) {
                         console.warn(format_args!("warning: {name}: {note}"));
@@ -66,12 +74,7 @@ impl Tally {
     }
 
     /// The summary, and the verdict.
-    pub(super) fn finish(
-        &self,
-        (frame_count, allow_violations): (usize, bool),
-        seconds: f64,
-        console: &mut Console,
-    ) -> Verdict {
+    pub(super) fn finish(&self, frame_count: usize, seconds: f64, console: &mut Console) -> Verdict {
         let &Tally { done_count, failed_count, broken_count, untold_count, .. } = self;
         let mut summary = format!("{}: {done_count} done", counted(frame_count, "frame"));
         if failed_count > 0 {
@@ -86,7 +89,9 @@ impl Tally {
             let more = counted(untold_count, "more warning");
             console.warn(format_args!("{more} like those of earlier frames"));
         }
-        let has_violations = say_violations((broken_count, frame_count), "", allow_violations, console);
+        let has_violations = self
+            .allow_violations
+            .is_some_and(|allow| say_violations((broken_count, frame_count), "", allow, console));
         Verdict::of(done_count, failed_count, has_violations)
     }
 }

@@ -60,7 +60,8 @@ fn outputs_for_other_programs_say_what_made_them() {
         assert!(meniscus(path, &with(option)).out.contains("done already"), "{option}");
     }
     let names = ["dam.1.glb", "dam.1.stl", "dam.1.usda", "dam.1.vtp"];
-    assert_eq!(names_in(&path.join("out")), names);
+    // `.meniscus` has the hashes of the outputs, for --skip-done.
+    assert_eq!(names_in(&path.join("out"))[1..], names);
     for name in &names[1..] {
         let info: Value =
             serde_json::from_str(&meniscus(&path.join("out"), &["info", "--json", name]).out).expect("JSON");
