@@ -7,7 +7,7 @@ use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustix::process::geteuid;
 use serde_json::Value;
 
-use crate::scene::{Line, NO_SCANS, Scene, moving, names_in, ply};
+use crate::scene::{Line, NO_SCANS, Scene, moving, names_in, ply, told};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 4] = ["--settle", "50ms", "--stalled", "300ms"];
@@ -93,6 +93,20 @@ fn what_is_no_frame_is_no_trouble() {
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 1);
     let names = ["dam.1.obj", "dam.1.vdb", "dam.2.obj", "dam.2.vdb"];
     assert_eq!(names_in(&scene.path("out"))[1..], names);
+}
+
+/// The link of the frame leads to itself: nothing can be known of the frame, so it failed.
+#[test]
+fn frame_that_cannot_be_examined_fails_the_run() {
+    let scene = Scene::new();
+    symlink(scene.path("in/dam.2.ply"), scene.path("in/dam.2.ply")).expect("a link");
+    scene.put_moving([1]);
+    let once = scene.once(&[&QUICK[..], &FORMATS].concat());
+    once.assert_status(1);
+    assert_eq!(once.converted(), ["dam.1.ply"]);
+    let is_error =
+        |line: &&Line| line.level == "ERROR" && line.message.starts_with("cannot be read: Too many levels");
+    assert_eq!(once.log.iter().filter(is_error).count(), 1, "{}", told(&once.log));
 }
 
 /// An empty file may be one that is about to be written: it is waited for, and tried again; not forever

@@ -209,7 +209,7 @@ fn device_names_of_pipes_are_read() {
 #[test]
 fn closed_standard_output_is_an_error() {
     let folder = folder_with(&["dam.7.ply"]);
-    let arguments = ["convert", "in", "-o", "-", "--voxel-size", "0.02"];
+    let arguments = ["convert", "in", "-o", "-", "--voxel-size", "0.1"];
     let mut command = command(folder.path(), &arguments);
     let mut child = command
         .stdin(Stdio::null())
