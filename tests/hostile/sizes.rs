@@ -8,10 +8,10 @@ use meniscus_formats::vdb::{WriteOptions, write};
 use crate::scene::{Scene, tell};
 
 /// Enough for what is kept of each step to show.
-const STEPS: usize = 40_000;
+const STEPS: usize = 20_000;
 
 /// The program, the file, and what is known of each step.
-const INFO_BYTES_MAX: u64 = 48 << 20;
+const INFO_BYTES_MAX: u64 = 32 << 20;
 
 fn steps(count: usize) -> String {
     let mut text = String::new();
@@ -63,7 +63,7 @@ const BESIDE_BYTES: u64 = 40 << 20;
 #[test]
 fn scattered_voxels_stay_within_the_memory_that_is_allowed() {
     let scene = Scene::new();
-    scene.write("scattered.vdb", scattered(8));
+    scene.write("scattered.vdb", scattered(6));
     let convert = |memory: &str| {
         let slack = ["--band-slack", "1", "--steps", "1", "--laplacian-steps", "1"];
         let arguments = ["convert", "scattered.vdb", "--out", "out", "--format", "obj", "--memory", memory];

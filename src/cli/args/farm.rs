@@ -28,7 +28,7 @@ pub(in crate::cli) struct PlanArgs {
     pub(in crate::cli) output: PathBuf,
 
     /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
     pub(in crate::cli) format: Option<Vec<Format>>,
 
     /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5

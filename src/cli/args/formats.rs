@@ -30,11 +30,11 @@ pub(in crate::cli) struct FormatArgs {
     pub(in crate::cli) vdb_half: bool,
 
     /// How values are packed in .vdb [default: blosc]
-    #[arg(long, value_name = "HOW")]
+    #[arg(long, value_name = "HOW", ignore_case = true)]
     pub(in crate::cli) vdb_compression: Option<CompressionChoice>,
 
     /// Write a picture of each frame, too: one camera for the whole sequence [default: none]
-    #[arg(long, value_name = "FORMAT")]
+    #[arg(long, value_name = "FORMAT", ignore_case = true)]
     pub(in crate::cli) preview: Option<PreviewChoice>,
 
     /// Width and height of pictures, pixels, each 16 to 8192 [default: 1280x720]

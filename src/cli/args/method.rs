@@ -36,7 +36,7 @@ pub(in crate::cli) struct MethodArgs {
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct FirstArgs {
     /// A bundle of choices for what is skinned; options beside it override what it says
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", ignore_case = true)]
     pub(in crate::cli) preset: Option<PresetChoice>,
 
     /// Edge of a voxel h, in the particles' unit of length, positive; half the particle spacing by default
@@ -86,7 +86,7 @@ pub(in crate::cli) struct ParticleArgs {
     pub(in crate::cli) radius_scale: Option<f64>,
 
     /// What stretches particles, so that sheets and jets are smooth [default: none]
-    #[arg(long, value_name = "BY")]
+    #[arg(long, value_name = "BY", ignore_case = true)]
     pub(in crate::cli) anisotropy: Option<AnisotropyChoice>,
 
     /// The longest half axis of a particle in units of its shortest, at most, 1 to 8 [default: 4]
@@ -131,7 +131,7 @@ pub(in crate::cli) struct ObstacleArgs {
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct MeshArgs {
     /// How the level set becomes triangles [default: dual]
-    #[arg(long, value_name = "HOW")]
+    #[arg(long, value_name = "HOW", ignore_case = true)]
     pub(in crate::cli) contour: Option<ContourChoice>,
 
     /// Save triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
@@ -157,7 +157,7 @@ pub(in crate::cli) struct MeshArgs {
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct SolverArgs {
     /// How the smoothing is integrated [default: fast]
-    #[arg(long, value_name = "WHICH")]
+    #[arg(long, value_name = "WHICH", ignore_case = true)]
     pub(in crate::cli) integrator: Option<IntegratorChoice>,
 
     /// Laplacian steps before the biharmonic ones, 0 to 1000000; with 0 distances are restored instead [default: 15]

@@ -74,7 +74,7 @@ pub(in crate::cli) struct FrameArgs {
     pub(in crate::cli) sentinel: Option<String>,
 
     /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
-    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
     pub(in crate::cli) format: Option<Vec<Format>>,
 
     #[command(flatten)]
