@@ -19,6 +19,9 @@
 //! happens when a daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames,
 //! readers can see a mixed set; a certificate, which has the hashes of all files of its frame, tells them.
 //!
+//! A record is used only if this user made it, it has one name, and this version can read it. Any other is left in place with
+//! its old files, and the sweep returns a warning.
+//!
 //! A file that somebody else has replaced since is left as it is: the record has the size and the time of the last write of
 //! each new and old file.
 //!
@@ -26,7 +29,7 @@
 
 use std::collections::HashSet;
 use std::ffi::{OsStr, OsString};
-use std::fs::{self, File};
+use std::fs::{self, File, Metadata};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::MutexGuard;
@@ -140,8 +143,30 @@ fn record_bytes(members: &[Member]) -> Vec<u8> {
     bytes
 }
 
-/// The members in the bytes of a record; `None` where it is not whole: then nothing was replaced, or all was.
-fn parse_record(bytes: &[u8]) -> Option<Vec<Member>> {
+/// What the bytes of a record say.
+#[derive(Debug, PartialEq, Eq)]
+enum Parsed {
+    /// The files to replace.
+    Whole(Vec<Member>),
+    /// It is empty, or its end is missing: no file was replaced, or all were.
+    CutOff,
+    /// Another version of this program wrote it, or it is damaged.
+    Unknown,
+}
+
+fn parse_record(bytes: &[u8]) -> Parsed {
+    if let Some(members) = parse_members(bytes) {
+        return Parsed::Whole(members);
+    }
+    let is_begun = RECORD_HEAD.starts_with(bytes) || bytes.starts_with(RECORD_HEAD);
+    let is_too_long = bytes.len() as u64 >= RECORD_BYTES_MAX;
+    match is_begun && !is_too_long && !bytes.ends_with(RECORD_END) {
+        true => Parsed::CutOff,
+        false => Parsed::Unknown,
+    }
+}
+
+fn parse_members(bytes: &[u8]) -> Option<Vec<Member>> {
     let lines = bytes.strip_prefix(RECORD_HEAD)?.strip_suffix(RECORD_END)?;
     let parts: Option<Vec<&[u8]>> =
         lines.split_inclusive(|byte| *byte == 0).map(|part| part.strip_suffix(&[0])).collect();
@@ -332,6 +357,18 @@ fn trait_of(path: &Path) -> io::Result<Option<Trait>> {
     }
 }
 
+/// Whether this user made the file, and it has one name.
+#[cfg(unix)]
+fn is_own_file(metadata: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    metadata.uid() == rustix::process::geteuid().as_raw() && metadata.nlink() == 1
+}
+
+#[cfg(not(unix))]
+fn is_own_file(_metadata: &Metadata) -> bool {
+    true
+}
+
 /// Whether a name is taken.
 fn exists(path: &Path) -> io::Result<bool> {
     Ok(trait_of(path)?.is_some())
@@ -353,15 +390,47 @@ fn is_number(text: &str) -> bool {
     text.len() == 16 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// Completes a set whose process was killed, or puts its old files back; whether it was killed.
+/// What became of a record.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Recovery {
+    /// The set was completed or undone, and the record removed.
+    Done,
+    /// Another process is using the record.
+    InUse,
+    /// The record cannot be trusted, or cannot be read. It and all its files were left in place. Says why, and what to do.
+    Left(String),
+}
+
+/// Completes a set whose process was killed, or puts its old files back.
 ///
 /// # Errors
 /// When the system refuses: then all that is needed stays, and it can be tried again.
-pub(super) fn recover(record_path: &Path) -> io::Result<bool> {
-    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(false) };
+pub(super) fn recover(record_path: &Path) -> io::Result<Recovery> {
+    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(Recovery::InUse) };
+    let left = |why: &str| {
+        let path = record_path.display();
+        Recovery::Left(format!(
+            "{path}: {why}; left in place with its files `.{{number}}`, which may be the only copies of replaced outputs"
+        ))
+    };
+    // A record has one name. In a shared folder another account could plant one, or link to one from elsewhere.
+    if !is_own_file(&file.metadata()?) {
+        return Ok(left(
+            "this record of an interrupted conversion belongs to another user or has a second name",
+        ));
+    }
     let mut bytes = Vec::new();
     (&mut file).take(RECORD_BYTES_MAX).read_to_end(&mut bytes)?;
-    let members = parse_record(&bytes).unwrap_or_default();
+    let members = match parse_record(&bytes) {
+        Parsed::Whole(members) => members,
+        Parsed::CutOff => Vec::new(),
+        Parsed::Unknown => {
+            return Ok(left(
+                "this record of an interrupted conversion is damaged or from another version of meniscus: run that \
+                 version to restore the files",
+            ));
+        }
+    };
     let set = FileSet { record_path: record_path.to_owned(), members };
     let completed = match set.can_be_completed()? {
         true => set.complete(),
@@ -375,7 +444,7 @@ pub(super) fn recover(record_path: &Path) -> io::Result<bool> {
     sync_folder(record_path.parent().unwrap_or(Path::new("")));
     change::remove(record_path)?;
     set.remove_old_files();
-    Ok(true)
+    Ok(Recovery::Done)
 }
 
 /// Removes an old file whose set is complete; whether it was.
@@ -657,7 +726,7 @@ mod tests {
         let record = write_record(folder.path(), &[]).expect("written");
         let set = FileSet { record_path: record.path().to_owned(), members: Vec::new() };
         fs::write(set.old_path(0), "old").expect("written");
-        assert_eq!(sweep_temporaries(folder.path()).expect("there"), 0);
+        assert_eq!(sweep_temporaries(folder.path()).expect("there").count, 0);
         assert!(record.path().exists() && set.old_path(0).exists());
         drop(record);
         sweep_temporaries(folder.path()).expect("there");
@@ -665,21 +734,74 @@ mod tests {
     }
 
     #[test]
-    fn record_is_read_back_and_one_that_is_cut_off_or_points_elsewhere_is_void() {
+    fn record_is_read_back_and_only_one_that_is_cut_off_is_void() {
         let mut members = vec![example(OsStr::new("a b.glb"), OLD), example(OsStr::new("ü\n.vdb"), None)];
         #[cfg(unix)]
         members.push(example(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), OLD));
         let bytes = record_bytes(&members);
-        assert_eq!(parse_record(&bytes), Some(members));
+        assert_eq!(parse_record(&bytes), Parsed::Whole(members));
         for length in 0..bytes.len() {
-            assert_eq!(parse_record(&bytes[..length]), None, "{length}");
+            assert_eq!(parse_record(&bytes[..length]), Parsed::CutOff, "{length}");
+        }
+        for other in [&b"meniscus set 9\0end\0"[..], b"\0\0\0\0", b"meniscus set 9\0", b"?"] {
+            assert_eq!(parse_record(other), Parsed::Unknown);
         }
         for name in ["../a.glb", "/etc/passwd", "..", "", "."] {
             let bytes = record_bytes(&[example(OsStr::new(name), None)]);
-            assert_eq!(parse_record(&bytes), None, "{name}");
+            assert_eq!(parse_record(&bytes), Parsed::Unknown, "{name}");
         }
         let foreign =
             Member { temporary: OsStr::new("precious").into(), ..example(OsStr::new("a.glb"), None) };
-        assert_eq!(parse_record(&record_bytes(&[foreign])), None);
+        assert_eq!(parse_record(&record_bytes(&[foreign])), Parsed::Unknown);
+    }
+
+    /// A folder with one file, one backup, and a record that would remove the file and the backup.
+    fn plant_record(folder: &Path) -> PathBuf {
+        write_old(folder, 1);
+        let path = folder.join(NAMES[0]);
+        let new = trait_of(&path).expect("known").expect("there");
+        let members =
+            vec![Member { new, ..example(OsStr::new(NAMES[0]), None) }, example(OsStr::new("x"), OLD)];
+        let record_path = folder.join(".meniscus-set-0123456789abcdef");
+        fs::write(&record_path, record_bytes(&members)).expect("written");
+        fs::write(folder.join(".meniscus-set-0123456789abcdef.1"), "kept").expect("written");
+        record_path
+    }
+
+    #[track_caller]
+    fn assert_left_in_place(folder: &Path, words: &str) {
+        let before = contents(folder);
+        let swept = sweep_temporaries(folder).expect("readable");
+        assert_eq!(contents(folder), before);
+        assert_eq!(swept.warnings.len(), 1, "{:?}", swept.warnings);
+        assert!(swept.warnings[0].contains(words), "{:?}", swept.warnings);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn record_with_two_names_is_left_in_place() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        fs::hard_link(&record_path, folder.path().join("second")).expect("linked");
+        assert_left_in_place(folder.path(), "belongs to another user or has a second name");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn record_of_another_user_is_left_in_place() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        // Only root can give a file away.
+        if std::os::unix::fs::chown(&record_path, Some(12345), None).is_ok() {
+            assert_left_in_place(folder.path(), "belongs to another user or has a second name");
+        }
+    }
+
+    #[test]
+    fn record_of_another_version_is_left_in_place_with_its_backups() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        fs::write(&record_path, "meniscus set 9\0a.glb\0end\0").expect("written");
+        assert_left_in_place(folder.path(), "another version");
     }
 }

@@ -50,10 +50,7 @@ fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
     match result {
         // Not every system says of one that is there that it is.
         Err(source) if !folder.is_dir() => Err(OutFolderError::Make { folder: folder.to_owned(), source }),
-        _ => {
-            check_out_folder(folder)?;
-            recover_out_folder(folder)
-        }
+        _ => check_out_folder(folder),
     }
 }
 
@@ -84,18 +81,19 @@ pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Removes what a killed process left half written in a folder, and puts back the files that it replaced in part.
+/// Removes what a killed process left half written in a folder, and puts back the files that it replaced in part. Returns
+/// warnings about what it left in place.
 ///
 /// # Errors
 /// When they cannot be put back.
-pub fn recover_out_folder(folder: &Path) -> Result<(), OutFolderError> {
+pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> {
     let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     match sweep_temporaries(shown) {
         Err(source) if source.kind() != io::ErrorKind::PermissionDenied => {
             Err(OutFolderError::Write { folder: folder.to_owned(), source })
         }
         // A folder that may be written into and not be listed has nothing that could be found.
-        _ => Ok(()),
+        swept => Ok(swept.unwrap_or_default().warnings),
     }
 }
 

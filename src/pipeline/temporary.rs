@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
-use super::file_set::{is_record_name, record_of_old_file, recover, remove_old_file};
+use super::file_set::{Recovery, is_record_name, record_of_old_file, recover, remove_old_file};
 use super::open::open_itself;
 use super::stamp::FileStamp;
 
@@ -166,13 +166,22 @@ fn is_still_at(path: &Path, file: &File) -> bool {
     stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
 }
 
+/// What [`sweep_temporaries`] did.
+#[derive(Debug, Default)]
+pub struct Swept {
+    /// How many temporary files it removed, and sets of files it completed or undid.
+    pub count: usize,
+    /// Records that it left in place: which, why, and what to do.
+    pub warnings: Vec<String>,
+}
+
 /// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
 /// [set](super::file_set) of files whose process was killed, or put the old files back. Where the file system has no locks, that is
-/// those that nobody has written to for a day. Returns how many there were; those that may not be removed are left.
+/// those that nobody has written to for a day. Those that may not be removed are left.
 ///
 /// # Errors
 /// When the folder cannot be read, or files cannot be put back.
-pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
+pub fn sweep_temporaries(folder: &Path) -> io::Result<Swept> {
     let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
@@ -185,11 +194,15 @@ pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
             temporaries.push(entry.path());
         }
     }
-    let (mut swept_count, mut is_other_at_it, mut failure) = (0, false, None);
+    let (mut swept, mut is_other_at_it, mut failure) = (Swept::default(), false, None);
     for path in records {
         match recover(&path) {
-            Ok(true) => swept_count += 1,
-            Ok(false) => is_other_at_it = true,
+            Ok(Recovery::Done) => swept.count += 1,
+            Ok(Recovery::InUse) => is_other_at_it = true,
+            Ok(Recovery::Left(warning)) => {
+                is_other_at_it = true;
+                swept.warnings.push(warning);
+            }
             // It belongs to another account.
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
             Err(error) => {
@@ -200,12 +213,12 @@ pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
     }
     // Whoever completes a set needs its temporary files.
     if !is_other_at_it && failure.is_none() {
-        swept_count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
+        swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
     }
     for (path, record) in old_files {
         let _ = remove_old_file(&path, &record);
     }
-    failure.map_or(Ok(swept_count), Err)
+    failure.map_or(Ok(swept), Err)
 }
 
 /// Removes a temporary file that nobody is writing.
@@ -316,13 +329,13 @@ mod tests {
             fs::write(folder.path().join(name), "of somebody else").expect("written");
         }
         fs::create_dir(folder.path().join(temporary_name("folder", 7))).expect("made");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 1);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
         assert!(!left.exists() && written.path.exists());
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), others.len() + 2);
         // As when its process was killed: the file stays and the lock goes.
         let killed = written.path.clone();
         written.file.unlock().expect("unlocked");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 1);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
         assert!(!killed.exists());
         assert!(sweep_temporaries(&folder.path().join("missing")).is_err());
     }
@@ -335,7 +348,7 @@ mod tests {
         fs::write(&precious, "precious").expect("written");
         let link = folder.path().join(temporary_name("a.glb", 7));
         std::os::unix::fs::symlink(&precious, &link).expect("linked");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 0);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 0);
         assert!(link.is_symlink() && precious.exists());
     }
 
