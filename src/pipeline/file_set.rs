@@ -22,8 +22,8 @@
 //! A record is used only if this user made it, it has one name, and this version can read it. Any other is left in place with
 //! its old files, and the sweep returns a warning.
 //!
-//! A file that somebody else has replaced since is left as it is: the record has the size and the time of the last write of
-//! each new and old file.
+//! A file that somebody else has replaced since is left as it is: the record has the size, the time of the last write and the
+//! inode of each new and old file. Where the old file of such a name was kept, it stays, and so does the record.
 //!
 //! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
 
@@ -44,7 +44,7 @@ use super::temporary::{
 const RECORD_PREFIX: &str = ".meniscus-set-";
 
 /// The first words of a record.
-const RECORD_HEAD: &[u8] = b"meniscus set 1\0";
+const RECORD_HEAD: &[u8] = b"meniscus set 2\0";
 /// The last word of one that is whole.
 const RECORD_END: &[u8] = b"end\0";
 
@@ -54,11 +54,20 @@ const RECORD_BYTES_MAX: u64 = 1 << 20;
 /// So often it is tried to put the old files back before that is left for later.
 const UNDO_ATTEMPTS: usize = 3;
 
-/// What tells a file from another that has its name later; a rename keeps it.
+/// What tells a file from another that has its name later; a rename keeps it. Size and time alone do not: on some file
+/// systems the time has a resolution of two seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Trait {
     size: u64,
     modified_ns: i64,
+    /// 0 on systems without inodes.
+    inode: u64,
+}
+
+impl From<FileStamp> for Trait {
+    fn from(FileStamp { size, modified_ns, inode, .. }: FileStamp) -> Trait {
+        Trait { size, modified_ns, inode }
+    }
 }
 
 /// A name, and the file that is to appear there.
@@ -111,8 +120,7 @@ fn member(file: &Unseen) -> Result<Member, (PathBuf, io::Error)> {
     let name = file.path().file_name().ok_or_else(|| failed(io::ErrorKind::InvalidFilename.into()))?;
     let temporary = file.written_path().file_name().unwrap_or_default();
     let old = trait_of(file.path()).map_err(failed)?;
-    let FileStamp { size, modified_ns, .. } = file.stamp();
-    Ok(Member { name: name.into(), temporary: temporary.into(), new: Trait { size, modified_ns }, old })
+    Ok(Member { name: name.into(), temporary: temporary.into(), new: file.stamp().into(), old })
 }
 
 /// Writes the record: onto the disk where files will be replaced, for a crash of the machine must not come between these.
@@ -129,7 +137,7 @@ fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
 
 fn record_bytes(members: &[Member]) -> Vec<u8> {
     let mut bytes = RECORD_HEAD.to_vec();
-    let text = |it: &Trait| format!("{} {}", it.size, it.modified_ns);
+    let text = |it: &Trait| format!("{} {} {}", it.size, it.modified_ns, it.inode);
     for Member { name, temporary, new, old } in members {
         let old = old.as_ref().map(text).unwrap_or_default();
         for part in
@@ -192,8 +200,14 @@ fn parse_member(parts: &[&[u8]]) -> Option<Member> {
 }
 
 fn parse_trait(bytes: &[u8]) -> Option<Trait> {
-    let (size, modified_ns) = str::from_utf8(bytes).ok()?.split_once(' ')?;
-    Some(Trait { size: size.parse().ok()?, modified_ns: modified_ns.parse().ok()? })
+    let mut numbers = str::from_utf8(bytes).ok()?.split(' ');
+    let (size, modified_ns, inode) = (numbers.next()?, numbers.next()?, numbers.next()?);
+    let read = Trait {
+        size: size.parse().ok()?,
+        modified_ns: modified_ns.parse().ok()?,
+        inode: inode.parse().ok()?,
+    };
+    numbers.next().is_none().then_some(read)
 }
 
 #[cfg(unix)]
@@ -278,10 +292,14 @@ impl FileSet {
         for _ in 1..UNDO_ATTEMPTS {
             undone = undone.or_else(|_| self.undo());
         }
-        let Err(of_undo) = undone else {
-            // Removing the record takes the lock.
-            drop(locked);
-            return (path, error);
+        let of_undo = match undone {
+            Ok(kept) if kept.is_empty() => {
+                // Removing the record takes the lock.
+                drop(locked);
+                return (path, error);
+            }
+            Ok(kept) => io::Error::other(said_of_kept(&kept)),
+            Err(of_undo) => of_undo,
         };
         for member in &self.members {
             // Else the set could be completed later, which has failed.
@@ -323,8 +341,10 @@ impl FileSet {
     }
 
     /// Puts the old files back, as far as nobody else has replaced the new ones. May be done again, and after any part of
-    /// it.
-    fn undo(&self) -> io::Result<()> {
+    /// it. Returns the old files that another program's file kept from their names: they may be the only copies, so they and the
+    /// record have to stay.
+    fn undo(&self) -> io::Result<Vec<PathBuf>> {
+        let mut kept = Vec::new();
         for (index, member) in self.members.iter().enumerate() {
             let (path, old) = (self.path(member), self.old_path(index));
             let found = trait_of(&path)?;
@@ -335,25 +355,36 @@ impl FileSet {
                         change::rename(&old, &path)?;
                     }
                     // Renaming one name of a file to another does nothing.
-                    change::remove(&old)?;
+                    let [named, backup] = [trait_of(&path)?, trait_of(&old)?];
+                    if backup.is_none() || named == member.old || named == backup {
+                        change::remove(&old)?;
+                    } else {
+                        kept.push(old);
+                    }
                 }
                 (false, _) if is_new => change::remove(&path)?,
                 // Put back already, or not yet replaced.
                 _ => {}
             }
         }
-        Ok(())
+        Ok(kept)
     }
+}
+
+/// What is wrong with these old files.
+fn said_of_kept(kept: &[PathBuf]) -> String {
+    let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
+    format!(
+        "another program has replaced outputs meanwhile; the files that had their names are {}",
+        kept.join(", ")
+    )
 }
 
 /// What has this name; `None` if it is free.
 fn trait_of(path: &Path) -> io::Result<Option<Trait>> {
     match path.symlink_metadata() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        found => {
-            let FileStamp { size, modified_ns, .. } = FileStamp::of(&found?);
-            Ok(Some(Trait { size, modified_ns }))
-        }
+        found => Ok(Some(FileStamp::of(&found?).into())),
     }
 }
 
@@ -433,13 +464,20 @@ pub(super) fn recover(record_path: &Path) -> io::Result<Recovery> {
     };
     let set = FileSet { record_path: record_path.to_owned(), members };
     let completed = match set.can_be_completed()? {
-        true => set.complete(),
+        true => set.complete().map(|()| Vec::new()),
         false => set.undo(),
     };
-    match completed {
+    let kept = match completed {
         // Somebody else removed a new file meanwhile.
         Err(error) if error.kind() == io::ErrorKind::NotFound => set.undo()?,
         completed => completed?,
+    };
+    if !kept.is_empty() {
+        return Ok(Recovery::Left(format!(
+            "{}: record of an interrupted conversion: {}; to restore one, rename it, then remove the record",
+            record_path.display(),
+            said_of_kept(&kept)
+        )));
     }
     sync_folder(record_path.parent().unwrap_or(Path::new("")));
     change::remove(record_path)?;
@@ -673,13 +711,13 @@ mod tests {
 
     fn example(name: &OsStr, old: Option<Trait>) -> Member {
         let temporary = OsStr::new(".a b.tmp-0123456789abcdef").into();
-        Member { name: name.into(), temporary, new: Trait { size: 7, modified_ns: -5 }, old }
+        Member { name: name.into(), temporary, new: Trait { size: 7, modified_ns: -5, inode: 3 }, old }
     }
 
-    const OLD: Option<Trait> = Some(Trait { size: 12, modified_ns: 1 << 60 });
+    const OLD: Option<Trait> = Some(Trait { size: 12, modified_ns: 1 << 60, inode: 4 });
 
     #[test]
-    fn abandoned_set_does_not_undo_a_later_one() {
+    fn abandoned_set_does_not_undo_a_later_one_and_keeps_its_old_files() {
         let folder = tempfile::tempdir().expect("a folder");
         write_old(folder.path(), 3);
         // As though a process was killed, and this was seen only after another set.
@@ -692,8 +730,32 @@ mod tests {
             fs::write(set.temporary_path(member), "older").expect("written");
         }
         publish_new(folder.path()).expect("published");
+        let swept = sweep_temporaries(folder.path()).expect("there");
+        let mut found = contents(folder.path());
+        assert!((0..3).all(|index| set.old_path(index).exists()));
+        assert!(swept.warnings.len() == 1 && swept.warnings[0].contains("another program"), "{swept:?}");
+        // As the warning says.
+        fs::remove_file(&record_path).expect("removed");
         sweep_temporaries(folder.path()).expect("there");
+        found.retain(|(name, _)| !name.starts_with('.'));
+        assert_eq!(found, expected(None));
         assert_eq!(contents(folder.path()), expected(None));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn file_of_the_same_size_and_time_as_the_new_one_is_not_taken_for_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_old(folder.path(), 1);
+        let path = folder.path().join(NAMES[0]);
+        let ours = trait_of(&path).expect("known").expect("there");
+        // On a file system with a coarse clock, another program's file can be that like.
+        let new = Trait { inode: ours.inode + 1, ..ours };
+        let members = vec![Member { new, ..example(OsStr::new(NAMES[0]), None) }];
+        let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
+        fs::write(&record_path, record_bytes(&members)).expect("written");
+        sweep_temporaries(folder.path()).expect("there");
+        assert_eq!(contents(folder.path()), expected(Some(1)));
     }
 
     #[test]
@@ -743,7 +805,9 @@ mod tests {
         for length in 0..bytes.len() {
             assert_eq!(parse_record(&bytes[..length]), Parsed::CutOff, "{length}");
         }
-        for other in [&b"meniscus set 9\0end\0"[..], b"\0\0\0\0", b"meniscus set 9\0", b"?"] {
+        for other in
+            [&b"meniscus set 9\0end\0"[..], b"\0\0\0\0", b"meniscus set 1\0end\0", b"meniscus set 9\0", b"?"]
+        {
             assert_eq!(parse_record(other), Parsed::Unknown);
         }
         for name in ["../a.glb", "/etc/passwd", "..", "", "."] {
