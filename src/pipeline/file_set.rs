@@ -534,6 +534,7 @@ mod tests {
     use std::process::Command;
     use std::time::{Duration, Instant};
 
+    use super::super::out_folder::recover_out_folder;
     use super::super::sink::{publish, write_unseen};
     use super::super::temporary::sweep_temporaries;
 
@@ -839,6 +840,19 @@ mod tests {
         assert_eq!(contents(folder), before);
         assert_eq!(swept.warnings.len(), 1, "{:?}", swept.warnings);
         assert!(swept.warnings[0].contains(words), "{:?}", swept.warnings);
+    }
+
+    #[test]
+    fn failed_recovery_names_the_record_and_what_to_do() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        TROUBLE.set(Some(Trouble { failures: Some(usize::MAX), ..Trouble::default() }));
+        let result = recover_out_folder(folder.path());
+        TROUBLE.set(None);
+        let error = result.expect_err("a failing disk").to_string();
+        assert!(error.starts_with(&record_path.display().to_string()), "{error}");
+        assert!(error.contains("a failing disk; remove the cause and start again, or remove"), "{error}");
+        assert!(record_path.exists());
     }
 
     #[cfg(unix)]

@@ -17,6 +17,7 @@
 //! created, in each round of the daemon, and at the end.
 
 use std::collections::HashSet;
+use std::fmt;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -175,22 +176,68 @@ pub struct Swept {
     pub warnings: Vec<String>,
 }
 
+/// Why a folder cannot be swept.
+#[derive(Debug)]
+pub enum SweepError {
+    /// It cannot be listed.
+    Folder(io::Error),
+    /// Files that an interrupted process replaced only in part cannot be put back.
+    Recover {
+        /// The record of these files.
+        record: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl fmt::Display for SweepError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            SweepError::Folder(source) => source.fmt(f),
+            SweepError::Recover { record, source } => write!(
+                f,
+                "{}: an interrupted conversion replaced only some of the files in this record, and the others cannot be \
+                 put back: {source}; remove the cause and start again, or remove the record to keep the files as they are",
+                record.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for SweepError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            SweepError::Folder(source) | SweepError::Recover { source, .. } => Some(source),
+        }
+    }
+}
+
+/// Whether a file disappeared between two calls.
+fn is_gone(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
+}
+
 /// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
 /// [set](super::file_set) of files whose process was killed, or put the old files back. Where the file system has no locks, that is
 /// those that nobody has written to for a day. Those that may not be removed are left.
 ///
 /// # Errors
 /// When the folder cannot be read, or files cannot be put back.
-pub fn sweep_temporaries(folder: &Path) -> io::Result<Swept> {
+pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
+    for entry in fs::read_dir(folder).map_err(SweepError::Folder)? {
+        let entry = match entry {
+            Err(error) if is_gone(&error) => continue,
+            entry => entry.map_err(SweepError::Folder)?,
+        };
         let name = entry.file_name().to_string_lossy().into_owned();
+        // One whose type is unknown is gone, or cannot be opened, either.
+        let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
         if let Some(record) = record_of_old_file(&entry.path()) {
             old_files.push((entry.path(), record));
-        } else if is_record_name(&name) && entry.file_type()?.is_file() {
+        } else if is_record_name(&name) && is_file() {
             records.push(entry.path());
-        } else if is_temporary_name(&name) && entry.file_type()?.is_file() {
+        } else if is_temporary_name(&name) && is_file() {
             temporaries.push(entry.path());
         }
     }
@@ -205,10 +252,9 @@ pub fn sweep_temporaries(folder: &Path) -> io::Result<Swept> {
             }
             // It belongs to another account.
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
-            Err(error) => {
-                let what = format!("files that were replaced in part cannot be put back: {error}");
-                failure = Some(io::Error::new(error.kind(), what));
-            }
+            // Another process, such as another shard, has just recovered it.
+            Err(error) if is_gone(&error) => is_other_at_it = true,
+            Err(source) => failure = Some(SweepError::Recover { record: path, source }),
         }
     }
     // Whoever completes a set needs its temporary files.
