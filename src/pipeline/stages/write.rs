@@ -38,7 +38,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
     }
 
     /// Refuses a folder that is reached through a link, where it mirrors one of inputs.
-    fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
+    pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
         let within = self.conduct.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
         let depth = within.map(|within| within.components().count()).min().unwrap_or(0);
         let refused = meniscus_formats::Error::from;
