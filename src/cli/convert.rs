@@ -11,7 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
     Conduct, Frame, FrameState, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
-    check_out_folder, check_outputs, file_of, inspect, recover_out_folder, size_bytes,
+    check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
 use crate::simd::level_warning;
 
@@ -21,7 +21,7 @@ use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_
 use super::console::Console;
 use super::destination::Destination;
 use super::interrupt::clean_up_when_interrupted;
-use super::out_folder::OutFolder;
+use super::out_folder::{self, OutFolder};
 use super::particles_only::write_particles;
 use super::print_settings::print_settings;
 use super::quantities::memory_bytes;
@@ -206,7 +206,7 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
         );
     }
     check_out_folder(out)?;
-    recover_out_folder(out)?;
+    out_folder::recover(out)?;
     refuse_report_of_plan(args.report.as_deref(), &plan, path)?;
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;

@@ -3,7 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::pipeline::{OutFolderError, make_out_folder};
+use crate::pipeline::{OutFolderError, make_out_folder, recover_out_folder};
+
+use super::console::print_error;
 
 /// A folder that exists, and takes files. Whatever had to be made for it is removed again unless it is kept.
 #[derive(Debug)]
@@ -13,10 +15,10 @@ pub(super) struct OutFolder {
 }
 
 impl OutFolder {
-    /// Makes a folder, and those that it lies in.
+    /// Makes a folder, and those that it lies in, and recovers what an interrupted command left in it.
     ///
     /// # Errors
-    /// When it cannot be made, or nothing can be written into it.
+    /// When it cannot be made, nothing can be written into it, or files cannot be put back.
     pub(super) fn make(folder: &Path) -> Result<OutFolder, OutFolderError> {
         // No name at all is where one is.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -27,6 +29,7 @@ impl OutFolder {
             .filter(|part| part.file_name().is_some());
         let made = OutFolder { made: missing.map(Path::to_owned).collect() };
         make_out_folder(folder)?;
+        recover(folder)?;
         Ok(made)
     }
 
@@ -34,6 +37,17 @@ impl OutFolder {
     pub(super) fn keep(mut self) {
         self.made.clear();
     }
+}
+
+/// Puts back what an interrupted command replaced in part, and prints a warning about each record that is left in place.
+///
+/// # Errors
+/// When files cannot be put back.
+pub(super) fn recover(folder: &Path) -> Result<(), OutFolderError> {
+    for warning in recover_out_folder(folder)? {
+        print_error(None, format_args!("warning: {warning}"));
+    }
+    Ok(())
 }
 
 impl Drop for OutFolder {

@@ -213,7 +213,11 @@ fn sweep_one(folder: &Path) -> usize {
     let cannot = |error| {
         tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
     };
-    sweep_temporaries(folder).map_err(cannot).unwrap_or(0)
+    let swept = sweep_temporaries(folder).map_err(cannot).unwrap_or_default();
+    for warning in swept.warnings {
+        tracing::warn!("{warning}");
+    }
+    swept.count
 }
 
 /// Whether files are there. During a scan, when thousands of outputs are asked for, each folder is

@@ -19,14 +19,17 @@
 //! happens when a daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames,
 //! readers can see a mixed set; a certificate, which has the hashes of all files of its frame, tells them.
 //!
-//! A file that somebody else has replaced since is left as it is: the record has the size and the time of the last write of
-//! each new and old file.
+//! A record is used only if this user made it, it has one name, and this version can read it. Any other is left in place with
+//! its old files, and the sweep returns a warning.
+//!
+//! A file that somebody else has replaced since is left as it is: the record has the size, the time of the last write and the
+//! inode of each new and old file. Where the old file of such a name was kept, it stays, and so does the record.
 //!
 //! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
 
 use std::collections::HashSet;
 use std::ffi::{OsStr, OsString};
-use std::fs::{self, File};
+use std::fs::{self, File, Metadata};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::MutexGuard;
@@ -41,7 +44,7 @@ use super::temporary::{
 const RECORD_PREFIX: &str = ".meniscus-set-";
 
 /// The first words of a record.
-const RECORD_HEAD: &[u8] = b"meniscus set 1\0";
+const RECORD_HEAD: &[u8] = b"meniscus set 2\0";
 /// The last word of one that is whole.
 const RECORD_END: &[u8] = b"end\0";
 
@@ -51,11 +54,20 @@ const RECORD_BYTES_MAX: u64 = 1 << 20;
 /// So often it is tried to put the old files back before that is left for later.
 const UNDO_ATTEMPTS: usize = 3;
 
-/// What tells a file from another that has its name later; a rename keeps it.
+/// What tells a file from another that has its name later; a rename keeps it. Size and time alone do not: on some file
+/// systems the time has a resolution of two seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Trait {
     size: u64,
     modified_ns: i64,
+    /// 0 on systems without inodes.
+    inode: u64,
+}
+
+impl From<FileStamp> for Trait {
+    fn from(FileStamp { size, modified_ns, inode, .. }: FileStamp) -> Trait {
+        Trait { size, modified_ns, inode }
+    }
 }
 
 /// A name, and the file that is to appear there.
@@ -108,8 +120,7 @@ fn member(file: &Unseen) -> Result<Member, (PathBuf, io::Error)> {
     let name = file.path().file_name().ok_or_else(|| failed(io::ErrorKind::InvalidFilename.into()))?;
     let temporary = file.written_path().file_name().unwrap_or_default();
     let old = trait_of(file.path()).map_err(failed)?;
-    let FileStamp { size, modified_ns, .. } = file.stamp();
-    Ok(Member { name: name.into(), temporary: temporary.into(), new: Trait { size, modified_ns }, old })
+    Ok(Member { name: name.into(), temporary: temporary.into(), new: file.stamp().into(), old })
 }
 
 /// Writes the record: onto the disk where files will be replaced, for a crash of the machine must not come between these.
@@ -126,7 +137,7 @@ fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
 
 fn record_bytes(members: &[Member]) -> Vec<u8> {
     let mut bytes = RECORD_HEAD.to_vec();
-    let text = |it: &Trait| format!("{} {}", it.size, it.modified_ns);
+    let text = |it: &Trait| format!("{} {} {}", it.size, it.modified_ns, it.inode);
     for Member { name, temporary, new, old } in members {
         let old = old.as_ref().map(text).unwrap_or_default();
         for part in
@@ -140,8 +151,30 @@ fn record_bytes(members: &[Member]) -> Vec<u8> {
     bytes
 }
 
-/// The members in the bytes of a record; `None` where it is not whole: then nothing was replaced, or all was.
-fn parse_record(bytes: &[u8]) -> Option<Vec<Member>> {
+/// What the bytes of a record say.
+#[derive(Debug, PartialEq, Eq)]
+enum Parsed {
+    /// The files to replace.
+    Whole(Vec<Member>),
+    /// It is empty, or its end is missing: no file was replaced, or all were.
+    CutOff,
+    /// Another version of this program wrote it, or it is damaged.
+    Unknown,
+}
+
+fn parse_record(bytes: &[u8]) -> Parsed {
+    if let Some(members) = parse_members(bytes) {
+        return Parsed::Whole(members);
+    }
+    let is_begun = RECORD_HEAD.starts_with(bytes) || bytes.starts_with(RECORD_HEAD);
+    let is_too_long = bytes.len() as u64 >= RECORD_BYTES_MAX;
+    match is_begun && !is_too_long && !bytes.ends_with(RECORD_END) {
+        true => Parsed::CutOff,
+        false => Parsed::Unknown,
+    }
+}
+
+fn parse_members(bytes: &[u8]) -> Option<Vec<Member>> {
     let lines = bytes.strip_prefix(RECORD_HEAD)?.strip_suffix(RECORD_END)?;
     let parts: Option<Vec<&[u8]>> =
         lines.split_inclusive(|byte| *byte == 0).map(|part| part.strip_suffix(&[0])).collect();
@@ -167,8 +200,14 @@ fn parse_member(parts: &[&[u8]]) -> Option<Member> {
 }
 
 fn parse_trait(bytes: &[u8]) -> Option<Trait> {
-    let (size, modified_ns) = str::from_utf8(bytes).ok()?.split_once(' ')?;
-    Some(Trait { size: size.parse().ok()?, modified_ns: modified_ns.parse().ok()? })
+    let mut numbers = str::from_utf8(bytes).ok()?.split(' ');
+    let (size, modified_ns, inode) = (numbers.next()?, numbers.next()?, numbers.next()?);
+    let read = Trait {
+        size: size.parse().ok()?,
+        modified_ns: modified_ns.parse().ok()?,
+        inode: inode.parse().ok()?,
+    };
+    numbers.next().is_none().then_some(read)
 }
 
 #[cfg(unix)]
@@ -253,10 +292,14 @@ impl FileSet {
         for _ in 1..UNDO_ATTEMPTS {
             undone = undone.or_else(|_| self.undo());
         }
-        let Err(of_undo) = undone else {
-            // Removing the record takes the lock.
-            drop(locked);
-            return (path, error);
+        let of_undo = match undone {
+            Ok(kept) if kept.is_empty() => {
+                // Removing the record takes the lock.
+                drop(locked);
+                return (path, error);
+            }
+            Ok(kept) => io::Error::other(said_of_kept(&kept)),
+            Err(of_undo) => of_undo,
         };
         for member in &self.members {
             // Else the set could be completed later, which has failed.
@@ -298,8 +341,10 @@ impl FileSet {
     }
 
     /// Puts the old files back, as far as nobody else has replaced the new ones. May be done again, and after any part of
-    /// it.
-    fn undo(&self) -> io::Result<()> {
+    /// it. Returns the old files that another program's file kept from their names: they may be the only copies, so they and the
+    /// record have to stay.
+    fn undo(&self) -> io::Result<Vec<PathBuf>> {
+        let mut kept = Vec::new();
         for (index, member) in self.members.iter().enumerate() {
             let (path, old) = (self.path(member), self.old_path(index));
             let found = trait_of(&path)?;
@@ -310,26 +355,49 @@ impl FileSet {
                         change::rename(&old, &path)?;
                     }
                     // Renaming one name of a file to another does nothing.
-                    change::remove(&old)?;
+                    let [named, backup] = [trait_of(&path)?, trait_of(&old)?];
+                    if backup.is_none() || named == member.old || named == backup {
+                        change::remove(&old)?;
+                    } else {
+                        kept.push(old);
+                    }
                 }
                 (false, _) if is_new => change::remove(&path)?,
                 // Put back already, or not yet replaced.
                 _ => {}
             }
         }
-        Ok(())
+        Ok(kept)
     }
+}
+
+/// What is wrong with these old files.
+fn said_of_kept(kept: &[PathBuf]) -> String {
+    let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
+    format!(
+        "another program has replaced outputs meanwhile; the files that had their names are {}",
+        kept.join(", ")
+    )
 }
 
 /// What has this name; `None` if it is free.
 fn trait_of(path: &Path) -> io::Result<Option<Trait>> {
     match path.symlink_metadata() {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        found => {
-            let FileStamp { size, modified_ns, .. } = FileStamp::of(&found?);
-            Ok(Some(Trait { size, modified_ns }))
-        }
+        found => Ok(Some(FileStamp::of(&found?).into())),
     }
+}
+
+/// Whether this user made the file, and it has one name.
+#[cfg(unix)]
+fn is_own_file(metadata: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    metadata.uid() == rustix::process::geteuid().as_raw() && metadata.nlink() == 1
+}
+
+#[cfg(not(unix))]
+fn is_own_file(_metadata: &Metadata) -> bool {
+    true
 }
 
 /// Whether a name is taken.
@@ -353,29 +421,68 @@ fn is_number(text: &str) -> bool {
     text.len() == 16 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
 }
 
-/// Completes a set whose process was killed, or puts its old files back; whether it was killed.
+/// What became of a record.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Recovery {
+    /// The set was completed or undone, and the record removed.
+    Done,
+    /// Another process is using the record.
+    InUse,
+    /// The record cannot be trusted, or cannot be read. It and all its files were left in place. Says why, and what to do.
+    Left(String),
+}
+
+/// Completes a set whose process was killed, or puts its old files back.
 ///
 /// # Errors
 /// When the system refuses: then all that is needed stays, and it can be tried again.
-pub(super) fn recover(record_path: &Path) -> io::Result<bool> {
-    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(false) };
+pub(super) fn recover(record_path: &Path) -> io::Result<Recovery> {
+    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(Recovery::InUse) };
+    let left = |why: &str| {
+        let path = record_path.display();
+        Recovery::Left(format!(
+            "{path}: {why}; left in place with its files `.{{number}}`, which may be the only copies of replaced outputs"
+        ))
+    };
+    // A record has one name. In a shared folder another account could plant one, or link to one from elsewhere.
+    if !is_own_file(&file.metadata()?) {
+        return Ok(left(
+            "this record of an interrupted conversion belongs to another user or has a second name",
+        ));
+    }
     let mut bytes = Vec::new();
     (&mut file).take(RECORD_BYTES_MAX).read_to_end(&mut bytes)?;
-    let members = parse_record(&bytes).unwrap_or_default();
+    let members = match parse_record(&bytes) {
+        Parsed::Whole(members) => members,
+        Parsed::CutOff => Vec::new(),
+        Parsed::Unknown => {
+            return Ok(left(
+                "this record of an interrupted conversion is damaged or from another version of meniscus: run that \
+                 version to restore the files",
+            ));
+        }
+    };
     let set = FileSet { record_path: record_path.to_owned(), members };
     let completed = match set.can_be_completed()? {
-        true => set.complete(),
+        true => set.complete().map(|()| Vec::new()),
         false => set.undo(),
     };
-    match completed {
+    let kept = match completed {
         // Somebody else removed a new file meanwhile.
         Err(error) if error.kind() == io::ErrorKind::NotFound => set.undo()?,
         completed => completed?,
+    };
+    if !kept.is_empty() {
+        return Ok(Recovery::Left(format!(
+            "{}: record of an interrupted conversion: {}; to restore one, rename it, then remove the record",
+            record_path.display(),
+            said_of_kept(&kept)
+        )));
     }
     sync_folder(record_path.parent().unwrap_or(Path::new("")));
     change::remove(record_path)?;
     set.remove_old_files();
-    Ok(true)
+    Ok(Recovery::Done)
 }
 
 /// Removes an old file whose set is complete; whether it was.
@@ -427,6 +534,7 @@ mod tests {
     use std::process::Command;
     use std::time::{Duration, Instant};
 
+    use super::super::out_folder::recover_out_folder;
     use super::super::sink::{publish, write_unseen};
     use super::super::temporary::sweep_temporaries;
 
@@ -604,13 +712,13 @@ mod tests {
 
     fn example(name: &OsStr, old: Option<Trait>) -> Member {
         let temporary = OsStr::new(".a b.tmp-0123456789abcdef").into();
-        Member { name: name.into(), temporary, new: Trait { size: 7, modified_ns: -5 }, old }
+        Member { name: name.into(), temporary, new: Trait { size: 7, modified_ns: -5, inode: 3 }, old }
     }
 
-    const OLD: Option<Trait> = Some(Trait { size: 12, modified_ns: 1 << 60 });
+    const OLD: Option<Trait> = Some(Trait { size: 12, modified_ns: 1 << 60, inode: 4 });
 
     #[test]
-    fn abandoned_set_does_not_undo_a_later_one() {
+    fn abandoned_set_does_not_undo_a_later_one_and_keeps_its_old_files() {
         let folder = tempfile::tempdir().expect("a folder");
         write_old(folder.path(), 3);
         // As though a process was killed, and this was seen only after another set.
@@ -623,8 +731,32 @@ mod tests {
             fs::write(set.temporary_path(member), "older").expect("written");
         }
         publish_new(folder.path()).expect("published");
+        let swept = sweep_temporaries(folder.path()).expect("there");
+        let mut found = contents(folder.path());
+        assert!((0..3).all(|index| set.old_path(index).exists()));
+        assert!(swept.warnings.len() == 1 && swept.warnings[0].contains("another program"), "{swept:?}");
+        // As the warning says.
+        fs::remove_file(&record_path).expect("removed");
         sweep_temporaries(folder.path()).expect("there");
+        found.retain(|(name, _)| !name.starts_with('.'));
+        assert_eq!(found, expected(None));
         assert_eq!(contents(folder.path()), expected(None));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn file_of_the_same_size_and_time_as_the_new_one_is_not_taken_for_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_old(folder.path(), 1);
+        let path = folder.path().join(NAMES[0]);
+        let ours = trait_of(&path).expect("known").expect("there");
+        // On a file system with a coarse clock, another program's file can be that like.
+        let new = Trait { inode: ours.inode + 1, ..ours };
+        let members = vec![Member { new, ..example(OsStr::new(NAMES[0]), None) }];
+        let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
+        fs::write(&record_path, record_bytes(&members)).expect("written");
+        sweep_temporaries(folder.path()).expect("there");
+        assert_eq!(contents(folder.path()), expected(Some(1)));
     }
 
     #[test]
@@ -657,7 +789,7 @@ mod tests {
         let record = write_record(folder.path(), &[]).expect("written");
         let set = FileSet { record_path: record.path().to_owned(), members: Vec::new() };
         fs::write(set.old_path(0), "old").expect("written");
-        assert_eq!(sweep_temporaries(folder.path()).expect("there"), 0);
+        assert_eq!(sweep_temporaries(folder.path()).expect("there").count, 0);
         assert!(record.path().exists() && set.old_path(0).exists());
         drop(record);
         sweep_temporaries(folder.path()).expect("there");
@@ -665,21 +797,89 @@ mod tests {
     }
 
     #[test]
-    fn record_is_read_back_and_one_that_is_cut_off_or_points_elsewhere_is_void() {
+    fn record_is_read_back_and_only_one_that_is_cut_off_is_void() {
         let mut members = vec![example(OsStr::new("a b.glb"), OLD), example(OsStr::new("ü\n.vdb"), None)];
         #[cfg(unix)]
         members.push(example(std::os::unix::ffi::OsStrExt::from_bytes(b"gr\xfc.vdb"), OLD));
         let bytes = record_bytes(&members);
-        assert_eq!(parse_record(&bytes), Some(members));
+        assert_eq!(parse_record(&bytes), Parsed::Whole(members));
         for length in 0..bytes.len() {
-            assert_eq!(parse_record(&bytes[..length]), None, "{length}");
+            assert_eq!(parse_record(&bytes[..length]), Parsed::CutOff, "{length}");
+        }
+        for other in
+            [&b"meniscus set 9\0end\0"[..], b"\0\0\0\0", b"meniscus set 1\0end\0", b"meniscus set 9\0", b"?"]
+        {
+            assert_eq!(parse_record(other), Parsed::Unknown);
         }
         for name in ["../a.glb", "/etc/passwd", "..", "", "."] {
             let bytes = record_bytes(&[example(OsStr::new(name), None)]);
-            assert_eq!(parse_record(&bytes), None, "{name}");
+            assert_eq!(parse_record(&bytes), Parsed::Unknown, "{name}");
         }
         let foreign =
             Member { temporary: OsStr::new("precious").into(), ..example(OsStr::new("a.glb"), None) };
-        assert_eq!(parse_record(&record_bytes(&[foreign])), None);
+        assert_eq!(parse_record(&record_bytes(&[foreign])), Parsed::Unknown);
+    }
+
+    /// A folder with one file, one backup, and a record that would remove the file and the backup.
+    fn plant_record(folder: &Path) -> PathBuf {
+        write_old(folder, 1);
+        let path = folder.join(NAMES[0]);
+        let new = trait_of(&path).expect("known").expect("there");
+        let members =
+            vec![Member { new, ..example(OsStr::new(NAMES[0]), None) }, example(OsStr::new("x"), OLD)];
+        let record_path = folder.join(".meniscus-set-0123456789abcdef");
+        fs::write(&record_path, record_bytes(&members)).expect("written");
+        fs::write(folder.join(".meniscus-set-0123456789abcdef.1"), "kept").expect("written");
+        record_path
+    }
+
+    #[track_caller]
+    fn assert_left_in_place(folder: &Path, words: &str) {
+        let before = contents(folder);
+        let swept = sweep_temporaries(folder).expect("readable");
+        assert_eq!(contents(folder), before);
+        assert_eq!(swept.warnings.len(), 1, "{:?}", swept.warnings);
+        assert!(swept.warnings[0].contains(words), "{:?}", swept.warnings);
+    }
+
+    #[test]
+    fn failed_recovery_names_the_record_and_what_to_do() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        TROUBLE.set(Some(Trouble { failures: Some(usize::MAX), ..Trouble::default() }));
+        let result = recover_out_folder(folder.path());
+        TROUBLE.set(None);
+        let error = result.expect_err("a failing disk").to_string();
+        assert!(error.starts_with(&record_path.display().to_string()), "{error}");
+        assert!(error.contains("a failing disk; remove the cause and start again, or remove"), "{error}");
+        assert!(record_path.exists());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn record_with_two_names_is_left_in_place() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        fs::hard_link(&record_path, folder.path().join("second")).expect("linked");
+        assert_left_in_place(folder.path(), "belongs to another user or has a second name");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn record_of_another_user_is_left_in_place() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        // Only root can give a file away.
+        if std::os::unix::fs::chown(&record_path, Some(12345), None).is_ok() {
+            assert_left_in_place(folder.path(), "belongs to another user or has a second name");
+        }
+    }
+
+    #[test]
+    fn record_of_another_version_is_left_in_place_with_its_backups() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let record_path = plant_record(folder.path());
+        fs::write(&record_path, "meniscus set 9\0a.glb\0end\0").expect("written");
+        assert_left_in_place(folder.path(), "another version");
     }
 }

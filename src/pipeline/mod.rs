@@ -151,7 +151,7 @@ pub use steps::{
     may_hold_several, size_bytes, step_of,
 };
 pub use still::{Still, StillFrame};
-pub use temporary::{remove_left_behind, sweep_temporaries};
+pub use temporary::{SweepError, Swept, remove_left_behind, sweep_temporaries};
 pub use viewpoint::{CameraChoice, Viewpoint};
 pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};
 pub use writing::{encode_level_set, mesh_view, vertex_attributes};

@@ -7,7 +7,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::temporary::{Temporary, sweep_temporaries};
+use super::temporary::{SweepError, Temporary, sweep_temporaries};
 
 /// Why a folder takes no results.
 #[derive(Debug)]
@@ -33,6 +33,13 @@ pub enum OutFolderError {
         /// Why.
         source: io::Error,
     },
+    /// What an interrupted process left in it cannot be recovered.
+    Recover {
+        /// The folder.
+        folder: PathBuf,
+        /// Why.
+        source: SweepError,
+    },
 }
 
 /// Makes a folder, and those that it lies in, where they are missing, and sees that files can be written into it. A disk
@@ -50,10 +57,7 @@ fn made(folder: &Path, result: io::Result<()>) -> Result<(), OutFolderError> {
     match result {
         // Not every system says of one that is there that it is.
         Err(source) if !folder.is_dir() => Err(OutFolderError::Make { folder: folder.to_owned(), source }),
-        _ => {
-            check_out_folder(folder)?;
-            recover_out_folder(folder)
-        }
+        _ => check_out_folder(folder),
     }
 }
 
@@ -84,18 +88,19 @@ pub fn check_out_folder(folder: &Path) -> Result<(), OutFolderError> {
     }
 }
 
-/// Removes what a killed process left half written in a folder, and puts back the files that it replaced in part.
+/// Removes what a killed process left half written in a folder, and puts back the files that it replaced in part. Returns
+/// warnings about what it left in place.
 ///
 /// # Errors
 /// When they cannot be put back.
-pub fn recover_out_folder(folder: &Path) -> Result<(), OutFolderError> {
+pub fn recover_out_folder(folder: &Path) -> Result<Vec<String>, OutFolderError> {
     let shown = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     match sweep_temporaries(shown) {
-        Err(source) if source.kind() != io::ErrorKind::PermissionDenied => {
-            Err(OutFolderError::Write { folder: folder.to_owned(), source })
-        }
         // A folder that may be written into and not be listed has nothing that could be found.
-        _ => Ok(()),
+        Err(SweepError::Folder(source)) if source.kind() == io::ErrorKind::PermissionDenied => Ok(Vec::new()),
+        swept => swept
+            .map(|swept| swept.warnings)
+            .map_err(|source| OutFolderError::Recover { folder: folder.to_owned(), source }),
     }
 }
 
@@ -111,13 +116,23 @@ impl fmt::Display for OutFolderError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (OutFolderError::File { folder, .. }
         | OutFolderError::Make { folder, .. }
-        | OutFolderError::Write { folder, .. }) = self;
+        | OutFolderError::Write { folder, .. }
+        | OutFolderError::Recover { folder, .. }) = self;
+        match self {
+            OutFolderError::Recover { source: SweepError::Folder(source), .. } => {
+                return write!(f, "{}: cannot look for interrupted conversions: {source}", folder.display());
+            }
+            // It names the record.
+            OutFolderError::Recover { source, .. } => return source.fmt(f),
+            _ => {}
+        }
         write!(f, "{}: expected a folder for the results, and ", folder.display())?;
         match self {
             OutFolderError::File { folder, file } if folder == file => f.write_str("this is a file"),
             OutFolderError::File { file, .. } => write!(f, "it cannot be made: {} is a file", file.display()),
             OutFolderError::Make { source, .. } => write!(f, "it cannot be made: {source}"),
             OutFolderError::Write { source, .. } => write!(f, "nothing can be written into it: {source}"),
+            OutFolderError::Recover { source, .. } => source.fmt(f),
         }
     }
 }
@@ -127,6 +142,7 @@ impl std::error::Error for OutFolderError {
         match self {
             OutFolderError::File { .. } => None,
             OutFolderError::Make { source, .. } | OutFolderError::Write { source, .. } => Some(source),
+            OutFolderError::Recover { source, .. } => Some(source),
         }
     }
 }
@@ -149,6 +165,20 @@ mod tests {
             let error = make_out_folder(&place).expect_err("a file is in the way");
             assert!(matches!(&error, OutFolderError::File { file: named, .. } if *named == file), "{error}");
             assert!(error.to_string().contains(words), "{error}");
+        }
+    }
+
+    /// A daemon recovers only after it has locked the folder.
+    #[test]
+    fn making_a_folder_does_not_recover_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let left = folder.path().join(".a.glb.tmp-0123456789abcdef");
+        fs::write(&left, "half a fra").expect("written");
+        make_out_folder(folder.path()).expect("there");
+        assert!(left.exists());
+        // Another thread of this process may be starting a child, which holds the lock for a moment.
+        while left.exists() {
+            recover_out_folder(folder.path()).expect("readable");
         }
     }
 

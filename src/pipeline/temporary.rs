@@ -17,6 +17,7 @@
 //! created, in each round of the daemon, and at the end.
 
 use std::collections::HashSet;
+use std::fmt;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
@@ -24,7 +25,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
-use super::file_set::{is_record_name, record_of_old_file, recover, remove_old_file};
+use super::file_set::{Recovery, is_record_name, record_of_old_file, recover, remove_old_file};
 use super::open::open_itself;
 use super::stamp::FileStamp;
 
@@ -166,46 +167,104 @@ fn is_still_at(path: &Path, file: &File) -> bool {
     stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
 }
 
+/// What [`sweep_temporaries`] did.
+#[derive(Debug, Default)]
+pub struct Swept {
+    /// How many temporary files it removed, and sets of files it completed or undid.
+    pub count: usize,
+    /// Records that it left in place: which, why, and what to do.
+    pub warnings: Vec<String>,
+}
+
+/// Why a folder cannot be swept.
+#[derive(Debug)]
+pub enum SweepError {
+    /// It cannot be listed.
+    Folder(io::Error),
+    /// Files that an interrupted process replaced only in part cannot be put back.
+    Recover {
+        /// The record of these files.
+        record: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl fmt::Display for SweepError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            SweepError::Folder(source) => source.fmt(f),
+            SweepError::Recover { record, source } => write!(
+                f,
+                "{}: an interrupted conversion replaced only some of the files in this record, and the others cannot be \
+                 put back: {source}; remove the cause and start again, or remove the record to keep the files as they are",
+                record.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for SweepError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            SweepError::Folder(source) | SweepError::Recover { source, .. } => Some(source),
+        }
+    }
+}
+
+/// Whether a file disappeared between two calls.
+fn is_gone(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
+}
+
 /// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
 /// [set](super::file_set) of files whose process was killed, or put the old files back. Where the file system has no locks, that is
-/// those that nobody has written to for a day. Returns how many there were; those that may not be removed are left.
+/// those that nobody has written to for a day. Those that may not be removed are left.
 ///
 /// # Errors
 /// When the folder cannot be read, or files cannot be put back.
-pub fn sweep_temporaries(folder: &Path) -> io::Result<usize> {
+pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
     let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
+    for entry in fs::read_dir(folder).map_err(SweepError::Folder)? {
+        let entry = match entry {
+            Err(error) if is_gone(&error) => continue,
+            entry => entry.map_err(SweepError::Folder)?,
+        };
         let name = entry.file_name().to_string_lossy().into_owned();
+        // One whose type is unknown is gone, or cannot be opened, either.
+        let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
         if let Some(record) = record_of_old_file(&entry.path()) {
             old_files.push((entry.path(), record));
-        } else if is_record_name(&name) && entry.file_type()?.is_file() {
+        } else if is_record_name(&name) && is_file() {
             records.push(entry.path());
-        } else if is_temporary_name(&name) && entry.file_type()?.is_file() {
+        } else if is_temporary_name(&name) && is_file() {
             temporaries.push(entry.path());
         }
     }
-    let (mut swept_count, mut is_other_at_it, mut failure) = (0, false, None);
+    let (mut swept, mut is_other_at_it, mut failure) = (Swept::default(), false, None);
     for path in records {
         match recover(&path) {
-            Ok(true) => swept_count += 1,
-            Ok(false) => is_other_at_it = true,
+            Ok(Recovery::Done) => swept.count += 1,
+            Ok(Recovery::InUse) => is_other_at_it = true,
+            Ok(Recovery::Left(warning)) => {
+                is_other_at_it = true;
+                swept.warnings.push(warning);
+            }
             // It belongs to another account.
             Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
-            Err(error) => {
-                let what = format!("files that were replaced in part cannot be put back: {error}");
-                failure = Some(io::Error::new(error.kind(), what));
-            }
+            // Another process, such as another shard, has just recovered it.
+            Err(error) if is_gone(&error) => is_other_at_it = true,
+            Err(source) => failure = Some(SweepError::Recover { record: path, source }),
         }
     }
     // Whoever completes a set needs its temporary files.
     if !is_other_at_it && failure.is_none() {
-        swept_count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
+        swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
     }
     for (path, record) in old_files {
         let _ = remove_old_file(&path, &record);
     }
-    failure.map_or(Ok(swept_count), Err)
+    failure.map_or(Ok(swept), Err)
 }
 
 /// Removes a temporary file that nobody is writing.
@@ -316,13 +375,13 @@ mod tests {
             fs::write(folder.path().join(name), "of somebody else").expect("written");
         }
         fs::create_dir(folder.path().join(temporary_name("folder", 7))).expect("made");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 1);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
         assert!(!left.exists() && written.path.exists());
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), others.len() + 2);
         // As when its process was killed: the file stays and the lock goes.
         let killed = written.path.clone();
         written.file.unlock().expect("unlocked");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 1);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
         assert!(!killed.exists());
         assert!(sweep_temporaries(&folder.path().join("missing")).is_err());
     }
@@ -335,7 +394,7 @@ mod tests {
         fs::write(&precious, "precious").expect("written");
         let link = folder.path().join(temporary_name("a.glb", 7));
         std::os::unix::fs::symlink(&precious, &link).expect("linked");
-        assert_eq!(sweep_temporaries(folder.path()).expect("readable"), 0);
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 0);
         assert!(link.is_symlink() && precious.exists());
     }
 

@@ -251,6 +251,28 @@ fn a_frame_that_fails_costs_itself_only() {
     }
 }
 
+/// Rasterization may write scratch files into the folder of the outputs.
+#[cfg(unix)]
+#[test]
+fn linked_output_folder_is_refused_before_rasterization() {
+    let mut bench = Bench::new(&[3]);
+    let mirror = bench.folder.path().join("mirror");
+    fs::create_dir(&mirror).expect("made");
+    std::os::unix::fs::symlink(bench.out(), mirror.join("linked")).expect("a link");
+    bench.change_outputs(|outputs| outputs.folder = mirror.join("linked"));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
+    let mirrors = [mirror.clone()];
+    let conduct = Conduct { mirrors: &mirrors, ..conduct(&pool) };
+    let mut errors = Vec::new();
+    let quick = Quick::new(Some(Stage::Rasterize));
+    run(&quick, &bench.frames, &conduct, |_, outcome| match outcome {
+        Outcome::Failed(error) => errors.push(error.to_string()),
+        other => panic!("not failed: {other:?}"),
+    });
+    assert_eq!(errors.len(), 1);
+    assert!(errors[0].contains("linked is a symbolic link"), "{errors:?}");
+}
+
 #[test]
 fn stop_writes_exactly_the_frames_before() {
     for broken_stage in [None, Some(Stage::Rasterize), Some(Stage::Contour)] {

@@ -193,11 +193,11 @@ impl Control {
         *self.stop_deadline.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Asks the loop to finish. Whether it was asked before.
+    /// Asks the loop to finish. Whether it was asked before. Logs nothing: a standard error that takes no more text would
+    /// block the caller.
     fn finish(&self) -> bool {
         let again = self.finishing.swap(true, Ordering::SeqCst);
         if !again {
-            info!("asked to end; a second signal ends at once");
             // Where nobody listens any more, it has ended.
             let _ = self.commands.send(Command::Finish);
         }

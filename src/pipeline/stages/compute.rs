@@ -22,10 +22,12 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let method = self.method;
         while let Some(Parcel { label, known, content }) = self.admit(from) {
             let scratch = label.frame.outputs.folder.clone();
+            // A frame in tiles makes this folder and writes scratch files into it.
+            let allowed = self.refuse_links(&scratch);
             let work = move |Read { particles, obstacles, plan }: Read, settings: &Settings| {
                 method.rasterize(particles, obstacles, settings, &plan, &scratch)
             };
-            let computed = self.compute(Stage::Rasterize, &label, content, work);
+            let computed = allowed.and_then(|()| self.compute(Stage::Rasterize, &label, content, work));
             if !self.pass(label, known, computed, to, ended) {
                 return;
             }

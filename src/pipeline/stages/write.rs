@@ -38,7 +38,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
     }
 
     /// Refuses a folder that is reached through a link, where it mirrors one of inputs.
-    fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
+    pub(super) fn refuse_links(&self, folder: &Path) -> Result<(), FrameError> {
         let within = self.conduct.mirrors.iter().filter_map(|mirror| folder.strip_prefix(mirror).ok());
         let depth = within.map(|within| within.components().count()).min().unwrap_or(0);
         let refused = meniscus_formats::Error::from;
@@ -51,26 +51,27 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
         self.begin(&label.frame, Stage::Write);
         let made_from = (known.input.hash, known.obstacles.0.as_str());
         let surface = Arc::new(surface);
-        let frame = &match label.frame.framing.as_ref().filter(|_| label.frame.has_pictures()) {
-            Some(framing) => label.frame.taken_by(framing.camera_for(bounds_of(&surface, &label.frame))),
-            None => label.frame.clone(),
-        };
         let preview_time = Mutex::new(Duration::ZERO);
-        let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
-            let mut write =
-                || write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out);
-            if format.picture().is_none() {
-                return write();
-            }
-            let start = Instant::now();
-            self.begin(&label.frame, Stage::Preview);
-            let written = write();
-            self.begin(&label.frame, Stage::Write);
-            *preview_time.lock().unwrap_or_else(PoisonError::into_inner) += start.elapsed();
-            written
-        };
-        let written = FrameError::catch(&frame.input, Stage::Write, || {
-            self.refuse_links(&frame.outputs.folder)?;
+        // All of it: a panic in the framing, too, fails this frame alone.
+        let written = FrameError::catch(&label.frame.input, Stage::Write, || {
+            self.refuse_links(&label.frame.outputs.folder)?;
+            let frame = &match label.frame.framing.as_ref().filter(|_| label.frame.has_pictures()) {
+                Some(framing) => label.frame.taken_by(framing.camera_for(bounds_of(&surface, &label.frame))),
+                None => label.frame.clone(),
+            };
+            let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
+                let mut write =
+                    || write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out);
+                if format.picture().is_none() {
+                    return write();
+                }
+                let start = Instant::now();
+                self.begin(&label.frame, Stage::Preview);
+                let written = write();
+                self.begin(&label.frame, Stage::Write);
+                *preview_time.lock().unwrap_or_else(PoisonError::into_inner) += start.elapsed();
+                written
+            };
             let certify = self.conduct.certificates.then_some((known.input.hash, &surface.report));
             let written = write_files(frame, write, certify)?;
             self.conduct.record(&frame.output_paths());
@@ -93,7 +94,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
                 unused_velocity: known
                     .noted
                     .unused_velocity
-                    .filter(|_| frame.outputs.formats.iter().any(|format| format.has_attributes())),
+                    .filter(|_| label.frame.outputs.formats.iter().any(|format| format.has_attributes())),
             })),
             Err(error) => Outcome::Failed(error),
         }
