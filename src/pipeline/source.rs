@@ -207,18 +207,23 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
     }
 }
 
-/// Folders in which names that differ in their numbers only are sequences of one frame each, and how many.
+/// Folders in which most sequences of names that differ in their numbers only have one frame, and how many have.
 pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
-    let mut counts: BTreeMap<(PathBuf, String), (usize, bool)> = BTreeMap::new();
+    let mut counts: BTreeMap<(PathBuf, String), (usize, usize)> = BTreeMap::new();
     for sequence in sequences {
         if let Some(key) = sequence.frames.first().and_then(FrameFile::kin) {
-            let (count, are_single) = counts.entry(key).or_insert((0, true));
+            let (count, single_count) = counts.entry(key).or_default();
             *count += 1;
-            *are_single &= sequence.frames.len() == 1;
+            *single_count += usize::from(sequence.frames.len() == 1);
         }
     }
-    let fallen_apart = counts.into_iter().filter(|(_, (count, are_single))| *count > 1 && *are_single);
-    fallen_apart.map(|((folder, _), (count, _))| (folder, count)).collect()
+    let fallen_apart = counts.into_iter().filter(|(_, (count, single))| have_fallen_apart(*count, *single));
+    fallen_apart.map(|((folder, _), (_, single_count))| (folder, single_count)).collect()
+}
+
+/// Whether of so many sequences, whose names differ in their numbers only, too many have a single frame.
+pub fn have_fallen_apart(count: usize, single_count: usize) -> bool {
+    single_count > 1 && 2 * single_count > count
 }
 
 /// What to say of a folder that [`single_frame_sequences`] names.
@@ -463,6 +468,9 @@ mod tests {
             let found = sequences(names.map(file).to_vec());
             assert_eq!(single_frame_sequences(&found), [(PathBuf::new(), 2)], "{names:?}");
         }
+        // One pair that happens to share a number hides nothing.
+        let names = ["s_1_2.ply", "s_2_3.ply", "s_3_5.ply", "s_3_6.ply"].map(file).to_vec();
+        assert_eq!(single_frame_sequences(&sequences(names)), [(PathBuf::new(), 2)]);
         for names in [&["a.1.ply", "a.2.ply"][..], &["a.ply", "b.ply"], &["s1.1.ply", "s2.1.ply", "s2.2.ply"]]
         {
             let found = sequences(names.iter().copied().map(file).collect());
