@@ -108,8 +108,8 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
                 count => format!(" and {} of {}", counted(count, "more frame"), selected.sequence.name),
             };
             console.fail(format_args!(
-                "error: {} and {} would both become {}.*: the first is converted, and the second{others} left out; convert \
-                 what is left out into another folder",
+                "error: {} and {} would both become {}.*: converting only the first; convert the second{others} into another \
+                 folder",
                 owner.display(),
                 rival.display(),
                 FrameFile::new(rival.clone()).stem()

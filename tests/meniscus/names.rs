@@ -241,7 +241,11 @@ fn one_of_two_files_for_one_result_is_converted() {
     assert_eq!(expected.status, 0, "{}", expected.err);
     let ran = convert(path, &["in", "--out", "out", "--format", "obj"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
-    for words in ["in/dam.1.csv and in/dam.1.ply would both become dam.1.*", "1 more frame of dam.{}.ply"] {
+    for words in [
+        "in/dam.1.csv and in/dam.1.ply would both become dam.1.*",
+        "1 more frame of dam.{}.ply",
+        "converting only the first",
+    ] {
         assert!(ran.err.contains(words), "{words}: {}", ran.err);
     }
     assert!(ran.err.contains("in/dam.1.csv and in/dam.1.ply.gz would both become"), "{}", ran.err);
