@@ -10,7 +10,7 @@
 //! of its own first, so that half a mesh never gets there.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -45,8 +45,19 @@ impl Destination {
         let mut args = args.clone();
         let Some(out) = args.out.clone() else { return Ok((Destination::Folder, args)) };
         if is_stdout(&out) {
-            console.leave_out_to_a_file();
             let format = only_format(&args)?;
+            if args.print_settings {
+                // Nothing is written, and the settings go to the standard output themselves.
+                args.format = Some(vec![format]);
+                return Ok((Destination::Folder, args));
+            }
+            if io::stdout().is_terminal() {
+                bail!(
+                    "--out {}: the standard output is a terminal: redirect it to a file or a program",
+                    out.display()
+                );
+            }
+            console.leave_out_to_a_file();
             let folder = private_folder()?;
             args.out = Some(folder.path().to_owned());
             args.format = Some(vec![format]);

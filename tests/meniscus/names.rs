@@ -180,6 +180,11 @@ fn standard_input_and_output_carry_one_frame() {
         assert_eq!(ran.status, 0, "{}", ran.err);
         assert!(out == fs::read(same.path().join(format!("x.{format}"))).expect("there"), "{format}");
     }
+    for arguments in [&["in", "-o", "-", "--print-settings"][..], &["-", "-o", "-", "--print-settings"]] {
+        let (status, out, err) = pipe(path, arguments, &bytes);
+        assert_eq!((status, &*err), (0, ""), "{arguments:?}");
+        assert!(String::from_utf8_lossy(&out).contains("formats = [\"glb\"]"), "{arguments:?}: {out:?}");
+    }
     let (status, out, err) = pipe(path, &["-", "-o", "y.obj", "--voxel-size", "0.1"], &bytes);
     assert_eq!((status, &*err), (0, ""));
     assert!(!out.is_empty() && path.join("y.obj").is_file());
