@@ -72,6 +72,10 @@ impl Destination {
                 "{name}: convert writes surfaces and not pictures: use `meniscus render`, or --preview {extension}"
             );
         };
+        if out.extension().is_some_and(|there| *there != *extension) {
+            let lower = out.with_extension(&extension);
+            bail!("{name}: results have extensions in lower case: name {}", lower.display());
+        }
         if args.format.as_deref().is_some_and(|formats| formats.iter().any(|other| *other != format)) {
             bail!(
                 "{name}: --format asks for other files than .{extension}: leave --format out, or name a folder"
@@ -161,9 +165,9 @@ fn is_stdout(out: &Path) -> bool {
     ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| out == Path::new(name))
 }
 
-/// The extension, where a path names a file of results and not a folder.
+/// The extension in lower case, where a path names a file of results, in any case, and not a folder.
 fn file_extension(out: &Path) -> Option<String> {
-    let extension = out.extension()?.to_str()?.to_owned();
+    let extension = out.extension()?.to_str()?.to_ascii_lowercase();
     let is_known = OutputFormat::ALL.iter().any(|format| format.extension() == extension);
     let ends_like_a_folder = out.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
     (is_known && !ends_like_a_folder && !out.is_dir()).then_some(extension)

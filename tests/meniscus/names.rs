@@ -142,6 +142,9 @@ fn file_name_that_cannot_be_written_is_refused_with_a_remedy() {
         ),
         (&["plan", "dam.#.ply", "--out", "-", "--output", "p.json", "--shards", "1"], &["name a folder"]),
         (&["watch", ".", "--once", "--out", "x.glb"], &["x.glb", "folder"]),
+        (&["convert", "dam.1.ply", "-o", "X.PLY"], &["X.PLY", "name X.ply"]),
+        (&["convert", "dam.1.ply", "-o", "x.Png"], &["x.Png", "meniscus render"]),
+        (&["watch", ".", "--once", "--out", "dam.GLB"], &["dam.GLB", "folder"]),
     ] {
         let ran = meniscus(path, arguments);
         assert_eq!(ran.status, 2, "{arguments:?}: {} {}", ran.out, ran.err);
