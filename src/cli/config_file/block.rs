@@ -192,8 +192,8 @@ impl<'a> Block<'a> {
     }
 
     fn chosen<T: ValueEnum>(&self, key: &str, text: &str, start: usize) -> Result<T> {
-        let chosen = T::from_str(text, false)
-            .map_err(|_| format!("`{text}` is not known: it wants {}", one_of::<T>()));
+        let chosen =
+            T::from_str(text, true).map_err(|_| format!("`{text}` is not known: it wants {}", one_of::<T>()));
         self.understood(key, chosen, start)
     }
 
