@@ -35,8 +35,12 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix, Quaternion
 
 KINDS = (".glb", ".vdb")
-# The last number of a name counts frames, as it does for meniscus.
-NUMBERED = re.compile(r"(.*?)(\d+)(\D*\.(?:glb|vdb))", re.IGNORECASE)
+NAME = re.compile(r"([^.].*)(\.(?:glb|vdb))", re.IGNORECASE)
+# What stands before the number of a frame or of a version, behind a count, and at the end of a name with a subframe.
+FRAME = re.compile(r"(?:^|[^a-z])(?:frame|frm|step|timestep)[._ -]?$", re.IGNORECASE)
+VERSION = re.compile(r"(?:^|[^a-z])(?:v|ver|version|rev|take|wedge)$", re.IGNORECASE)
+COUNT = re.compile(r"[._ -]?(?:particles?|points?|pts|parts|vertices|atoms|spheres)(?![a-z])", re.IGNORECASE)
+SUBFRAME = re.compile(r"(?:^|[^0-9a-z])(\d{4,})\.(\d+)$", re.IGNORECASE)
 FRAME_MAX = 1048574
 FOLLOW_SECONDS = 5.0
 # Up along y becomes up along z.
@@ -47,29 +51,73 @@ UPS = [("Y", "Y", "As in glTF: turned upright"), ("Z", "Z", "As in Blender: left
 # Files
 
 
+def ends_of(name):
+    """The text before and after a name's frame number, or None.
+
+    As for meniscus, versions and counts are frames only where there is no other number. Subframes are left out: for
+    names such as shot.0100.1.glb, where the last number is the frame, give the pattern shot.0100.#.glb.
+    """
+    match = NAME.fullmatch(name)
+    if not match:
+        return None
+    stem, extension = match.groups()
+    if "#" in stem:
+        before, after = re.split("#+", stem, maxsplit=1)
+        return before, after + extension
+    subframe = SUBFRAME.search(stem)
+    if subframe and len(subframe[1]) > len(subframe[2]):
+        return None
+
+    def rank(number):
+        before, after = stem[: number.start()], stem[number.end() :]
+        if FRAME.search(before):
+            return 3
+        if VERSION.search(before):
+            return 0
+        is_padded = len(number[0]) > 1 and number[0].startswith("0")
+        return 1 if COUNT.match(after) and not is_padded else 2
+
+    numbers = list(re.finditer("[0-9]+", stem))
+    # The last of those with the highest rank.
+    number = max(reversed(numbers), key=rank, default=None)
+    return number and (stem[: number.start()], stem[number.end() :] + extension)
+
+
+def number_in(name, ends):
+    """The digits between these ends, or None."""
+    match = re.fullmatch(f"{re.escape(ends[0])}([0-9]+){re.escape(ends[1])}", name)
+    return match and match[1]
+
+
+def files_of(folder, ends):
+    """The name of each number's file."""
+    names = {number_in(name, ends): name for name in os.listdir(folder)}
+    return dict(sorted((int(number), name) for number, name in names.items() if number))
+
+
 def sequences_in(folder):
     """What a folder holds: by the text before and after the number, the name of each number's file."""
     found = {}
     for name in os.listdir(folder):
-        match = NUMBERED.fullmatch(name)
-        if match and not name.startswith("."):
-            before, number, after = match.groups()
-            found.setdefault((before, after), {})[int(number)] = name
+        ends = ends_of(name)
+        number = ends and number_in(name, ends)
+        if number:
+            found.setdefault(ends, {})[int(number)] = name
     return {ends: dict(sorted(names.items())) for ends, names in sorted(found.items())}
 
 
 def chosen(path, kind=None):
     """The folder, the ends and the files of the one sequence that a path means."""
     path = Path(bpy.path.abspath(str(path))).absolute()
-    folder, pattern = (path, None) if path.is_dir() else (path.parent, NUMBERED.fullmatch(re.sub("#+", "0", path.name)))
-    there = sequences_in(folder)
-    if folder != path:
-        ends = pattern and (pattern[1], pattern[3])
-        if ends not in there:
+    if not path.is_dir():
+        folder, ends = path.parent, ends_of(path.name)
+        files = files_of(folder, ends) if ends else {}
+        if not files:
             raise ValueError(f"{path} is no folder, and no frame of a sequence of .glb or .vdb")
         if kind and not ends[1].lower().endswith(kind):
             raise ValueError(f"{path} is no {kind}")
-        return folder, ends, there[ends]
+        return folder, ends, files
+    folder, there = path, sequences_in(path)
     wanted = [ends for ends in there if kind is None or ends[1].lower().endswith(kind)]
     # Of one name in both formats the mesh is taken: it comes first.
     if len({(before, after[:-4]) for before, after in wanted}) == 1:
@@ -202,8 +250,8 @@ def count_files(volume, source, path, number, frame):
     """
     first, last = range_of(source)
     place = min(max(frame - first + 1, 1), last - first + 1)
-    counted = NUMBERED.fullmatch(Path(volume.filepath).name)
-    is_counted = counted and f"{counted[1]}{number:0{len(counted[2])}}{counted[3]}" == path.name
+    counted = number_in(Path(volume.filepath).name, (source.before, source.after))
+    is_counted = counted and f"{source.before}{number:0{len(counted)}}{source.after}" == path.name
     settings = {"frame_start": first, "frame_duration": last - first + 1, "frame_offset": number - place}
     if not is_counted:
         settings["filepath"] = str(path)
@@ -223,7 +271,7 @@ def known_files(source):
 
 def files_now(source):
     try:
-        files = sequences_in(bpy.path.abspath(source.folder)).get((source.before, source.after), {})
+        files = files_of(bpy.path.abspath(source.folder), (source.before, source.after))
     except OSError as error:
         tell(str(error))
         files = {}

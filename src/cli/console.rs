@@ -134,15 +134,19 @@ impl Console {
 
 /// A record as JSON, without characters that could control the terminal.
 pub(super) fn json_text(record: &impl Serialize) -> serde_json::Result<String> {
-    let mut text = String::new();
-    for char in serde_json::to_string_pretty(record)?.chars() {
+    Ok(escaped_json(&serde_json::to_string_pretty(record)?))
+}
+
+/// JSON with escapes for the characters that could control the terminal and that Serde leaves in strings as they are.
+pub(super) fn escaped_json(json: &str) -> String {
+    let mut text = String::with_capacity(json.len());
+    for char in json.chars() {
         match char {
-            // Serde leaves these in strings as they are; all other control characters are escaped.
             _ if char != '\n' && is_unsafe(char) => text += &format!("\\u{:04x}", u32::from(char)),
             _ => text.push(char),
         }
     }
-    Ok(text)
+    text
 }
 
 /// Prints with the bar out of the way.

@@ -10,7 +10,7 @@
 //! of its own first, so that half a mesh never gets there.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -45,8 +45,19 @@ impl Destination {
         let mut args = args.clone();
         let Some(out) = args.out.clone() else { return Ok((Destination::Folder, args)) };
         if is_stdout(&out) {
-            console.leave_out_to_a_file();
             let format = only_format(&args)?;
+            if args.print_settings {
+                // Nothing is written, and the settings go to the standard output themselves.
+                args.format = Some(vec![format]);
+                return Ok((Destination::Folder, args));
+            }
+            if io::stdout().is_terminal() {
+                bail!(
+                    "--out {}: the standard output is a terminal: redirect it to a file or a program",
+                    out.display()
+                );
+            }
+            console.leave_out_to_a_file();
             let folder = private_folder()?;
             args.out = Some(folder.path().to_owned());
             args.format = Some(vec![format]);
@@ -61,6 +72,10 @@ impl Destination {
                 "{name}: convert writes surfaces and not pictures: use `meniscus render`, or --preview {extension}"
             );
         };
+        if out.extension().is_some_and(|there| *there != *extension) {
+            let lower = out.with_extension(&extension);
+            bail!("{name}: results have extensions in lower case: name {}", lower.display());
+        }
         if args.format.as_deref().is_some_and(|formats| formats.iter().any(|other| *other != format)) {
             bail!(
                 "{name}: --format asks for other files than .{extension}: leave --format out, or name a folder"
@@ -150,9 +165,9 @@ fn is_stdout(out: &Path) -> bool {
     ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"].iter().any(|name| out == Path::new(name))
 }
 
-/// The extension, where a path names a file of results and not a folder.
+/// The extension in lower case, where a path names a file of results, in any case, and not a folder.
 fn file_extension(out: &Path) -> Option<String> {
-    let extension = out.extension()?.to_str()?.to_owned();
+    let extension = out.extension()?.to_str()?.to_ascii_lowercase();
     let is_known = OutputFormat::ALL.iter().any(|format| format.extension() == extension);
     let ends_like_a_folder = out.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
     (is_known && !ends_like_a_folder && !out.is_dir()).then_some(extension)

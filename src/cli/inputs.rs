@@ -15,6 +15,7 @@
 
 use std::collections::HashSet;
 use std::ffi::OsString;
+use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -51,6 +52,37 @@ const HEAD_BYTES: u64 = 64 << 10;
 /// # Errors
 /// When an input stands for no file at all.
 pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
+    let found = look_for(inputs)?;
+    match found.unreadable.first() {
+        Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", path.display()),
+        _ => Ok(found),
+    }
+}
+
+/// What a folder holds beside other files of use, which may be nothing: with what cannot be read, and why.
+///
+/// # Errors
+/// When the folder itself cannot be read.
+pub(super) fn find_beside_others(folder: &Path) -> Result<Found> {
+    match look_for(&[folder.to_owned()]) {
+        Err(error) if error.is::<NoFrames>() => Ok(Found::default()),
+        found => found,
+    }
+}
+
+/// A folder was read, and holds no frames.
+#[derive(Debug)]
+struct NoFrames(String);
+
+impl fmt::Display for NoFrames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for NoFrames {}
+
+fn look_for(inputs: &[PathBuf]) -> Result<Found> {
     let mut found = Found::default();
     for input in inputs {
         match input.metadata() {
@@ -74,11 +106,6 @@ pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
             Ok(frames) => found.files.extend(frames),
             Err(error) => found.unreadable.push((path, error.to_string())),
         }
-    }
-    if let Some((path, why)) = found.unreadable.first()
-        && found.files.is_empty()
-    {
-        bail!("{}: {why}", path.display());
     }
     let mut seen = HashSet::new();
     found.files.retain(|file| seen.insert(entry(&file.path)));
@@ -149,10 +176,10 @@ impl Found {
         }
         if self.count() == count_before {
             let hint = if has_level_set { ": level sets are given by name, or by a pattern" } else { "" };
-            bail!(
+            bail!(NoFrames(format!(
                 "{}: no frames of particles among the {file_count} files of this folder{hint}",
                 folder.display()
-            );
+            )));
         }
         Ok(())
     }

@@ -89,7 +89,7 @@ pub(super) fn select_frames(
 }
 
 /// Leaves out frames whose outputs would have the names of those of an earlier frame in the same folder, as `dam.1.ply`
-/// beside `dam.1.bgeo` would: the daemon does the same. Full names for both would change with what else is in the folder.
+/// beside `dam.1.bgeo` would. The daemon takes the one that is complete first. Full names for both would change with what else is in the folder.
 fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Vec<SelectedSequence> {
     let mut owner_of: HashMap<(PathBuf, String), PathBuf> = HashMap::new();
     let mut kept = Vec::new();
@@ -108,8 +108,8 @@ fn without_rivals(sequences: Vec<SelectedSequence>, console: &mut Console) -> Ve
                 count => format!(" and {} of {}", counted(count, "more frame"), selected.sequence.name),
             };
             console.fail(format_args!(
-                "error: {} and {} would both become {}.*: the first is converted, and the second{others} left out; convert \
-                 what is left out into another folder",
+                "error: {} and {} would both become {}.*: converting only the first; convert the second{others} into another \
+                 folder",
                 owner.display(),
                 rival.display(),
                 FrameFile::new(rival.clone()).stem()

@@ -24,7 +24,7 @@ use super::args::{FormatArgs, MethodArgs, RunArgs, ViewArgs};
 use super::camera_file::camera_of_file;
 use super::choices::{choices, ignored, output_options};
 use super::console::Console;
-use super::inputs::{Found, find_inputs};
+use super::inputs::{Found, find_beside_others, find_inputs};
 use super::quantities::{PictureSize, memory_bytes};
 use super::wording::counted;
 
@@ -241,12 +241,10 @@ pub(super) fn find_subjects(inputs: &[PathBuf]) -> Result<Found> {
     let mut all = Found::default();
     for input in inputs {
         let level_sets = level_sets_in(input);
-        let found = match find_inputs(std::slice::from_ref(input)) {
-            Ok(found) => with_level_sets(found, level_sets, input),
-            Err(_) if !level_sets.is_empty() => Found { files: level_sets, ..Found::default() },
-            Err(error) => return Err(error),
-        };
-        all.add(found);
+        all.add(match level_sets.is_empty() {
+            true => find_inputs(std::slice::from_ref(input))?,
+            false => with_level_sets(find_beside_others(input)?, level_sets, input),
+        });
     }
     Ok(all)
 }

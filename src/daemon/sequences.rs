@@ -20,7 +20,7 @@ use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
     FileStamp, FrameError, FrameFile, Framed, Framing, ObstacleFiles, ObstacleStamps, OutputOptions,
-    PictureOptions, automatic_voxel_size, file_of, sequence_bounds, settings_fingerprint,
+    PictureOptions, automatic_voxel_size, file_of, have_fallen_apart, sequence_bounds, settings_fingerprint,
 };
 use crate::settings::{OwnRadii, Settings};
 
@@ -41,7 +41,8 @@ pub(super) struct Sequences {
 #[derive(Debug, Default)]
 struct Kin {
     sequence_count: usize,
-    frame_count: usize,
+    /// How many of them have one frame.
+    single_count: usize,
     was_named: bool,
 }
 
@@ -52,6 +53,8 @@ pub(super) struct Sequence {
     pub(super) key: SequenceKey,
     /// The index of its root.
     pub(super) root: usize,
+    /// The kin that counts it as a sequence of one frame, as long as it has no more.
+    single_in: Option<(usize, PathBuf, String)>,
     /// Its settings, or what is missing.
     pub(super) settings: SequenceSettings,
     /// The camera that was placed for its pictures, if one had to be.
@@ -113,13 +116,18 @@ impl Sequences {
         let (folder, name) = file.sequence();
         let place = (id.root, folder, name);
         let known = self.index_of.get(&place).copied();
-        if let Some((folder, shared_name)) = file.kin() {
-            let kin = self.kin.entry((id.root, folder, shared_name)).or_default();
-            kin.frame_count += 1;
-            kin.sequence_count += usize::from(known.is_none());
-        }
         if let Some(index) = known {
+            let kin = self.all[index].single_in.take();
+            if let Some(kin) = kin.and_then(|key| self.kin.get_mut(&key)) {
+                kin.single_count -= 1;
+            }
             return index;
+        }
+        let single_in = file.kin().map(|(folder, shared_name)| (id.root, folder, shared_name));
+        if let Some(key) = &single_in {
+            let kin = self.kin.entry(key.clone()).or_default();
+            kin.sequence_count += 1;
+            kin.single_count += 1;
         }
         let (_, folder, name) = place.clone();
         let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
@@ -129,6 +137,7 @@ impl Sequences {
         self.all.push(Sequence {
             key,
             root: id.root,
+            single_in,
             settings,
             framing,
             sparse: HashSet::new(),
@@ -139,15 +148,16 @@ impl Sequences {
         self.all.len() - 1
     }
 
-    /// Folders with this many sequences or more of one frame each, whose names differ in their numbers only; each is
-    /// named once: its root, the folder, and how many.
+    /// Folders in which this many sequences or more, and most of those whose names differ in their numbers only, have one
+    /// frame; each is named once: its root, the folder, and how many.
     pub(super) fn newly_fallen_apart(&mut self, count_min: usize) -> Vec<(usize, PathBuf, usize)> {
         let mut folders = Vec::new();
         for ((root, folder, _), kin) in &mut self.kin {
-            let has_fallen = kin.sequence_count >= count_min && kin.sequence_count == kin.frame_count;
+            let has_fallen =
+                kin.single_count >= count_min && have_fallen_apart(kin.sequence_count, kin.single_count);
             if has_fallen && !kin.was_named {
                 kin.was_named = true;
-                folders.push((*root, folder.clone(), kin.sequence_count));
+                folders.push((*root, folder.clone(), kin.single_count));
             }
         }
         folders.sort();

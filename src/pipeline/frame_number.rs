@@ -2,15 +2,17 @@
 //!
 //! ```text
 //!   dam_0001_v003        0001    a version (v, ver, version, rev, take, wedge before the digits) is not a frame
-//!   dam.0001.50          0001    frame 1, subframe .50; a subframe has fewer digits than its frame, which has 3 or more
+//!   dam.0001.50          0001    frame 1, subframe .50; a subframe has fewer digits than its frame, which has 4 or more
+//!   shot.010.1              1    a shot and its frame
 //!   hilbert2_7954_points    2    a count (particles, points, pts, .. after the digits) is not a frame
 //!   frame_12_particles     12    a number after frame, frm or step is the frame
 //!   take2_dam7              7    otherwise: the last number
 //! ```
 //!
 //! These rules need the name alone. Versions and counts are frames where a name has no other number. [`varying_number`]
-//! then looks at names that differ in their numbers only.
+//! and [`numbers_behind_shots`] then look at names that differ in their numbers only.
 
+use std::collections::HashSet;
 use std::ops::Range;
 
 /// What a number in a name is, as far as the words around it say.
@@ -32,8 +34,8 @@ const VERSION_WORDS: [&str; 6] = ["v", "ver", "version", "rev", "take", "wedge"]
 const COUNT_WORDS: [&str; 9] =
     ["particle", "particles", "point", "points", "pts", "parts", "vertices", "atoms", "spheres"];
 
-/// A frame number with fewer digits has no subframe: `take.2.1` is frame 1.
-const SUBFRAME_OF_DIGITS_MIN: usize = 3;
+/// A number with fewer digits has no subframe: `take.2.1` and `shot.010.1` are frame 1.
+const SUBFRAME_OF_DIGITS_MIN: usize = 4;
 
 /// Where the frame's number stands in the stem of a file name; with its subframe, if it has one: `0001.50`.
 pub(super) fn frame_number(stem: &str) -> Option<Range<usize>> {
@@ -43,11 +45,12 @@ pub(super) fn frame_number(stem: &str) -> Option<Range<usize>> {
     Some(with_subframe(stem, &numbers, &found).unwrap_or(found))
 }
 
-/// The frame's number and the subframe behind it, where `found`, the last number of the stem, is a subframe.
+/// The frame's number and the subframe behind it, where the stem ends in both and `found` is one of them: it is the frame
+/// where a word such as `frame` stands before that.
 fn with_subframe(stem: &str, numbers: &[Range<usize>], found: &Range<usize>) -> Option<Range<usize>> {
     let [.., frame, last] = numbers else { return None };
     let follows_separator = stem[..frame.start].chars().next_back().is_none_or(|c| !c.is_alphanumeric());
-    let is_subframe = last == found
+    let is_subframe = (found == frame || found == last)
         && last.end == stem.len()
         && &stem[frame.end..last.start] == "."
         && (SUBFRAME_OF_DIGITS_MIN.max(last.len() + 1)..).contains(&frame.len())
@@ -72,6 +75,39 @@ pub(super) fn varying_number(stems: &[&str]) -> Option<Vec<Range<usize>>> {
         Role::Count => are_even((0..stems.len()).filter_map(|index| text(index, column)?.parse().ok())),
     };
     is_frame.then(|| all.iter().filter_map(|numbers| numbers.get(column).cloned()).collect())
+}
+
+/// Where the last numbers of stems stand, when what [`frame_number`] took for frames with subframes are shots with
+/// frames, as of `shot.0100.1` to `shot.0100.120`. The stems are equal but for their numbers, and `spans` is what it
+/// found in them.
+///
+/// Subframes are fractions: 1 and 10 would be the same one. They also have fewer digits than their frame, and do not
+/// count up, as 1 and 2 do, behind a frame that is the only one; `is_shot_possible` says that no whole frame shows that
+/// it is one.
+pub(super) fn numbers_behind_shots(
+    stems: &[&str],
+    spans: &[Range<usize>],
+    is_shot_possible: bool,
+) -> Option<Vec<Range<usize>>> {
+    let last: Vec<Range<usize>> = stems.iter().filter_map(|stem| numbers(stem).pop()).collect();
+    if last.len() != spans.len() || !is_shot_possible {
+        return None;
+    }
+    let (mut frames, mut fractions, mut values) = (HashSet::new(), HashSet::new(), HashSet::new());
+    let (mut subframe_count, mut is_contradicted) = (0, false);
+    for ((stem, span), last) in stems.iter().zip(spans).zip(&last) {
+        match stem[span.clone()].split_once('.') {
+            Some((frame, digits)) => {
+                subframe_count += 1;
+                frames.insert(frame);
+                values.extend(digits.parse::<u64>());
+                is_contradicted |= !fractions.insert((frame, digits.trim_end_matches('0')));
+            }
+            None => is_contradicted |= span == last,
+        }
+    }
+    let counts_up = values.iter().any(|value| values.contains(&value.saturating_add(1)));
+    (subframe_count > 0 && (is_contradicted || frames.len() == 1 && counts_up)).then_some(last)
 }
 
 /// Whether three or more numbers are the same step apart.
@@ -172,9 +208,15 @@ mod tests {
             ("dam_0001.5", "0001.5"),
             ("0001.25", "0001.25"),
             ("dam.1001.250", "1001.250"),
+            ("frame.0001.50", "0001.50"),
+            ("step.0001.5", "0001.5"),
+            ("frame_0012.25", "0012.25"),
             // A wedge, a take or a shot, and then the frame.
             ("cache.0.0001", "0001"),
             ("shot.010.0001", "0001"),
+            ("shot.010.1", "1"),
+            ("shot.010.99", "99"),
+            ("frame.010.1", "010"),
             ("dam_v003.12", "12"),
             ("sh010.12", "12"),
             ("dam.2.1", "1"),
@@ -200,6 +242,26 @@ mod tests {
         assert_eq!(taken(&["f2_1_points", "f2_2_points", "f2_18856_points"]), None);
         assert_eq!(taken(&["dam.7"]), None);
         assert_eq!(taken(&[]), None);
+    }
+
+    #[test]
+    fn numbers_that_cannot_be_subframes_are_frames_of_a_shot() {
+        let taken = |stems: &[&'static str], is_shot_possible| -> Option<Vec<&'static str>> {
+            let spans: Vec<_> = stems.iter().filter_map(|stem| frame_number(stem)).collect();
+            let last = numbers_behind_shots(stems, &spans, is_shot_possible)?;
+            Some(stems.iter().zip(last).map(|(stem, span)| &stem[span]).collect())
+        };
+        assert_eq!(taken(&["s.0100.9", "s.0100.10"], true), Some(vec!["9", "10"]));
+        assert_eq!(taken(&["s.0100.1", "s.0100.10"], true), Some(vec!["1", "10"]));
+        assert_eq!(taken(&["s.0100.7", "s.0100.1000"], true), Some(vec!["7", "1000"]));
+        assert_eq!(taken(&["s.0100.1", "s.0100.10", "s.0200.3"], true), Some(vec!["1", "10", "3"]));
+        assert_eq!(taken(&["s.0100.9", "s.0100.10"], false), None);
+        for subframes in
+            [&["d.0001.25", "d.0001.5", "d.0001.75"][..], &["d.0001.1", "d.0002.2"], &["d.0001.1"]]
+        {
+            assert_eq!(taken(subframes, true), None, "{subframes:?}");
+        }
+        assert_eq!(taken(&["d.1", "d.2"], true), None);
     }
 
     #[test]

@@ -141,8 +141,8 @@ pub use resurfacing::{BandToSurface, resurface_all};
 pub use shot::{ShotError, ShotFormat, ShotOptions, ShotReport, ShotSource, is_shot, write_shot};
 pub use sink::{replace_own, stop_writing, write_whole};
 pub use source::{
-    FrameFile, Sequence, has_particle_extension, natural_order, order_subframes, promises_particles,
-    sequences, single_frame_sequences, single_frames_note,
+    FrameFile, Sequence, has_particle_extension, have_fallen_apart, natural_order, order_subframes,
+    promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
 pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
 pub use stamp::FileStamp;

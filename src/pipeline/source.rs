@@ -13,13 +13,13 @@
 //! Natural order compares runs of digits as numbers: frame 9 comes before frame 10.
 
 use std::cmp::Ordering;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::packing::unpacked_name;
 
-use super::frame_number::{frame_number, varying_number, without_numbers};
+use super::frame_number::{frame_number, numbers_behind_shots, varying_number, without_numbers};
 use super::outputs::OutputFormat;
 use super::steps::{STEP, frame_name, step_of};
 
@@ -87,6 +87,12 @@ impl FrameFile {
     pub fn number(&self) -> Option<u64> {
         let span = self.number_span.clone()?;
         self.name().get(span)?.split('.').next()?.parse().ok()
+    }
+
+    /// Whether the name has the digits of a subframe, zero or not.
+    fn has_subframe(&self) -> bool {
+        let name = self.name();
+        self.number_span.clone().and_then(|span| name.get(span)).is_some_and(|number| number.contains('.'))
     }
 
     /// The digits of the subframe, which is a fraction of a frame: `5` of `dam.0001.50`. Empty for a whole frame.
@@ -165,7 +171,9 @@ pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
 }
 
 /// Where the names of a folder say that another number than [`FrameFile::new`] found is the frame's, because it is the
-/// only one in which names differ, that one is taken: of `dam_0001_b7.ply` and `dam_0002_b7.ply` it is the first.
+/// only one in which names differ, that one is taken: of `dam_0001_b7.ply` and `dam_0002_b7.ply` it is the first. Where
+/// they say that what it took for subframes are frames of a shot, the last is taken: of `shot.0100.9.ply` and
+/// `shot.0100.10.ply`.
 fn use_varying_numbers(files: &mut [FrameFile]) {
     let mut kin: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
     for (index, file) in files.iter().enumerate() {
@@ -173,9 +181,22 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
             kin.entry(key).or_default().push(index);
         }
     }
+    let is_whole = |file: &&FrameFile| file.number_span.is_some() && !file.has_subframe();
+    let whole: HashSet<(PathBuf, String)> = files.iter().filter(is_whole).map(FrameFile::sequence).collect();
     for members in kin.into_values().filter(|members| members.len() > 1) {
         let names: Vec<String> = members.iter().map(|&index| files[index].name()).collect();
         let stems: Vec<&str> = names.iter().map(|name| numbered_part(name)).collect();
+        let spans: Vec<Range<usize>> =
+            members.iter().filter_map(|&index| files[index].number_span.clone()).collect();
+        let belongs_to_whole =
+            |index: &usize| files[*index].has_subframe() && whole.contains(&files[*index].sequence());
+        let is_shot_possible = !members.iter().any(belongs_to_whole);
+        if let Some(last) = numbers_behind_shots(&stems, &spans, is_shot_possible) {
+            for (index, span) in members.iter().zip(last) {
+                files[*index].number_span = Some(span);
+            }
+            continue;
+        }
         for (index, span) in members.iter().zip(varying_number(&stems).unwrap_or_default()) {
             let span_now = &mut files[*index].number_span;
             // A subframe may vary within one frame.
@@ -186,18 +207,23 @@ fn use_varying_numbers(files: &mut [FrameFile]) {
     }
 }
 
-/// Folders in which names that differ in their numbers only are sequences of one frame each, and how many.
+/// Folders in which most sequences of names that differ in their numbers only have one frame, and how many have.
 pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
-    let mut counts: BTreeMap<(PathBuf, String), (usize, bool)> = BTreeMap::new();
+    let mut counts: BTreeMap<(PathBuf, String), (usize, usize)> = BTreeMap::new();
     for sequence in sequences {
         if let Some(key) = sequence.frames.first().and_then(FrameFile::kin) {
-            let (count, are_single) = counts.entry(key).or_insert((0, true));
+            let (count, single_count) = counts.entry(key).or_default();
             *count += 1;
-            *are_single &= sequence.frames.len() == 1;
+            *single_count += usize::from(sequence.frames.len() == 1);
         }
     }
-    let fallen_apart = counts.into_iter().filter(|(_, (count, are_single))| *count > 1 && *are_single);
-    fallen_apart.map(|((folder, _), (count, _))| (folder, count)).collect()
+    let fallen_apart = counts.into_iter().filter(|(_, (count, single))| have_fallen_apart(*count, *single));
+    fallen_apart.map(|((folder, _), (_, single_count))| (folder, single_count)).collect()
+}
+
+/// Whether of so many sequences, whose names differ in their numbers only, too many have a single frame.
+pub fn have_fallen_apart(count: usize, single_count: usize) -> bool {
+    single_count > 1 && 2 * single_count > count
 }
 
 /// What to say of a folder that [`single_frame_sequences`] names.
@@ -416,6 +442,22 @@ mod tests {
     }
 
     #[test]
+    fn frames_of_a_shot_are_one_sequence_in_counting_order() {
+        for shot in ["shot.010", "shot.0100", "shot.1000"] {
+            let names: Vec<String> = (1..=1200).map(|frame| format!("{shot}.{frame}.ply")).collect();
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            let [(name, found)] = &grouped(&names)[..] else { panic!("one sequence of {shot}") };
+            assert_eq!(*name, format!("{shot}.{{}}.ply"));
+            assert_eq!(*found, names);
+            let found = sequences(names.iter().copied().map(file).collect());
+            assert_eq!(found[0].frames[10].number(), Some(11));
+        }
+        // Whole frames show that these are subframes.
+        let names = ["d.0001.ply", "d.0002.ply", "d.0002.1.ply", "d.0002.2.ply"];
+        assert_eq!(grouped(&names).len(), 1);
+    }
+
+    #[test]
     fn counts_and_versions_keep_files_apart() {
         for names in [
             ["hilbert2_18856_particles.ply", "hilbert2_7954_particles.ply"],
@@ -426,6 +468,9 @@ mod tests {
             let found = sequences(names.map(file).to_vec());
             assert_eq!(single_frame_sequences(&found), [(PathBuf::new(), 2)], "{names:?}");
         }
+        // One pair that happens to share a number hides nothing.
+        let names = ["s_1_2.ply", "s_2_3.ply", "s_3_5.ply", "s_3_6.ply"].map(file).to_vec();
+        assert_eq!(single_frame_sequences(&sequences(names)), [(PathBuf::new(), 2)]);
         for names in [&["a.1.ply", "a.2.ply"][..], &["a.ply", "b.ply"], &["s1.1.ply", "s2.1.ply", "s2.2.ply"]]
         {
             let found = sequences(names.iter().copied().map(file).collect());

@@ -166,3 +166,27 @@ fn globs_match_as_documented() {
         fs::remove_dir_all(path.join("out")).expect("removed");
     }
 }
+
+/// Only the content of a .txt tells whether it is a frame.
+#[test]
+fn unreadable_file_beside_level_sets_fails_render_and_contact_sheet() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 1);
+    let level_sets = ["convert", "dam.1.ply", "--out", "sets", "--format", "vdb", "--voxel-size", "0.1"];
+    assert_eq!(meniscus(path, &level_sets).status, 0);
+    symlink("dam.3.txt", path.join("sets/dam.3.txt")).expect("linked");
+    for arguments in [
+        &["render", "sets", "--out", "pictures", "--size", "64x48", "--up", "Z"][..],
+        &["contact-sheet", "sets", "-o", "sheet.png"],
+    ] {
+        let ran = meniscus(path, arguments);
+        assert_eq!(ran.status, 1, "{arguments:?}: {}", ran.err);
+        assert!(
+            ran.err.contains("dam.3.txt: Too many levels of symbolic links"),
+            "{arguments:?}: {}",
+            ran.err
+        );
+    }
+    assert!(path.join("pictures/dam.1.png").is_file() && path.join("sheet.png").is_file());
+}

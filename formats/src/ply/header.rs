@@ -276,7 +276,6 @@ fn first_word(text: &str) -> (&str, &str) {
     text.split_once(char::is_whitespace).map_or((text, ""), |(word, rest)| (word, rest.trim_start()))
 }
 
-/// Enough of a word to recognise it by in an error.
 /// The names of the types, in the first definition and in the one with sizes.
 const SCALARS: &[([&str; 2], Scalar)] = &[
     (["char", "int8"], Scalar::I8),

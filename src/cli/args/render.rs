@@ -72,7 +72,7 @@ pub(in crate::cli) struct ViewArgs {
     pub(in crate::cli) camera_from: Option<PathBuf>,
 
     /// Which axis points up, where --camera does not say it; a camera of a .glb or .gltf is turned to it [default: y]
-    #[arg(long, value_name = "AXIS")]
+    #[arg(long, value_name = "AXIS", ignore_case = true)]
     pub(in crate::cli) up: Option<UpChoice>,
 }
 

@@ -1,5 +1,5 @@
 use super::*;
-use crate::cli::args::{ContourChoice, Format, LogChoice, OrderChoice};
+use crate::cli::args::{ContourChoice, Format, FormatArgs, LogChoice, OrderChoice, UpChoice};
 use crate::daemon::Poll;
 use std::time::Duration;
 use toml::de::DeValue;
@@ -23,7 +23,8 @@ fn blocks_become_options() {
         "[daemon]\norder = \"latest\"\nmemory = \"8GiB\"\ndisk_floor = 0x400\npoll = \"auto\"\nlog = \"json\"\n\
          threads = 4\nsettle = \"2s\"\n\n\
          [[watch]]\ninput = \"a\"\noutput = \"/out\"\nformats = [\"glb\", \"ply\"]\nvoxel_size = 1\n\
-         radius_ratio = 1.5\ncontour = \"tetrahedra\"\nsteps = 1_0\n\n[[watch]]\ninput = \"b\"\nrecursive = true\n",
+         radius_ratio = 1.5\ncontour = \"tetrahedra\"\nsteps = 1_0\n\n[[watch]]\ninput = \"b\"\nrecursive = true\n\
+         up = \"Z\"\n",
     )
     .expect("a good file");
     let DaemonArgs { order, memory, disk_floor, poll, log, threads, settle, rescan, .. } = file.daemon;
@@ -41,7 +42,8 @@ fn blocks_become_options() {
         (first.frames.method.first.voxel_size, first.frames.method.solver.steps),
         (Some(1.0), Some(10))
     );
-    let expected = FrameArgs { recursive: true, ..FrameArgs::default() };
+    let formats = FormatArgs { up: Some(UpChoice::Z), ..FormatArgs::default() };
+    let expected = FrameArgs { recursive: true, formats, ..FrameArgs::default() };
     assert_eq!(second.frames, expected);
 }
 

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 
-use crate::cli::inputs::{Found, find_inputs};
+use crate::cli::inputs::{Found, find_beside_others, find_inputs};
 use crate::cli::studio::level_sets_in;
 use crate::cli::wording::counted_are;
 use crate::pipeline::{
@@ -124,22 +124,18 @@ pub(super) fn find_sources(inputs: &[PathBuf], kinds: &[Kind]) -> Result<Sources
 
 /// Frames of all kinds in a folder; else what the input stands for.
 fn find(input: &Path) -> Result<Found> {
-    let particles = find_inputs(&[input.to_owned()]);
     if !input.is_dir() {
-        return particles;
+        return find_inputs(&[input.to_owned()]);
     }
     let mut others = level_sets_in(input);
     let is_picture = |path: &PathBuf| camera_of_picture(path).is_some();
     others.extend(files_in(input)?.into_iter().filter(is_picture).map(FrameFile::new));
-    let others = Found { files: others, ..Found::default() };
-    match particles {
-        Ok(mut found) => {
-            found.add(others);
-            Ok(found)
-        }
-        Err(_) if !others.files.is_empty() => Ok(others),
-        Err(error) => Err(error),
+    if others.is_empty() {
+        return find_inputs(&[input.to_owned()]);
     }
+    let mut found = find_beside_others(input)?;
+    found.add(Found { files: others, ..Found::default() });
+    Ok(found)
 }
 
 /// The sequence that has the most frames, and costs least of those that have.

@@ -6,12 +6,14 @@ use std::io::{self, IsTerminal};
 
 use anyhow::{Result, anyhow};
 use meniscus_formats::escaped;
-use tracing::Level;
+use tracing::{Event, Level, Subscriber};
 use tracing_subscriber::field::RecordFields;
-use tracing_subscriber::fmt::FormatFields;
 use tracing_subscriber::fmt::format::{DefaultFields, Writer};
+use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields};
+use tracing_subscriber::registry::LookupSpan;
 
 use crate::cli::args::LogChoice;
+use crate::cli::console::escaped_json;
 
 /// The environment variable that sets the least severe level to log: `error`, `warn`, `info` or `debug`.
 const LEVEL_VARIABLE: &str = "MENISCUS_LOG";
@@ -36,7 +38,7 @@ pub(super) fn start(choice: LogChoice) -> Result<()> {
         .log_internal_errors(false);
     let started = match choice {
         LogChoice::Text => log.fmt_fields(EscapedFields).try_init(),
-        LogChoice::Json => log.json().flatten_event(true).try_init(),
+        LogChoice::Json => log.json().flatten_event(true).map_event_format(EscapedJson).try_init(),
     };
     started.map_err(|error| anyhow!("cannot start the log: {error}"))
 }
@@ -50,5 +52,26 @@ impl<'writer> FormatFields<'writer> for EscapedFields {
         let mut text = String::new();
         DefaultFields::new().format_fields(Writer::new(&mut text), fields)?;
         write!(writer, "{}", escaped(text))
+    }
+}
+
+/// Events as JSON, without characters that could control the terminal.
+struct EscapedJson<F>(F);
+
+impl<S, N, F> FormatEvent<S, N> for EscapedJson<F>
+where
+    S: Subscriber + for<'a> LookupSpan<'a>,
+    N: for<'a> FormatFields<'a> + 'static,
+    F: FormatEvent<S, N>,
+{
+    fn format_event(
+        &self,
+        context: &FmtContext<'_, S, N>,
+        mut writer: Writer<'_>,
+        event: &Event<'_>,
+    ) -> fmt::Result {
+        let mut text = String::new();
+        self.0.format_event(context, Writer::new(&mut text), event)?;
+        writer.write_str(&escaped_json(&text))
     }
 }
