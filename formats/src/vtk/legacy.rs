@@ -113,7 +113,7 @@ impl<'a> File<'a> {
         let version = self.raw_line()?.ok_or_else(|| missing(self))?;
         let version = version.strip_prefix(b"# vtk DataFile Version ").unwrap_or_default().trim_ascii();
         if !matches!(version.first(), Some(b'1'..=b'5')) {
-            let what = format!("version `{}`; 1.0 to 5.1 are read", excerpt(version));
+            let what = format!("version \"{}\"; 1.0 to 5.1 are read", excerpt(version));
             return Err(Error::unsupported(LEGACY, what));
         }
         self.raw_line()?.ok_or_else(|| missing(self))?;
