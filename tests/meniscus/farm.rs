@@ -415,11 +415,11 @@ fn in_certificate(folder: &Path, was: &str, becomes: &str) {
 }
 
 const CASES: [Case; 12] = [
-    ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "dam.1.vdb is not there"),
+    ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "missing: dam.1.vdb"),
     (
         "missing",
         |f| fs::remove_file(f.join("out/dam.1.certificate.json")).expect("there"),
-        "dam.1.certificate.json is not there",
+        "missing: dam.1.certificate.json",
     ),
     (
         "damaged",
