@@ -22,6 +22,7 @@ use super::console::Console;
 use super::destination::Destination;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::{self, OutFolder};
+use super::output_records::OutputRecords;
 use super::particles_only::write_particles;
 use super::print_settings::print_settings;
 use super::quantities::memory_bytes;
@@ -138,8 +139,13 @@ fn refuse_shots(
 }
 
 /// How files that are converted by themselves, and not as frames of a sequence, go through.
-pub(super) fn conduct<'a>(args: &ConvertArgs, pool: &'a ThreadPool) -> Result<Conduct<'a>> {
+pub(super) fn conduct<'a>(
+    args: &ConvertArgs,
+    pool: &'a ThreadPool,
+    records: Option<&'a OutputRecords>,
+) -> Result<Conduct<'a>> {
     Ok(Conduct {
+        output_states: records.map(OutputRecords::states),
         on_error: on_error(args),
         skip_done: args.skip_done,
         memory_bytes: memory_bytes(args.memory)?,

@@ -1,9 +1,11 @@
 //! The records of outputs that `--skip-done` compares, one file in each folder of outputs.
 
+use std::cell::Cell;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
-use crate::pipeline::{Frame, OutputStates};
+use crate::pipeline::OutputStates;
 
 use super::console::Console;
 
@@ -11,19 +13,41 @@ use super::console::Console;
 pub(super) struct OutputRecords {
     folders: BTreeSet<PathBuf>,
     states: OutputStates,
+    /// When they are written next while frames finish.
+    next_save: Cell<Instant>,
 }
 
+/// What an interrupted run loses of its records, at most.
+const SAVED_EVERY: Duration = Duration::from_secs(5);
+
+/// Writing takes no more than one part in so many of the time.
+const SAVING_SHARE: u32 = 20;
+
 impl OutputRecords {
-    /// Reads the records of all folders that these frames are written to.
-    pub(super) fn load(frames: &[Frame]) -> OutputRecords {
-        let folders: BTreeSet<PathBuf> = frames.iter().map(|frame| frame.outputs.folder.clone()).collect();
+    /// Reads the records of all these folders of outputs.
+    pub(super) fn load(folders: impl IntoIterator<Item = PathBuf>) -> OutputRecords {
+        let folders: BTreeSet<PathBuf> = folders.into_iter().collect();
         let states = OutputStates::default();
         folders.iter().for_each(|folder| states.load(folder));
-        OutputRecords { folders, states }
+        OutputRecords { folders, states, next_save: Cell::new(Instant::now() + SAVED_EVERY) }
     }
 
     pub(super) fn states(&self) -> &OutputStates {
         &self.states
+    }
+
+    /// A frame has finished: writes the records back if that is some time ago, so that an interrupted run keeps them. What
+    /// fails here is reported at the end.
+    pub(super) fn frame_finished(&self) {
+        let start = Instant::now();
+        if start < self.next_save.get() {
+            return;
+        }
+        for folder in &self.folders {
+            let _ = self.states.save(folder);
+        }
+        let pause = SAVED_EVERY.max(start.elapsed() * SAVING_SHARE);
+        self.next_save.set(Instant::now() + pause);
     }
 
     /// Writes them back. Losing them costs a check in the next run and nothing else: that is a warning.

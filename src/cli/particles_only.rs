@@ -13,6 +13,7 @@ use super::console::Console;
 use super::convert::{conduct, select, thread_pool};
 use super::destination::Destination;
 use super::out_folder::OutFolder;
+use super::output_records::OutputRecords;
 use super::selecting::{Selection, refuse_conflicts, refuse_level_sets};
 use super::tally::Tally;
 use super::wording::counted;
@@ -50,15 +51,22 @@ pub(super) fn write_particles(
         })
         .collect();
     let pool = thread_pool(args.threads)?;
-    let conduct = conduct(args, &pool)?;
+    let records = args.skip_done.then(|| OutputRecords::load([outputs.folder.clone()]));
+    let conduct = conduct(args, &pool, records.as_ref())?;
     out_folder.keep();
     let mut tally = Tally::default();
     let has_bar = console.show_bar(frames.len());
     write_particles_of(&frames, &conduct, |index, outcome| {
         let described = |report: &FrameReport| counted(report.skin.particle_count, "particle");
         tally.note(&frames[index].input, &outcome, described, (has_bar, console));
+        if let Some(records) = &records {
+            records.frame_finished();
+        }
     });
     console.hide_bar();
+    if let Some(records) = &records {
+        records.save(console);
+    }
     Ok(tally.finish(frames.len(), start.elapsed().as_secs_f64(), console))
 }
 

@@ -1,7 +1,7 @@
 //! Progress of a run: the stage and percentage of the frame that is under way for longest, and an estimate for a frame that
 //! will take long or need much memory, before it is computed.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -25,8 +25,11 @@ pub(super) struct Progress {
 
 #[derive(Debug, Default)]
 struct State {
-    /// In the order in which they began.
-    under_way: VecDeque<UnderWay>,
+    /// By the order in which they began.
+    under_way: BTreeMap<u64, UnderWay>,
+    /// The key of each input there.
+    keys: HashMap<PathBuf, u64>,
+    next_key: u64,
     /// Computing seconds for a GiB of a plan, the most of all frames that were finished in this run.
     measured_s_per_gib: Option<f64>,
     /// The last estimate that was announced: a similar one is not announced again.
@@ -79,8 +82,8 @@ impl Progress {
     /// A frame is finished; if it was converted, with this report.
     pub(super) fn finished(&self, frame: &Frame, report: Option<&FrameReport>) {
         let mut state = self.lock();
-        let place = state.under_way.iter().position(|one| one.input == frame.input);
-        let Some(ended) = place.and_then(|place| state.under_way.remove(place)) else { return };
+        let key = state.keys.remove(&frame.input);
+        let Some(ended) = key.and_then(|key| state.under_way.remove(&key)) else { return };
         if let Some(report) = report.filter(|_| ended.work_gib > 0.0) {
             let measured = report.skin.seconds.total() / ended.work_gib;
             state.measured_s_per_gib =
@@ -91,7 +94,7 @@ impl Progress {
 
     fn show(&self, state: &State) {
         if let Some(bar) = &self.bar {
-            bar.set_message(state.under_way.front().map_or_else(String::new, UnderWay::told));
+            bar.set_message(state.under_way.values().next().map_or_else(String::new, UnderWay::told));
         }
     }
 
@@ -113,7 +116,7 @@ impl Observer for Progress {
     fn planned(&self, frame: &Frame, plan: &Plan, given_bytes: u64) {
         let mut state = self.lock();
         let estimate = self.estimate(&state, &frame.settings, plan, given_bytes);
-        if let Some(one) = state.under_way.iter_mut().find(|one| one.input == frame.input) {
+        if let Some(one) = state.find(frame) {
             one.work_gib = work_gib(plan);
         }
         if estimate.is_worth_announcing(state.announced) {
@@ -125,24 +128,31 @@ impl Observer for Progress {
 
     fn began(&self, frame: &Frame, stage: Stage) {
         let mut state = self.lock();
-        match state.under_way.iter_mut().find(|one| one.input == frame.input) {
+        match state.find(frame) {
             Some(one) => (one.stage, one.fraction) = (stage, 0.0),
-            None => state.under_way.push_back(UnderWay {
-                input: frame.input.clone(),
-                stage,
-                fraction: 0.0,
-                work_gib: 0.0,
-            }),
+            None => {
+                let key = state.next_key;
+                state.next_key += 1;
+                state.keys.insert(frame.input.clone(), key);
+                let input = frame.input.clone();
+                state.under_way.insert(key, UnderWay { input, stage, fraction: 0.0, work_gib: 0.0 });
+            }
         }
         self.show(&state);
     }
 
     fn advanced(&self, frame: &Frame, _stage: Stage, fraction: f64) {
         let mut state = self.lock();
-        if let Some(one) = state.under_way.iter_mut().find(|one| one.input == frame.input) {
+        if let Some(one) = state.find(frame) {
             one.fraction = fraction;
         }
         self.show(&state);
+    }
+}
+
+impl State {
+    fn find(&mut self, frame: &Frame) -> Option<&mut UnderWay> {
+        self.under_way.get_mut(self.keys.get(&frame.input)?)
     }
 }
 

@@ -17,6 +17,7 @@ use super::choices::{choices, obstacle_files, output_options, warn_of_ignored};
 use super::console::Console;
 use super::convert::{conduct, thread_pool};
 use super::out_folder::OutFolder;
+use super::output_records::OutputRecords;
 use super::selecting::{Selection, refuse_conflicts};
 use super::tally::Tally;
 use super::wording::counted;
@@ -75,7 +76,8 @@ pub(super) fn convert_level_sets(
         })
         .collect();
     let pool = thread_pool(args.threads)?;
-    let conduct = conduct(args, &pool)?;
+    let records = args.skip_done.then(|| OutputRecords::load([outputs.folder.clone()]));
+    let conduct = conduct(args, &pool, records.as_ref())?;
     out_folder.keep();
     let mut tally = Tally::of_surfaces(args.allow_violations);
     let has_bar = console.show_bar(bands.len());
@@ -90,8 +92,14 @@ pub(super) fn convert_level_sets(
     };
     resurface_all(&bands, &conduct, |index, outcome| {
         tally.note(&bands[index].input, &outcome, described, (has_bar, console));
+        if let Some(records) = &records {
+            records.frame_finished();
+        }
     });
     console.hide_bar();
+    if let Some(records) = &records {
+        records.save(console);
+    }
     Ok(tally.finish(bands.len(), start.elapsed().as_secs_f64(), console))
 }
 

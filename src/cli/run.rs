@@ -138,7 +138,8 @@ impl Run {
             })
             .unzip();
         // A certificate has the hashes of the outputs; without one they are recorded where done frames are skipped.
-        let records = (skip_done && !certificates).then(|| OutputRecords::load(&frames));
+        let records = (skip_done && !certificates)
+            .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());
         let progress = Progress::new(frames.len(), pool.current_num_threads(), console.bar());
         let conduct = Conduct {
@@ -156,6 +157,9 @@ impl Run {
             progress.finished(&frames[index], report);
             self.note_without_outcome(&planned[self.noted_count..places[index]], console);
             self.note(&frames[index], planned[places[index]].sequence_index, &outcome, has_bar, console);
+            if let Some(records) = &records {
+                records.frame_finished();
+            }
         });
         console.hide_bar();
         if let Some(records) = &records {

@@ -22,7 +22,7 @@ use crate::pipeline::{FileStamp, has_other_names, open_own};
 use super::journal::STATE_FOLDER;
 
 /// The file that is locked, in the folder of what the daemon keeps for itself.
-const FILE_NAME: &str = "lock";
+pub(super) const FILE_NAME: &str = "lock";
 
 /// Whoever only looks whether the lock is held has it for a moment.
 const ATTEMPTS_MAX: usize = 5;
@@ -182,7 +182,7 @@ fn write_holder(mut file: &File) -> io::Result<()> {
 fn since(now: SystemTime) -> String {
     match now.duration_since(UNIX_EPOCH) {
         Ok(since) if since < YEAR_10000 => humantime::format_rfc3339_seconds(now).to_string(),
-        _ => "a moment that the clock does not know".to_owned(),
+        _ => "an unknown time (the system clock is wrong)".to_owned(),
     }
 }
 
@@ -264,7 +264,7 @@ mod tests {
         assert_eq!(since(UNIX_EPOCH), "1970-01-01T00:00:00Z");
         assert_eq!(since(UNIX_EPOCH + YEAR_10000 - Duration::from_secs(1)), "9999-12-31T23:59:59Z");
         for time in [UNIX_EPOCH - Duration::from_secs(1), UNIX_EPOCH + YEAR_10000] {
-            assert_eq!(since(time), "a moment that the clock does not know");
+            assert_eq!(since(time), "an unknown time (the system clock is wrong)");
         }
     }
 

@@ -11,8 +11,8 @@ use crate::pipeline::{make_out_folder, sweep_temporaries};
 
 use super::DaemonError;
 use super::config::{Config, Patience, Watch};
-use super::journal::{Journal, PlanRecord, STATE_FOLDER};
-use super::lock::{LockError, OutputLock};
+use super::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, PlanRecord, STATE_FOLDER};
+use super::lock::{FILE_NAME as LOCK_FILE_NAME, LockError, OutputLock};
 use super::mounts::RootIdentity;
 
 /// A folder of outputs that is this daemon's alone.
@@ -143,7 +143,9 @@ impl Store {
             return Presence::There;
         }
         let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
-        let is_back = self.folder.join(STATE_FOLDER).is_dir();
+        // `convert --skip-done` makes a folder of this name as well; these files are the daemon's alone.
+        let state = self.folder.join(STATE_FOLDER);
+        let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
         match nearest == Some(self.identity) || is_back {
             true => Presence::Removed,
             false => Presence::Elsewhere,

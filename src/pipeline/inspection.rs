@@ -71,33 +71,53 @@ pub struct Inspection {
 }
 
 /// Looks at the outputs of a frame, and at its input and obstacles as far as they are there.
+///
+/// Only an input or obstacle that does not exist is left out of the comparison: its user may have removed it. If it exists
+/// and cannot be read, the outputs may be of another state of it, so the frame is not done.
 pub fn inspect(frame: &Frame) -> Inspection {
-    let (input_hash, unreadable) = match hash_of_input(&frame.input) {
-        Ok(hash) => (hash, None),
-        // It may have been removed since; anything else that keeps it from being read is no proof of that.
-        Err(Error::Io(error)) if error.kind() != io::ErrorKind::NotFound => (None, Some(error)),
-        Err(_) => (None, None),
+    let (input_hash, input_fault) = match hash_of_input(&frame.input) {
+        Ok(hash) => (Some(hash), None),
+        Err(error) if is_not_found(&error) => (None, None),
+        Err(error) => (None, Some(format!("{}: {error}", frame.input.display()))),
     };
-    let obstacles = frame.obstacles.find(frame.number).ok().map(|found| found.recorded());
+    let (obstacles, obstacle_fault) = match frame.obstacles.find(frame.number) {
+        Ok(found) => (Some(found.recorded()), None),
+        Err(error) if error.source.as_ref().is_some_and(is_not_found) => (None, None),
+        Err(error) => (None, Some(error.to_string())),
+    };
     let (input_is_there, obstacles_are_there) = (input_hash.is_some(), obstacles.is_some());
-    let state = match (inspect_made_from(frame, &MadeFrom { input_hash, obstacles }), unreadable) {
-        (FrameState::Done | FrameState::Uncertified(_), Some(error)) => FrameState::Stale(format!(
-            "{}: {error}; the results cannot be compared with their input",
-            frame.input.display()
-        )),
+    let state = inspect_made_from(frame, &MadeFrom { input_hash, obstacles });
+    let input_fault =
+        input_fault.map(|fault| format!("{fault}; the results cannot be compared with their input"));
+    let obstacle_fault =
+        obstacle_fault.map(|fault| format!("{fault}; the results cannot be compared with their obstacle"));
+    let state = match (state, input_fault.or(obstacle_fault)) {
+        (FrameState::Done | FrameState::Uncertified(_), Some(fault)) => FrameState::Stale(fault),
         (state, _) => state,
     };
     Inspection { state, input_is_there, obstacles_are_there }
 }
 
-/// The hash of an input; `None` where it is not a regular file, or has no such step.
-fn hash_of_input(path: &Path) -> Result<Option<u128>, Error> {
+fn is_not_found(error: &Error) -> bool {
+    matches!(error, Error::Io(error) if error.kind() == io::ErrorKind::NotFound)
+}
+
+/// The hash of an input.
+///
+/// # Errors
+/// When it cannot be read, is not a regular file, has no such step, or changes meanwhile.
+fn hash_of_input(path: &Path) -> Result<u128, Error> {
+    let changed = || io::Error::other("the file changed while it was read");
     let Some(step) = step_of(path) else {
         let file = InputFile::open(path)?;
-        return Ok(if file.is_regular() { Some(file.hash()?) } else { None });
+        if !file.is_regular() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file").into());
+        }
+        let hash = file.hash()?;
+        return if file.is_unchanged()? { Ok(hash) } else { Err(changed().into()) };
     };
-    let found = read_step(step, StepsFoundBy::Reader)?;
-    Ok(found.map(|(bytes, _)| XxHash3_128::oneshot(&bytes)))
+    let (bytes, _) = read_step(step, StepsFoundBy::Reader)?.ok_or_else(changed)?;
+    Ok(XxHash3_128::oneshot(&bytes))
 }
 
 /// The same, of a frame of whose input all is known: `None` if it must be made again, and else what its certificate says
@@ -125,9 +145,8 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
     let missing: Vec<String> =
         paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
     if !missing.is_empty() {
-        let are = if missing.len() == 1 { "is" } else { "are" };
         let are_all = missing.len() == paths.len() + 1;
-        return FrameState::Missing { why: format!("{} {are} not there", missing.join(", ")), are_all };
+        return FrameState::Missing { why: format!("missing: {}", missing.join(", ")), are_all };
     }
     let certified = read_certificate(&certificate_path)
         .map_err(|why| FrameState::Damaged(format!("{}: {why}", name_of(&certificate_path))));

@@ -21,7 +21,10 @@
 //!   level_set_file  surfaces from .vdb                 picture_file  pictures from .png
 //!   still       a frame by itself, and no files       particles_only  particles as they are, and no surface
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
-//!   file_set    replaces several files, or none        open        what is opened, and never waited for
+//!   file_set    replaces several files, or none        open        opens files without waiting at pipes
+//!   output_states  finds outputs with damaged bytes    stored      positions as files hold them
+//!   framing     the camera of a sequence of pictures   frame_number  the number in a frame's name
+//!   observer    is notified while frames advance
 //!   record      what was measured, as JSON             shot      all frames in one file
 //!   certificate_file  what was checked of a frame, beside it   inspection  what there is of a frame already
 //! ```

@@ -166,7 +166,7 @@ impl ObstacleFiles {
         let mut tell = |path: &Path, stamp: Option<FileStamp>| {
             stamps.are_all_there &= stamp.is_some();
             stamps.text += &match stamp {
-                Some(stamp) => format!("{}: {stamp:?}\n", path.display()),
+                Some(stamp) => format!("{}: {}\n", path.display(), text_of(&stamp)),
                 None => format!("{}: none\n", path.display()),
             };
         };
@@ -331,6 +331,13 @@ fn stamp_of(path: &Path) -> Option<FileStamp> {
     FileStamp::of_path(path).ok()
 }
 
+/// A stamp within the fingerprint of a frame's settings. Journals remember that, so this text may not change. It lacks the
+/// status change time: `chmod` and new hard links, which change no content, would have every frame converted again.
+fn text_of(stamp: &FileStamp) -> String {
+    let FileStamp { size, modified_ns, inode, changed_ns: _ } = stamp;
+    format!("FileStamp {{ size: {size}, modified_ns: {modified_ns}, inode: {inode} }}")
+}
+
 fn folder_of(path: &Path) -> &Path {
     path.parent().unwrap_or(Path::new(""))
 }
@@ -439,6 +446,12 @@ fn changed(path: &Path) -> ObstacleError {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn fingerprint_text_of_stamp_is_that_of_older_versions() {
+        let stamp = FileStamp { size: 1, modified_ns: -2, inode: 3, changed_ns: Some(4) };
+        assert_eq!(text_of(&stamp), "FileStamp { size: 1, modified_ns: -2, inode: 3 }");
+    }
     use std::fs;
 
     /// A triangle in a file beside the document.

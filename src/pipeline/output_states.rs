@@ -10,15 +10,22 @@
 //! computed when an output is written and when its stamp differs from the recorded one.
 //!
 //! The daemon keeps these records in its journal. `convert --skip-done` keeps them in `.meniscus/outputs.json` in the
-//! folder of the outputs; losing that file costs nothing but this check.
+//! folder of the outputs; losing that file costs nothing but this check. A plain `convert` and `watch` replace outputs
+//! without this file. So each record has the hash of the output's provenance, which names the input and the settings: a
+//! record of other provenance is of an earlier file, and is ignored.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+use meniscus_formats::provenance::read_provenance;
 use serde::{Deserialize, Serialize};
+use twox_hash::XxHash3_128;
 
+use super::open::open_regular;
+use super::outputs::OutputFormat;
+use super::provenance::provenance_kind;
 use super::reading::{InputFile, read_start_unchanged};
 use super::sink::write_whole;
 use super::stamp::FileStamp;
@@ -59,94 +66,100 @@ impl OutputState {
 /// The recorded states of outputs, by path. Shared between the threads of the pipeline and its caller.
 #[derive(Debug, Default)]
 pub struct OutputStates {
-    known: Mutex<HashMap<PathBuf, OutputState>>,
+    known: Mutex<HashMap<PathBuf, Record>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Record {
+    state: OutputState,
+    /// The hash of what the output says about its input and settings; `None` where the caller has compared these.
+    made_from: Option<u128>,
+    /// Whether it was read from a file of records, and is still what that file says.
+    is_loaded: bool,
 }
 
 impl OutputStates {
     /// Records the state of an output.
     pub fn put(&self, path: &Path, state: OutputState) {
-        self.known().insert(path.to_owned(), state);
+        self.known().insert(path.to_owned(), Record { state, made_from: None, is_loaded: false });
     }
 
     /// Removes and returns the recorded state of an output.
     pub fn take(&self, path: &Path) -> Option<OutputState> {
-        self.known().remove(path)
+        self.known().remove(path).map(|record| record.state)
     }
 
     /// Records the states of outputs that were just written. One that cannot be read back is left unrecorded.
     pub(super) fn record(&self, paths: &[PathBuf]) {
         for path in paths {
             match OutputState::of_path(path) {
-                Ok(state) => self.put(path, state),
+                Ok(state) => self.put_made(path, state, made_from(path)),
                 Err(_) => drop(self.take(path)),
             }
         }
     }
 
-    /// Whether each of these outputs has the bytes that were recorded. Of an output without a record, the present
-    /// state is recorded.
+    /// Whether each of these outputs has the bytes that were recorded. Of an output without a record, or with the record
+    /// of a file of other provenance, the present state is recorded.
     pub(super) fn are_as_recorded<'a>(&self, paths: impl IntoIterator<Item = &'a Path>) -> bool {
         paths.into_iter().all(|path| {
             let recorded = self.known().get(path).copied();
-            if recorded.is_some_and(|recorded| recorded.has_stamp_of(path)) {
+            if recorded.is_some_and(|recorded| recorded.state.has_stamp_of(path)) {
                 return true;
             }
             let Ok(now) = OutputState::of_path(path) else { return false };
-            let is_same = recorded.is_none_or(|recorded| recorded.hash == now.hash);
+            let made_from = made_from(path);
+            let is_of_other =
+                |recorded: &Record| recorded.made_from.is_some() && recorded.made_from != made_from;
+            let is_same = recorded
+                .filter(|recorded| !is_of_other(recorded))
+                .is_none_or(|recorded| recorded.state.hash == now.hash);
             if is_same {
-                self.put(path, now);
+                self.put_made(path, now, made_from);
             }
             is_same
         })
     }
 
+    fn put_made(&self, path: &Path, state: OutputState, made_from: Option<u128>) {
+        self.known().insert(path.to_owned(), Record { state, made_from, is_loaded: false });
+    }
+
     /// Each update is a single insertion or removal, so a map whose lock is poisoned is still consistent.
-    fn known(&self) -> MutexGuard<'_, HashMap<PathBuf, OutputState>> {
+    fn known(&self) -> MutexGuard<'_, HashMap<PathBuf, Record>> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reads the records of a folder of outputs. A file that cannot be read counts as missing.
     pub fn load(&self, folder: &Path) {
-        let Ok(Some((bytes, _))) = read_start_unchanged(&records_path(folder), SIZE_MAX_BYTES) else {
-            return;
-        };
-        let Ok(file) = serde_json::from_slice::<RecordsFile>(&bytes) else { return };
-        if file.meniscus_outputs != VERSION {
-            return;
-        }
-        for record in file.outputs {
-            let Ok(hash) = u128::from_str_radix(&record.hash, 16) else { continue };
-            // A name with folders in it is not an output of this folder.
-            if Path::new(&record.file).file_name() != Some(record.file.as_ref()) {
-                continue;
+        for (file, wire) in read_records(folder) {
+            if let Some(record) = wire.record() {
+                self.known().insert(folder.join(file), record);
             }
-            let RecordWire { file, size_bytes: size, modified_ns, inode, changed_ns, .. } = record;
-            let stamp = FileStamp { size, modified_ns, inode, changed_ns };
-            self.put(&folder.join(file), OutputState { stamp, hash });
         }
     }
 
-    /// Writes the records of the outputs in a folder that still exist, whole or not at all.
+    /// Writes the records of the outputs in a folder that still exist, whole or not at all. Records that another process
+    /// has written since they were loaded are kept, unless they are of outputs that this one has written or compared.
+    /// Two processes that write at the same moment may lose some: that costs no more than their check.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn save(&self, folder: &Path) -> meniscus_formats::Result<()> {
-        let mut outputs: Vec<RecordWire> = self
+        let own: Vec<RecordWire> = self
             .known()
             .iter()
-            .filter(|(path, _)| path.parent() == Some(folder) && path.exists())
-            .filter_map(|(path, &OutputState { stamp, hash })| {
-                // JSON has no form for names that are not text: those go without a record.
-                let file = path.file_name()?.to_str()?.to_owned();
-                let FileStamp { size: size_bytes, modified_ns, inode, changed_ns } = stamp;
-                let hash = format!("{hash:032x}");
-                Some(RecordWire { file, size_bytes, modified_ns, inode, changed_ns, hash })
-            })
+            .filter(|(path, record)| path.parent() == Some(folder) && !record.is_loaded)
+            // JSON has no form for names that are not text: those go without a record.
+            .filter_map(|(path, record)| Some(RecordWire::new(path.file_name()?.to_str()?, record)))
             .collect();
-        if outputs.is_empty() {
+        if own.is_empty() {
             return Ok(());
         }
-        outputs.sort_by(|one, other| one.file.cmp(&other.file));
+        let mut all = read_records(folder);
+        all.extend(own.into_iter().map(|wire| (wire.file.clone(), wire)));
+        let outputs: Vec<RecordWire> =
+            all.into_values().filter(|wire| folder.join(&wire.file).exists()).collect();
         let path = records_path(folder);
         if let Some(folder) = path.parent() {
             // A link would lead the records elsewhere.
@@ -163,11 +176,35 @@ impl OutputStates {
     }
 }
 
+/// The hash of what an output says about its input and settings. `None` if it cannot be read.
+fn made_from(path: &Path) -> Option<u128> {
+    let extension = path.extension()?.to_str()?;
+    let format = OutputFormat::ALL.into_iter().find(|format| format.extension() == extension)?;
+    let recorded = read_provenance(provenance_kind(format), open_regular(path).ok()?).ok()?;
+    let text: String = recorded.iter().map(|(name, value)| format!("{name}={value}\n")).collect();
+    Some(XxHash3_128::oneshot(text.as_bytes()))
+}
+
+/// The records in the file of a folder, by the names of the outputs; none if it cannot be read.
+fn read_records(folder: &Path) -> BTreeMap<String, RecordWire> {
+    let Ok(Some((bytes, _))) = read_start_unchanged(&records_path(folder), SIZE_MAX_BYTES) else {
+        return BTreeMap::new();
+    };
+    match serde_json::from_slice::<RecordsFile>(&bytes) {
+        Ok(file) if file.meniscus_outputs == VERSION => {
+            // A name with folders in it is not an output of this folder.
+            let is_name = |wire: &RecordWire| Path::new(&wire.file).file_name() == Some(wire.file.as_ref());
+            file.outputs.into_iter().filter(is_name).map(|wire| (wire.file.clone(), wire)).collect()
+        }
+        _ => BTreeMap::new(),
+    }
+}
+
 /// A larger file is not one of ours.
 const SIZE_MAX_BYTES: u64 = 1 << 30;
 
 /// A change of the file's format needs another number.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 #[derive(Serialize, Deserialize)]
 struct RecordsFile {
@@ -184,6 +221,30 @@ struct RecordWire {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     changed_ns: Option<i64>,
     hash: String,
+    /// The hash of the output's provenance.
+    made_from: String,
+}
+
+impl RecordWire {
+    fn new(file: &str, record: &Record) -> RecordWire {
+        let FileStamp { size: size_bytes, modified_ns, inode, changed_ns } = record.state.stamp;
+        RecordWire {
+            file: file.to_owned(),
+            size_bytes,
+            modified_ns,
+            inode,
+            changed_ns,
+            hash: format!("{:032x}", record.state.hash),
+            made_from: record.made_from.map_or(String::new(), |hash| format!("{hash:032x}")),
+        }
+    }
+
+    fn record(&self) -> Option<Record> {
+        let &RecordWire { size_bytes: size, modified_ns, inode, changed_ns, .. } = self;
+        let stamp = FileStamp { size, modified_ns, inode, changed_ns };
+        let [hash, made_from] = [&self.hash, &self.made_from].map(|text| u128::from_str_radix(text, 16).ok());
+        Some(Record { state: OutputState { stamp, hash: hash? }, made_from, is_loaded: true })
+    }
 }
 
 fn records_path(folder: &Path) -> PathBuf {
@@ -232,5 +293,48 @@ mod tests {
         fs::write(records_path(folder.path()), "{").expect("written");
         loaded.load(folder.path());
         assert_eq!(loaded.take(&path), None);
+    }
+
+    /// A mesh that says what it was made from.
+    fn write_output(path: &Path, input_hash: &str, end: &str) {
+        let text = format!("# meniscus 0.1.0\n# input_hash: {input_hash}\n{end}\n");
+        fs::write(path, text).expect("written");
+    }
+
+    #[test]
+    fn record_of_an_earlier_file_is_ignored_and_one_of_the_same_provenance_is_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.obj");
+        write_output(&path, "1", "v 0 0 0");
+        let known = made_from(&path).expect("provenance");
+        let earlier = OutputStates::default();
+        earlier.record(std::slice::from_ref(&path));
+        earlier.save(folder.path()).expect("saved");
+        // Another program run wrote the file again and recorded nothing.
+        write_output(&path, "22", "v 1 1 1");
+        assert_ne!(made_from(&path), Some(known), "another provenance");
+        let loaded = OutputStates::default();
+        loaded.load(folder.path());
+        assert!(loaded.are_as_recorded([&*path]), "its own provenance decides");
+        write_output(&path, "1", "v 1 1 11");
+        let loaded = OutputStates::default();
+        loaded.load(folder.path());
+        assert!(!loaded.are_as_recorded([&*path]), "other bytes of the same provenance");
+    }
+
+    #[test]
+    fn saved_records_are_merged_with_those_of_another_process() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let paths = ["a.obj", "b.obj"].map(|name| folder.path().join(name));
+        paths.iter().for_each(|path| write_output(path, "1", "v 0 0 0"));
+        let [one, other] = [OutputStates::default(), OutputStates::default()];
+        one.record(&paths[..1]);
+        other.record(&paths[1..]);
+        one.save(folder.path()).expect("saved");
+        other.save(folder.path()).expect("saved");
+        let loaded = OutputStates::default();
+        loaded.load(folder.path());
+        assert_eq!(loaded.take(&paths[0]), one.take(&paths[0]));
+        assert_eq!(loaded.take(&paths[1]), other.take(&paths[1]));
     }
 }

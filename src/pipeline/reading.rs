@@ -3,9 +3,11 @@
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use meniscus_formats::packing::read_head;
 use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, Role, read_particles, refuse_foreign};
+use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
 use crate::particles::{Cloud, Particles, Shapes};
@@ -128,7 +130,8 @@ fn read_start_between_stamps(
     let input = InputFile::open(path)?;
     let bytes = read(&mut &input.file)?;
     let is_whole = !input.is_regular || bytes.len() as u64 == input.stamp.size.min(most);
-    Ok((input.is_unchanged()? && is_whole).then_some((bytes, input.stamp)))
+    let has_same_bytes = || Ok(input.hash_of_start(bytes.len() as u64)? == XxHash3_128::oneshot(&bytes));
+    Ok((is_whole && input.is_unchanged_or(has_same_bytes)?).then_some((bytes, input.stamp)))
 }
 
 /// A file of particles that is open, and can be read at any place by several threads at once.
@@ -142,6 +145,8 @@ pub struct InputFile {
     stamp: FileStamp,
     /// A pipe has no state that it could be in again, and no places.
     is_regular: bool,
+    /// The hash of the whole file, once it was computed.
+    known_hash: OnceLock<u128>,
 }
 
 impl InputFile {
@@ -153,7 +158,7 @@ impl InputFile {
         let file = open_regular(path)?;
         let metadata = file.metadata()?;
         let (stamp, is_regular) = (FileStamp::of(&metadata), metadata.is_file());
-        Ok(InputFile { file, path: path.to_owned(), stamp, is_regular })
+        Ok(InputFile { file, path: path.to_owned(), stamp, is_regular, known_hash: OnceLock::new() })
     }
 
     /// What the file system said of it when it was opened.
@@ -167,19 +172,53 @@ impl InputFile {
     }
 
     /// Whether it was neither written, replaced nor removed since it was opened, as far as the open file and
-    /// what its name leads to can tell.
+    /// what its name leads to can tell. Where only the status change time differs, the bytes are compared if
+    /// [`hash`](InputFile::hash) was called before.
     ///
     /// # Errors
     /// When the system refuses.
     pub fn is_unchanged(&self) -> io::Result<bool> {
+        self.is_unchanged_or(|| match self.known_hash.get() {
+            Some(&known) => Ok(self.hash_of_start(self.stamp.size)? == known),
+            None => Ok(false),
+        })
+    }
+
+    /// The same. `has_same_bytes` reads the open file again and compares: it is called where only the status change time
+    /// differs. `chmod` and new hard links change that, and so does a write whose modification time was set back.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub(super) fn is_unchanged_or(&self, has_same_bytes: impl Fn() -> io::Result<bool>) -> io::Result<bool> {
         if !self.is_regular {
             return Ok(true);
         }
+        let mut seen = self.stamp;
+        // A backup makes a hard link and removes it later: that may happen while the bytes are compared.
+        for _ in 0..COMPARISONS_MAX {
+            match self.stamp_now()? {
+                Some(now) if now == seen => return Ok(true),
+                Some(now) if now.without_status_change() == self.stamp.without_status_change() => seen = now,
+                _ => return Ok(false),
+            }
+            match has_same_bytes() {
+                Ok(true) => {}
+                Ok(false) => return Ok(false),
+                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(false),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(self.stamp_now()? == Some(seen))
+    }
+
+    /// The present stamp; `None` if the name leads to another file, or to none.
+    fn stamp_now(&self) -> io::Result<Option<FileStamp>> {
         let at_name = match FileStamp::of_path(&self.path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             at_name => at_name?,
         };
-        Ok(FileStamp::of(&self.file.metadata()?) == self.stamp && at_name == self.stamp)
+        let open = FileStamp::of(&self.file.metadata()?);
+        Ok((open == at_name).then_some(open))
     }
 
     /// The hash of the whole file, the same as of its bytes in memory. It is never there whole: a piece is read
@@ -188,12 +227,17 @@ impl InputFile {
     /// # Errors
     /// When the system refuses; `UnexpectedEof` if the file has become shorter.
     pub fn hash(&self) -> io::Result<u128> {
+        let hash = self.hash_of_start(self.stamp.size)?;
+        Ok(*self.known_hash.get_or_init(|| hash))
+    }
+
+    /// The hash of the first bytes.
+    fn hash_of_start(&self, byte_count: u64) -> io::Result<u128> {
         let mut hasher = Hasher::new();
         let mut piece = vec![0; HASHED_BYTES];
         let mut at = 0;
-        while at < self.stamp.size {
-            let length =
-                usize::try_from(self.stamp.size - at).map_or(HASHED_BYTES, |left| left.min(HASHED_BYTES));
+        while at < byte_count {
+            let length = usize::try_from(byte_count - at).map_or(HASHED_BYTES, |left| left.min(HASHED_BYTES));
             self.read_exact_at(&mut piece[..length], at)?;
             hasher.write(&piece[..length]);
             at += length as u64;
@@ -201,6 +245,9 @@ impl InputFile {
         Ok(hasher.finish_128())
     }
 }
+
+/// So often the bytes of a file are compared whose status change time goes on changing.
+const COMPARISONS_MAX: usize = 4;
 
 impl ReadAt for InputFile {
     fn size_bytes(&self) -> io::Result<u64> {
@@ -331,6 +378,36 @@ mod tests {
         }
         write();
         assert_eq!(read_while(&path, || ()).as_deref(), Some(&b"text"[..]));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn chmod_while_a_file_is_read_is_no_change() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.ply");
+        let set_mode = |mode| fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("set");
+        // The file system's clock ticks every few milliseconds.
+        let touch_status = || {
+            let changed = || FileStamp::of_path(&path).expect("there").changed_ns;
+            let before = changed();
+            while changed() == before {
+                set_mode(0o600);
+                set_mode(0o644);
+            }
+        };
+        fs::write(&path, "text").expect("written");
+        assert_eq!(read_while(&path, touch_status).as_deref(), Some(&b"text"[..]), "read whole");
+        let streamed = InputFile::open(&path).expect("there");
+        let hash = streamed.hash().expect("readable");
+        touch_status();
+        assert!(streamed.is_unchanged().expect("readable"), "streamed");
+        let modified = fs::metadata(&path).expect("there").modified().expect("a time");
+        fs::write(&path, "TEXT").expect("written");
+        File::options().write(true).open(&path).expect("there").set_modified(modified).expect("set");
+        touch_status();
+        assert!(!streamed.is_unchanged().expect("readable"), "other bytes under the old modification time");
+        assert_ne!(InputFile::open(&path).and_then(|file| file.hash()).expect("readable"), hash);
     }
 
     #[test]

@@ -60,7 +60,7 @@ enum State {
     Flushing,
 }
 
-/// An answer under way; its connection is busy until it is dropped.
+/// An answer under way. When it is dropped, its connection is busy until the rest of the answer is sent.
 #[derive(Debug)]
 pub(super) struct Answering(Arc<Connection>);
 
@@ -138,10 +138,11 @@ impl Connection {
     pub(super) fn begin(self: &Arc<Self>) -> Answering {
         let mut state = self.state();
         let mut all = self.all.lock();
+        // While the answer before this one is being sent, it counts as busy already.
         if let State::Idle(key) = *state {
             all.by_age.remove(&key);
+            all.busy_count += 1;
         }
-        all.busy_count += 1;
         *state = State::Busy;
         Answering(Arc::clone(self))
     }
@@ -150,7 +151,10 @@ impl Connection {
     pub(super) fn flushed(&self) {
         let mut state = self.state();
         if matches!(*state, State::Flushing) {
-            *state = State::Idle(self.all.lock().insert(&self.closing));
+            let mut all = self.all.lock();
+            all.busy_count -= 1;
+            *state = State::Idle(all.insert(&self.closing));
+            drop(all);
             self.all.became_idle.notify_one();
         }
     }
@@ -167,15 +171,17 @@ impl Connection {
 
 impl Drop for Connection {
     fn drop(&mut self) {
-        if let State::Idle(key) = *self.state() {
-            self.all.lock().by_age.remove(&key);
+        let state = *self.state();
+        let mut all = self.all.lock();
+        match state {
+            State::Idle(key) => drop(all.by_age.remove(&key)),
+            State::Busy | State::Flushing => all.busy_count -= 1,
         }
     }
 }
 
 impl Drop for Answering {
     fn drop(&mut self) {
-        self.0.all.lock().busy_count -= 1;
         *self.0.state() = State::Flushing;
     }
 }
@@ -267,6 +273,12 @@ mod tests {
         let mut answering: Vec<Answering> = connections[..3].iter().map(Connection::begin).collect();
         assert!(all.is_crowded());
         answering.pop();
+        assert!(all.is_crowded(), "some of the answer may not be sent yet");
+        connections[2].flushed();
         assert!(!all.is_crowded());
+        let again = connections[2].begin();
+        assert!(all.is_crowded());
+        drop((again, answering, connections));
+        assert_eq!(all.lock().busy_count, 0, "all connections have ended");
     }
 }

@@ -89,8 +89,10 @@ async fn answer_all(
 ) {
     let Ok(local) = stream.local_addr() else { return };
     if SystemTime::now() < UNIX_EPOCH {
-        // hyper cannot write the date of an answer.
-        let _ = stream.try_write(CLOCK_IS_WRONG);
+        // hyper cannot write the date of an answer. A new socket is not known to be writable before it was waited for.
+        if let Ok(Ok(())) = timeout(CLOSING_PATIENCE, stream.writable()).await {
+            let _ = stream.try_write(CLOCK_IS_WRONG);
+        }
         return;
     }
     // Events are small, and nobody wants to wait for them.

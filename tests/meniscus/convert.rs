@@ -240,6 +240,27 @@ fn what_is_done_is_not_done_again() {
     assert_eq!(convert(path, &tolerance).out.matches("done already").count(), 2);
 }
 
+/// A run that was killed wrote outputs and no records. So did one without --skip-done.
+#[test]
+fn skip_done_ignores_records_of_outputs_that_another_run_replaced() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    write_sequence(path, 1, 2);
+    let arguments = ["dam.#.ply", "--out", "o", "--skip-done"];
+    converted(path, &arguments);
+    let changed = ["dam.#.ply", "--out", "o", "--laplacian-steps", "3"];
+    converted(path, &changed);
+    let skipping = [&changed[..], &["--skip-done"]].concat();
+    assert_eq!(converted(path, &skipping).matches("done already").count(), 2);
+    // Replaced by a second run that is killed before it writes records: as above, one frame earlier.
+    let records = path.join("o/.meniscus/outputs.json");
+    let before = fs::read(&records).expect("records");
+    let other = ["dam.#.ply", "--out", "o", "--skip-done", "--laplacian-steps", "2"];
+    converted(path, &other);
+    fs::write(&records, before).expect("written");
+    assert_eq!(converted(path, &other).matches("done already").count(), 2);
+}
+
 #[test]
 fn skip_done_makes_an_output_with_a_flipped_byte_again() {
     let folder = tempdir().expect("a folder");

@@ -294,6 +294,36 @@ fn verify_fails_for_an_input_that_exists_and_cannot_be_read() {
     assert!(verified.err.contains("cannot be compared with their input"), "{}", verified.err);
 }
 
+/// The same of an obstacle: only one that was removed is not compared.
+#[cfg(unix)]
+#[test]
+fn obstacle_that_exists_and_cannot_be_read_fails_verify_and_shard() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    fs::create_dir(folder.join("in")).expect("made");
+    write_sequence(&folder.join("in"), 1, 1);
+    let obstacle = folder.join("still.obj");
+    fs::write(&obstacle, "v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+        .expect("written");
+    succeeded(&meniscus(
+        folder,
+        &["plan", "in", "--out", "out", "--shards", "1", "-o", "plan.json", "--obstacle", "still.obj"],
+    ));
+    succeeded(&shard(folder, 0));
+    succeeded(&verify(folder));
+    fs::remove_file(&obstacle).expect("removed");
+    succeeded(&verify(folder));
+    succeeded(&shard(folder, 0));
+    // A link that leads to itself cannot be read, not even by root.
+    std::os::unix::fs::symlink("still.obj", &obstacle).expect("linked");
+    let verified = verify(folder);
+    assert_eq!(verified.status, 1, "{}{}", verified.out, verified.err);
+    assert!(verified.err.contains("cannot be compared with their obstacle"), "{}", verified.err);
+    let converted = shard(folder, 0);
+    assert_eq!(converted.status, 1, "{}{}", converted.out, converted.err);
+    assert!(converted.err.contains("still.obj"), "{}", converted.err);
+}
+
 #[test]
 fn shards_without_frames_are_done_at_once() {
     let folder = planned(2, 5);
@@ -385,11 +415,11 @@ fn in_certificate(folder: &Path, was: &str, becomes: &str) {
 }
 
 const CASES: [Case; 12] = [
-    ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "dam.1.vdb is not there"),
+    ("missing", |f| fs::remove_file(f.join("out/dam.1.vdb")).expect("there"), "missing: dam.1.vdb"),
     (
         "missing",
         |f| fs::remove_file(f.join("out/dam.1.certificate.json")).expect("there"),
-        "dam.1.certificate.json is not there",
+        "missing: dam.1.certificate.json",
     ),
     (
         "damaged",

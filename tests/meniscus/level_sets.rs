@@ -62,6 +62,26 @@ fn a_level_set_is_contoured_as_it_is() {
 }
 
 #[test]
+fn skip_done_writes_a_contoured_level_set_with_a_flipped_byte_again() {
+    let folder = scene();
+    let folder = folder.path();
+    succeeded(&convert(folder, &["--format=glb", "--skip-done"]));
+    let damaged = folder.join("out/block.glb");
+    let whole = fs::read(&damaged).expect("written");
+    let mut bytes = whole.clone();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    // A new file: its stamp differs even where the clock of the file system has not moved on.
+    fs::rename(&damaged, folder.join("old")).expect("moved");
+    fs::write(&damaged, bytes).expect("written");
+    let ran = convert(folder, &["--format=glb", "--skip-done"]);
+    succeeded(&ran);
+    assert!(!ran.out.contains("done already"), "{}", ran.out);
+    assert_eq!(fs::read(&damaged).expect("written"), whole);
+    assert!(convert(folder, &["--format=glb", "--skip-done"]).out.contains("done already"));
+}
+
+#[test]
 fn a_slack_is_used_and_kept() {
     let folder = scene();
     let folder = folder.path();

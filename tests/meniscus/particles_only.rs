@@ -61,6 +61,24 @@ fn particles_keep_what_they_know() {
 }
 
 #[test]
+fn skip_done_writes_particles_with_a_flipped_byte_again() {
+    let folder = folder_with(&[("dam.1.csv", "0.5,0,0\n0,0.25,0\n"), ("dam.2.csv", "0,0,0\n1,1,1\n")]);
+    let folder = folder.path();
+    assert_eq!(convert(folder, "in", &["--skip-done"]).status, 0);
+    let damaged = folder.join("out/dam.1.ply");
+    let whole = fs::read(&damaged).expect("written");
+    let mut bytes = whole.clone();
+    *bytes.last_mut().expect("bytes") ^= 1;
+    // A new file: its stamp differs even where the clock of the file system has not moved on.
+    fs::rename(&damaged, folder.join("old")).expect("moved");
+    fs::write(&damaged, bytes).expect("written");
+    let ran = convert(folder, "in", &["--skip-done"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
+    assert_eq!(ran.out.matches("done already").count(), 1, "{}", ran.out);
+    assert_eq!(fs::read(&damaged).expect("written"), whole);
+}
+
+#[test]
 fn what_is_done_is_left_alone_and_what_fails_is_told() {
     let step = |number: usize| {
         format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n1\nITEM: ATOMS x y z\n1 2 3\n")

@@ -59,7 +59,7 @@ pub fn now_ms() -> u64 {
 }
 
 /// The journal in its folder.
-const FILE_NAME: &str = "journal";
+pub(super) const FILE_NAME: &str = "journal";
 /// One of another version.
 const SET_ASIDE_NAME: &str = "journal.old-version";
 

@@ -27,6 +27,7 @@ use std::sync::atomic::AtomicBool;
 use meniscus_formats::packing::unpacked;
 use meniscus_formats::steps::may_have_steps;
 use meniscus_formats::{Error, Limits, ReadAt, Result};
+use twox_hash::XxHash3_128;
 
 use super::names::text_of_name;
 use super::open::open_regular;
@@ -206,18 +207,22 @@ pub(super) fn read_step(
             read => read.map(|()| Some(bytes)),
         }
     };
-    let bytes = if contents.unpacking_bytes.is_some() {
-        let Some(whole) = read(0..contents.stamp.size)? else { return Ok(None) };
-        let whole = unpacked(&whole, &Limits::default())?;
+    let is_packed = contents.unpacking_bytes.is_some();
+    let stored = if is_packed { 0..contents.stamp.size } else { range.clone() };
+    let Some(bytes) = read(stored.clone())? else { return Ok(None) };
+    let hash = XxHash3_128::oneshot(&bytes);
+    let bytes = if is_packed {
+        let whole = unpacked(&bytes, &Limits::default())?;
         let [start, end] = [range.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
         // What lies elsewhere than it did is another file.
         let Some(step) = whole.get(start..end) else { return Ok(None) };
         step.to_vec()
     } else {
-        let Some(bytes) = read(range)? else { return Ok(None) };
         bytes
     };
-    Ok(input.is_unchanged()?.then_some((bytes, contents.stamp)))
+    let has_same_bytes =
+        || Ok(read(stored.clone())?.is_some_and(|again| XxHash3_128::oneshot(&again) == hash));
+    Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))
 }
 
 /// An error of a frame: if that is a step, by the lines of its file, where a user looks for it.

@@ -338,7 +338,7 @@ async function showFrame() {
     ['in all', seconds(frame.seconds)],
   ]));
   if (figures) parts.push(...stageBar(figures.seconds));
-  else if (frame.state === 'done') parts.push(make('p', 'note', 'It was not converted by this daemon or an earlier one that kept figures: there are no more of them.'));
+  else if (frame.state === 'done') parts.push(make('p', 'note', 'No figures: the frame was converted before the journal kept them.'));
   for (const note of figures?.notes ?? []) parts.push(make('p', 'note', note));
   const links = (frame.outputs ?? []).map(output => {
     const link = make('a', '', `${output.name} (${bytes(output.size_bytes)})`);
