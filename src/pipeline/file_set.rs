@@ -532,6 +532,7 @@ mod tests {
     use super::*;
     use std::cell::Cell;
     use std::process::Command;
+    use std::sync::Mutex;
     use std::time::{Duration, Instant};
 
     use super::super::out_folder::recover_out_folder;
@@ -548,6 +549,9 @@ mod tests {
         /// No file system has hard links.
         without_links: bool,
     }
+
+    /// Held by tests whose changes fail: any thread takes up what another could not remove, which would cost it a failure.
+    static ALONE: Mutex<()> = Mutex::new(());
 
     thread_local!(static TROUBLE: Cell<Option<Trouble>> = const { Cell::new(None) });
 
@@ -622,6 +626,7 @@ mod tests {
 
     #[test]
     fn failure_of_any_change_leaves_all_old_or_all_new_files() {
+        let _alone = ALONE.lock();
         for (old_count, without_links) in [(3, false), (3, true), (1, false), (1, true), (0, false)] {
             let mut failed_count = 0;
             for changes_left in 0..20 {
@@ -640,6 +645,7 @@ mod tests {
 
     #[test]
     fn lasting_failure_leaves_all_old_or_all_new_files_when_it_is_over() {
+        let _alone = ALONE.lock();
         for (old_count, without_links) in [(3, false), (3, true), (1, false), (0, false)] {
             for changes_left in 0..20 {
                 let folder = tempfile::tempdir().expect("a folder");
@@ -846,6 +852,7 @@ mod tests {
     fn failed_recovery_names_the_record_and_what_to_do() {
         let folder = tempfile::tempdir().expect("a folder");
         let record_path = plant_record(folder.path());
+        let _alone = ALONE.lock();
         TROUBLE.set(Some(Trouble { failures: Some(usize::MAX), ..Trouble::default() }));
         let result = recover_out_folder(folder.path());
         TROUBLE.set(None);
