@@ -297,7 +297,7 @@ mod tests {
 
     /// A mesh that says what it was made from.
     fn write_output(path: &Path, input_hash: &str, end: &str) {
-        let text = format!("# meniscus 0.1.0\n# input_hash: {input_hash}\n{end}\n");
+        let text = format!("# meniscus 0.1.0\n# meniscus_input_hash: {input_hash}\n{end}\n");
         fs::write(path, text).expect("written");
     }
 
