@@ -28,6 +28,10 @@ pub const REBUILT_HALF_WIDTH: f32 = 3.0;
 /// Values from this part of the background on are the background: 16-bit values are rounded.
 const CLIPPED: f32 = 0.999;
 
+/// Up to this part of the voxels at the surface may lack a distance in a level set that is left as it is. Around these voxels
+/// its surface lies midway between the signs, as it would if it were rebuilt.
+const CLIPPED_PART_MAX: f64 = 0.01;
+
 /// The least distance that a voxel gets from the value on the other side of the surface, in voxels.
 const DISTANCE_MIN: f32 = 0.05;
 
@@ -51,7 +55,7 @@ pub struct StoredLevelSet<'a> {
 pub struct TooManyLeaves;
 
 /// The level set in a band of [`REBUILT_HALF_WIDTH`] with distances on both sides of the surface; `None` if the file
-/// has these already. `leaf_count_max` bounds the leaves of the result.
+/// has these already, but for a few voxels. `leaf_count_max` bounds the leaves of the result.
 ///
 /// # Errors
 /// When the result would have more leaves.
@@ -300,14 +304,17 @@ impl<'a> Lookup<'a> {
         Ok(added)
     }
 
-    /// Whether a voxel without a distance is next to one of the other sign, both in stored leaves.
+    /// Whether more than a few voxels of stored leaves that are next to one of the other sign have no distance.
     fn is_clipped_at_surface(&self) -> bool {
         let inside = inside_masks(self.topology.len(), |leaf| self.stored_leaf(leaf));
-        (0..self.topology.len()).into_par_iter().any(|leaf| {
+        let counts = (0..self.topology.len()).into_par_iter().map(|leaf| {
             let values = self.stored_leaf(leaf);
             let at_surface = at_surface(&inside, &self.topology, leaf);
-            at_surface.iter().any(|offset| !self.is_known(values[offset]))
-        })
+            let is_clipped = |offset: &usize| !self.is_known(values[*offset]);
+            [at_surface.iter().count(), at_surface.iter().filter(is_clipped).count()]
+        });
+        let [at_surface, clipped] = counts.reduce(|| [0; 2], |[a, b], [c, d]| [a + c, b + d]);
+        clipped as f64 > CLIPPED_PART_MAX * at_surface as f64
     }
 }
 
@@ -409,6 +416,14 @@ mod tests {
     #[test]
     fn sound_band_is_left_alone() {
         let whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
+        assert!(rebuilt(&stored(&whole, &[]), 1000).expect("few leaves").is_none());
+    }
+
+    #[test]
+    fn sound_band_with_one_pair_of_bad_voxels_is_left_alone() {
+        let mut whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
+        // In the first leaf there is only outside.
+        (whole.1[0][0], whole.1[0][1]) = (BACKGROUND, -BACKGROUND);
         assert!(rebuilt(&stored(&whole, &[]), 1000).expect("few leaves").is_none());
     }
 
