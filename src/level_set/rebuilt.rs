@@ -14,7 +14,7 @@
 
 use glam::IVec3;
 use rayon::prelude::*;
-use rustc_hash::FxHashMap;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::{NarrowBand, Sweeps, UNREACHED, extend, redistance};
 use crate::grid::{
@@ -27,6 +27,10 @@ pub const REBUILT_HALF_WIDTH: f32 = 3.0;
 
 /// Values from this part of the background on are the background: 16-bit values are rounded.
 const CLIPPED: f32 = 0.999;
+
+/// Up to this part of the voxels at the surface may lack a distance in a level set that is left as it is. Around these voxels
+/// its surface lies midway between the signs, as it would if it were rebuilt.
+const CLIPPED_PART_MAX: f64 = 0.01;
 
 /// The least distance that a voxel gets from the value on the other side of the surface, in voxels.
 const DISTANCE_MIN: f32 = 0.05;
@@ -51,7 +55,7 @@ pub struct StoredLevelSet<'a> {
 pub struct TooManyLeaves;
 
 /// The level set in a band of [`REBUILT_HALF_WIDTH`] with distances on both sides of the surface; `None` if the file
-/// has these already. `leaf_count_max` bounds the leaves of the result.
+/// has these already, but for a few voxels. `leaf_count_max` bounds the leaves of the result.
 ///
 /// # Errors
 /// When the result would have more leaves.
@@ -65,25 +69,27 @@ pub fn rebuilt(
         return Ok(None);
     }
     let topology = Topology::new(lookup.topology.origins().iter().copied().chain(added).collect());
+    if topology.len() > leaf_count_max {
+        return Err(TooManyLeaves);
+    }
     let raw = lookup.values_in(&topology);
     // The band reaches into the leaves around those with a crossing.
     let inside = inside_masks(topology.len(), |leaf| &raw.leaves[leaf].values);
     let is_crossed = |leaf: &usize| at_surface(&inside, &topology, *leaf) != LeafMask::EMPTY;
-    let crossed = (0..topology.len()).into_par_iter().filter(is_crossed);
-    let mut origins: Vec<IVec3> = crossed
-        .flat_map_iter(|leaf| {
-            let origin = topology.origins()[leaf];
-            (0..27).map(move |slot| {
+    let crossed: Vec<usize> = (0..topology.len()).into_par_iter().filter(is_crossed).collect();
+    let mut origins: FxHashSet<IVec3> = topology.origins().iter().copied().collect();
+    for leaf in crossed {
+        let origin = topology.origins()[leaf];
+        origins
+            .extend((0..27).map(|slot| {
                 origin + (IVec3::new(slot / 9, slot / 3 % 3, slot % 3) - IVec3::ONE) * LEAF_EDGE
-            })
-        })
-        .collect();
-    origins.extend(topology.origins());
-    drop((raw, inside, topology));
-    let topology = Topology::new(origins);
-    if topology.len() > leaf_count_max {
-        return Err(TooManyLeaves);
+            }));
+        if origins.len() > leaf_count_max {
+            return Err(TooManyLeaves);
+        }
     }
+    drop((raw, inside, topology));
+    let topology = Topology::new(origins.into_iter().collect());
     let raw = lookup.values_in(&topology);
     let scale = (1.0 / stored.voxel_size) as f32;
     let mut phi = Field::splat(topology.len(), UNREACHED);
@@ -261,9 +267,11 @@ impl<'a> Lookup<'a> {
         values
     }
 
-    /// Leaves that are not stored and have the surface on one of their faces.
-    fn leaves_between_tiles(&self, leaf_count_max: usize) -> Result<Vec<IVec3>, TooManyLeaves> {
-        let mut added = Vec::new();
+    /// Leaves that are not stored and have the surface on one of their faces. With the stored ones they are at most as many
+    /// as allowed.
+    fn leaves_between_tiles(&self, leaf_count_max: usize) -> Result<FxHashSet<IVec3>, TooManyLeaves> {
+        let mut added = FxHashSet::default();
+        let is_missing = |origin: &IVec3| self.topology.find(*origin).is_none();
         for (leaf, (&origin, neighbors)) in
             self.topology.origins().iter().zip(self.topology.neighbors()).enumerate()
         {
@@ -272,7 +280,7 @@ impl<'a> Lookup<'a> {
                 let is_inside_across = is_inside(self.value_of_missing(across));
                 let values = self.stored_leaf(leaf);
                 if on_face(face).any(|offset| is_inside(values[offset]) != is_inside_across) {
-                    added.push(across);
+                    added.insert(across);
                 }
             }
         }
@@ -284,13 +292,11 @@ impl<'a> Lookup<'a> {
                 }
                 for within in leaves_on_face(origin, size, face) {
                     let across = within + step(face) * LEAF_EDGE;
-                    let is_bare = self.topology.find(across).is_none();
-                    if is_bare && !is_inside(self.value_of_missing(across)) {
-                        added.extend([within, across]);
-                    }
-                    // A leaf has six faces, and each adds at most two.
-                    if added.len() / 12 > leaf_count_max {
-                        return Err(TooManyLeaves);
+                    if is_missing(&across) && !is_inside(self.value_of_missing(across)) {
+                        added.extend([within, across].into_iter().filter(is_missing));
+                        if self.topology.len() + added.len() > leaf_count_max {
+                            return Err(TooManyLeaves);
+                        }
                     }
                 }
             }
@@ -298,14 +304,17 @@ impl<'a> Lookup<'a> {
         Ok(added)
     }
 
-    /// Whether a voxel without a distance is next to one of the other sign, both in stored leaves.
+    /// Whether more than a few voxels of stored leaves that are next to one of the other sign have no distance.
     fn is_clipped_at_surface(&self) -> bool {
         let inside = inside_masks(self.topology.len(), |leaf| self.stored_leaf(leaf));
-        (0..self.topology.len()).into_par_iter().any(|leaf| {
+        let counts = (0..self.topology.len()).into_par_iter().map(|leaf| {
             let values = self.stored_leaf(leaf);
             let at_surface = at_surface(&inside, &self.topology, leaf);
-            at_surface.iter().any(|offset| !self.is_known(values[offset]))
-        })
+            let is_clipped = |offset: &usize| !self.is_known(values[*offset]);
+            [at_surface.iter().count(), at_surface.iter().filter(is_clipped).count()]
+        });
+        let [at_surface, clipped] = counts.reduce(|| [0; 2], |[a, b], [c, d]| [a + c, b + d]);
+        clipped as f64 > CLIPPED_PART_MAX * at_surface as f64
     }
 }
 
@@ -411,6 +420,14 @@ mod tests {
     }
 
     #[test]
+    fn sound_band_with_one_pair_of_bad_voxels_is_left_alone() {
+        let mut whole = ball(|distance| (distance * VOXEL_SIZE as f32).clamp(-BACKGROUND, BACKGROUND));
+        // In the first leaf there is only outside.
+        (whole.1[0][0], whole.1[0][1]) = (BACKGROUND, -BACKGROUND);
+        assert!(rebuilt(&stored(&whole, &[]), 1000).expect("few leaves").is_none());
+    }
+
+    #[test]
     fn tiles_of_both_signs_get_leaves_between_them() {
         // A cube of 16 voxels, as tiles of 8, and one of 128.
         let corners = (0..8).map(|slot| IVec3::new(slot / 4, slot / 2 % 2, slot % 2) * 8);
@@ -427,5 +444,14 @@ mod tests {
         }
         let few = rebuilt(&stored(&(vec![], vec![]), &large), 100);
         assert_eq!(few.expect_err("more than 100 leaves"), TooManyLeaves);
+    }
+
+    #[test]
+    fn large_inside_tile_is_refused_before_its_leaves_are_listed() {
+        // Its faces have 6 · 512² leaves on each side.
+        let (none, tile) = ((vec![], vec![]), [(IVec3::ZERO, 4096, -BACKGROUND)]);
+        let stored = stored(&none, &tile);
+        let lookup = Lookup::new(&stored);
+        assert_eq!(lookup.leaves_between_tiles(1 << 18), Err(TooManyLeaves));
     }
 }

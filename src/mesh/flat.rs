@@ -35,12 +35,18 @@ const PIECE: usize = 4096;
 /// After so many rounds what is left stays. One or two do as a rule.
 const ROUNDS_MAX: usize = 64;
 
+/// If more than this part of all triangles is flat, the positions are too coarse for the mesh, and it stays as it is.
+const FLAT_PART_MAX: f64 = 0.05;
+
+/// In a mesh of at most so many triangles, all may be flat: treating them costs little.
+const SMALL_MESH_TRIANGLES: usize = 10_000;
+
 /// Up to this part of its longest edge, the shortest edge of a triangle vanishes; a longer one is part of a cap.
 const NEEDLE: f64 = 0.1;
 
 impl Mesh {
     /// Takes out triangles without area, at these positions and at those that files make of them. Returns how many
-    /// triangles fewer there are.
+    /// triangles fewer there are. A mesh of which a large part is flat is left as it is.
     ///
     /// Panics if a triangle names a vertex that does not exist.
     pub fn take_out_flat(&mut self, roundings: &[Rounding]) -> usize {
@@ -55,7 +61,8 @@ impl Mesh {
                 views.iter().flat_map(|view| flat_triangles(view, &self.triangles)).collect();
             flat.sort_unstable();
             flat.dedup();
-            if flat.is_empty() {
+            let flat_max = SMALL_MESH_TRIANGLES.max((FLAT_PART_MAX * self.triangles.len() as f64) as usize);
+            if flat.is_empty() || flat.len() > flat_max {
                 break;
             }
             let mut surgery = Surgery::new(views, &self.triangles, &flat, may_fold);
@@ -356,6 +363,16 @@ mod tests {
         let measures = mesh.measure();
         assert!(measures.is_closed_manifold() && measures.euler_characteristic == 2, "{measures:?}");
         assert_eq!(mesh.flat_count(coarse), 0);
+    }
+
+    #[test]
+    fn mesh_that_a_file_flattens_for_the_most_part_stays_as_it_is() {
+        let coarse: Rounding = |mesh| mesh.positions.iter().map(|p| (p / 20.0).round() * 20.0).collect();
+        let mut mesh = cube(40);
+        let before = mesh.clone();
+        assert_eq!(mesh.take_out_flat(&[coarse]), 0);
+        assert_eq!(mesh, before);
+        assert!(mesh.flat_count(coarse) > mesh.triangles.len() / 2);
     }
 
     #[test]

@@ -46,7 +46,7 @@ pub struct Sampled {
     is_rebuilt: bool,
 }
 
-/// No band is rebuilt with more leaves: 512 MiB.
+/// No band is rebuilt with more leaves: its values take 512 MiB at most, and up to four times as much while it is rebuilt.
 const REBUILT_LEAVES_MAX: usize = 1 << 18;
 
 /// Steps that differ by more than this part are of different lengths, or not at right angles.

@@ -141,7 +141,9 @@ pub(super) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
     let (bytes, _) = bytes.ok_or("written while it was read")?;
     let Form { meniscus_certificate } = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
     if meniscus_certificate != VERSION {
-        return Err(format!("its form is number {meniscus_certificate}, and only {VERSION} is known"));
+        return Err(format!(
+            "certificate version {meniscus_certificate} is not supported (expected {VERSION}); convert the frame again"
+        ));
     }
     let Read { input_hash, certificate, outputs, .. } =
         serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;

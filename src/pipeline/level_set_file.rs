@@ -146,7 +146,8 @@ pub(super) fn check_memory(needed: u64, allowed: u64) -> meniscus_formats::Resul
 }
 
 /// What a user should know of a level set whose band was rebuilt.
-pub(super) const REBUILT_NOTE: &str = "the file has no distances next to the surface, only signs: they were rebuilt, \
+pub(super) const REBUILT_NOTE: &str = "the file has no distances next to the surface, only signs, at one voxel in a hundred or more, or \
+     tiles that meet at the surface: they were rebuilt, \
      and the surface is within half a voxel of where the signs change";
 
 /// A level set in voxels, its lattice and origin, and notes on it.

@@ -259,14 +259,11 @@ pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> Str
 
 /// How an output in `format` is written, as far as that can be chosen.
 fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static str, String)> {
-    match format {
+    let mut pairs = match format {
         OutputFormat::Vdb => vec![
             ("half", options.vdb_half.to_string()),
             ("compression", compression_name(options.vdb_compression).to_owned()),
         ],
-        OutputFormat::Glb if options.quantize => {
-            vec![("up", up_name(options.up).to_owned()), ("quantize", options.quantize.to_string())]
-        }
         OutputFormat::Usda if options.meters_per_unit != 1.0 => vec![
             ("up", up_name(options.up).to_owned()),
             ("meters_per_unit", options.meters_per_unit.to_string()),
@@ -279,7 +276,12 @@ fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static 
             let up = ("up", up_name(options.up).to_owned());
             [vec![up], picture_pairs(&options.picture)].concat()
         }
+    };
+    // The mesh of all formats lacks the triangles that have no area in 16 bits.
+    if format.is_mesh() && options.quantize && options.formats.contains(&OutputFormat::Glb) {
+        pairs.push(("quantize", options.quantize.to_string()));
     }
+    pairs
 }
 
 /// How a picture is taken.

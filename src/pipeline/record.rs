@@ -215,7 +215,8 @@ pub(super) struct CertificateRecord {
     bound_violations: usize,
     /// Null for an empty mesh.
     vertex_distance_min_voxels: Option<f64>,
-    vertex_distance_max_voxels: f64,
+    /// Null where a vertex has no particle near it: its distance is infinite.
+    vertex_distance_max_voxels: Option<f64>,
     vertices_inside_min: usize,
     vertices_outside_max: usize,
     /// Not finite, or too far from the others: the surface is that of the rest.
@@ -505,16 +506,15 @@ impl CertificateRecord {
             ..Certificate::default()
         };
         let fault = certificate.fault();
-        if self.vertex_distance_min_voxels.is_some_and(|least| least > self.vertex_distance_max_voxels) {
+        let range = self.vertex_distance_min_voxels.zip(self.vertex_distance_max_voxels);
+        if range.is_some_and(|(least, largest)| least > largest) {
             return Err("the least distance from a vertex to a particle is above the largest".to_owned());
         }
         match (self.holds, certificate.holds()) {
             (true, true) => Ok(None),
             (false, false) => Ok(Some(fault)),
-            (true, false) => Err(format!("it says that all holds, and has {fault}")),
-            (false, true) => {
-                Err("it says that something does not hold, and all that it counts does".to_owned())
-            }
+            (true, false) => Err(format!("holds is true, but: {fault}")),
+            (false, true) => Err("holds is false, but nothing is violated".to_owned()),
         }
     }
 }
@@ -525,7 +525,8 @@ pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
         holds: certificate.holds(),
         bound_violations: certificate.bound_violation_count,
         vertex_distance_min_voxels: Some(certificate.vertex_distance_min).filter(|least| least.is_finite()),
-        vertex_distance_max_voxels: certificate.vertex_distance_max,
+        vertex_distance_max_voxels: Some(certificate.vertex_distance_max)
+            .filter(|largest| largest.is_finite()),
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_left_out: certificate.particles_left_out,
@@ -540,4 +541,20 @@ pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
 
 fn text(path: &Path) -> String {
     path.to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn certificate_with_infinite_largest_distance_is_read_back() {
+        let mut report = SkinReport::default();
+        report.certificate.vertex_distance_max = f64::INFINITY;
+        report.certificate.vertices_outside_max = 1;
+        report.certificate.mesh_is_closed_manifold = true;
+        let written = serde_json::to_string(&certificate_record(&report)).expect("written");
+        let read: CertificateRecord = serde_json::from_str(&written).expect("read");
+        assert_eq!(read.fault(), Ok(Some("1 vertices too far from particles".to_owned())));
+    }
 }

@@ -114,8 +114,8 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     let stored = stored(&frame.outputs);
     let needed = conduct.pool.install(|| resurfacing_bytes(file.band(), slack, &frame.settings));
     check_memory(needed, conduct.memory_bytes).map_err(failed)?;
-    let mut surface = conduct.pool.install(|| resurface(file.into_band(), slack, &frame.settings, &stored));
-    surface.mesh.origin += origin;
+    let band = file.into_band();
+    let surface = conduct.pool.install(|| resurface(band, origin, slack, &frame.settings, &stored));
     notes.extend(surface_notes(&surface, &frame.outputs, &frame.settings));
     let surface = Arc::new(surface);
     let tasks = Tasks::default();

@@ -11,6 +11,7 @@
 use std::convert::Infallible;
 use std::time::Instant;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::finish::{Checked, Stored};
@@ -35,8 +36,14 @@ const MARGIN: f32 = 5.0;
 
 /// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
 /// is nowhere farther than that from the given one. Of the settings those of particles have no say.
-/// `stored` says how files store the mesh: so it is checked.
-pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings, stored: &[Stored]) -> Surface {
+/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked.
+pub fn resurface(
+    band: NarrowBand,
+    translation: DVec3,
+    slack_voxels: f32,
+    settings: &Settings,
+    stored: &[Stored],
+) -> Surface {
     let started = Instant::now();
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
     let mut band = match working_half_width(&band, slack) {
@@ -61,9 +68,11 @@ pub fn resurface(band: NarrowBand, slack_voxels: f32, settings: &Settings, store
     let lattice = lattice(settings);
     let mut mesh = contour::contour(&band, &lattice, settings.contouring);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    // Files may store world positions: what they make of the mesh depends on where it is.
+    mesh.origin += translation;
     // There is no particle to ask about.
     let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
-    let Ok(checks) = finish::settle(&mut mesh, &band, (settings, stored), &mut report, no_part);
+    let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
     let counts = (bounds.violation_count(&band.phi), 0);
     report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
     report.seconds.contour = started.elapsed().as_secs_f64();
@@ -126,4 +135,40 @@ fn moved(phi: &Field, by: f32) -> Field {
     let mut moved = phi.clone();
     moved.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += by);
     moved
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{IVec3, Vec3};
+
+    use super::*;
+    use crate::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
+    use crate::mesh::Mesh;
+    use crate::settings::Choices;
+
+    #[test]
+    fn mesh_far_from_the_origin_is_checked_at_its_rounded_world_positions() {
+        let world_positions = Stored::Rounded(|mesh: &Mesh| {
+            let read = |position: &Vec3| {
+                ((mesh.origin + position.as_dvec3()).as_vec3().as_dvec3() - mesh.origin).as_vec3()
+            };
+            mesh.positions.iter().map(read).collect()
+        });
+        let corners = (0..8).map(|slot| IVec3::new(slot / 4 - 1, slot / 2 % 2 - 1, slot % 2 - 1) * LEAF_EDGE);
+        let topology = Topology::new(corners.collect());
+        let distance = |voxel: IVec3| (voxel.as_vec3().length() - 5.0).clamp(-3.0, 3.0);
+        let leaf = |origin: &IVec3| Leaf {
+            values: std::array::from_fn(|offset| distance(*origin + voxel_in_leaf(offset))),
+        };
+        let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
+        let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
+        let settings = Settings::resolve(0.01, &Choices::default()).expect("sound");
+        let flat_count = |translation: DVec3| {
+            let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
+        };
+        assert_eq!(flat_count(DVec3::ZERO), 0);
+        // 32-bit numbers are an eighth of a world unit apart there.
+        assert!(flat_count(DVec3::new(1.5e6, 0.0, 0.0)) > 0);
+    }
 }

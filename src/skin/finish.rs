@@ -16,7 +16,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{Scene, lattice};
-use crate::certify::{self, Exempt, MeshCells, Part, ParticleChecks};
+use crate::certify::{self, Exempt, Part, ParticleChecks};
 use crate::contour;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
 use crate::level_set::{Bounds, NarrowBand};
@@ -110,7 +110,6 @@ const RETURNS_MAX: usize = 3;
 /// Those of the parts.
 pub(super) fn settle<E>(
     mesh: &mut Mesh,
-    band: &NarrowBand,
     (settings, stored): (&Settings, &[Stored]),
     report: &mut SkinReport,
     mut each_part: impl FnMut(&Checked, &mut dyn FnMut(&Part)) -> Result<(), E>,
@@ -146,8 +145,7 @@ pub(super) fn settle<E>(
             if let Some(rounded) = &mut rounded {
                 std::mem::swap(rounded, &mut mesh.positions);
             }
-            let cells = MeshCells::new(mesh, band, &lattice);
-            let checked = Checked { mesh, cells: &cells, rounding: moved_voxels as f32 };
+            let checked = Checked { mesh, rounding: moved_voxels as f32 };
             let parts = each_part(&checked, &mut |part| {
                 let (of_part, found) = certify::check(part);
                 of_file = of_file.and(of_part);
@@ -184,7 +182,6 @@ pub(super) fn settle<E>(
 /// A mesh as a file stores it.
 pub(super) struct Checked<'a> {
     pub(super) mesh: &'a Mesh,
-    pub(super) cells: &'a MeshCells,
     /// How far the file moves vertices, in voxels, at most.
     pub(super) rounding: f32,
 }

@@ -26,7 +26,7 @@ pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
 pub use shape::shape;
 pub use shelves::{SHELF_COUNT, Storage};
 
-use crate::certify::{Part, certificate};
+use crate::certify::{MeshCells, Part, certificate};
 use crate::contour;
 use crate::grid::Leaf;
 use crate::level_set::{Bounds, NarrowBand};
@@ -190,9 +190,10 @@ pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Su
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
     let how = (settings, stored);
-    let Ok(checks) = finish::settle(&mut mesh, &band, how, &mut report, |checked, check| {
-        let Checked { mesh, cells, rounding } = *checked;
+    let Ok(checks) = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+        let Checked { mesh, rounding } = *checked;
         let (bins, band, lattice) = (&bins, &band, &lattice);
+        let cells = &MeshCells::new(mesh, band, lattice);
         check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         Ok::<(), Infallible>(())
     });

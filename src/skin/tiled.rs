@@ -13,7 +13,7 @@ use super::finish::{self, Checked, Edits, Exemptions, Stored};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
-use crate::certify::{Part, certificate};
+use crate::certify::{MeshCells, Part, certificate};
 use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
@@ -182,8 +182,9 @@ pub fn contour<S: ParticleSource>(
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let exempt = &Exemptions { scene: &scene, edits: &edits };
     let how = (settings, stored);
-    let checks = finish::settle(&mut mesh, &band, how, &mut report, |checked, check| {
-        let Checked { mesh, cells, rounding } = *checked;
+    let checks = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+        let Checked { mesh, rounding } = *checked;
+        let cells = &MeshCells::new(mesh, &band, &lattice);
         for &tile in &tiles {
             let (owned, bins) = tile_particles(tile)?;
             let (bins, band, lattice) = (&bins, &band, &lattice);

@@ -440,12 +440,12 @@ const CASES: [Case; 12] = [
     (
         "damaged",
         |f| in_certificate(f, "\"closed_manifold\": true", "\"closed_manifold\": false"),
-        "dam.1.certificate.json: it contradicts itself: it says that all holds, and has the mesh is not closed",
+        "dam.1.certificate.json: it contradicts itself: holds is true, but: the mesh is not closed",
     ),
     (
         "damaged",
         |f| in_certificate(f, "\"particles_outside\": 0", "\"particles_outside\": 7"),
-        "it contradicts itself: it says that all holds, and has 7 particles outside",
+        "it contradicts itself: holds is true, but: 7 particles outside",
     ),
     (
         "damaged",

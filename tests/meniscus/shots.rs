@@ -105,11 +105,13 @@ fn quantizing_is_for_glb_and_changes_it_alone() {
         quantized.into_iter().map(|word| if word == "out" { "small" } else { word }).collect();
     succeeded(&meniscus(path, &quantized));
     let [plain, small] = ["out", "small"].map(|folder| path.join(folder));
-    for name in ["dam.1.stl", "dam.1.usda", "dam.1.vtp"] {
-        assert!(
-            fs::read(plain.join(name)).expect("there") == fs::read(small.join(name)).expect("there"),
-            "{name}"
-        );
+    // All files of a frame have one mesh, without the triangles that 16 bits would flatten: each records this.
+    for name in ["dam.1.usda", "dam.1.vtp"] {
+        let is_recorded = |folder: &Path| {
+            let bytes = fs::read(folder.join(name)).expect("readable");
+            bytes.windows(b"quantize".len()).any(|window| window == b"quantize")
+        };
+        assert!(!is_recorded(&plain) && is_recorded(&small), "{name}");
     }
     assert_eq!(document(&plain.join("dam.1.glb"))["extensionsRequired"], Value::Null);
     let document = document(&small.join("dam.1.glb"));

@@ -20,8 +20,8 @@ pub(in crate::cli) struct FormatArgs {
 
     /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's width
     ///
-    /// By the extension KHR_mesh_quantization, which Blender and browsers read. Other formats stay as they are; what is known of the
-    /// vertices, too. A frame so wide that a vertex is moved by more than a 50th of a voxel is told of.
+    /// By the extension KHR_mesh_quantization, which Blender and browsers read. Other formats keep their positions; the attributes of
+    /// vertices stay as they are. Triangles that have no area in 16 bits are taken out of the mesh of every format. A frame so wide that a vertex is moved by more than a 50th of a voxel is told of.
     #[arg(long)]
     pub(in crate::cli) quantize: bool,
 
