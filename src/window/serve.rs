@@ -24,8 +24,16 @@ use super::Shared;
 use super::connections::{BusyContent, Connection, Connections};
 use super::routes::{answer_in_a_crowd, answer_to};
 
-/// For more, idle ones are closed.
-const CONNECTIONS_MAX: usize = 512;
+/// What connections may take together and each.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    /// For more, idle ones are closed.
+    connections_max: usize,
+    /// How long a request may take to arrive, and a connection be without one.
+    head_patience: Duration,
+}
+
+const LIMITS: Limits = Limits { connections_max: 512, head_patience: Duration::from_secs(10) };
 
 /// While all but this many are busy, only health checks are answered.
 const PLACES_FOR_HEALTH: usize = 16;
@@ -33,9 +41,6 @@ const PLACES_FOR_HEALTH: usize = 16;
 /// What a request may say before its body, and in how many lines.
 const HEAD_BYTES_MAX: usize = 16 << 10;
 const HEAD_LINES_MAX: usize = 64;
-
-/// How long a request may take to arrive, and a connection be without one.
-const HEAD_PATIENCE: Duration = Duration::from_secs(10);
 
 /// How long the other side may take nothing of an answer.
 const STALL_PATIENCE: Duration = Duration::from_secs(30);
@@ -55,9 +60,17 @@ const CLOCK_IS_WRONG: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type
 
 /// Serves all who come, until the window closes.
 pub(super) async fn serve(listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
+    serve_within(LIMITS, listener, shared).await
+}
+
+async fn serve_within(limits: Limits, listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
     let listener = tokio::net::TcpListener::from_std(listener)?;
-    let connections = Arc::new(Connections::new(CONNECTIONS_MAX, CONNECTIONS_MAX - PLACES_FOR_HEALTH));
-    let accepting = tokio::spawn(accept_all(listener, Arc::clone(&connections), Arc::clone(&shared)));
+    let Limits { connections_max, head_patience } = limits;
+    let busy_max = connections_max.saturating_sub(PLACES_FOR_HEALTH);
+    let connections = Arc::new(Connections::new(connections_max, busy_max));
+    let shared_by_all = Arc::clone(&shared);
+    let accepting =
+        tokio::spawn(accept_all(listener, Arc::clone(&connections), shared_by_all, head_patience));
     let mut closing = shared.closing.clone();
     // It fails when whoever could close the window is gone: then it is closed.
     let _ = closing.wait_for(|&is_closing| is_closing).await;
@@ -67,12 +80,18 @@ pub(super) async fn serve(listener: TcpListener, shared: Arc<Shared>) -> io::Res
     Ok(())
 }
 
-async fn accept_all(listener: tokio::net::TcpListener, connections: Arc<Connections>, shared: Arc<Shared>) {
+async fn accept_all(
+    listener: tokio::net::TcpListener,
+    connections: Arc<Connections>,
+    shared: Arc<Shared>,
+    head_patience: Duration,
+) {
     loop {
         match listener.accept().await {
             Ok((stream, _)) => {
                 let connection = Arc::new(connections.add().await);
-                tokio::spawn(answer_all(stream, connection, Arc::clone(&connections), Arc::clone(&shared)));
+                let (connections, shared) = (Arc::clone(&connections), Arc::clone(&shared));
+                tokio::spawn(answer_all(stream, connection, connections, shared, head_patience));
             }
             // The system is short of something, or the other side is gone already.
             Err(_) => sleep(REFUSED_WAIT).await,
@@ -86,6 +105,7 @@ async fn answer_all(
     connection: Arc<Connection>,
     connections: Arc<Connections>,
     shared: Arc<Shared>,
+    head_patience: Duration,
 ) {
     let Ok(local) = stream.local_addr() else { return };
     if SystemTime::now() < UNIX_EPOCH {
@@ -111,7 +131,7 @@ async fn answer_all(
     let mut served = pin!(
         http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(HEAD_PATIENCE)
+            .header_read_timeout(head_patience)
             .max_buf_size(HEAD_BYTES_MAX)
             .max_headers(HEAD_LINES_MAX)
             .serve_connection(TokioIo::new(Guarded::new(stream, Arc::clone(&connection))), service)
@@ -202,6 +222,16 @@ impl AsyncWrite for Guarded {
 mod tests {
     use super::*;
 
+    use std::io::{Read, Write};
+    use std::net::TcpStream as Client;
+    use std::thread;
+
+    use tokio::runtime;
+    use tokio::sync::watch;
+
+    use super::super::events::Followers;
+    use crate::board::Board;
+
     /// How many pieces of 20 kB are taken by a side that takes one in so many seconds.
     fn pieces_taken(every_s: u64) -> usize {
         let every = Duration::from_secs(every_s);
@@ -221,6 +251,57 @@ mod tests {
         // Five seconds for what should take two: three of the thirty are lost each time.
         assert_eq!(pieces_taken(5), 9);
         assert_eq!(pieces_taken(30), 0);
+    }
+
+    #[test]
+    fn connection_that_is_idle_for_longest_is_closed_for_a_new_one() {
+        // No connection ends by itself while this test runs.
+        let limits = Limits { connections_max: 20, head_patience: Duration::from_secs(3600) };
+        let (closing, is_closing) = watch::channel(false);
+        let shared = Arc::new(Shared {
+            board: Arc::new(Board::new()),
+            token: None,
+            closing: is_closing,
+            followers: Followers::default(),
+        });
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        listener.set_nonblocking(true).expect("set");
+        let address = listener.local_addr().expect("an address");
+        let serving = thread::spawn(move || {
+            let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
+            runtime.block_on(serve_within(limits, listener, shared))
+        });
+        let connect = || {
+            let stream = Client::connect(address).expect("connected");
+            stream.set_read_timeout(Some(Duration::from_secs(600))).expect("set");
+            stream
+        };
+        // Half of them say nothing, the others half a request.
+        let idle: Vec<Client> = (0..limits.connections_max)
+            .map(|number| {
+                let mut stream = connect();
+                if number % 2 == 1 {
+                    write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\n").expect("sent");
+                }
+                stream
+            })
+            .collect();
+        let mut another = connect();
+        let request = format!("GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        another.write_all(request.as_bytes()).expect("sent");
+        let mut answer = String::new();
+        another.read_to_string(&mut answer).expect("an answer");
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        let end = (&idle[0]).read(&mut [0]);
+        let is_reset = |error: &io::Error| error.kind() == io::ErrorKind::ConnectionReset;
+        assert!(matches!(end, Ok(0)) || end.as_ref().is_err_and(is_reset), "{end:?}");
+        for stream in &idle[1..] {
+            stream.set_nonblocking(true).expect("set");
+            let still_open = (&*stream).read(&mut [0]).expect_err("nothing to read, and no end");
+            assert_eq!(still_open.kind(), io::ErrorKind::WouldBlock);
+        }
+        closing.send(true).expect("served");
+        serving.join().expect("no panic").expect("served");
     }
 
     #[test]
