@@ -146,7 +146,7 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
         paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
     if !missing.is_empty() {
         let are_all = missing.len() == paths.len() + 1;
-        return FrameState::Missing { why: format!("missing: {}", missing.join(", ")), are_all };
+        return FrameState::Missing { why: missing.join(", "), are_all };
     }
     let certified = read_certificate(&certificate_path)
         .map_err(|why| FrameState::Damaged(format!("{}: {why}", name_of(&certificate_path))));

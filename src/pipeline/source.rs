@@ -137,7 +137,7 @@ pub struct Sequence {
 }
 
 /// Sorts files into sequences; the sequences, too, are in natural order. Which number of a name is the frame's depends on
-/// the other names: see [`use_varying_numbers`].
+/// the other names: see `use_varying_numbers`.
 pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
     use_varying_numbers(&mut files);
     files.sort_by(|a, b| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));

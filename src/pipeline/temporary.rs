@@ -218,7 +218,7 @@ fn is_gone(error: &io::Error) -> bool {
 }
 
 /// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
-/// [set](super::file_set) of files whose process was killed, or put the old files back. Where the file system has no locks, that is
+/// set of files whose process was killed, or put the old files back. Where the file system has no locks, that is
 /// those that nobody has written to for a day. Those that may not be removed are left.
 ///
 /// # Errors

@@ -90,7 +90,7 @@ fn what_is_done_is_left_alone_and_what_fails_is_told() {
     let ran = convert(folder, "in", &["--skip-done"]);
     assert_eq!(ran.status, 1, "{}", ran.err);
     assert!(ran.err.contains("d.dump/step=20: LAMMPS dump, at line 12"), "{}", ran.err);
-    assert_eq!(names_in(&folder.join("out")), ["d.0.ply", "d.30.ply"]);
+    assert_eq!(names_in(&folder.join("out")), [".meniscus", "d.0.ply", "d.30.ply"]);
     let ran = convert(folder, "in", &["--skip-done"]);
     assert_eq!(ran.out.matches("done already").count(), 2, "{}", ran.out);
     assert!(ran.out.contains("3 frames: 2 done, 1 failed"), "{}", ran.out);
