@@ -16,7 +16,8 @@
 //! it has no area at the mesh's own positions or at those that a file makes of them ([`Rounding`]).
 //!
 //! Both operations keep the mesh closed and a manifold: a vertex is drawn onto a neighbour where both have exactly two
-//! neighbours in common, and an edge is turned where its new ends have none yet. Of the rest of the mesh nothing changes, and no
+//! neighbours in common, and an edge is turned where its new ends have none yet. A piece that is so small that nothing is left of
+//! it but a tetrahedron without volume goes as a whole. Of the rest of the mesh nothing changes, and no
 //! vertex gets another position. Triangles that cannot be taken out stay, and [`Mesh::measure`] counts them.
 
 use glam::{DVec3, Vec3};
@@ -155,6 +156,33 @@ impl<'a> Surgery<'a> {
             || self.collapse_edge(ends(middle.1))
             || self.turn_edge(triangle, ends(middle.1))
             || self.collapse_edge(ends(longest.1))
+            || self.drop_speck(triangle)
+    }
+
+    /// Takes out the tetrahedron that a triangle without area belongs to, if it belongs to one: it has no volume, and is what is left
+    /// of a piece about as small as the step of positions.
+    fn drop_speck(&mut self, triangle: u32) -> bool {
+        let corners = self.triangles[triangle as usize];
+        let mut all: Vec<u32> =
+            corners.iter().flat_map(|&corner| self.triangles_of(corner)).copied().collect();
+        all.sort_unstable();
+        all.dedup();
+        let mut vertices: Vec<u32> =
+            all.iter().flat_map(|&triangle| self.triangles[triangle as usize]).collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let is_speck = all.len() == 4
+            && vertices.len() == 4
+            && vertices.iter().all(|&vertex| self.triangles_of(vertex).len() == 3);
+        if is_speck {
+            for triangle in all {
+                self.triangles[triangle as usize] = GONE;
+            }
+            for vertex in vertices {
+                self.around.remove(&vertex);
+            }
+        }
+        is_speck
     }
 
     /// How many of these triangles have no area, each at the positions of each file.
@@ -373,6 +401,21 @@ mod tests {
         assert_eq!(mesh.take_out_flat(&[coarse]), 0);
         assert_eq!(mesh, before);
         assert!(mesh.flat_count(coarse) > mesh.triangles.len() / 2);
+    }
+
+    #[test]
+    fn a_piece_without_volume_goes_as_a_whole() {
+        let mut mesh = cube(3);
+        let whole = mesh.clone();
+        let first = mesh.positions.len() as u32;
+        let corners = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]];
+        mesh.positions.extend(corners.map(|corner| Vec3::from(corner) + 1.5));
+        mesh.normals.extend([Vec3::X; 4]);
+        let speck = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
+        mesh.triangles.extend(speck.map(|triangle| triangle.map(|corner| first + corner)));
+        assert!(mesh.measure().is_closed_manifold());
+        mesh.take_out_flat(&[|mesh| mesh.positions.iter().map(|p| (p / 0.5).round() * 0.5).collect()]);
+        assert_eq!(mesh, whole);
     }
 
     #[test]
