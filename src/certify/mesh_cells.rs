@@ -10,8 +10,9 @@
 //!   └───┴───┴───┴───┘
 //! ```
 //!
-//! In a clear cell φ has one sign at all corners, or the mesh has moved a little: by decimation, or by rounding. Where φ
-//! changes its sign and there is no triangle within two cells, the mesh *leaks*: φ says nothing of it there.
+//! In a clear cell φ has one sign at all corners, or the mesh has moved a little: by decimation, or by rounding. Where clear
+//! cells of both signs are within two cells of each other and no triangle is, the mesh *leaks*: φ does not describe it there.
+//! A drop or a hole smaller than a cell has no clear cell of its own, so the mesh may lack it and does not leak.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -41,7 +42,7 @@ const PIECE: usize = 4096;
 /// What is so near to a face of a cell, in voxels, is in the cells on both sides.
 const FACE_MARGIN: f64 = 1e-6;
 
-/// The mesh may be so many cells from where φ changes its sign.
+/// How far the mesh may be from where φ changes its sign, in cells.
 const LEAK_CELLS: i32 = 2;
 
 impl MeshCells {
@@ -96,12 +97,25 @@ impl MeshCells {
         let inside = all_corners(&|leaf| self.signs[leaf]);
         let outside = all_corners(&|leaf| self.signs[leaf].complement());
         let doubtful = stored.and(&inside.or(&outside).or(&self.touched[leaf]).complement());
-        let is_far = |offset: usize| {
+        let leaks_around = |offset: usize| {
             let cell = origin + voxel_in_leaf(offset);
             let width = 2 * LEAK_CELLS + 1;
-            !(0..width.pow(3)).any(|place| self.contains(topology, cell + step_of(place, width)))
+            let around = || (0..width.pow(3)).map(|place| cell + step_of(place, width));
+            if around().any(|cell| self.contains(topology, cell)) {
+                return false;
+            }
+            let has_clear = |is_inside| around().any(|cell| self.is_all(topology, cell, is_inside));
+            has_clear(true) == has_clear(false)
         };
-        doubtful.iter().any(is_far)
+        doubtful.iter().any(leaks_around)
+    }
+
+    /// Whether φ is stored and has the same sign at all corners of a cell.
+    fn is_all(&self, topology: &Topology, cell: IVec3, is_inside: bool) -> bool {
+        (0..8).all(|place| {
+            let found = topology.find_voxel(cell + corner(place));
+            found.is_some_and(|(leaf, local)| self.signs[leaf].contains(offset_in_leaf(local)) == is_inside)
+        })
     }
 }
 

@@ -90,7 +90,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
 #[test]
 fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
     let settings = Settings::resolve(1.0, &Choices::default()).expect("sound");
-    let (mut removed_count, mut left_count) = (0, 0);
+    let mut removed_count = 0;
     for seed in 0..4 {
         let positions = cloud(40 + seed, 400, 24.0);
         let surface = skinned(&positions, &settings, &[Stored::Rounded(eighths)]);
@@ -98,13 +98,8 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
         let measures = &surface.report.mesh;
         assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (0, 0), "{measures:?}");
         removed_count += surface.report.flat_triangles_removed;
-        left_count += measures.degenerate_triangle_count;
-        // A triangle that cannot be taken out is counted, and then the certificate does not hold.
-        assert_eq!(
-            certificate.holds(),
-            measures.degenerate_triangle_count == 0,
-            "{certificate:?} {measures:?}"
-        );
+        assert_eq!(measures.degenerate_triangle_count, 0, "seed {seed}: {measures:?}");
+        assert!(certificate.holds(), "seed {seed}: {certificate:?} {measures:?}");
         // What is said of the vertices is said of those in the file.
         let written = eighths(&surface.mesh);
         let nearest = |vertex: &Vec3| {
@@ -121,12 +116,9 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
             let [a, b, c] = triangle.map(|vertex| written[vertex as usize]);
             (b - a).cross(c - a).length() == 0.0
         };
-        assert_eq!(surface.mesh.triangles.iter().filter(is_flat).count(), measures.degenerate_triangle_count);
+        assert_eq!(surface.mesh.triangles.iter().filter(is_flat).count(), 0);
     }
-    assert!(
-        removed_count > 10 * left_count && removed_count > 0,
-        "{removed_count} removed, {left_count} left"
-    );
+    assert!(removed_count > 0, "rounding made no triangle flat");
 }
 
 /// Drops this far from all others are still closed meshes: what 32 bits make flat is taken out.
