@@ -24,6 +24,7 @@ use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
 use super::frame::Frame;
+use super::notes::does_not_hold;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, output_path};
 use super::provenance::{provenance, provenance_kind};
@@ -213,7 +214,7 @@ fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -
     }
     match &certified.fault {
         None => Ok(()),
-        Some(fault) => Err(FrameState::Uncertified(format!("the certificate does not hold: {fault}"))),
+        Some(fault) => Err(FrameState::Uncertified(does_not_hold(fault))),
     }
 }
 
