@@ -141,8 +141,7 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
         .collect();
     let certificate_path = certificate_path(&options.folder, &frame.stem);
     let paths: Vec<PathBuf> = outputs.iter().map(|(_, path)| path.clone()).collect();
-    // Opening a pipe would wait for its other end.
-    let is_missing = |path: &&PathBuf| !path.metadata().is_ok_and(|metadata| metadata.is_file());
+    let is_missing = |path: &&PathBuf| matches!(path.try_exists(), Ok(false));
     let missing: Vec<String> =
         paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
     if !missing.is_empty() {

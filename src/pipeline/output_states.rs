@@ -30,7 +30,7 @@ use super::open::open_regular;
 use super::outputs::OutputFormat;
 use super::provenance::provenance_kind;
 use super::reading::{InputFile, read_start_unchanged};
-use super::sink::write_whole;
+use super::sink::replace_own;
 use super::stamp::FileStamp;
 
 /// The stamp and the content hash of an output.
@@ -48,10 +48,6 @@ impl OutputState {
     /// # Errors
     /// When the system refuses, or the file is not a regular file or changes meanwhile.
     pub fn of_path(path: &Path) -> io::Result<OutputState> {
-        // Opening a pipe would wait for its other end.
-        if !path.metadata()?.is_file() {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file"));
-        }
         let file = InputFile::open(path)?;
         let state = OutputState { stamp: file.stamp(), hash: file.hash()? };
         match file.is_unchanged()? {
@@ -60,9 +56,16 @@ impl OutputState {
         }
     }
 
-    /// Whether the file at `path` has the recorded stamp, so that its bytes need not be read.
-    pub fn has_stamp_of(&self, path: &Path) -> bool {
-        FileStamp::of_path(path).is_ok_and(|now| self.stamp.still_holds(&now))
+    /// The present state of the file at `path`, of which this state was recorded. If it has the recorded stamp, it is not
+    /// read: this state is returned.
+    ///
+    /// # Errors
+    /// Those of [`of_path`](OutputState::of_path).
+    pub fn now(&self, path: &Path) -> io::Result<OutputState> {
+        match self.stamp.still_holds(&FileStamp::of_path(path)?) {
+            true => Ok(*self),
+            false => OutputState::of_path(path),
+        }
     }
 }
 
@@ -124,12 +127,16 @@ impl OutputStates {
 
     fn recorded_fault_of(&self, path: &Path) -> Option<Option<String>> {
         let recorded = self.known().get(path).cloned();
+        let now = match &recorded {
+            Some(recorded) => recorded.state.now(path),
+            None => OutputState::of_path(path),
+        }
+        .ok()?;
         if let Some(recorded) = &recorded
-            && recorded.state.has_stamp_of(path)
+            && recorded.state == now
         {
             return Some(recorded.fault.clone());
         }
-        let now = OutputState::of_path(path).ok()?;
         let made_from = made_from(path);
         let is_of_other = |recorded: &Record| recorded.made_from.is_some() && recorded.made_from != made_from;
         let fault = match recorded.filter(|recorded| !is_of_other(recorded)) {
@@ -164,7 +171,7 @@ impl OutputStates {
     ///
     /// # Errors
     /// When the system refuses.
-    pub fn save(&self, folder: &Path) -> meniscus_formats::Result<()> {
+    pub fn save(&self, folder: &Path) -> io::Result<()> {
         let own: Vec<RecordWire> = self
             .known()
             .iter()
@@ -181,16 +188,12 @@ impl OutputStates {
             all.into_values().filter(|wire| folder.join(&wire.file).exists()).collect();
         let path = records_path(folder);
         if let Some(folder) = path.parent() {
-            // A link would lead the records elsewhere.
-            if folder.is_symlink() {
-                return Err(io::Error::other(format!("{} is a symbolic link", folder.display())).into());
-            }
             std::fs::create_dir_all(folder)?;
         }
         let file = RecordsFile { meniscus_outputs: VERSION, outputs };
-        write_whole(&path, |out| {
-            serde_json::to_writer(&mut *out, &file).map_err(io::Error::from)?;
-            Ok(out.write_all(b"\n")?)
+        replace_own(&path, |out| {
+            serde_json::to_writer(&mut *out, &file)?;
+            out.write_all(b"\n")
         })
     }
 }
@@ -378,6 +381,21 @@ mod tests {
         let loaded = OutputStates::default();
         loaded.load(folder.path());
         assert_eq!(loaded.recorded_fault(&paths), Some(None));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn records_are_not_written_through_a_link() {
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        let [folder, elsewhere] = folders.each_ref().map(tempfile::TempDir::path);
+        let path = folder.join("a.obj");
+        write_output(&path, "1", "v 0 0 0");
+        std::os::unix::fs::symlink(elsewhere, folder.join(".meniscus")).expect("linked");
+        let states = OutputStates::default();
+        states.record(&[path], None);
+        let refused = states.save(folder).expect_err("refused").to_string();
+        assert!(refused.contains(".meniscus is a symbolic link"), "{refused}");
+        assert_eq!(fs::read_dir(elsewhere).expect("there").count(), 0);
     }
 
     #[test]
