@@ -9,7 +9,8 @@ use crate::pipeline::OutputStates;
 
 use super::console::Console;
 
-/// The recorded states of the outputs of a run.
+/// The recorded states of the outputs of a run. Without `--skip-done` only those are recorded that failed validation, and
+/// those that have a record already.
 pub(super) struct OutputRecords {
     folders: BTreeSet<PathBuf>,
     states: OutputStates,
@@ -55,8 +56,8 @@ impl OutputRecords {
         for folder in &self.folders {
             if let Err(error) = self.states.save(folder) {
                 console.warn(format_args!(
-                    "warning: {}: cannot record the hashes of the outputs, so the next --skip-done cannot notice \
-                     damaged ones: {error}",
+                    "warning: {}: cannot record the hashes of the outputs and which of them failed validation, so the \
+                     next --skip-done cannot notice these or damaged ones: {error}",
                     folder.display()
                 ));
             }

@@ -76,8 +76,8 @@ pub(super) fn convert_level_sets(
         })
         .collect();
     let pool = thread_pool(args.threads)?;
-    let records = args.skip_done.then(|| OutputRecords::load([outputs.folder.clone()]));
-    let conduct = conduct(args, &pool, records.as_ref())?;
+    let records = OutputRecords::load([outputs.folder.clone()]);
+    let conduct = conduct(args, &pool, Some(&records))?;
     out_folder.keep();
     let mut tally = Tally::of_surfaces(args.allow_violations);
     let has_bar = console.show_bar(bands.len());
@@ -92,14 +92,10 @@ pub(super) fn convert_level_sets(
     };
     resurface_all(&bands, &conduct, |index, outcome| {
         tally.note(&bands[index].input, &outcome, described, (has_bar, console));
-        if let Some(records) = &records {
-            records.frame_finished();
-        }
+        records.frame_finished();
     });
     console.hide_bar();
-    if let Some(records) = &records {
-        records.save(console);
-    }
+    records.save(console);
     Ok(tally.finish(bands.len(), start.elapsed().as_secs_f64(), console))
 }
 

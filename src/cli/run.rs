@@ -137,8 +137,8 @@ impl Run {
                 Work::IsDone(..) | Work::Impossible(_) => None,
             })
             .unzip();
-        // A certificate has the hashes of the outputs; without one they are recorded where done frames are skipped.
-        let records = (skip_done && !certificates)
+        // A certificate has the hashes of the outputs, and says what does not hold.
+        let records = (!certificates)
             .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());
         let progress = Progress::new(frames.len(), pool.current_num_threads(), console.bar());

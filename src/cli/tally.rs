@@ -16,7 +16,7 @@ pub(super) struct Tally {
     allow_violations: Option<bool>,
     done_count: usize,
     failed_count: usize,
-    /// Frames that were made and break a guarantee.
+    /// Frames that are done and break a guarantee.
     broken_count: usize,
     /// The gist of what was told of frames, and how often it was not told again.
     told: HashSet<String>,
@@ -54,8 +54,12 @@ impl Tally {
                     console.say(format_args!("{name}: {}", described(report)));
                 }
             }
-            Outcome::AlreadyDone { .. } => {
+            Outcome::AlreadyDone { fault, .. } => {
                 self.done_count += 1;
+                if let Some(fault) = fault.as_ref().filter(|_| self.allow_violations.is_some()) {
+                    self.broken_count += 1;
+                    console.warn(format_args!("warning: {name}: {fault}"));
+                }
                 if !has_bar {
                     console.say(format_args!("{name}: done already"));
                 }

@@ -91,7 +91,8 @@ pub enum Outcome {
     AlreadyDone {
         /// Which state of the input was read.
         input: ReadInput,
-        /// What the frame's certificate says does not hold; `None` where all holds, or no certificate was asked for.
+        /// What did not hold when the frame was checked, by its certificate or the records of outputs; `None` where all
+        /// held, or neither knows.
         fault: Option<String>,
     },
     /// The file was written while it was read: what was read is neither the old file nor the new

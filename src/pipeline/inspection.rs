@@ -24,6 +24,7 @@ use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
 use super::frame::Frame;
+use super::notes::does_not_hold;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, output_path};
 use super::provenance::{provenance, provenance_kind};
@@ -140,8 +141,7 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
         .collect();
     let certificate_path = certificate_path(&options.folder, &frame.stem);
     let paths: Vec<PathBuf> = outputs.iter().map(|(_, path)| path.clone()).collect();
-    // Opening a pipe would wait for its other end.
-    let is_missing = |path: &&PathBuf| !path.metadata().is_ok_and(|metadata| metadata.is_file());
+    let is_missing = |path: &&PathBuf| matches!(path.try_exists(), Ok(false));
     let missing: Vec<String> =
         paths.iter().chain([&certificate_path]).filter(is_missing).map(|path| name_of(path)).collect();
     if !missing.is_empty() {
@@ -213,7 +213,7 @@ fn agrees(certified: &CertifiedFrame, made_from: &MadeFrom, paths: &[PathBuf]) -
     }
     match &certified.fault {
         None => Ok(()),
-        Some(fault) => Err(FrameState::Uncertified(format!("the certificate does not hold: {fault}"))),
+        Some(fault) => Err(FrameState::Uncertified(does_not_hold(fault))),
     }
 }
 

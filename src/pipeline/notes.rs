@@ -120,6 +120,16 @@ pub fn keeps_guarantees(report: &FrameReport) -> bool {
     report.skin.certificate.holds()
 }
 
+/// What does not hold of a frame's result; `None` where all does.
+pub(super) fn fault(report: &SkinReport) -> Option<String> {
+    (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.fault()))
+}
+
+/// Says that the certificate of a frame does not hold.
+pub(super) fn does_not_hold(fault: &str) -> String {
+    format!("the certificate does not hold: {fault}")
+}
+
 /// A sentence for each guarantee that does not hold.
 fn broken_guarantees(report: &SkinReport) -> Vec<String> {
     let certificate = &report.certificate;

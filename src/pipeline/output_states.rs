@@ -10,9 +10,12 @@
 //! computed when an output is written and when its stamp differs from the recorded one.
 //!
 //! The daemon keeps these records in its journal. `convert --skip-done` keeps them in `.meniscus/outputs.json` in the
-//! folder of the outputs; losing that file costs nothing but this check. A plain `convert` and `watch` replace outputs
-//! without this file. So each record has the hash of the output's provenance, which names the input and the settings: a
-//! record of other provenance is of an earlier file, and is ignored.
+//! folder of the outputs, together with what did not hold when they were checked, so that a skipped frame that failed
+//! validation fails it again. A plain `convert` records the outputs of frames that failed validation, and those that have a
+//! record already. Losing that file costs no more than these checks.
+//!
+//! `watch` and older versions replace outputs without this file. So each record has the hash of the output's provenance,
+//! which names the input and the settings: a record of other provenance is of an earlier file, and is ignored.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{self, Write};
@@ -27,7 +30,7 @@ use super::open::open_regular;
 use super::outputs::OutputFormat;
 use super::provenance::provenance_kind;
 use super::reading::{InputFile, read_start_unchanged};
-use super::sink::write_whole;
+use super::sink::replace_own;
 use super::stamp::FileStamp;
 
 /// The stamp and the content hash of an output.
@@ -45,10 +48,6 @@ impl OutputState {
     /// # Errors
     /// When the system refuses, or the file is not a regular file or changes meanwhile.
     pub fn of_path(path: &Path) -> io::Result<OutputState> {
-        // Opening a pipe would wait for its other end.
-        if !path.metadata()?.is_file() {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file"));
-        }
         let file = InputFile::open(path)?;
         let state = OutputState { stamp: file.stamp(), hash: file.hash()? };
         match file.is_unchanged()? {
@@ -57,9 +56,16 @@ impl OutputState {
         }
     }
 
-    /// Whether the file at `path` has the recorded stamp, so that its bytes need not be read.
-    pub fn has_stamp_of(&self, path: &Path) -> bool {
-        FileStamp::of_path(path).is_ok_and(|now| self.stamp.still_holds(&now))
+    /// The present state of the file at `path`, of which this state was recorded. If it has the recorded stamp, it is not
+    /// read: this state is returned.
+    ///
+    /// # Errors
+    /// Those of [`of_path`](OutputState::of_path).
+    pub fn now(&self, path: &Path) -> io::Result<OutputState> {
+        match self.stamp.still_holds(&FileStamp::of_path(path)?) {
+            true => Ok(*self),
+            false => OutputState::of_path(path),
+        }
     }
 }
 
@@ -69,11 +75,13 @@ pub struct OutputStates {
     known: Mutex<HashMap<PathBuf, Record>>,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Record {
     state: OutputState,
     /// The hash of what the output says about its input and settings; `None` where the caller has compared these.
     made_from: Option<u128>,
+    /// What did not hold when its frame was checked; `None` where all held.
+    fault: Option<String>,
     /// Whether it was read from a file of records, and is still what that file says.
     is_loaded: bool,
 }
@@ -81,7 +89,7 @@ struct Record {
 impl OutputStates {
     /// Records the state of an output.
     pub fn put(&self, path: &Path, state: OutputState) {
-        self.known().insert(path.to_owned(), Record { state, made_from: None, is_loaded: false });
+        self.put_made(path, state, None, None);
     }
 
     /// Removes and returns the recorded state of an output.
@@ -89,40 +97,58 @@ impl OutputStates {
         self.known().remove(path).map(|record| record.state)
     }
 
-    /// Records the states of outputs that were just written. One that cannot be read back is left unrecorded.
-    pub(super) fn record(&self, paths: &[PathBuf]) {
+    /// Whether one of these outputs has a record.
+    pub(super) fn has_any(&self, paths: &[PathBuf]) -> bool {
+        let known = self.known();
+        paths.iter().any(|path| known.contains_key(path))
+    }
+
+    /// Records the states of the outputs of a frame that were just written, and what did not hold when the frame was
+    /// checked. An output that cannot be read back is left unrecorded.
+    pub(super) fn record(&self, paths: &[PathBuf], fault: Option<&str>) {
         for path in paths {
             match OutputState::of_path(path) {
-                Ok(state) => self.put_made(path, state, made_from(path)),
+                Ok(state) => self.put_made(path, state, made_from(path), fault.map(str::to_owned)),
                 Err(_) => drop(self.take(path)),
             }
         }
     }
 
-    /// Whether each of these outputs has the bytes that were recorded. Of an output without a record, or with the record
-    /// of a file of other provenance, the present state is recorded.
-    pub(super) fn are_as_recorded<'a>(&self, paths: impl IntoIterator<Item = &'a Path>) -> bool {
-        paths.into_iter().all(|path| {
-            let recorded = self.known().get(path).copied();
-            if recorded.is_some_and(|recorded| recorded.state.has_stamp_of(path)) {
-                return true;
-            }
-            let Ok(now) = OutputState::of_path(path) else { return false };
-            let made_from = made_from(path);
-            let is_of_other =
-                |recorded: &Record| recorded.made_from.is_some() && recorded.made_from != made_from;
-            let is_same = recorded
-                .filter(|recorded| !is_of_other(recorded))
-                .is_none_or(|recorded| recorded.state.hash == now.hash);
-            if is_same {
-                self.put_made(path, now, made_from);
-            }
-            is_same
-        })
+    /// Compares the outputs of a frame with their records: `None` if one has other bytes, and else what did not hold when
+    /// the frame was checked. Of an output without a record, or with the record of a file of other provenance, the present
+    /// state is recorded.
+    pub(super) fn recorded_fault(&self, paths: &[PathBuf]) -> Option<Option<String>> {
+        let mut faults = Vec::new();
+        for path in paths {
+            faults.extend(self.recorded_fault_of(path)?);
+        }
+        Some(faults.into_iter().next())
     }
 
-    fn put_made(&self, path: &Path, state: OutputState, made_from: Option<u128>) {
-        self.known().insert(path.to_owned(), Record { state, made_from, is_loaded: false });
+    fn recorded_fault_of(&self, path: &Path) -> Option<Option<String>> {
+        let recorded = self.known().get(path).cloned();
+        let now = match &recorded {
+            Some(recorded) => recorded.state.now(path),
+            None => OutputState::of_path(path),
+        }
+        .ok()?;
+        if let Some(recorded) = &recorded
+            && recorded.state == now
+        {
+            return Some(recorded.fault.clone());
+        }
+        let made_from = made_from(path);
+        let is_of_other = |recorded: &Record| recorded.made_from.is_some() && recorded.made_from != made_from;
+        let fault = match recorded.filter(|recorded| !is_of_other(recorded)) {
+            Some(recorded) if recorded.state.hash != now.hash => return None,
+            recorded => recorded.and_then(|recorded| recorded.fault),
+        };
+        self.put_made(path, now, made_from, fault.clone());
+        Some(fault)
+    }
+
+    fn put_made(&self, path: &Path, state: OutputState, made_from: Option<u128>, fault: Option<String>) {
+        self.known().insert(path.to_owned(), Record { state, made_from, fault, is_loaded: false });
     }
 
     /// Each update is a single insertion or removal, so a map whose lock is poisoned is still consistent.
@@ -145,7 +171,7 @@ impl OutputStates {
     ///
     /// # Errors
     /// When the system refuses.
-    pub fn save(&self, folder: &Path) -> meniscus_formats::Result<()> {
+    pub fn save(&self, folder: &Path) -> io::Result<()> {
         let own: Vec<RecordWire> = self
             .known()
             .iter()
@@ -162,16 +188,12 @@ impl OutputStates {
             all.into_values().filter(|wire| folder.join(&wire.file).exists()).collect();
         let path = records_path(folder);
         if let Some(folder) = path.parent() {
-            // A link would lead the records elsewhere.
-            if folder.is_symlink() {
-                return Err(io::Error::other(format!("{} is a symbolic link", folder.display())).into());
-            }
             std::fs::create_dir_all(folder)?;
         }
         let file = RecordsFile { meniscus_outputs: VERSION, outputs };
-        write_whole(&path, |out| {
-            serde_json::to_writer(&mut *out, &file).map_err(io::Error::from)?;
-            Ok(out.write_all(b"\n")?)
+        replace_own(&path, |out| {
+            serde_json::to_writer(&mut *out, &file)?;
+            out.write_all(b"\n")
         })
     }
 }
@@ -223,6 +245,9 @@ struct RecordWire {
     hash: String,
     /// The hash of the output's provenance.
     made_from: String,
+    /// What did not hold when its frame was checked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    fault: Option<String>,
 }
 
 impl RecordWire {
@@ -236,6 +261,7 @@ impl RecordWire {
             changed_ns,
             hash: format!("{:032x}", record.state.hash),
             made_from: record.made_from.map_or(String::new(), |hash| format!("{hash:032x}")),
+            fault: record.fault.clone(),
         }
     }
 
@@ -243,7 +269,8 @@ impl RecordWire {
         let &RecordWire { size_bytes: size, modified_ns, inode, changed_ns, .. } = self;
         let stamp = FileStamp { size, modified_ns, inode, changed_ns };
         let [hash, made_from] = [&self.hash, &self.made_from].map(|text| u128::from_str_radix(text, 16).ok());
-        Some(Record { state: OutputState { stamp, hash: hash? }, made_from, is_loaded: true })
+        let state = OutputState { stamp, hash: hash? };
+        Some(Record { state, made_from, fault: self.fault.clone(), is_loaded: true })
     }
 }
 
@@ -255,6 +282,12 @@ fn records_path(folder: &Path) -> PathBuf {
 mod tests {
     use super::*;
     use std::fs;
+
+    const FAULT: &str = "the certificate does not hold";
+
+    fn fault_of(states: &OutputStates, path: &Path) -> Option<Option<String>> {
+        states.recorded_fault(&[path.to_owned()])
+    }
 
     fn touch_with(path: &Path, bytes: &[u8]) {
         fs::write(path, bytes).expect("written");
@@ -268,14 +301,14 @@ mod tests {
         let path = folder.path().join("a.glb");
         fs::write(&path, "mesh").expect("written");
         let states = OutputStates::default();
-        states.record(std::slice::from_ref(&path));
-        assert!(states.are_as_recorded([&*path]));
+        states.record(std::slice::from_ref(&path), None);
+        assert_eq!(fault_of(&states, &path), Some(None));
         touch_with(&path, b"mesh");
-        assert!(states.are_as_recorded([&*path]), "the same bytes under another time");
+        assert_eq!(fault_of(&states, &path), Some(None), "the same bytes under another time");
         touch_with(&path, b"mEsh");
-        assert!(!states.are_as_recorded([&*path]), "other bytes");
+        assert_eq!(fault_of(&states, &path), None, "other bytes");
         fs::remove_file(&path).expect("removed");
-        assert!(!states.are_as_recorded([&*path]), "missing");
+        assert_eq!(fault_of(&states, &path), None, "missing");
     }
 
     #[test]
@@ -284,7 +317,7 @@ mod tests {
         let path = folder.path().join("a.glb");
         fs::write(&path, "mesh").expect("written");
         let states = OutputStates::default();
-        states.record(std::slice::from_ref(&path));
+        states.record(std::slice::from_ref(&path), None);
         states.save(folder.path()).expect("saved");
         let loaded = OutputStates::default();
         loaded.load(folder.path());
@@ -308,18 +341,61 @@ mod tests {
         write_output(&path, "1", "v 0 0 0");
         let known = made_from(&path).expect("provenance");
         let earlier = OutputStates::default();
-        earlier.record(std::slice::from_ref(&path));
+        earlier.record(std::slice::from_ref(&path), Some(FAULT));
         earlier.save(folder.path()).expect("saved");
         // Another program run wrote the file again and recorded nothing.
         write_output(&path, "22", "v 1 1 1");
         assert_ne!(made_from(&path), Some(known), "another provenance");
         let loaded = OutputStates::default();
         loaded.load(folder.path());
-        assert!(loaded.are_as_recorded([&*path]), "its own provenance decides");
+        assert_eq!(fault_of(&loaded, &path), Some(None), "its own provenance decides");
         write_output(&path, "1", "v 1 1 11");
         let loaded = OutputStates::default();
         loaded.load(folder.path());
-        assert!(!loaded.are_as_recorded([&*path]), "other bytes of the same provenance");
+        assert_eq!(fault_of(&loaded, &path), None, "other bytes of the same provenance");
+    }
+
+    #[test]
+    fn fault_of_a_frame_is_returned_also_after_its_outputs_are_copied() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let paths = ["a.glb", "a.obj"].map(|name| folder.path().join(name));
+        paths.iter().for_each(|path| write_output(path, "1", "v 0 0 0"));
+        let states = OutputStates::default();
+        states.record(&paths, Some(FAULT));
+        states.save(folder.path()).expect("saved");
+        for round in 0..2 {
+            let loaded = OutputStates::default();
+            loaded.load(folder.path());
+            assert!(loaded.has_any(&paths));
+            assert_eq!(loaded.recorded_fault(&paths), Some(Some(FAULT.to_owned())), "round {round}");
+            fs::copy(&paths[1], folder.path().join("copy")).expect("copied");
+            fs::rename(folder.path().join("copy"), &paths[1]).expect("renamed");
+            assert_eq!(loaded.recorded_fault(&paths), Some(Some(FAULT.to_owned())), "round {round}");
+            loaded.save(folder.path()).expect("saved");
+        }
+        // Records of versions before the field have none.
+        let records = fs::read_to_string(records_path(folder.path())).expect("records");
+        let old = records.replace(&format!(",\"fault\":\"{FAULT}\""), "");
+        assert_ne!(old, records);
+        fs::write(records_path(folder.path()), old).expect("written");
+        let loaded = OutputStates::default();
+        loaded.load(folder.path());
+        assert_eq!(loaded.recorded_fault(&paths), Some(None));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn records_are_not_written_through_a_link() {
+        let folders = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        let [folder, elsewhere] = folders.each_ref().map(tempfile::TempDir::path);
+        let path = folder.join("a.obj");
+        write_output(&path, "1", "v 0 0 0");
+        std::os::unix::fs::symlink(elsewhere, folder.join(".meniscus")).expect("linked");
+        let states = OutputStates::default();
+        states.record(&[path], None);
+        let refused = states.save(folder).expect_err("refused").to_string();
+        assert!(refused.contains(".meniscus is a symbolic link"), "{refused}");
+        assert_eq!(fs::read_dir(elsewhere).expect("there").count(), 0);
     }
 
     #[test]
@@ -328,8 +404,8 @@ mod tests {
         let paths = ["a.obj", "b.obj"].map(|name| folder.path().join(name));
         paths.iter().for_each(|path| write_output(path, "1", "v 0 0 0"));
         let [one, other] = [OutputStates::default(), OutputStates::default()];
-        one.record(&paths[..1]);
-        other.record(&paths[1..]);
+        one.record(&paths[..1], None);
+        other.record(&paths[1..], None);
         one.save(folder.path()).expect("saved");
         other.save(folder.path()).expect("saved");
         let loaded = OutputStates::default();

@@ -98,15 +98,18 @@ fn made(frame: &ParticlesToWrite, conduct: &Conduct<'_>) -> Result<Outcome, Outc
     let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
     let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
     let provenance = particles_provenance(&frame.input, input.hash);
-    if conduct.skip_done && is_done(frame, &provenance) && conduct.has_recorded(&output_paths(frame)) {
-        return Err(Outcome::AlreadyDone { input, fault: None });
+    if conduct.skip_done
+        && is_done(frame, &provenance)
+        && let Some(fault) = conduct.recorded_fault(&output_paths(frame))
+    {
+        return Err(Outcome::AlreadyDone { input, fault });
     }
     let name = file_of(&frame.input).file_name().unwrap_or_default().to_string_lossy();
     let particles = read_particles(&bytes, &name, &Limits::default())
         .map_err(|error| failed(by_lines_of_file(&frame.input, error)))?;
     drop(bytes);
     let (outputs, output_bytes) = written(frame, &particles, &provenance).map_err(Outcome::Failed)?;
-    conduct.record(&outputs);
+    conduct.record(&outputs, None);
     let mut report = FrameReport { input, outputs, output_bytes, ..FrameReport::default() };
     report.skin.particle_count = particles.positions.len();
     report.notes = notes(frame, &particles);

@@ -19,6 +19,7 @@ use crate::skin::{resurface, resurfacing_bytes};
 use super::crew::{Crew, Tasks};
 use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
 use super::level_set_file::{LevelSetFile, check_memory};
+use super::notes::fault;
 use super::obstacles::ObstacleFiles;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::provenance::{level_set_provenance, provenance_kind, records};
@@ -102,9 +103,9 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     };
     if conduct.skip_done
         && band.outputs.formats.iter().all(is_done)
-        && conduct.has_recorded(&frame.output_paths())
+        && let Some(fault) = conduct.recorded_fault(&frame.output_paths())
     {
-        return Err(Outcome::AlreadyDone { input, fault: None });
+        return Err(Outcome::AlreadyDone { input, fault });
     }
     let mut notes = std::mem::take(&mut file.notes);
     notes.extend(notes_of_grids(&bytes));
@@ -128,7 +129,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
         )
     });
     let Written { paths, sizes_bytes } = written.map_err(Outcome::Failed)?;
-    conduct.record(&paths);
+    conduct.record(&paths, fault(&surface.report).as_deref());
     let report = FrameReport {
         input,
         skin: surface.report.clone(),

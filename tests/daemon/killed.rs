@@ -40,6 +40,7 @@ fn a_daemon_that_is_killed_loses_nothing_and_shows_nothing_half_made() {
                 produce(&scene, number);
             }
         });
+        let _end = EndOnDrop { killed_count: &killed_count, is_over: &is_over };
         let mut random = Random(7);
         for _ in 0..kill_count {
             let mut daemon = scene.start(&[&["--settle", "20ms"], &FORMATS[..]].concat());
@@ -60,6 +61,19 @@ fn a_daemon_that_is_killed_loses_nothing_and_shows_nothing_half_made() {
         assert!(is_whole(kind(&name), &mut Cursor::new(&bytes)).unwrap_or(false), "{name} was not whole");
         // The same frame gives the same bytes, however often it is converted.
         assert!(scene.bytes(&format!("out/{name}")) == bytes, "{name} was not what it is now");
+    }
+}
+
+/// Ends the threads of the observer and the producer, also when an assertion fails: the scope waits for both.
+struct EndOnDrop<'a> {
+    killed_count: &'a AtomicUsize,
+    is_over: &'a AtomicBool,
+}
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        self.killed_count.store(usize::MAX, Ordering::SeqCst);
+        self.is_over.store(true, Ordering::SeqCst);
     }
 }
 

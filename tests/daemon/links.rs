@@ -142,7 +142,10 @@ fn pipes_do_not_hold_up_verify_and_convert() {
         let kept = scene.bytes(&within);
         scene.remove(&within);
         make_pipe(&scene, &within);
-        assert_ne!(verify().status, Some(0), "{name}");
+        let ran = verify();
+        assert_ne!(ran.status, Some(0), "{name}");
+        let what = format!("{name}: not a regular file: a pipe");
+        assert!([&ran.out, &ran.err].iter().any(|text| text.contains(&what)), "{} {}", ran.out, ran.err);
         scene.remove(&within);
         scene.write(&within, kept);
     }

@@ -108,7 +108,7 @@ impl Cycle<'_> {
         was_killed
     }
 
-    /// Runs without faults make everything, and leave nothing else.
+    /// Runs without faults make everything, and leave nothing else: what failed and killed runs left is removed.
     fn assert_all_is_made(&self, version: Version) {
         let about = |ran: &Ran| {
             let log = self.scene.fault_log();
@@ -139,11 +139,8 @@ impl Cycle<'_> {
             }
         }
         let is_more = |name: &&String| !self.references.of(version).contains_key(*name);
-        // Only the daemon looks for what killed processes left.
-        let is_state = |name: &&String| name.starts_with(".meniscus/");
-        let is_left = |name: &&String| self.way == Way::Watch || !name.starts_with('.');
-        let more = found.keys().filter(is_more).filter(is_left).filter(|name| !is_state(name));
-        let more: Vec<&String> = more.collect();
+        let is_state = |name: &&String| self.way == Way::Watch && name.starts_with(".meniscus/");
+        let more: Vec<&String> = found.keys().filter(is_more).filter(|name| !is_state(name)).collect();
         assert!(more.is_empty(), "{more:?} are left: {}", about(&last));
     }
 

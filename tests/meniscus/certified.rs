@@ -219,6 +219,38 @@ fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
     assert!(verified.status != 0 && verified.err.contains("uncertified"), "{}", verified.err);
 }
 
+/// With and without `--skip-done` in the first run.
+#[test]
+fn skipped_frame_that_failed_validation_fails_again() {
+    // Spheres so small that they fall between the voxels.
+    let convert = ["convert", "a.1.ply", "--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001"];
+    let skip = [&convert[..], &["--skip-done"]].concat();
+    for first in [&convert[..], &skip] {
+        let folder = tempdir().expect("a folder");
+        let folder = folder.path();
+        write_ply(&folder.join("a.1.ply"), &block(4, 0.013));
+        let told =
+            "error: 1 of 1 frame failed validation; outputs were kept; --allow-violations accepts them\n";
+        let ran = meniscus(folder, first);
+        assert!(ran.status == 1 && ran.err.ends_with(told), "{}", ran.err);
+        for _ in 0..2 {
+            let ran = meniscus(folder, &skip);
+            assert!(ran.out.contains("a.1.ply: done already"), "{first:?}: {}", ran.out);
+            assert!(ran.status == 1 && ran.err.ends_with(told), "{first:?}: {} {}", ran.status, ran.err);
+            assert!(ran.err.contains("warning: a.1.ply: the certificate does not hold: "), "{}", ran.err);
+        }
+        let allowed = meniscus(folder, &[&skip[..], &["--allow-violations"]].concat());
+        assert_eq!(allowed.status, 0, "{}", allowed.err);
+        assert!(allowed.err.contains("a.1.ply: the certificate does not hold"), "{}", allowed.err);
+        // A run with other settings replaces the outputs by good ones.
+        let good = ["convert", "a.1.ply", "--out", "out", "--voxel-size", "0.05"];
+        for more in [&[][..], &["--skip-done"]] {
+            let ran = meniscus(folder, &[&good[..], more].concat());
+            assert_eq!(ran.status, 0, "{}", ran.err);
+        }
+    }
+}
+
 /// A quantized .glb beside a .ply: one certificate for both, and each file says as what it was checked.
 #[test]
 fn the_certificate_says_of_each_file_what_was_checked() {

@@ -108,13 +108,9 @@ impl OutputRecord {
 
     /// Whether the file has the recorded bytes. It is read only if its stamp differs.
     pub fn has_recorded_bytes(&self) -> bool {
-        match self.check() {
-            OutputCheck::Unchanged => true,
-            OutputCheck::Missing => false,
-            OutputCheck::Touched => {
-                let now = OutputState::of_path(&self.path).ok().map(|now| now.hash);
-                now.is_some() && now == self.state.map(|state| state.hash)
-            }
+        match self.state {
+            Some(state) => state.now(&self.path).is_ok_and(|now| now.hash == state.hash),
+            None => self.check() == OutputCheck::Unchanged,
         }
     }
 }

@@ -75,8 +75,9 @@ pub struct Conduct<'a> {
     /// Folders of outputs that mirror folders of inputs: links below them are not written through, for other accounts may
     /// have made them.
     pub mirrors: &'a [PathBuf],
-    /// The recorded states of outputs: a frame is not done if an output has other bytes than were recorded, and what is
-    /// written is recorded. `None`: bytes are neither recorded nor compared.
+    /// The recorded states of outputs: a frame is not done if an output has other bytes than were recorded. What is written
+    /// is recorded; without `skip_done`, only where a frame fails validation or its outputs have records already. `None`:
+    /// bytes are neither recorded nor compared.
     pub output_states: Option<&'a OutputStates>,
     /// Hears how frames advance.
     pub observer: Option<&'a dyn Observer>,
@@ -101,15 +102,19 @@ impl<'a> Conduct<'a> {
         }
     }
 
-    /// Whether these outputs have the recorded bytes, as far as records are kept.
-    pub(super) fn has_recorded(&self, outputs: &[PathBuf]) -> bool {
-        self.output_states.is_none_or(|states| states.are_as_recorded(outputs.iter().map(PathBuf::as_path)))
+    /// What is recorded of the outputs of a frame, as far as records are kept: `None` if one has other bytes than were
+    /// recorded, and else what did not hold when the frame was checked.
+    pub(super) fn recorded_fault(&self, outputs: &[PathBuf]) -> Option<Option<String>> {
+        self.output_states.map_or(Some(None), |states| states.recorded_fault(outputs))
     }
 
-    /// Records outputs that were just written, if records are kept.
-    pub(super) fn record(&self, outputs: &[PathBuf]) {
-        if let Some(states) = self.output_states {
-            states.record(outputs);
+    /// Records the outputs of a frame that were just written, and what did not hold when it was checked, if records are
+    /// kept.
+    pub(super) fn record(&self, outputs: &[PathBuf], fault: Option<&str>) {
+        if let Some(states) = self.output_states
+            && (self.skip_done || fault.is_some() || states.has_any(outputs))
+        {
+            states.record(outputs, fault);
         }
     }
 }

@@ -136,9 +136,9 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let obstacles = obstacles.recorded();
         let fault = match certificates {
             true => certified_fault(frame, input.hash, &obstacles),
-            false => (is_done(frame, input.hash, &obstacles)
-                && self.conduct.has_recorded(&frame.output_paths()))
-            .then_some(None),
+            false => is_done(frame, input.hash, &obstacles)
+                .then(|| self.conduct.recorded_fault(&frame.output_paths()))
+                .flatten(),
         };
         fault.map_or(Ok(()), |fault| Err(Outcome::AlreadyDone { input, fault }))
     }

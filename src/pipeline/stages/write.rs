@@ -11,6 +11,7 @@ use glam::DVec3;
 
 use crate::pipeline::frame::{Frame, FrameError, FrameReport, Outcome, Stage};
 use crate::pipeline::memory::peak_memory_bytes;
+use crate::pipeline::notes::fault;
 use crate::pipeline::open::require_no_links;
 use crate::pipeline::outputs::OutputFormat;
 use crate::pipeline::picture::Scene;
@@ -74,7 +75,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
             };
             let certify = self.conduct.certificates.then_some((known.input.hash, &surface.report));
             let written = write_files(frame, write, certify)?;
-            self.conduct.record(&frame.output_paths());
+            self.conduct.record(&frame.output_paths(), fault(&surface.report).as_deref());
             Ok((written, surface_notes(&surface, &frame.outputs, &frame.settings)))
         });
         let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
