@@ -50,6 +50,14 @@ pub struct StoredLevelSet<'a> {
     pub voxel_size: f64,
 }
 
+/// Memory for a leaf whose distances are rebuilt, in bytes: four fields, and where it is.
+const REBUILDING_LEAF_BYTES: u64 = 4 * size_of::<Leaf>() as u64 + 300;
+
+/// How many leaves can be rebuilt in so much memory, all that is held meanwhile included.
+pub fn rebuilding_leaf_count_max(memory_bytes: u64) -> usize {
+    usize::try_from(memory_bytes / REBUILDING_LEAF_BYTES).unwrap_or(usize::MAX)
+}
+
 /// Rebuilding a band would take more leaves than the caller allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyLeaves;
