@@ -17,7 +17,8 @@ use rustc_hash::FxHashMap;
 use super::leaf::ObstacleLeaf;
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
 use crate::level_set::{
-    NarrowBand, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt as rebuilt_band,
+    NarrowBand, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max,
+    rebuilt as rebuilt_band,
 };
 use crate::space::{INDEX_LIMIT, Lattice};
 
@@ -45,7 +46,7 @@ pub struct Sampled {
     tile_of: FxHashMap<(IVec3, i32), f32>,
     tile_sizes: Vec<i32>,
     to_index: DMat3,
-    is_rebuilt: bool,
+    rebuilt_because: Option<RebuildReason>,
 }
 
 /// Steps that differ by more than this part are of different lengths, or not at right angles.
@@ -99,13 +100,13 @@ impl LevelSetSource {
         &self,
         voxel_size: f64,
         leaf_count_max: usize,
-    ) -> Result<Option<LevelSetSource>, TooManyLeaves> {
+    ) -> Result<Option<(LevelSetSource, RebuildReason)>, TooManyLeaves> {
         let LevelSetSource { origins, leaves, tiles, background, .. } = self;
         let stored = StoredLevelSet { origins, leaves, tiles, background: *background, voxel_size };
-        let rebuilt = |NarrowBand { topology, phi, half_width }: NarrowBand| {
+        let rebuilt = |(NarrowBand { topology, phi, half_width }, reason): (NarrowBand, RebuildReason)| {
             let scale = voxel_size as f32;
             let background = half_width * scale;
-            LevelSetSource {
+            let source = LevelSetSource {
                 origins: topology.origins().to_vec(),
                 leaves: phi.leaves.iter().map(|leaf| leaf.values.map(|value| value * scale)).collect(),
                 tiles: tiles
@@ -115,7 +116,8 @@ impl LevelSetSource {
                 background,
                 axes: self.axes,
                 translation: self.translation,
-            }
+            };
+            (source, reason)
         };
         Ok(rebuilt_band(&stored, leaf_count_max)?.map(rebuilt))
     }
@@ -152,8 +154,8 @@ impl Sampled {
                  allow more memory (--memory), or save it with a narrow band"
             )
         })?;
-        let is_rebuilt = rebuilt.is_some();
-        source = rebuilt.unwrap_or(source);
+        let rebuilt_because = rebuilt.as_ref().map(|&(_, reason)| reason);
+        source = rebuilt.map_or(source, |(source, _)| source);
         let leaf_of = source.origins.iter().copied().zip(0..).collect();
         let tile_of = source.tiles.iter().map(|&(origin, size, value)| ((origin, size), value)).collect();
         let mut tile_sizes: Vec<i32> = source
@@ -165,12 +167,12 @@ impl Sampled {
         tile_sizes.sort_unstable();
         tile_sizes.dedup();
         let to_index = DMat3::from_cols(x, y, z).inverse();
-        Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index, is_rebuilt })
+        Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index, rebuilt_because })
     }
 
-    /// Whether the file had no distances next to the surface, only signs.
-    pub fn is_rebuilt(&self) -> bool {
-        self.is_rebuilt
+    /// Why its distances were rebuilt, if they were.
+    pub fn rebuilt_because(&self) -> Option<RebuildReason> {
+        self.rebuilt_because
     }
 
     /// The edge of its voxels, world units.

@@ -122,11 +122,6 @@ pub(super) fn level_set_limits(memory_bytes: u64) -> Limits {
     Limits { level_set_bytes: memory_bytes, ..Limits::default() }
 }
 
-/// What a user should know of a level set whose band was rebuilt.
-pub(super) const REBUILT_NOTE: &str = "the file has no distances next to the surface, only signs, at one voxel in a hundred or more, or \
-     tiles that meet at the surface: they were rebuilt, \
-     and the surface is within half a voxel of where the signs change";
-
 /// A level set in voxels, its lattice and origin, and notes on it.
 type InVoxels = (NarrowBand, Lattice, DVec3, Vec<String>);
 
@@ -160,7 +155,9 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
     let stored = StoredLevelSet { origins: &places, leaves: &leaves, tiles: &tiles, background, voxel_size };
     match rebuilt(&stored, rebuilt_leaf_count_max) {
         Ok(None) => {}
-        Ok(Some(band)) => return Ok((band, Lattice { voxel_size }, origin, vec![REBUILT_NOTE.to_owned()])),
+        Ok(Some((band, reason))) => {
+            return Ok((band, Lattice { voxel_size }, origin, vec![reason.to_string()]));
+        }
         Err(TooManyLeaves) => {
             return Err(format!(
                 "the grid \"{name}\" has signs without distances over a surface of more than \
