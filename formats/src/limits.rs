@@ -20,6 +20,8 @@ pub struct Limits {
     pub decompressed_bytes: u64,
     /// Decompressed bytes per compressed byte, counted after the first 16 MiB.
     pub decompression_ratio: u64,
+    /// Memory for a level set, in bytes: of its file, of what is read from it, and of the tables that find its leaves and tiles.
+    pub level_set_bytes: u64,
 }
 
 impl Default for Limits {
@@ -31,6 +33,7 @@ impl Default for Limits {
             step_count: 1_000_000, // the shortest has three bytes, and each is remembered
             decompressed_bytes: 1 << 36, // the positions of as many particles as are allowed take 48 GiB
             decompression_ratio: 200, // particles shrink 2 to 10 times, lattices 50 times, a bomb 1030 times
+            level_set_bytes: 1 << 36,
         }
     }
 }
@@ -53,6 +56,22 @@ impl Limits {
     pub(crate) fn decompressed_bytes_of(&self, compressed: u64) -> u64 {
         let by_ratio = compressed.saturating_mul(self.decompression_ratio).saturating_add(RATIO_FREE_BYTES);
         by_ratio.min(self.decompressed_bytes)
+    }
+
+    /// Refuses a level set that needs more memory than it may take. `content` says what needs it, and may be empty.
+    ///
+    /// # Errors
+    /// What it needs.
+    pub fn check_level_set(&self, needed_bytes: u64, content: &str) -> Result<()> {
+        const MEBIBYTE: u64 = 1 << 20;
+        if needed_bytes <= self.level_set_bytes {
+            return Ok(());
+        }
+        let (needed, allowed) = (needed_bytes.div_ceil(MEBIBYTE), self.level_set_bytes / MEBIBYTE);
+        let what = format!(
+            "the level set{content} needs {needed} MiB of memory and may take {allowed} MiB: use --memory {needed}MiB or more"
+        );
+        Err(Error::too_large("OpenVDB", what))
     }
 
     /// Refuses `unpacked` bytes that came out of `consumed` ones, if these are too many. `format` is what packed them.

@@ -26,7 +26,7 @@ use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{
     FrameFile, NumberPattern, files_in, frames_in, is_absent, is_level_set, is_link_loop, is_own_output,
-    may_be_file, open_regular, promises_particles, size_bytes, step_of,
+    may_be_file, open_regular, promises_particles, shown, size_bytes, step_of,
 };
 
 use super::console::Console;
@@ -54,7 +54,7 @@ const HEAD_BYTES: u64 = 64 << 10;
 pub(super) fn find_inputs(inputs: &[PathBuf]) -> Result<Found> {
     let found = look_for(inputs)?;
     match found.unreadable.first() {
-        Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", path.display()),
+        Some((path, why)) if found.files.is_empty() => bail!("{}: {why}", shown(path)),
         _ => Ok(found),
     }
 }
@@ -91,11 +91,11 @@ fn look_for(inputs: &[PathBuf]) -> Result<Found> {
             // Reading it says what is wrong.
             Err(_) if input.symlink_metadata().is_ok() => found.files.push(FrameFile::new(input.clone())),
             Err(_) if step_of(input).is_some_and(|(file, _)| file.is_file()) => {
-                size_bytes(input).map_err(|error| anyhow!("{}: {error}", input.display()))?;
+                size_bytes(input).map_err(|error| anyhow!("{}: {error}", shown(input)))?;
                 found.files.push(FrameFile::new(input.clone()));
             }
             Err(error) if !is_absent(input, &error) && !is_pattern(input) => {
-                bail!("{}: {error}", input.display())
+                bail!("{}: {error}", shown(input))
             }
             Err(_) => found.add_pattern(input)?,
         }
@@ -145,7 +145,7 @@ impl Found {
             console.warn(format_args!("warning: {warning}"));
         }
         for (path, why) in &self.unreadable {
-            console.fail(format_args!("error: {}: {why}", path.display()));
+            console.fail(format_args!("error: {}: {why}", shown(path)));
         }
     }
 

@@ -7,7 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use indicatif::ProgressBar;
 
-use crate::pipeline::{Frame, FrameReport, Observer, Stage};
+use crate::pipeline::{Frame, FrameReport, Observer, Stage, shown};
 use crate::settings::{Integrator, Settings};
 use crate::skin::Plan;
 
@@ -182,7 +182,7 @@ impl Estimate {
             seconds => format!("{:.1} h", seconds / 3600.0),
         };
         let gib = self.bytes as f64 / GIB;
-        format!("note: {}: will need about {gib:.1} GiB of memory and {time} (estimates)", input.display())
+        format!("note: {}: will need about {gib:.1} GiB of memory and {time} (estimates)", shown(input))
     }
 }
 

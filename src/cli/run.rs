@@ -8,7 +8,7 @@ use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
-    ShotSource, gist, keeps_guarantees, notes, output_path, standing_notes, velocity_hint,
+    ShotSource, gist, keeps_guarantees, notes, output_path, shown, standing_notes, velocity_hint,
 };
 
 use super::Verdict;
@@ -187,7 +187,7 @@ impl Run {
                         console.warn(format_args!("error: {of}{why}"));
                     }
                     self.record.add_failed(input, *sequence_index, why);
-                    self.fail(format!("{}: {why}", input.display()));
+                    self.fail(format!("{}: {why}", shown(input)));
                 }
                 Work::Convert(_) | Work::Impossible(_) => {
                     self.record.add_not_started(input, *sequence_index);
@@ -208,7 +208,7 @@ impl Run {
     ) {
         self.noted_count += 1;
         self.record.add_frame(frame, sequence_index, outcome);
-        let name = frame.input.display();
+        let name = shown(&frame.input);
         if matches!(outcome, Outcome::Converted(_) | Outcome::AlreadyDone { .. })
             && frame.outputs.formats.contains(&OutputFormat::Glb)
         {
@@ -261,7 +261,7 @@ impl Run {
         self.done_count += 1;
         if let Some(fault) = fault {
             self.broken_count += 1;
-            console.warn(format_args!("warning: {}: {fault}", input.display()));
+            console.warn(format_args!("warning: {}: {fault}", shown(input)));
         }
     }
 

@@ -9,7 +9,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use tempfile::TempDir;
 
-use crate::pipeline::has_particle_extension;
+use crate::pipeline::{STANDARD_INPUT, has_particle_extension, show_as};
 
 use super::args::ConvertArgs;
 use super::destination::private_folder;
@@ -32,7 +32,7 @@ impl StandardInput {
             }
             return Ok(None);
         };
-        let name = if is_stdin(&pipe) { "the standard input".to_owned() } else { pipe.display().to_string() };
+        let name = if is_stdin(&pipe) { STANDARD_INPUT.to_owned() } else { pipe.display().to_string() };
         if args.inputs.len() > 1 {
             bail!("{name} is one frame and has to be the only INPUT");
         }
@@ -54,6 +54,7 @@ impl StandardInput {
             ),
             _ => {}
         }
+        show_as(&path, &name);
         args.inputs = vec![path];
         Ok(Some(StandardInput { _folder: folder }))
     }

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 use std::path::Path;
 
-use crate::pipeline::{FrameReport, Outcome, gist, keeps_guarantees};
+use crate::pipeline::{FrameReport, Outcome, gist, keeps_guarantees, shown};
 
 use super::Verdict;
 use super::console::Console;
@@ -37,7 +37,7 @@ impl Tally {
         described: impl Fn(&FrameReport) -> String,
         (has_bar, console): (bool, &mut Console),
     ) {
-        let name = input.display();
+        let name = shown(input);
         match outcome {
             Outcome::Converted(report) => {
                 self.done_count += 1;

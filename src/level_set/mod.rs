@@ -17,7 +17,9 @@ mod widen;
 use std::sync::Arc;
 
 pub use bounds::Bounds;
-pub use rebuilt::{REBUILT_HALF_WIDTH, StoredLevelSet, TooManyLeaves, rebuilt};
+pub use rebuilt::{
+    REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
+};
 pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
 pub use widen::{WIDENED_MAX, widened, widened_leaf_count};
 

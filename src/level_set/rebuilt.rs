@@ -12,6 +12,8 @@
 //! are swept outward from them, and all are redistanced once. Of a sign function, planes along the axes come out exactly; in
 //! other directions the surface has steps of up to half a voxel to each side, which smoothing (`--band-slack 1`) removes.
 
+use std::fmt;
+
 use glam::IVec3;
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
@@ -50,6 +52,46 @@ pub struct StoredLevelSet<'a> {
     pub voxel_size: f64,
 }
 
+/// Memory for a leaf whose distances are rebuilt, in bytes: four fields, and where it is.
+const REBUILDING_LEAF_BYTES: u64 = 4 * size_of::<Leaf>() as u64 + 300;
+
+/// How many leaves can be rebuilt in so much memory, all that is held meanwhile included.
+pub fn rebuilding_leaf_count_max(memory_bytes: u64) -> usize {
+    usize::try_from(memory_bytes / REBUILDING_LEAF_BYTES).unwrap_or(usize::MAX)
+}
+
+/// Why a band was rebuilt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RebuildReason {
+    /// Stored voxels next to the surface.
+    pub surface_voxel_count: usize,
+    /// Those of them that have a sign and no distance.
+    pub clipped_voxel_count: usize,
+    /// Cubes of 8³ voxels in tiles at the surface: they have only signs.
+    pub tile_cube_count: usize,
+}
+
+impl fmt::Display for RebuildReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let RebuildReason { surface_voxel_count, clipped_voxel_count, tile_cube_count } = self;
+        let voxels = format!(
+            "{clipped_voxel_count} of {surface_voxel_count} voxels next to the surface have no distance, only a sign"
+        );
+        let tiles = format!(
+            "tiles, which have only a sign, lie at the surface (cubes of 8³ voxels there: {tile_cube_count})"
+        );
+        let what = match (clipped_voxel_count, tile_cube_count) {
+            (_, 0) => voxels,
+            (0, _) => tiles,
+            _ => format!("{voxels}, and {tiles}"),
+        };
+        write!(
+            f,
+            "{what}: the distances were rebuilt, and the surface is within half a voxel of where the signs change"
+        )
+    }
+}
+
 /// Rebuilding a band would take more leaves than the caller allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TooManyLeaves;
@@ -62,12 +104,15 @@ pub struct TooManyLeaves;
 pub fn rebuilt(
     stored: &StoredLevelSet<'_>,
     leaf_count_max: usize,
-) -> Result<Option<NarrowBand>, TooManyLeaves> {
+) -> Result<Option<(NarrowBand, RebuildReason)>, TooManyLeaves> {
     let lookup = Lookup::new(stored);
     let added = lookup.leaves_between_tiles(leaf_count_max)?;
-    if added.is_empty() && !lookup.is_clipped_at_surface() {
+    let [surface_voxel_count, clipped_voxel_count] = lookup.voxel_counts_at_surface();
+    let is_clipped = clipped_voxel_count as f64 > CLIPPED_PART_MAX * surface_voxel_count as f64;
+    if added.is_empty() && !is_clipped {
         return Ok(None);
     }
+    let reason = RebuildReason { surface_voxel_count, clipped_voxel_count, tile_cube_count: added.len() };
     let topology = Topology::new(lookup.topology.origins().iter().copied().chain(added).collect());
     if topology.len() > leaf_count_max {
         return Err(TooManyLeaves);
@@ -119,7 +164,7 @@ pub fn rebuilt(
     });
     let mut band = NarrowBand { topology: topology.into(), phi, half_width: REBUILT_HALF_WIDTH };
     redistance(&mut band, sweeps);
-    Ok(Some(band))
+    Ok(Some((band, reason)))
 }
 
 /// How far a voxel without a distance is from the surface if that lies between it and a voxel beside it, in voxels.
@@ -304,8 +349,8 @@ impl<'a> Lookup<'a> {
         Ok(added)
     }
 
-    /// Whether more than a few voxels of stored leaves that are next to one of the other sign have no distance.
-    fn is_clipped_at_surface(&self) -> bool {
+    /// How many voxels of stored leaves are next to one of the other sign, and how many of them have no distance.
+    fn voxel_counts_at_surface(&self) -> [usize; 2] {
         let inside = inside_masks(self.topology.len(), |leaf| self.stored_leaf(leaf));
         let counts = (0..self.topology.len()).into_par_iter().map(|leaf| {
             let values = self.stored_leaf(leaf);
@@ -313,8 +358,7 @@ impl<'a> Lookup<'a> {
             let is_clipped = |offset: &usize| !self.is_known(values[*offset]);
             [at_surface.iter().count(), at_surface.iter().filter(is_clipped).count()]
         });
-        let [at_surface, clipped] = counts.reduce(|| [0; 2], |[a, b], [c, d]| [a + c, b + d]);
-        clipped as f64 > CLIPPED_PART_MAX * at_surface as f64
+        counts.reduce(|| [0; 2], |[a, b], [c, d]| [a + c, b + d])
     }
 }
 
@@ -394,7 +438,8 @@ mod tests {
     #[test]
     fn sign_function_gets_distances_within_half_a_voxel() {
         let steps = ball(|distance| BACKGROUND.copysign(distance));
-        let band = rebuilt(&stored(&steps, &[]), 1000).expect("few leaves").expect("rebuilt");
+        let (band, reason) = rebuilt(&stored(&steps, &[]), 1000).expect("few leaves").expect("rebuilt");
+        assert_eq!(reason.clipped_voxel_count, reason.surface_voxel_count, "{reason}");
         let [greatest, mean] = errors(&band);
         assert!(greatest < 0.75 && mean < 0.25, "{greatest} {mean}");
     }
@@ -407,7 +452,7 @@ mod tests {
         };
         for sign in [1.0, -1.0] {
             let half = ball(|distance| sign * outside_only(sign * distance));
-            let band = rebuilt(&stored(&half, &[]), 1000).expect("few leaves").expect("rebuilt");
+            let (band, _) = rebuilt(&stored(&half, &[]), 1000).expect("few leaves").expect("rebuilt");
             let [greatest, mean] = errors(&band);
             assert!(greatest < 0.35 && mean < 0.1, "{greatest} {mean}");
         }
@@ -436,7 +481,11 @@ mod tests {
         let large = [(IVec3::splat(-128), 128, -BACKGROUND)];
         for (tiles, edge) in [(&small[..], 16.0), (&large, 128.0)] {
             let band = rebuilt(&stored(&(vec![], vec![]), tiles), 10_000);
-            let band = band.expect("few leaves").expect("rebuilt");
+            let (band, reason) = band.expect("few leaves").expect("rebuilt");
+            assert!(
+                reason.to_string().contains(&format!("cubes of 8³ voxels there: {}", reason.tile_cube_count)),
+                "{reason}"
+            );
             // A face of the cube lies midway between its voxels and those around it.
             let inside = |value: &&f32| **value < 0.0 && **value > -REBUILT_HALF_WIDTH;
             let near = band.phi.leaves.iter().flat_map(|leaf| leaf.values.iter().filter(inside)).count();

@@ -16,7 +16,10 @@ use rustc_hash::FxHashMap;
 
 use super::leaf::ObstacleLeaf;
 use crate::grid::{LEAF_EDGE, LEAF_VOXELS, Leaf, offset_in_leaf, voxel_in_leaf};
-use crate::level_set::{NarrowBand, StoredLevelSet, TooManyLeaves, rebuilt as rebuilt_band};
+use crate::level_set::{
+    NarrowBand, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max,
+    rebuilt as rebuilt_band,
+};
 use crate::space::{INDEX_LIMIT, Lattice};
 
 /// A level set as it comes: signed distances in world units, negative inside.
@@ -43,11 +46,8 @@ pub struct Sampled {
     tile_of: FxHashMap<(IVec3, i32), f32>,
     tile_sizes: Vec<i32>,
     to_index: DMat3,
-    is_rebuilt: bool,
+    rebuilt_because: Option<RebuildReason>,
 }
-
-/// No band is rebuilt with more leaves: its values take 512 MiB at most, and up to four times as much while it is rebuilt.
-const REBUILT_LEAVES_MAX: usize = 1 << 18;
 
 /// Steps that differ by more than this part are of different lengths, or not at right angles.
 const SKEW_MAX: f64 = 1e-4;
@@ -96,13 +96,17 @@ const OUTERMOST: f32 = 1.8;
 
 impl LevelSetSource {
     /// The same with distances in a band around the surface; `None` if it has them already.
-    fn rebuilt(&self, voxel_size: f64) -> Result<Option<LevelSetSource>, TooManyLeaves> {
+    fn rebuilt(
+        &self,
+        voxel_size: f64,
+        leaf_count_max: usize,
+    ) -> Result<Option<(LevelSetSource, RebuildReason)>, TooManyLeaves> {
         let LevelSetSource { origins, leaves, tiles, background, .. } = self;
         let stored = StoredLevelSet { origins, leaves, tiles, background: *background, voxel_size };
-        let rebuilt = |NarrowBand { topology, phi, half_width }: NarrowBand| {
+        let rebuilt = |(NarrowBand { topology, phi, half_width }, reason): (NarrowBand, RebuildReason)| {
             let scale = voxel_size as f32;
             let background = half_width * scale;
-            LevelSetSource {
+            let source = LevelSetSource {
                 origins: topology.origins().to_vec(),
                 leaves: phi.leaves.iter().map(|leaf| leaf.values.map(|value| value * scale)).collect(),
                 tiles: tiles
@@ -112,19 +116,20 @@ impl LevelSetSource {
                 background,
                 axes: self.axes,
                 translation: self.translation,
-            }
+            };
+            (source, reason)
         };
-        Ok(rebuilt_band(&stored, REBUILT_LEAVES_MAX)?.map(rebuilt))
+        Ok(rebuilt_band(&stored, leaf_count_max)?.map(rebuilt))
     }
 }
 
 impl Sampled {
-    /// What a level set encloses.
+    /// What a level set encloses. Rebuilding its distances, where the file lacks them, may take `memory_bytes` beside it.
     ///
     /// # Errors
     /// What is wrong with it, in a sentence without subject: voxels that are no cubes, a background that is not
-    /// positive.
-    pub fn new(mut source: LevelSetSource) -> Result<Sampled, String> {
+    /// positive, distances that cannot be rebuilt in that memory.
+    pub fn new(mut source: LevelSetSource, memory_bytes: u64) -> Result<Sampled, String> {
         let [x, y, z] = source.axes;
         let size_squared = x.length_squared();
         let is_even = |squared: f64| (squared - size_squared).abs() <= SKEW_MAX * size_squared;
@@ -142,14 +147,15 @@ impl Sampled {
         if source.origins.len() != source.leaves.len() {
             return Err("has leaves without values".into());
         }
-        let rebuilt = source.rebuilt(size_squared.sqrt()).map_err(|TooManyLeaves| {
+        let leaf_count_max = rebuilding_leaf_count_max(memory_bytes);
+        let rebuilt = source.rebuilt(size_squared.sqrt(), leaf_count_max).map_err(|TooManyLeaves| {
             format!(
-                "has signs without distances over a surface of more than {REBUILT_LEAVES_MAX} leaves: \
-                 save it with a narrow band"
+                "has signs without distances over a surface of more than {leaf_count_max} leaves: \
+                 allow more memory (--memory), or save it with a narrow band"
             )
         })?;
-        let is_rebuilt = rebuilt.is_some();
-        source = rebuilt.unwrap_or(source);
+        let rebuilt_because = rebuilt.as_ref().map(|&(_, reason)| reason);
+        source = rebuilt.map_or(source, |(source, _)| source);
         let leaf_of = source.origins.iter().copied().zip(0..).collect();
         let tile_of = source.tiles.iter().map(|&(origin, size, value)| ((origin, size), value)).collect();
         let mut tile_sizes: Vec<i32> = source
@@ -161,12 +167,12 @@ impl Sampled {
         tile_sizes.sort_unstable();
         tile_sizes.dedup();
         let to_index = DMat3::from_cols(x, y, z).inverse();
-        Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index, is_rebuilt })
+        Ok(Sampled { source, leaf_of, tile_of, tile_sizes, to_index, rebuilt_because })
     }
 
-    /// Whether the file had no distances next to the surface, only signs.
-    pub fn is_rebuilt(&self) -> bool {
-        self.is_rebuilt
+    /// Why its distances were rebuilt, if they were.
+    pub fn rebuilt_because(&self) -> Option<RebuildReason> {
+        self.rebuilt_because
     }
 
     /// The edge of its voxels, world units.

@@ -408,7 +408,7 @@ fn level_set(center: DVec3, radius: f64, voxel_size: f64, band_voxels: f32) -> L
 fn level_sets_are_what_they_were_made_of() {
     let center = DVec3::new(1.7, -2.2, 0.4);
     for (voxel_size, band, tolerance) in [(1.0, 8.0, 0.05), (0.37, 20.0, 0.02), (2.3, 4.0, 0.25)] {
-        let sampled = Sampled::new(level_set(center, 12.0, voxel_size, band)).expect("a level set");
+        let sampled = Sampled::new(level_set(center, 12.0, voxel_size, band), 1 << 30).expect("a level set");
         let mut worst: f64 = 0.0;
         for (voxel, value) in sample(IVec3::splat(-24), IVec3::splat(24), &UNIT, |at, lattice, far| {
             sampled.leaf(at, lattice, far)
@@ -418,7 +418,7 @@ fn level_sets_are_what_they_were_made_of() {
         }
         assert!(worst < tolerance, "voxels of {voxel_size}: {worst}");
     }
-    let narrow = Sampled::new(level_set(center, 12.0, 1.0, 3.0)).expect("a level set");
+    let narrow = Sampled::new(level_set(center, 12.0, 1.0, 3.0), 1 << 30).expect("a level set");
     for (voxel, value) in
         sample(IVec3::splat(-24), IVec3::splat(24), &UNIT, |at, lattice, far| narrow.leaf(at, lattice, far))
     {
@@ -439,7 +439,7 @@ fn what_is_no_level_set_is_refused() {
         (LevelSetSource { background: 0.0, ..sound.clone() }, "background"),
         (LevelSetSource { leaves: Vec::new(), ..sound }, "leaves"),
     ] {
-        let error = Sampled::new(source).err().expect("no level set");
+        let error = Sampled::new(source, 1 << 30).err().expect("no level set");
         assert!(error.contains(word), "{error}");
     }
 }

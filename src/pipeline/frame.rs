@@ -16,6 +16,7 @@ use super::obstacles::ObstacleFiles;
 use super::out_folder::is_disk_full;
 use super::outputs::{OutputOptions, output_path};
 use super::picture::PictureOptions;
+use super::shown::shown;
 use super::source::FrameFile;
 use super::stamp::FileStamp;
 use super::viewpoint::CameraChoice;
@@ -276,19 +277,20 @@ fn panic_message(payload: &(dyn Any + Send)) -> String {
 impl fmt::Display for FrameError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let FrameError { path, during, cause } = self;
+        let path = shown(path);
         match cause {
-            Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path.display()),
-            Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path.display()),
-            Cause::Changed => write!(f, "{}: changed while it was read", path.display()),
-            Cause::Obstacle(error) => write!(f, "{}: {error}", path.display()),
-            Cause::Missing(what) => write!(f, "{}: {what}", path.display()),
-            Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path.display()),
-            Cause::TooFine(too_fine) => write!(f, "{}: {too_fine}", path.display()),
+            Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path),
+            Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path),
+            Cause::Changed => write!(f, "{}: changed while it was read", path),
+            Cause::Obstacle(error) => write!(f, "{}: {error}", path),
+            Cause::Missing(what) => write!(f, "{}: {what}", path),
+            Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path),
+            Cause::TooFine(too_fine) => write!(f, "{}: {too_fine}", path),
             Cause::Scratch(source) => {
-                write!(f, "{}: cannot keep what does not fit into memory here: {source}", path.display())
+                write!(f, "{}: cannot keep what does not fit into memory here: {source}", path)
             }
             Cause::Panic(what) => {
-                write!(f, "{}: a fault in this program, in the {during} stage: {what}", path.display())
+                write!(f, "{}: a fault in this program, in the {during} stage: {what}", path)
             }
         }
     }

@@ -9,7 +9,7 @@ use meniscus_formats::{Error, Limits};
 use twox_hash::XxHash3_128;
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, Topology};
-use crate::level_set::{NarrowBand, StoredLevelSet, TooManyLeaves, rebuilt};
+use crate::level_set::{NarrowBand, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt};
 use crate::space::{INDEX_LIMIT, Lattice};
 
 use super::frame::{FrameError, Stage};
@@ -55,14 +55,11 @@ impl LevelSetFile {
     ) -> Result<LevelSetFile, FrameError> {
         let fail = |error| FrameError::file(path, Stage::Read, error);
         let hash = XxHash3_128::oneshot(bytes);
-        let limits = Limits::default();
-        let leaf_count = vdb::level_set_leaf_count(bytes, None, &limits).map_err(fail)?;
-        let reading_bytes = bytes.len() as u64 + leaf_count as u64 * READING_LEAF_BYTES;
-        check_memory(reading_bytes, memory_bytes).map_err(fail)?;
+        let limits = level_set_limits(memory_bytes);
         let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
         let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
-        let rebuilt_leaf_count_max = (memory_bytes - reading_bytes) / REBUILDING_LEAF_BYTES;
-        let (band, lattice, origin, notes) = level_set(data, rebuilt_leaf_count_max as usize)
+        let rebuilding_bytes = memory_bytes.saturating_sub(bytes.len() as u64 + data.memory_bytes());
+        let (band, lattice, origin, notes) = level_set(data, rebuilding_leaf_count_max(rebuilding_bytes))
             .map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
         let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, notes };
         if wants_velocity {
@@ -120,35 +117,10 @@ impl LevelSetFile {
 /// What grids of velocities are called.
 const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
 
-/// Memory for a leaf while it is read, in bytes: as it is in the file, and as it is kept, with where it is and which of its
-/// voxels are inside.
-const READING_LEAF_BYTES: u64 = 2 * size_of::<Leaf>() as u64 + 400;
-
-/// Memory for a leaf whose distances are rebuilt, in bytes: four fields, and where it is.
-const REBUILDING_LEAF_BYTES: u64 = 4 * size_of::<Leaf>() as u64 + 300;
-
-/// Refuses a level set that needs more memory than it may take.
-///
-/// # Errors
-/// What it needs.
-pub(super) fn check_memory(needed: u64, allowed: u64) -> meniscus_formats::Result<()> {
-    const MEBIBYTE: u64 = 1 << 20;
-    if needed <= allowed {
-        return Ok(());
-    }
-    let what = format!(
-        "the level set needs {} MiB of memory and may take {} MiB: use --memory {}MiB or more",
-        needed.div_ceil(MEBIBYTE),
-        allowed / MEBIBYTE,
-        needed.div_ceil(MEBIBYTE),
-    );
-    Err(Error::TooLarge { format: "OpenVDB", what })
+/// What a level set may ask for with so much memory.
+pub(super) fn level_set_limits(memory_bytes: u64) -> Limits {
+    Limits { level_set_bytes: memory_bytes, ..Limits::default() }
 }
-
-/// What a user should know of a level set whose band was rebuilt.
-pub(super) const REBUILT_NOTE: &str = "the file has no distances next to the surface, only signs, at one voxel in a hundred or more, or \
-     tiles that meet at the surface: they were rebuilt, \
-     and the surface is within half a voxel of where the signs change";
 
 /// A level set in voxels, its lattice and origin, and notes on it.
 type InVoxels = (NarrowBand, Lattice, DVec3, Vec<String>);
@@ -178,11 +150,14 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
         return Err(format!("the grid \"{name}\" has values that are no numbers"));
     }
     let origin = DVec3::from(transform.translation);
-    let tiles: Vec<_> = tiles.iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect();
+    let tiles: Vec<_> =
+        tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect();
     let stored = StoredLevelSet { origins: &places, leaves: &leaves, tiles: &tiles, background, voxel_size };
     match rebuilt(&stored, rebuilt_leaf_count_max) {
         Ok(None) => {}
-        Ok(Some(band)) => return Ok((band, Lattice { voxel_size }, origin, vec![REBUILT_NOTE.to_owned()])),
+        Ok(Some((band, reason))) => {
+            return Ok((band, Lattice { voxel_size }, origin, vec![reason.to_string()]));
+        }
         Err(TooManyLeaves) => {
             return Err(format!(
                 "the grid \"{name}\" has signs without distances over a surface of more than \

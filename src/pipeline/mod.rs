@@ -93,6 +93,7 @@ mod record;
 mod resurfacing;
 mod seats;
 mod shot;
+mod shown; // paths as users see them
 mod sink;
 mod source;
 mod stages;
@@ -142,6 +143,7 @@ pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
 pub use resurfacing::{BandToSurface, resurface_all};
 pub use shot::{ShotError, ShotFormat, ShotOptions, ShotReport, ShotSource, is_shot, write_shot};
+pub use shown::{STANDARD_INPUT, show_as, shown};
 pub use sink::{replace_own, stop_writing, write_whole};
 pub use source::{
     FrameFile, Sequence, has_particle_extension, have_fallen_apart, natural_order, order_subframes,

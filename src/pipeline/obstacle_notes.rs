@@ -19,7 +19,6 @@ use crate::settings::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
-use super::level_set_file::REBUILT_NOTE;
 use super::obstacles::FrameObstacles;
 
 /// A level set with a band that is narrower than this, in units of h, tells little of where it is.
@@ -59,8 +58,8 @@ pub(super) fn notes_of(shape: &Shape, path: &Path, settings: &Settings) -> Vec<S
             }
         }
         Shape::Sampled(sampled) => {
-            if sampled.is_rebuilt() {
-                notes.push(format!("obstacle {name}: {REBUILT_NOTE}"));
+            if let Some(reason) = sampled.rebuilt_because() {
+                notes.push(format!("obstacle {name}: {reason}"));
             }
             let known = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
             if known < KNOWN_MIN {

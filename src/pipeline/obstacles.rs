@@ -19,7 +19,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::{DVec3, IVec3};
 use meniscus_formats::vdb::LevelSetData;
-use meniscus_formats::{Limits, ObstacleData, gltf, read_obstacle};
+use meniscus_formats::{ObstacleData, gltf, read_obstacle};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
@@ -27,6 +27,7 @@ use crate::obstacle::{LevelSetSource, Obstacle, Obstacles, Sampled, Shape, Solid
 use crate::settings::Settings;
 
 use super::frame::ObstacleError;
+use super::level_set_file::level_set_limits;
 use super::number_pattern::{NumberPattern, may_be_file};
 use super::obstacle_notes::notes_of;
 use super::outputs::{Conflict, are_one_file, entry};
@@ -236,27 +237,30 @@ impl ObstacleFiles {
         Ok(FoundObstacles { found: found.collect::<Result<_, _>>()? })
     }
 
-    /// What is in them. The leaves that are kept of all together take no more than so many bytes.
+    /// What is in them. Reading one may take no more than so many bytes, and the leaves that are kept of all together a small
+    /// part of that.
     pub(super) fn load(
         &self,
         found: FoundObstacles,
         settings: &Settings,
-        kept_bytes_max: u64,
+        memory_bytes: u64,
     ) -> Result<FrameObstacles, ObstacleError> {
         let mut all = FrameObstacles { recorded: found.recorded(), ..FrameObstacles::default() };
-        let kept_bytes_max = kept_bytes_max / found.found.len().max(1) as u64;
+        let kept_bytes_max = memory_bytes / OBSTACLE_SHARE / found.found.len().max(1) as u64;
         for file in found.found {
             all.paths.push(file.path.clone());
-            let data = match file.content {
+            let (data, file_bytes) = match file.content {
                 Content::Obstacle(obstacle) => {
                     all.all_bytes += obstacle.size_bytes_max() as u64;
                     all.open_edge_count += open_edges(obstacle.shape());
                     all.obstacles.members.push(obstacle);
                     continue;
                 }
-                Content::Bytes(bytes, beside) => parse(&file.path, &bytes, beside)?,
+                Content::Bytes(bytes, beside) => {
+                    (parse(&file.path, &bytes, beside, memory_bytes)?, bytes.len() as u64)
+                }
             };
-            let shape = shape_of(data)
+            let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))
                 .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
             all.notes.extend(notes_of(&shape, &file.path, settings));
             all.open_edge_count += open_edges(&shape);
@@ -374,7 +378,12 @@ fn is_gltf_text(path: &Path) -> bool {
 }
 
 /// What is in the bytes of a file, with those of the files beside it.
-fn parse(path: &Path, bytes: &[u8], beside: HashMap<String, Vec<u8>>) -> Result<ObstacleData, ObstacleError> {
+fn parse(
+    path: &Path,
+    bytes: &[u8],
+    beside: HashMap<String, Vec<u8>>,
+    memory_bytes: u64,
+) -> Result<ObstacleData, ObstacleError> {
     let beside = Mutex::new(beside);
     // Each is asked for once.
     let take = |relative: &str| {
@@ -383,16 +392,19 @@ fn parse(path: &Path, bytes: &[u8], beside: HashMap<String, Vec<u8>>) -> Result<
             io::Error::new(io::ErrorKind::Unsupported, "only a .gltf may have files beside it; use .glb")
         })
     };
-    read_obstacle(bytes, &name_of(path), &Limits::default(), &take).map_err(|error| failed(path, error))
+    read_obstacle(bytes, &name_of(path), &level_set_limits(memory_bytes), &take)
+        .map_err(|error| failed(path, error))
 }
 
-fn shape_of(data: ObstacleData) -> Result<Shape, String> {
+/// What is in the way; `memory_bytes` is for a level set and for all that rebuilding it takes.
+fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<Shape, String> {
     Ok(match data {
         ObstacleData::Mesh(mesh) => Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)),
         ObstacleData::LevelSet(data) => {
             let name = data.name.clone();
+            let rebuilding_bytes = memory_bytes.saturating_sub(data.memory_bytes());
             Shape::Sampled(
-                Sampled::new(source_of(*data))
+                Sampled::new(source_of(*data), rebuilding_bytes)
                     .map(Box::new)
                     .map_err(|what| format!("the grid \"{name}\" {what}"))?,
             )
@@ -404,12 +416,15 @@ fn source_of(data: LevelSetData) -> LevelSetSource {
     LevelSetSource {
         origins: data.origins.into_iter().map(IVec3::from).collect(),
         leaves: data.leaves,
-        tiles: data.tiles.iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect(),
+        tiles: data.tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect(),
         background: data.background,
         axes: data.transform.axes.map(DVec3::from),
         translation: DVec3::from(data.transform.translation),
     }
 }
+
+/// What leaves of obstacles are kept may take one part in so many of the memory that a frame may take.
+const OBSTACLE_SHARE: u64 = 16;
 
 /// Memory for reading an obstacle and making it one, in sizes of its file: about 320 bytes for a triangle. Measured on
 /// two million of them, and on a level set of 15 million values.
@@ -477,7 +492,7 @@ mod tests {
         let is_known = |found: &FoundObstacles| matches!(found.found[0].content, Content::Obstacle(_));
         let first = find();
         let (recorded, stamps) = (first.recorded(), files.stamps(None));
-        let loaded = files.load(first, &settings, 1 << 20).expect("a triangle");
+        let loaded = files.load(first, &settings, 1 << 24).expect("a triangle");
         assert_eq!(loaded.open_edge_count, 3);
         let again = find();
         assert!(is_known(&again));
@@ -533,7 +548,7 @@ mod tests {
         fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
         let files = ObstacleFiles::new(vec![path.clone(), folder.path().join("./a.obj"), path.clone()]);
         let settings = Settings::resolve(0.1, &crate::settings::Choices::default()).expect("settings");
-        let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 20).expect("a triangle");
+        let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 24).expect("a triangle");
         assert_eq!(loaded.obstacles.members.len(), 1);
         // What is known needs no more memory to be loaded, until it is another.
         let size = path.metadata().expect("there").len();
@@ -571,7 +586,7 @@ mod tests {
         let files = ObstacleFiles::new(vec![path]);
         let settings = Settings::resolve(0.1, &crate::settings::Choices::default()).expect("settings");
         let found = files.find(None).expect("readable");
-        let error = files.load(found, &settings, 1 << 20).err().expect("a buffer elsewhere").to_string();
+        let error = files.load(found, &settings, 1 << 24).err().expect("a buffer elsewhere").to_string();
         assert!(error.contains("only a .gltf"), "{error}");
     }
 }

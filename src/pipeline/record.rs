@@ -18,6 +18,7 @@ use super::frame::{Frame, FrameReport, Outcome};
 use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
 use super::provenance::chosen_options;
+use super::shown::shown;
 use super::sink::write_whole;
 use super::voxel_size::AutomaticVoxelSize;
 
@@ -540,7 +541,7 @@ pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
 }
 
 fn text(path: &Path) -> String {
-    path.to_string_lossy().into_owned()
+    shown(path).to_string()
 }
 
 #[cfg(test)]

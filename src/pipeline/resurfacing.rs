@@ -18,7 +18,7 @@ use crate::skin::{resurface, resurfacing_bytes};
 
 use super::crew::{Crew, Tasks};
 use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};
-use super::level_set_file::{LevelSetFile, check_memory};
+use super::level_set_file::{LevelSetFile, level_set_limits};
 use super::notes::fault;
 use super::obstacles::ObstacleFiles;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
@@ -66,6 +66,9 @@ pub fn resurface_all(
 
 fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome> {
     let failed = |error| Outcome::Failed(FrameError::file(&band.input, Stage::Read, error));
+    let limits = level_set_limits(conduct.memory_bytes);
+    let file_bytes = band.input.metadata().map_or(0, |metadata| metadata.len());
+    limits.check_level_set(file_bytes, "").map_err(failed)?;
     let unchanged = read_unchanged(&band.input).map_err(|error| failed(error.into()))?;
     let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
     let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
@@ -114,7 +117,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     let slack = band.slack_voxels as f32;
     let stored = stored(&frame.outputs);
     let needed = conduct.pool.install(|| resurfacing_bytes(file.band(), slack, &frame.settings));
-    check_memory(needed, conduct.memory_bytes).map_err(failed)?;
+    limits.check_level_set(needed, "").map_err(failed)?;
     let band = file.into_band();
     let surface = conduct.pool.install(|| resurface(band, origin, slack, &frame.settings, &stored));
     notes.extend(surface_notes(&surface, &frame.outputs, &frame.settings));

@@ -86,7 +86,7 @@ impl StillFrame {
         let mut loaded = stage(path, Stage::Read, || {
             let of_obstacle = |error| Cause::Obstacle(Box::new(error));
             let found = obstacles.find(self.number).map_err(of_obstacle)?;
-            obstacles.load(found, settings, memory_bytes / OBSTACLE_SHARE).map_err(of_obstacle)
+            obstacles.load(found, settings, memory_bytes).map_err(of_obstacle)
         })?;
         let mut notes = self.notes.clone();
         notes.append(&mut loaded.notes);
@@ -109,6 +109,3 @@ fn stage<T>(path: &Path, during: Stage, work: impl FnOnce() -> Result<T, Cause>)
     let failed = |cause| FrameError { path: path.to_owned(), during, cause };
     FrameError::catch(path, during, work)?.map_err(failed)
 }
-
-/// What leaves of obstacles are kept may take one part in so many of the memory.
-const OBSTACLE_SHARE: u64 = 16;

@@ -15,6 +15,7 @@
 mod bombs; // a little that unpacks to a lot
 mod claims; // headers that promise, and headers without end
 mod clocks; // files from the past and the future, clocks that are set
+mod grids; // small volumes that are full of tiles
 mod names; // names that are no text
 mod scene; // a folder with good frames, and the command in it
 mod sizes; // many steps, many leaves: memory in proportion

@@ -36,6 +36,8 @@ pub(crate) struct Ran {
     pub(crate) err: String,
     /// The most that it held.
     pub(crate) peak_bytes: u64,
+    /// How much it read, of all files together.
+    pub(crate) read_bytes: u64,
 }
 
 impl Scene {
@@ -75,9 +77,9 @@ impl Scene {
         let [out, err] = ["out.txt", "err.txt"].map(|name| self.path(name));
         let file = |path| File::create(path).expect("made");
         command.current_dir(self.0.path()).stdin(Stdio::null()).stdout(file(&out)).stderr(file(&err));
-        let (status, peak_bytes) = until_it_ends(command.spawn().expect("it starts"));
+        let (status, peak_bytes, read_bytes) = until_it_ends(command.spawn().expect("it starts"));
         let text = |path| String::from_utf8_lossy(&fs::read(path).expect("readable")).into_owned();
-        let ran = Ran { status, out: text(out), err: text(err), peak_bytes };
+        let ran = Ran { status, out: text(out), err: text(err), peak_bytes, read_bytes };
         assert!(!ran.err.contains("panicked"), "{}", ran.err);
         ran
     }
@@ -107,16 +109,17 @@ impl Scene {
     }
 }
 
-/// How it ended, and the most that it held until a moment before.
-fn until_it_ends(mut child: Child) -> (Option<i32>, u64) {
-    let status = PathBuf::from(format!("/proc/{}/status", child.id()));
+/// How it ended, and the most that it held and how much it read until a moment before.
+fn until_it_ends(mut child: Child) -> (Option<i32>, u64, u64) {
+    let [status, io] = ["status", "io"].map(|file| PathBuf::from(format!("/proc/{}/{file}", child.id())));
     let deadline = Instant::now() + PATIENCE;
-    let mut peak_bytes = 0;
+    let (mut peak_bytes, mut read_bytes) = (0, 0);
     loop {
         peak_bytes = peak_bytes.max(peak_of(&status).unwrap_or(0));
+        read_bytes = read_bytes.max(read_by(&io).unwrap_or(0));
         if let Some(status) = child.try_wait().expect("it is there") {
             assert_eq!(status.signal(), None, "it was ended");
-            return (status.code(), peak_bytes);
+            return (status.code(), peak_bytes, read_bytes);
         }
         if Instant::now() > deadline {
             child.kill().expect("it is there");
@@ -124,6 +127,12 @@ fn until_it_ends(mut child: Child) -> (Option<i32>, u64) {
         }
         thread::sleep(Duration::from_millis(5));
     }
+}
+
+/// The bytes that a process has read, by the system's count.
+fn read_by(io: &Path) -> Option<u64> {
+    let text = fs::read_to_string(io).ok()?;
+    text.lines().find_map(|line| line.strip_prefix("rchar:"))?.trim().parse().ok()
 }
 
 fn peak_of(status: &Path) -> Option<u64> {

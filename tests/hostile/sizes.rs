@@ -35,6 +35,23 @@ fn info_of_many_steps_takes_little_memory() {
     }
 }
 
+/// Four times the steps may take four times the reading. If each step read the file from its start it would be 16 times.
+#[test]
+fn what_is_read_of_many_steps_grows_with_the_size_of_the_file() {
+    let scene = Scene::new();
+    let convert = ["convert", "many.lammpstrj", "--out", "out", "--voxel-size", "0.1", "--format", "obj"];
+    for (arguments, few) in [(&["info", "many.lammpstrj"][..], 5_000), (&convert, 300)] {
+        let [of_few, of_many] = [few, 4 * few].map(|count| {
+            scene.write("many.lammpstrj", steps(count));
+            let ran = scene.run(arguments);
+            assert_eq!(ran.status, Some(0), "{}", ran.err);
+            tell(&format!("{} of {count} steps: {} kB read", arguments[0], ran.read_bytes >> 10));
+            ran.read_bytes
+        });
+        assert!(of_few > 0 && of_many <= 6 * of_few, "{arguments:?}: {of_few}, then {of_many} bytes");
+    }
+}
+
 /// A file with a voxel inside in each of so many leaves, none of which are neighbours.
 fn scattered(edge_count: i32) -> Vec<u8> {
     let mut origins = Vec::new();

@@ -180,7 +180,11 @@ fn level_set_without_a_band_is_rebuilt_with_a_warning() {
         for slack in ["--band-slack=0", "--band-slack=1"] {
             let ran = convert(folder, &["--format=obj,vdb", slack]);
             assert_eq!(ran.status, 0, "{}", ran.err);
-            assert!(ran.err.contains("no distances next to the surface"), "{}", ran.err);
+            assert!(
+                ran.err.contains("voxels next to the surface have no distance, only a sign"),
+                "{}",
+                ran.err
+            );
             assert!(!ran.out.contains("does not hold"), "{}", ran.out);
             let mesh = info(folder, "out/block.obj")["mesh"].clone();
             assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
@@ -201,6 +205,8 @@ fn surface_between_tiles_is_rebuilt() {
     fs::write(folder.join("in/block.vdb"), bytes).expect("written");
     let ran = convert(folder, &["--format=obj"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
+    // 4 × 4 × 4 cubes, of which 2 × 2 × 2 are not at the surface, and 4 × 4 beyond each face.
+    assert!(ran.err.contains("(cubes of 8³ voxels there: 152)"), "{}", ran.err);
     let mesh = info(folder, "out/block.obj")["mesh"].clone();
     assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
     let volume = number(&mesh["volume"]);
@@ -225,7 +231,7 @@ fn obstacle_without_a_band_leaves_no_hole() {
         let arguments = ["convert", "block.ply", "--out=out", "--format=obj", "--voxel-size=0.05"];
         let ran = meniscus(folder, &[&arguments[..], &["--obstacle=ball.vdb"]].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
-        assert!(ran.err.contains("ball.vdb: the file has no distances next to the surface"), "{}", ran.err);
+        assert!(ran.err.contains("voxels next to the surface have no distance, only a sign"), "{}", ran.err);
         let mesh = info(folder, "out/block.obj")["mesh"].clone();
         assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
     }

@@ -192,7 +192,7 @@ fn standard_input_and_output_carry_one_frame() {
     assert_eq!((status, &*err), (0, ""));
     assert!(!out.is_empty() && path.join("y.obj").is_file());
     for (arguments, input, words) in [
-        (&["-", "-o", "-"][..], &b""[..], "the standard input is empty"),
+        (&["-", "-o", "-"][..], &b""[..], "standard input is empty"),
         (&["-", "in", "-o", "x"], b"0 0 0", "only INPUT"),
         (&["-", "-o", "-", "--input-format", "doc"], b"0 0 0", "--input-format doc"),
         (&["-", "-o", "-", "--memory", "1MiB"], &[b'x'; (1 << 20) + 1], "--memory"),
@@ -200,6 +200,28 @@ fn standard_input_and_output_carry_one_frame() {
         let (status, out, err) = pipe(path, arguments, input);
         assert_eq!((status, out.len()), (2, 0), "{arguments:?}: {err}");
         assert!(err.contains(words), "{arguments:?}: {err}");
+    }
+}
+
+/// Users know nothing of the copy.
+#[test]
+fn errors_and_reports_of_a_pipe_name_the_standard_input() {
+    let folder = folder_with(&["dam.7.ply"]);
+    let path = folder.path();
+    let bytes = fs::read(path.join("in/dam.7.ply")).expect("there");
+    let arguments =
+        ["-", "--input-format", "ply", "-o", "x.obj", "--voxel-size", "0.1", "--report", "r.json"];
+    for (input, status) in [(&bytes[..bytes.len() - 5], 2), (&bytes, 0)] {
+        let (found, out, err) = pipe(path, &arguments, input);
+        assert_eq!(found, status, "{err}");
+        let out = String::from_utf8(out).expect("text");
+        let report = fs::read_to_string(path.join("r.json")).expect("a report");
+        assert!(report.contains("\"standard input\""), "{report}");
+        assert!(status == 0 || err.contains("error: standard input: "), "{err}");
+        let temporary = std::env::temp_dir().display().to_string();
+        for text in [&out, &err, &report] {
+            assert!(!text.contains(&temporary) && !text.contains("/stdin"), "{text}");
+        }
     }
 }
 

@@ -34,7 +34,7 @@ mod uuid;
 mod write;
 
 pub use metadata::MetaValue;
-pub use read::{GridInfo, Transform, grids, level_set_leaf_count, read_level_set, read_vectors};
+pub use read::{GridInfo, Transform, grids, read_level_set, read_vectors};
 pub use read_tree::{GridData, LevelSetData, Tile, VectorGridData};
 pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
 

@@ -8,7 +8,7 @@ use super::cursor::Cursor;
 use super::layout::{HALF_SUFFIX, MAGIC, META_HALF, TYPE_FLOAT, TYPE_VEC3S, UUID_BYTES, VERSIONS_READ};
 use super::metadata::{MetaValue, read_metadata};
 use super::read_tree::{
-    Budget, GridData, LevelSetData, Storage, Value, VectorGridData, read_topology, read_tree,
+    Budget, GridData, LevelSetData, Storage, Value, VectorGridData, count_tree, pass_tree, read_tree,
 };
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
@@ -68,23 +68,16 @@ pub fn grids(bytes: &[u8], limits: &Limits) -> Result<Vec<GridInfo>> {
 /// # Errors
 ///
 /// As [`grids`]; [`Error::Unsupported`] also if there is no such grid, or its type or codec is not
-/// read; [`Error::TooLarge`] if it takes more memory than `limits` allow.
+/// read; [`Error::TooLarge`] if it takes more memory than `limits` allow. That is known before any of its leaves and tiles is
+/// kept: they are counted first.
 pub fn read_level_set(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<LevelSetData> {
-    let entries = entries(bytes, limits)?;
-    read_grid(bytes, &entries, find_level_set(&entries, name)?, limits)
-}
-
-/// How many leaves the grid has that [`read_level_set`] would read. Their values are not read.
-///
-/// # Errors
-///
-/// As [`read_level_set`].
-pub fn level_set_leaf_count(bytes: &[u8], name: Option<&str>, limits: &Limits) -> Result<usize> {
     let entries = entries(bytes, limits)?;
     let entry = find_level_set(&entries, name)?;
     let (mut cursor, storage, _) = tree_cursor(bytes, &entries, entry)?;
-    let topology = read_topology::<f32>(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
-    Ok(topology.origins.len())
+    let size = count_tree::<f32>(&mut cursor, storage, &mut Budget::new(bytes.len(), limits))?;
+    let content = format!(", with {} leaves and {} tiles,", size.leaf_count, size.tile_count);
+    limits.check_level_set(bytes.len() as u64 + size.memory_bytes(), &content)?;
+    read_grid(bytes, &entries, entry, limits)
 }
 
 fn find_level_set<'a>(entries: &'a [Entry], name: Option<&str>) -> Result<&'a Entry> {
@@ -394,8 +387,8 @@ fn read_transform(cursor: &mut Cursor) -> Result<Option<Transform>> {
 fn skip_tree(cursor: &mut Cursor, entry: &Entry, limits: &Limits) -> Result<()> {
     let mut budget = Budget::new(cursor.position() + cursor.remaining(), limits);
     match (entry.tree, entry.info.type_name.as_str()) {
-        (Some(tree), TYPE_FLOAT) => read_tree::<f32>(cursor, tree.storage, &mut budget).map(|_| ()),
-        (Some(tree), TYPE_VEC3S) => read_tree::<[f32; 3]>(cursor, tree.storage, &mut budget).map(|_| ()),
+        (Some(tree), TYPE_FLOAT) => pass_tree::<f32>(cursor, tree.storage, &mut budget),
+        (Some(tree), TYPE_VEC3S) => pass_tree::<[f32; 3]>(cursor, tree.storage, &mut budget),
         (_, type_name) => {
             let name = &entry.info.name;
             let what = format!(

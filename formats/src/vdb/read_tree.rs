@@ -47,6 +47,32 @@ pub struct GridData<V> {
     pub metadata: Vec<(String, MetaValue)>,
 }
 
+impl GridData<f32> {
+    /// Memory for reading this and for using it, in bytes: what [`Limits::level_set_bytes`] bounds, without the file.
+    pub fn memory_bytes(&self) -> u64 {
+        TreeSize { leaf_count: self.origins.len(), tile_count: self.tiles.len() }.memory_bytes()
+    }
+}
+
+/// How large a tree of floats is.
+#[derive(Clone, Copy, Default)]
+pub(super) struct TreeSize {
+    pub(super) leaf_count: usize,
+    pub(super) tile_count: usize,
+}
+
+impl TreeSize {
+    pub(super) fn memory_bytes(self) -> u64 {
+        self.leaf_count as u64 * LEAF_BYTES + self.tile_count as u64 * TILE_BYTES
+    }
+}
+
+/// Memory for a leaf of floats: its values as they are read and as they are kept, its place, and which voxels are inside.
+const LEAF_BYTES: u64 = 2 * 2048 + 400;
+
+/// Memory for a tile: it is in two lists, which may have grown to twice their length, and in one or two hash tables.
+const TILE_BYTES: u64 = 160;
+
 /// A cube of voxels with one value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tile<V> {
@@ -131,29 +157,29 @@ pub(super) fn read_tree<V: Value>(
     storage: Storage,
     budget: &mut Budget,
 ) -> Result<GridData<V>> {
-    let data = read_topology(cursor, storage, budget)?;
-    let background = data.background;
-    let mut reader = TreeReader { background, storage, budget, data, scratch: Vec::new() };
-    for index in 0..reader.data.origins.len() {
-        reader.read_leaf(cursor, index)?;
-    }
+    let mut reader = TreeReader::of_topology(cursor, storage, budget, Keep::All)?;
+    reader.read_leaves(cursor)?;
     Ok(reader.data)
 }
 
-/// Reads a tree without the values of its leaves, which follow.
-pub(super) fn read_topology<V: Value>(
+/// Passes over a tree.
+pub(super) fn pass_tree<V: Value>(cursor: &mut Cursor, storage: Storage, budget: &mut Budget) -> Result<()> {
+    TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.read_leaves(cursor)
+}
+
+/// Counts the leaves and tiles of a tree, and keeps none.
+pub(super) fn count_tree<V: Value>(
     cursor: &mut Cursor,
     storage: Storage,
     budget: &mut Budget,
-) -> Result<GridData<V>> {
+) -> Result<TreeSize> {
+    Ok(TreeReader::<V>::of_topology(cursor, storage, budget, Keep::Counts)?.size)
+}
+
+/// Reads a tree without the values of its leaves, which follow.
+fn read_topology<V: Value>(reader: &mut TreeReader<V>, cursor: &mut Cursor) -> Result<()> {
     const CHILD_BYTES_MIN: usize = 12 + 2 * 4096 + 1;
     let tile_bytes = 12 + 4 * V::COUNT + 1;
-    let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
-    if buffers_per_leaf != 1 {
-        return Err(Error::unsupported(FORMAT, format!("{buffers_per_leaf} buffers per leaf; one is read")));
-    }
-    let background = V::read(cursor, "the background")?;
-    let mut reader = TreeReader { background, storage, budget, data: empty(background), scratch: Vec::new() };
     let tile_count = cursor.u32("the number of root tiles")? as usize;
     let child_count = cursor.u32("the number of root children")? as usize;
     let fits = tile_count.checked_mul(tile_bytes).zip(child_count.checked_mul(CHILD_BYTES_MIN));
@@ -179,7 +205,7 @@ pub(super) fn read_topology<V: Value>(
         last = Some(origin);
         reader.read_node(cursor, origin, NODE5_LOG2, NODE4_VOXELS_LOG2)?;
     }
-    Ok(reader.data)
+    Ok(())
 }
 
 fn empty<V>(background: V) -> GridData<V> {
@@ -196,15 +222,45 @@ fn empty<V>(background: V) -> GridData<V> {
     }
 }
 
+/// What a reader keeps of the leaves and tiles that it passes.
+#[derive(Clone, Copy, PartialEq)]
+enum Keep {
+    All,
+    Counts,
+}
+
 struct TreeReader<'a, V> {
     background: V,
     storage: Storage,
     budget: &'a mut Budget,
+    keep: Keep,
+    size: TreeSize,
     data: GridData<V>,
     scratch: Vec<u8>,
 }
 
-impl<V: Value> TreeReader<'_, V> {
+impl<'a, V: Value> TreeReader<'a, V> {
+    /// A reader that has come to the values of the leaves.
+    fn of_topology(
+        cursor: &mut Cursor,
+        storage: Storage,
+        budget: &'a mut Budget,
+        keep: Keep,
+    ) -> Result<TreeReader<'a, V>> {
+        let buffers_per_leaf = cursor.i32("the number of buffers per leaf")?;
+        if buffers_per_leaf != 1 {
+            return Err(Error::unsupported(
+                FORMAT,
+                format!("{buffers_per_leaf} buffers per leaf; one is read"),
+            ));
+        }
+        let background = V::read(cursor, "the background")?;
+        let (size, data) = (TreeSize::default(), empty(background));
+        let mut reader = TreeReader { background, storage, budget, keep, size, data, scratch: Vec::new() };
+        read_topology(&mut reader, cursor)?;
+        Ok(reader)
+    }
+
     /// Reads an internal node and what is under it, down to the leaves' masks.
     fn read_node(&mut self, cursor: &mut Cursor, origin: [i32; 3], log2: u32, child_log2: u32) -> Result<()> {
         let slot_count = 1 << (3 * log2);
@@ -224,7 +280,10 @@ impl<V: Value> TreeReader<'_, V> {
             if child_log2 == LEAF_LOG2 {
                 cursor.take(64, "the mask of a leaf")?; // comes again with the leaf's values
                 self.budget.spend(12 + 2048 * V::COUNT + 64)?;
-                self.data.origins.push(origin);
+                self.size.leaf_count += 1;
+                if self.keep == Keep::All {
+                    self.data.origins.push(origin);
+                }
             } else {
                 self.read_node(cursor, origin, NODE4_LOG2, LEAF_LOG2)?;
             }
@@ -232,20 +291,27 @@ impl<V: Value> TreeReader<'_, V> {
         Ok(())
     }
 
-    fn read_leaf(&mut self, cursor: &mut Cursor, index: usize) -> Result<()> {
-        debug_assert_eq!(index, self.data.leaves.len());
-        let words = cursor.mask(8, "the mask of a leaf")?;
-        let mut leaf = [V::ZERO; 512];
-        self.read_values(cursor, &words, &mut leaf)?;
-        self.data.masks.push(std::array::from_fn(|word| words[word]));
-        self.data.leaves.push(leaf);
+    /// Reads the values of the leaves.
+    fn read_leaves(&mut self, cursor: &mut Cursor) -> Result<()> {
+        for _ in 0..self.size.leaf_count {
+            let words = cursor.mask(8, "the mask of a leaf")?;
+            let mut leaf = [V::ZERO; 512];
+            self.read_values(cursor, &words, &mut leaf)?;
+            if self.keep == Keep::All {
+                self.data.masks.push(std::array::from_fn(|word| words[word]));
+                self.data.leaves.push(leaf);
+            }
+        }
         Ok(())
     }
 
     fn push_tile(&mut self, tile: Tile<V>) -> Result<()> {
         if tile.active || tile.value != self.background {
             self.budget.spend(size_of::<Tile<V>>())?;
-            self.data.tiles.push(tile);
+            self.size.tile_count += 1;
+            if self.keep == Keep::All {
+                self.data.tiles.push(tile);
+            }
         }
         Ok(())
     }

@@ -156,9 +156,8 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         let planned = self.crew.run(number, move || {
             let (particles, mut noted) = parse()?;
             let notes = &mut noted.notes;
-            let kept_bytes_max = allowed_bytes / OBSTACLE_SHARE;
             let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
-            let loaded = frame.obstacles.load(found, &frame.settings, kept_bytes_max);
+            let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             notes.append(&mut obstacles.notes);
             notes.extend(out_of_reach(&obstacles, &particles, &frame.settings).map_err(failed)?);
@@ -183,9 +182,6 @@ fn needs_positions_only(settings: &Settings) -> bool {
 
 /// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.
 const READING_MEMORY: u64 = 2;
-
-/// What leaves of obstacles are kept may take one part in so many of the memory that a frame may take.
-const OBSTACLE_SHARE: u64 = 16;
 
 /// Files of this size and more are read batch by batch where their format allows it. Smaller ones are sooner read
 /// once than gone through twice.
