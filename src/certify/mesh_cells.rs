@@ -10,9 +10,10 @@
 //!   └───┴───┴───┴───┘
 //! ```
 //!
-//! In a clear cell φ has one sign at all corners, or the mesh has moved a little: by decimation, or by rounding. Where clear
-//! cells of both signs are within two cells of each other and no triangle is, the mesh *leaks*: φ does not describe it there.
-//! A drop or a hole smaller than a cell has no clear cell of its own, so the mesh may lack it and does not leak.
+//! In a clear cell φ has one sign at all corners, or the mesh has moved a little: by decimation, or by rounding. Where φ
+//! changes its sign and there is no triangle within two cells, the mesh may lack a part of the surface. If the clear cells
+//! within these two cells have both signs, the mesh *leaks*: φ does not describe it there. If they have one sign, it lacks a
+//! drop, a hole or a sheet that is thinner than two cells; then all clear cells around are on the same side of the mesh, too.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -104,18 +105,22 @@ impl MeshCells {
             if around().any(|cell| self.contains(topology, cell)) {
                 return false;
             }
-            let has_clear = |is_inside| around().any(|cell| self.is_all(topology, cell, is_inside));
-            has_clear(true) == has_clear(false)
+            let mut sides: Vec<bool> = around().filter_map(|cell| self.clear_side(topology, cell)).collect();
+            sides.dedup();
+            // Where no cell is clear, nothing says that what the mesh lacks is small.
+            sides.len() != 1
         };
         doubtful.iter().any(leaks_around)
     }
 
-    /// Whether φ is stored and has the same sign at all corners of a cell.
-    fn is_all(&self, topology: &Topology, cell: IVec3, is_inside: bool) -> bool {
-        (0..8).all(|place| {
-            let found = topology.find_voxel(cell + corner(place));
-            found.is_some_and(|(leaf, local)| self.signs[leaf].contains(offset_in_leaf(local)) == is_inside)
-        })
+    /// Whether a cell is inside by φ; `None` if φ is not stored at all of its corners, or has both signs there.
+    fn clear_side(&self, topology: &Topology, cell: IVec3) -> Option<bool> {
+        let is_inside = |place: usize| {
+            let (leaf, local) = topology.find_voxel(cell + corner(place))?;
+            Some(self.signs[leaf].contains(offset_in_leaf(local)))
+        };
+        let first = is_inside(0)?;
+        (1..8).all(|place| is_inside(place) == Some(first)).then_some(first)
     }
 }
 
@@ -245,6 +250,35 @@ pub(super) fn with_all_corners(mut masks: [LeafMask; 8]) -> LeafMask {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::{Field, Leaf};
+
+    /// Whether an empty mesh leaks somewhere around voxels that are inside as `is_inside` says.
+    fn leaks(is_inside: impl Fn(IVec3) -> bool) -> bool {
+        let places = (0..64).map(|place| LEAF_EDGE * (IVec3::new(place / 16, place / 4 % 4, place % 4) - 2));
+        let topology = Topology::new(places.collect());
+        let leaf =
+            |origin: &IVec3| Leaf {
+                values: std::array::from_fn(|offset| {
+                    if is_inside(*origin + voxel_in_leaf(offset)) { -1.0 } else { 1.0 }
+                }),
+            };
+        let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
+        let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
+        let cells = MeshCells::new(&Mesh::default(), &band, &Lattice { voxel_size: 1.0 });
+        !cells.leaking.is_empty()
+    }
+
+    #[test]
+    fn mesh_that_lacks_more_than_a_thin_piece_leaks() {
+        assert!(!leaks(|_| false), "nothing is missing");
+        assert!(!leaks(|voxel| voxel == IVec3::ZERO), "a drop of one voxel");
+        assert!(!leaks(|voxel| voxel != IVec3::ZERO), "a hole of one voxel");
+        assert!(!leaks(|voxel| voxel.x == 3), "a sheet of one voxel");
+        assert!(leaks(|voxel| voxel.x == 3 || voxel.x == 4), "a sheet of two voxels");
+        assert!(leaks(|voxel| voxel.length_squared() < 25), "a ball");
+        assert!(leaks(|voxel| voxel.x < 0), "a plane");
+        assert!(leaks(|voxel| voxel.element_sum() & 1 == 0), "no clear cell at all");
+    }
 
     /// Points all over large and small triangles, which lie in cells that were called.
     #[test]

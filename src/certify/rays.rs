@@ -56,7 +56,8 @@ impl Ray {
         let cell = from.floor().as_ivec3();
         let is_inside = |voxel| is_voxel_inside(part, bodies, voxel);
         let clear_side = |cell: IVec3| {
-            if part.cells.contains(&part.band.topology, cell) {
+            let leaf = cell & !(LEAF_EDGE - 1);
+            if part.cells.contains(&part.band.topology, cell) || part.cells.is_leaking(leaf) {
                 return None;
             }
             let first = is_inside(cell);

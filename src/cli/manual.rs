@@ -13,13 +13,15 @@
 //!
 //! No page says when it was made: the same program writes the same bytes.
 
-use std::fs;
+use std::io::Write as _;
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use clap::CommandFactory;
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
+
+use crate::pipeline::write_whole;
 
 use super::Verdict;
 use super::args::{CompletionsArgs, ManArgs, Typed};
@@ -78,7 +80,8 @@ fn write_page(command: clap::Command, folder: &Path) -> Result<()> {
 
     let path = folder.join(man.get_filename());
     let page = without_doubled_breaks(&String::from_utf8(page)?);
-    fs::write(&path, page).with_context(|| format!("cannot write {}", path.display()))
+    write_whole(&path, |out| Ok(out.write_all(page.as_bytes())?))
+        .with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// With an empty date, which the generator would leave out, and the rest would move into its place.

@@ -51,13 +51,13 @@ impl OutputRecords {
         self.next_save.set(Instant::now() + pause);
     }
 
-    /// Writes them back. Losing them costs a check in the next run and nothing else: that is a warning.
+    /// Writes them back. If that fails, the outputs themselves are still good: that is a warning.
     pub(super) fn save(&self, console: &Console) {
         for folder in &self.folders {
             if let Err(error) = self.states.save(folder) {
                 console.warn(format_args!(
                     "warning: {}: cannot record the hashes of the outputs and which of them failed validation, so the \
-                     next --skip-done cannot notice these or damaged ones: {error}",
+                     next --skip-done may skip damaged outputs and outputs that failed validation: {error}",
                     folder.display()
                 ));
             }

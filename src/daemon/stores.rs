@@ -119,8 +119,10 @@ impl Store {
         };
         let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
         let identity = RootIdentity::of(&folder).map_err(failed)?;
-        let journal = Journal::open(&journal_folder)
-            .map_err(|source| DaemonError::Folder { folder: journal_folder.clone(), source })?;
+        let journal = Journal::open(&journal_folder).map_err(|source| DaemonError::Folder {
+            folder: journal_folder.join(JOURNAL_FILE_NAME),
+            source,
+        })?;
         match sweep(&folder) + sweep_one(&journal_folder) {
             0 => {}
             count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),

@@ -67,7 +67,8 @@ pub struct RebuildReason {
     pub surface_voxel_count: usize,
     /// Those of them that have a sign and no distance.
     pub clipped_voxel_count: usize,
-    /// Cubes of 8³ voxels in tiles at the surface: they have only signs.
+    /// Cubes of 8³ voxels that were added where the surface lies between tiles, or between a tile and a leaf: tiles have only
+    /// signs.
     pub tile_cube_count: usize,
 }
 
@@ -78,7 +79,7 @@ impl fmt::Display for RebuildReason {
             "{clipped_voxel_count} of {surface_voxel_count} voxels next to the surface have no distance, only a sign"
         );
         let tiles = format!(
-            "tiles, which have only a sign, lie at the surface (cubes of 8³ voxels there: {tile_cube_count})"
+            "tiles, which have only a sign, lie at the surface (cubes of 8³ voxels added there: {tile_cube_count})"
         );
         let what = match (clipped_voxel_count, tile_cube_count) {
             (_, 0) => voxels,
@@ -483,7 +484,9 @@ mod tests {
             let band = rebuilt(&stored(&(vec![], vec![]), tiles), 10_000);
             let (band, reason) = band.expect("few leaves").expect("rebuilt");
             assert!(
-                reason.to_string().contains(&format!("cubes of 8³ voxels there: {}", reason.tile_cube_count)),
+                reason
+                    .to_string()
+                    .contains(&format!("cubes of 8³ voxels added there: {}", reason.tile_cube_count)),
                 "{reason}"
             );
             // A face of the cube lies midway between its voxels and those around it.

@@ -16,9 +16,8 @@
 //! it has no area at the mesh's own positions or at those that a file makes of them ([`Rounding`]).
 //!
 //! Both operations keep the mesh closed and a manifold: a vertex is drawn onto a neighbour where both have exactly two
-//! neighbours in common, and an edge is turned where its new ends have none yet. A piece that is so small that nothing is left of
-//! it but a tetrahedron without volume goes as a whole. Of the rest of the mesh nothing changes, and no
-//! vertex gets another position. Triangles that cannot be taken out stay, and [`Mesh::measure`] counts them.
+//! neighbours in common, and an edge is turned where its new ends have none yet. A tetrahedron by itself that has no volume at the
+//! positions of one of the files goes as a whole. Of the rest of the mesh nothing changes, and no vertex gets another position. Triangles that cannot be taken out stay, and [`Mesh::measure`] counts them.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
@@ -159,8 +158,8 @@ impl<'a> Surgery<'a> {
             || self.drop_speck(triangle)
     }
 
-    /// Takes out the tetrahedron that a triangle without area belongs to, if it belongs to one: it has no volume, and is what is left
-    /// of a piece about as small as the step of positions.
+    /// Takes out the tetrahedron that a triangle without area belongs to, if it belongs to one: where one of its triangles has no
+    /// area, it has no volume. Particles in it count as outside from then on.
     fn drop_speck(&mut self, triangle: u32) -> bool {
         let corners = self.triangles[triangle as usize];
         let mut all: Vec<u32> =

@@ -439,9 +439,9 @@ pub(super) enum Recovery {
 pub(super) fn recover(record_path: &Path) -> io::Result<Recovery> {
     let Some(mut file) = lock_abandoned(record_path)? else { return Ok(Recovery::InUse) };
     let left = |why: &str| {
-        let path = record_path.display();
+        let (path, name) = (record_path.display(), record_path.file_name().unwrap_or_default().display());
         Recovery::Left(format!(
-            "{path}: {why}; left in place with its files `.{{number}}`, which may be the only copies of replaced outputs"
+            "{path}: {why}; left in place with the files {name}.0, {name}.1, …, which may be the only copies of replaced outputs"
         ))
     };
     // A record has one name. In a shared folder another account could plant one, or link to one from elsewhere.

@@ -237,8 +237,8 @@ impl ObstacleFiles {
         Ok(FoundObstacles { found: found.collect::<Result<_, _>>()? })
     }
 
-    /// What is in them. Reading one may take no more than so many bytes, and the leaves that are kept of all together a small
-    /// part of that.
+    /// What is in them. Reading a level set, beside the obstacles before it, may take no more than `memory_bytes`, and the
+    /// leaves that are kept of all together a small part of that.
     pub(super) fn load(
         &self,
         found: FoundObstacles,
@@ -257,7 +257,8 @@ impl ObstacleFiles {
                     continue;
                 }
                 Content::Bytes(bytes, beside) => {
-                    (parse(&file.path, &bytes, beside, memory_bytes)?, bytes.len() as u64)
+                    let left_bytes = memory_bytes.saturating_sub(all.all_bytes);
+                    (parse(&file.path, &bytes, beside, left_bytes)?, bytes.len() as u64)
                 }
             };
             let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))

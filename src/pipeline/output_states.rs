@@ -12,21 +12,24 @@
 //! The daemon keeps these records in its journal. `convert --skip-done` keeps them in `.meniscus/outputs.json` in the
 //! folder of the outputs, together with what did not hold when they were checked, so that a skipped frame that failed
 //! validation fails it again. A plain `convert` records the outputs of frames that failed validation, and those that have a
-//! record already. Losing that file costs no more than these checks.
+//! record already. Without that file these checks are not made.
 //!
 //! `watch` and older versions replace outputs without this file. So each record has the hash of the output's provenance,
 //! which names the input and the settings: a record of other provenance is of an earlier file, and is ignored.
 
 use std::collections::{BTreeMap, HashMap};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::Duration;
 
 use meniscus_formats::provenance::read_provenance;
 use serde::{Deserialize, Serialize};
 use twox_hash::XxHash3_128;
 
-use super::open::open_regular;
+use super::open::{open_own, open_regular};
 use super::outputs::OutputFormat;
 use super::provenance::provenance_kind;
 use super::reading::{InputFile, read_start_unchanged};
@@ -166,36 +169,78 @@ impl OutputStates {
     }
 
     /// Writes the records of the outputs in a folder that still exist, whole or not at all. Records that another process
-    /// has written since they were loaded are kept, unless they are of outputs that this one has written or compared.
-    /// Two processes that write at the same moment may lose some: that costs no more than their check.
+    /// has written since they were loaded are kept, unless they are of outputs that this one has written or compared since
+    /// it last saved.
     ///
     /// # Errors
-    /// When the system refuses.
+    /// When the system refuses, or another process keeps the records locked.
     pub fn save(&self, folder: &Path) -> io::Result<()> {
-        let own: Vec<RecordWire> = self
-            .known()
-            .iter()
-            .filter(|(path, record)| path.parent() == Some(folder) && !record.is_loaded)
-            // JSON has no form for names that are not text: those go without a record.
-            .filter_map(|(path, record)| Some(RecordWire::new(path.file_name()?.to_str()?, record)))
-            .collect();
-        if own.is_empty() {
+        let is_own =
+            |(path, record): &(&PathBuf, &Record)| path.parent() == Some(folder) && !record.is_loaded;
+        let own: Vec<(PathBuf, Record)> =
+            self.known().iter().filter(is_own).map(|(path, record)| (path.clone(), record.clone())).collect();
+        // JSON has no form for names that are not text: those go without a record.
+        let wire = |(path, record): &(PathBuf, Record)| {
+            let name = path.file_name()?.to_str()?;
+            Some((name.to_owned(), RecordWire::new(name, record)))
+        };
+        let wires: BTreeMap<String, RecordWire> = own.iter().filter_map(wire).collect();
+        if wires.is_empty() {
             return Ok(());
         }
-        let mut all = read_records(folder);
-        all.extend(own.into_iter().map(|wire| (wire.file.clone(), wire)));
-        let outputs: Vec<RecordWire> =
-            all.into_values().filter(|wire| folder.join(&wire.file).exists()).collect();
         let path = records_path(folder);
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder)?;
         }
+        let lock = lock_records(&path)?;
+        let mut all = read_records(folder);
+        all.extend(wires);
+        let outputs: Vec<RecordWire> =
+            all.into_values().filter(|wire| folder.join(&wire.file).exists()).collect();
         let file = RecordsFile { meniscus_outputs: VERSION, outputs };
         replace_own(&path, |out| {
             serde_json::to_writer(&mut *out, &file)?;
             out.write_all(b"\n")
-        })
+        })?;
+        drop(lock);
+        let mut known = self.known();
+        for (path, saved) in own {
+            // One that changed meanwhile is saved next time.
+            if let Some(record) = known.get_mut(&path)
+                && record.state == saved.state
+                && record.fault == saved.fault
+            {
+                record.is_loaded = true;
+            }
+        }
+        Ok(())
     }
+}
+
+/// How often a lock that another process holds is tried again, and how long to wait between.
+const LOCK_ATTEMPTS_MAX: usize = 100;
+const LOCK_PAUSE: Duration = Duration::from_millis(20);
+
+/// Locks the records of a folder against other processes until the file is dropped. A file system without locks is written
+/// to without one.
+///
+/// # Errors
+/// When the system refuses; [`io::ErrorKind::WouldBlock`] if another process has held the lock for seconds.
+fn lock_records(records: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    let options = options.read(true).write(true).create(true).truncate(false);
+    let file = open_own(&records.with_extension("lock"), options)?;
+    for attempt in 1..=LOCK_ATTEMPTS_MAX {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) if attempt < LOCK_ATTEMPTS_MAX => thread::sleep(LOCK_PAUSE),
+            Err(TryLockError::WouldBlock) => break,
+            Err(TryLockError::Error(error)) if error.kind() != io::ErrorKind::Unsupported => {
+                return Err(error);
+            }
+            _ => return Ok(file),
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::WouldBlock, "another process keeps the records locked"))
 }
 
 /// The hash of what an output says about its input and settings. `None` if it cannot be read.
@@ -381,6 +426,24 @@ mod tests {
         let loaded = OutputStates::default();
         loaded.load(folder.path());
         assert_eq!(loaded.recorded_fault(&paths), Some(None));
+    }
+
+    #[test]
+    fn saved_record_does_not_replace_a_later_one_of_another_process() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let paths = ["a.obj", "b.obj"].map(|name| folder.path().join(name));
+        paths.iter().for_each(|path| write_output(path, "1", "v 0 0 0"));
+        let [one, other] = [OutputStates::default(), OutputStates::default()];
+        one.record(&paths[..1], None);
+        one.save(folder.path()).expect("saved");
+        other.record(&paths[..1], Some(FAULT));
+        other.save(folder.path()).expect("saved");
+        one.record(&paths[1..], None);
+        one.save(folder.path()).expect("saved");
+        let loaded = OutputStates::default();
+        loaded.load(folder.path());
+        assert_eq!(fault_of(&loaded, &paths[0]), Some(Some(FAULT.to_owned())));
+        assert_eq!(fault_of(&loaded, &paths[1]), Some(None));
     }
 
     #[test]

@@ -22,7 +22,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 /// Longer than anything takes that is waited for, on a busy machine.
-fn patience() -> Duration {
+pub(crate) fn patience() -> Duration {
     Duration::from_secs(by_length(120, 1800))
 }
 

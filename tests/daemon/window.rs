@@ -5,12 +5,12 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::scene::{Scene, WINDOW, Watching, await_that, by_length, moving, ply};
+use super::scene::{Scene, WINDOW, Watching, await_that, by_length, moving, patience, ply};
 
 /// An answer: its status, its headers in small letters, and its content.
 pub(crate) struct Answer {
@@ -77,11 +77,21 @@ impl Following {
         Following(BufReader::new(stream))
     }
 
+    /// Follows from now on: what happens after this call is not missed.
+    fn from_now(address: &str) -> Following {
+        let mut following = Following::new(address, "");
+        assert_eq!(following.next().1, "hello");
+        following
+    }
+
     /// The next event: its id, kind and data.
     fn next(&mut self) -> (String, String, Value) {
         let (mut id, mut kind) = (String::new(), String::new());
+        let start = Instant::now();
         loop {
             let mut line = String::new();
+            // While nothing happens comments keep the connection alive.
+            assert!(start.elapsed() < patience(), "no event within {:?}", patience());
             assert!(self.0.read_line(&mut line).expect("a line") > 0, "the events have ended");
             let field = |name: &str| line.strip_prefix(name).map(|value| value.trim().to_owned());
             id = field("id: ").unwrap_or(id);
@@ -113,8 +123,7 @@ impl Following {
 fn frames_appear_while_a_producer_writes() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
-    let mut following = Following::new(&address, "");
-    assert_eq!(following.next().1, "hello");
+    let mut following = Following::from_now(&address);
     scene.put_moving(1..=4);
     following.await_state("done", 4);
     let page = get(&address, "/api/frames?limit=3").json();
@@ -176,7 +185,7 @@ fn figures_of_finished_frames_survive_a_restart_and_a_touch() {
 fn a_frame_that_failed_says_why() {
     let scene = Scene::new();
     let (_watching, address) = watch(&scene, &[]);
-    let mut following = Following::new(&address, "");
+    let mut following = Following::from_now(&address);
     scene.put("in/bad.1.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n");
     following.await_state("failed", 1);
     await_that("the reason is shown", || {
@@ -478,10 +487,7 @@ fn who_never_reads_an_answer_holds_up_nobody() {
 fn idle_connections_beyond_the_limit_starve_nobody() {
     let scene = Scene::new();
     let (watching, address) = watch(&scene, &[]);
-    let mut following: Vec<Following> = (0..200).map(|_| Following::new(&address, "")).collect();
-    for follower in &mut following {
-        assert_eq!(follower.next().1, "hello");
-    }
+    let mut following: Vec<Following> = (0..200).map(|_| Following::from_now(&address)).collect();
     // Half of them say nothing, the others half a request; all but 312 are closed for those that follow.
     let idle: Vec<TcpStream> = (0..800)
         .map(|number| {
@@ -512,8 +518,7 @@ fn fifty_follow_and_some_of_them_never_listen() {
     let deaf: Vec<Following> = (0..20).map(|_| Following::new(&address, "")).collect();
     let following: Vec<_> = (0..50)
         .map(|_| {
-            let mut following = Following::new(&address, "");
-            assert_eq!(following.next().1, "hello");
+            let mut following = Following::from_now(&address);
             thread::spawn(move || following.await_state("done", 6))
         })
         .collect();
@@ -568,8 +573,7 @@ fn where_it_cannot_listen_it_says_so() {
 fn it_closes_with_the_daemon() {
     let scene = Scene::new();
     let (mut watching, address) = watch(&scene, &[]);
-    let mut following = Following::new(&address, "");
-    assert_eq!(following.next().1, "hello");
+    let mut following = Following::from_now(&address);
     watching.signal(Signal::TERM);
     let mut rest = Vec::new();
     let _ = following.0.read_to_end(&mut rest);

@@ -3,6 +3,8 @@
 
 use std::collections::HashSet;
 use std::fs;
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
 
 use glam::{DVec3, Vec3};
 use meniscus::mesh::Mesh;
@@ -249,6 +251,33 @@ fn skipped_frame_that_failed_validation_fails_again() {
             assert_eq!(ran.status, 0, "{}", ran.err);
         }
     }
+}
+
+/// A killed run has recorded which of its frames failed validation.
+#[test]
+fn frame_that_failed_validation_before_a_kill_fails_again() {
+    let folder = tempdir().expect("a folder");
+    let folder = folder.path();
+    for number in 1..=30 {
+        write_ply(&folder.join(format!("a.{number}.ply")), &block(4, 0.013));
+    }
+    let small = ["--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001", "--threads", "1"];
+    let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
+        .args(["convert", "a.#.ply"])
+        .args(small)
+        .current_dir(folder)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("started");
+    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+    let first = lines.by_ref().map(|line| line.expect("a line")).find(|line| line.starts_with("a.1.ply: "));
+    child.kill().expect("killed");
+    child.wait().expect("ended");
+    assert!(first.is_some());
+    let ran = meniscus(folder, &[&["convert", "a.1.ply", "--skip-done"], &small[..]].concat());
+    assert!(ran.out.contains("a.1.ply: done already"), "{}", ran.out);
+    assert!(ran.status == 1 && ran.err.contains("1 of 1 frame failed validation"), "{}", ran.err);
 }
 
 /// A quantized .glb beside a .ply: one certificate for both, and each file says as what it was checked.

@@ -109,12 +109,18 @@ impl<'a> Conduct<'a> {
     }
 
     /// Records the outputs of a frame that were just written, and what did not hold when it was checked, if records are
-    /// kept.
+    /// kept. A fault is saved at once: after an interrupted run nothing else says that the frame failed validation.
     pub(super) fn record(&self, outputs: &[PathBuf], fault: Option<&str>) {
         if let Some(states) = self.output_states
             && (self.skip_done || fault.is_some() || states.has_any(outputs))
         {
             states.record(outputs, fault);
+            if fault.is_some()
+                && let Some(folder) = outputs.first().and_then(|path| path.parent())
+            {
+                // What fails here is tried again at the end of the run, and reported there.
+                let _ = states.save(folder);
+            }
         }
     }
 }
