@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use super::scene::{Scene, WINDOW, Watching, await_that, by_length, moving, patience, ply};
+use super::scene::{Scene, WINDOW, Watching, await_that, moving, patience, ply};
 
 /// An answer: its status, its headers in small letters, and its content.
 pub(crate) struct Answer {
@@ -39,7 +39,7 @@ fn watch(scene: &Scene, arguments: &[&str]) -> (Watching, String) {
 
 fn connect(address: &str) -> TcpStream {
     let stream = TcpStream::connect(address).expect("a connection");
-    stream.set_read_timeout(Some(Duration::from_secs(by_length(120, 1800)))).expect("a timeout");
+    stream.set_read_timeout(Some(patience())).expect("a timeout");
     stream
 }
 

@@ -1,15 +1,15 @@
 //! Large frames through little memory: as many at once as there is room for, and in tiles what has none whole.
 
 use std::fs;
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
-use std::time::{Duration, SystemTime};
 
 use serde_json::Value;
 use tempfile::tempdir;
 
 use crate::scene::{
-    Daemon, assert_same_outputs, block_ply, box_ply, convert, frame_names, is_long, land, memory_bytes,
-    meniscus, message, names_in, stage_seconds, tell,
+    Daemon, assert_same_outputs, block_ply, box_ply, convert, frame_name, frame_names, is_long, land,
+    memory_bytes, meniscus, message, names_in, stage_seconds, tell,
 };
 
 /// The edge of a block of 250 047 particles.
@@ -48,7 +48,7 @@ fn frames_share_the_memory_that_they_may_have() {
     let (peak_bytes, lines) = converted_within(folder.path(), "1GiB", last);
     let allowed_bytes = (1 << 30) + (1 << 30) / 10;
     assert!(peak_bytes <= allowed_bytes, "{} MiB", peak_bytes >> 20);
-    let overlap_count = overlap_count(&lines);
+    let overlap_count = overlap_count(folder.path(), &lines);
     assert!(overlap_count > 0, "{lines:#?}");
     tell(&format!(
         "{} frames of 250 047 particles within 1 GiB took {} MiB; {overlap_count} began before another ended",
@@ -64,7 +64,7 @@ fn a_frame_that_is_larger_than_the_memory_is_skinned_in_tiles() {
     write_frames(folder.path(), [0.0, 0.03].map(|shift| box_ply(BEAM_COUNTS, shift)), last);
     let least = mebibytes_needed(folder.path());
     let (peak_bytes, lines) = converted_within(folder.path(), &format!("{least}MiB"), last);
-    assert_eq!(overlap_count(&lines), 0, "{lines:#?}");
+    assert_eq!(overlap_count(folder.path(), &lines), 0, "{lines:#?}");
     let report = folder.path().join("report.json");
     let arguments = ["--format", "vdb,glb", "--report", "report.json"];
     convert(folder.path(), "whole", &arguments);
@@ -90,20 +90,25 @@ fn mebibytes_needed(folder: &Path) -> u64 {
     needs.map(|after| number(after).expect("a number")).max().unwrap_or_else(|| panic!("{err}"))
 }
 
-/// How many frames had done a good part of their work before the one before them had ended. Waiting between
-/// stages is not in their seconds: so they began at the latest so long before they ended. A part of it is
-/// left out, for a busy machine writes the log late.
-fn overlap_count(lines: &[Value]) -> usize {
+/// How many frames had done a good part of their work before the one before them was in place. Waiting between stages is not
+/// in their seconds: so they began at the latest so long before they were in place themselves.
+fn overlap_count(folder: &Path, lines: &[Value]) -> usize {
     let overlaps = |pair: &&[Value]| {
         let computing_seconds = stage_seconds(&pair[1]) - pair[1]["read_s"].as_f64().expect("seconds");
-        let part_was_done = ended_at(&pair[1]) - Duration::from_secs_f64(0.75 * computing_seconds);
-        part_was_done < ended_at(&pair[0])
+        let [first, second] = [&pair[0], &pair[1]].map(|line| in_place_at(folder, line));
+        second - 0.75 * computing_seconds < first
     };
     lines.windows(2).filter(overlaps).count()
 }
 
-/// When a line of the log was written.
-fn ended_at(line: &Value) -> SystemTime {
-    let time = line["timestamp"].as_str().expect("a time");
-    humantime::parse_rfc3339(time).expect("a time")
+/// When the outputs of a frame got their names, in seconds: the log may be written later on a busy machine.
+fn in_place_at(folder: &Path, line: &Value) -> f64 {
+    let name = frame_name(line);
+    let stem = name.strip_suffix(".ply").expect("a .ply");
+    let renamed_at = |extension: &str| {
+        let output = folder.join(format!("out/{stem}.{extension}"));
+        let metadata = output.metadata().expect("an output");
+        metadata.ctime() as f64 + 1e-9 * metadata.ctime_nsec() as f64
+    };
+    renamed_at("vdb").max(renamed_at("glb"))
 }
