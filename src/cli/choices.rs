@@ -131,7 +131,8 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
                 bail!("{name}: a folder is no obstacle: give a file, or a pattern such as body.####.obj")
             }
             Err(error) if error.kind() != io::ErrorKind::NotFound => bail!("obstacle {name}: {error}"),
-            _ => bail!("{name}: there is no such obstacle"),
+            Ok(_) => bail!("{name}: an obstacle has to be a regular file"),
+            Err(_) => bail!("{name}: there is no such obstacle"),
         }
     }
     Ok(obstacles)

@@ -8,7 +8,7 @@ use std::fmt::{self, Display};
 use std::io::{self, Write};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use meniscus_formats::{escaped, is_unsafe};
 use serde::Serialize;
 
@@ -97,9 +97,13 @@ impl Console {
         }
         let template = if frame_count == 1 { STAGE } else { BAR };
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        let style = style.with_key("rate", |state: &ProgressState, text: &mut dyn fmt::Write| {
-            // Text in memory takes everything.
-            let _ = write!(text, "{:.1}", state.per_sec());
+        let style = style.with_key("pace", |state: &ProgressState, text: &mut dyn fmt::Write| {
+            // Until a frame is done, nothing is known of it.
+            if state.pos() > 0 {
+                let left = HumanDuration(state.eta());
+                // Text in memory takes everything.
+                let _ = write!(text, ", {:.1} a second, {left:#} left", state.per_sec());
+            }
         });
         let bar = ProgressBar::with_draw_target(Some(frame_count as u64), ProgressDrawTarget::stderr());
         // The time left goes on while a frame takes long.
@@ -167,7 +171,7 @@ fn print_on_error(bar: Option<&ProgressBar>, text: impl Display) {
     let _ = suspended(bar, || writeln!(io::stderr().lock(), "{text}"));
 }
 
-const BAR: &str = "{bar:32} {pos}/{len} frames, {rate} a second, {eta} left  {wide_msg}";
+const BAR: &str = "{bar:20} {pos}/{len} frames{pace}  {wide_msg}";
 
 /// The same of a lone frame.
 const STAGE: &str = "{wide_msg}";

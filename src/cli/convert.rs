@@ -98,9 +98,9 @@ fn convert_to(
     out_folder.keep();
     let way = Way { skip_done: args.skip_done, certificates: false, memory_bytes, pool: &pool };
     run.convert(&way, console);
-    let frames = run.shot_frames().to_vec();
+    let (frames, frame_count) = (run.shot_frames().to_vec(), run.frame_count());
     let verdict = run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console);
-    Ok(pool.install(|| shots.write(&frames, verdict, console)))
+    Ok(pool.install(|| shots.write((&frames, frame_count), verdict, console)))
 }
 
 /// The frames to convert.

@@ -265,6 +265,11 @@ impl Run {
         }
     }
 
+    /// How many frames have ended, one way or the other.
+    pub(super) fn frame_count(&self) -> usize {
+        self.noted_count
+    }
+
     /// The .glb of each frame that is done, in the order of the inputs.
     pub(super) fn shot_frames(&self) -> &[ShotSource] {
         &self.shot_frames

@@ -187,10 +187,24 @@ impl Shots {
         self.paths().try_for_each(refuse_folder)
     }
 
-    /// Gathers the frames that are done.
-    pub(super) fn write(&self, frames: &[ShotSource], verdict: Verdict, console: &mut Console) -> Verdict {
+    /// Gathers the frames that are done, out of `frame_count`. A shot that an earlier run made is not replaced by one that lacks
+    /// frames.
+    pub(super) fn write(
+        &self,
+        (frames, frame_count): (&[ShotSource], usize),
+        verdict: Verdict,
+        console: &mut Console,
+    ) -> Verdict {
         let mut verdict = verdict;
         for (path, format) in &self.files {
+            if frames.len() < frame_count && path.exists() {
+                let (path, done_count) = (path.display(), frames.len());
+                console.warn(format_args!(
+                    "warning: {path}: not replaced, because only {done_count} of {frame_count} frames are done; remove it \
+                     to get a shot of these"
+                ));
+                continue;
+            }
             match write_shot(path, *format, frames, self.options) {
                 Ok(shot) => {
                     if !self.are_picked {

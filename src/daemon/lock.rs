@@ -70,7 +70,16 @@ impl OutputLock {
     pub fn take(out_folder: &Path) -> Result<OutputLock, LockError> {
         let path = lock_path(out_folder);
         let refused = |source| LockError::Io { path: path.clone(), source };
-        fs::create_dir_all(out_folder.join(STATE_FOLDER)).map_err(refused)?;
+        let state_folder = out_folder.join(STATE_FOLDER);
+        if let Err(source) = fs::create_dir_all(&state_folder) {
+            let source = match source.kind() {
+                io::ErrorKind::AlreadyExists => {
+                    io::Error::new(source.kind(), "something that is not a folder has its name: remove it")
+                }
+                _ => source,
+            };
+            return Err(LockError::Io { path: state_folder, source });
+        }
         let mut options = OpenOptions::new();
         let options = options.read(true).write(true).create(true).truncate(false);
         let file = open_own(&path, options).map_err(refused)?;

@@ -153,6 +153,8 @@ impl<'a> Daemon<'a> {
         self.show_plan();
         self.note_daemon(&DaemonState::Running);
         self.tell_roots();
+        // Before anything is queued: no frame begins below the floor.
+        self.look_for_room(Instant::now());
         for root in 0..self.roots.len() {
             self.scan_root(root);
         }

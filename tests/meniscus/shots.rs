@@ -182,6 +182,28 @@ fn a_shot_is_the_same_whoever_made_its_frames() {
 }
 
 #[test]
+fn shot_that_lacks_frames_does_not_replace_a_whole_one() {
+    let folder = frames(3);
+    let path = folder.path();
+    let convert = ["convert", "in", "--out", "out", "--voxel-size", "0.05", "--format", "glb"];
+    succeeded(&meniscus(path, &[&convert[..], &SHOTS].concat()));
+    let read = || ["shot.glb", "shot.usda"].map(|name| fs::read(path.join(name)).expect("readable"));
+    let whole = read();
+    fs::write(path.join("in/dam.2.ply"), "ply\nformat ascii 1.0\n").expect("written");
+    let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
+    assert_eq!(ran.status, 1, "{}{}", ran.out, ran.err);
+    assert!(
+        ran.err.contains("warning: shot.glb: not replaced, because only 2 of 3 frames are done"),
+        "{}",
+        ran.err
+    );
+    assert!(read() == whole);
+    fs::remove_file(path.join("shot.glb")).expect("removed");
+    let ran = meniscus(path, &[&convert[..], &SHOTS].concat());
+    assert!(ran.status == 1 && ran.out.contains("shot.glb: a shot of 2 frames"), "{}{}", ran.out, ran.err);
+}
+
+#[test]
 fn a_shot_shows_one_frame_after_the_other() {
     let folder = frames(4);
     let path = folder.path();
