@@ -1,6 +1,7 @@
 //! Small .vdb files whose nodes are full of tiles: memory stays within `--memory`.
 
 use crate::scene::{Scene, tell};
+use crate::vdb_file::{grid_head, vdb_file};
 
 const VOXEL_SIZE: f64 = 0.1;
 const BACKGROUND: f32 = 0.3;
@@ -11,28 +12,12 @@ const NODE_EDGE: i32 = 4096;
 /// The program itself, and what the allocator keeps.
 const BESIDE_BYTES: u64 = 40 << 20;
 
-fn push_string(text: &str, out: &mut Vec<u8>) {
-    out.extend((text.len() as u32).to_le_bytes());
-    out.extend(text.as_bytes());
-}
-
 /// A level set with `node_count` upper nodes in a row along z, each of 32³ tiles of 128³ voxels; `value` gives the value of the
 /// tile with these coordinates (0 to 31). A node whose tiles all have the same value takes 8 kB.
 fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
     let values: Vec<f32> = (0..32_768).map(|slot| value([slot / 1024, slot / 32 % 32, slot % 32])).collect();
-    let mut grid = 2u32.to_le_bytes().to_vec(); // only active values are stored
-    grid.extend(1u32.to_le_bytes());
-    for text in ["class", "string", "level set", "UniformScaleMap"] {
-        push_string(text, &mut grid);
-    }
-    let (inverse, square) = (1.0 / VOXEL_SIZE, 1.0 / VOXEL_SIZE / VOXEL_SIZE);
-    for number in [VOXEL_SIZE, VOXEL_SIZE, inverse, square, 0.5 * inverse] {
-        (0..3).for_each(|_| grid.extend(number.to_le_bytes()));
-    }
-    grid.extend(1u32.to_le_bytes()); // buffers for each leaf
-    grid.extend(BACKGROUND.to_le_bytes());
-    grid.extend(0u32.to_le_bytes()); // tiles of the root
-    grid.extend(node_count.to_le_bytes());
+    // 2: only active values are stored.
+    let mut grid = grid_head(2, VOXEL_SIZE, BACKGROUND, node_count as u32);
     for node in 0..node_count {
         [0, 0, node * NODE_EDGE].iter().for_each(|at| grid.extend(at.to_le_bytes()));
         grid.extend([0; 2 * 4096]); // no children, no active tiles
@@ -44,22 +29,7 @@ fn tiles(node_count: i32, value: impl Fn([usize; 3]) -> f32) -> Vec<u8> {
             values.iter().for_each(|value| grid.extend(value.to_le_bytes()));
         }
     }
-    let mut file = vec![0x20, 0x42, 0x44, 0x56, 0, 0, 0, 0];
-    for number in [224u32, 10, 0] {
-        file.extend(number.to_le_bytes());
-    }
-    file.push(1); // offsets follow
-    file.extend([b'0'; 36]); // in place of a UUID
-    file.extend(0u32.to_le_bytes()); // metadata
-    file.extend(1u32.to_le_bytes()); // grids
-    for text in ["surface", "Tree_float_5_4_3", ""] {
-        push_string(text, &mut file);
-    }
-    let (start, end) = (file.len() + 24, file.len() + 24 + grid.len());
-    for offset in [start, end, end] {
-        file.extend((offset as u64).to_le_bytes());
-    }
-    [file, grid].concat()
+    vdb_file(&grid, &[])
 }
 
 /// Converts a level set, or particles around it, with so much memory.

@@ -20,3 +20,5 @@ mod names; // names that are no text
 mod scene; // a folder with good frames, and the command in it
 mod sizes; // many steps, many leaves: memory in proportion
 mod trees; // links that lead in circles, and what may not be read
+#[path = "../meniscus/vdb_file.rs"]
+mod vdb_file; // what small .vdb files share

@@ -40,6 +40,7 @@ mod troubleshooting; // the page of symptoms quotes the program
 mod union_of_spheres; // rasterization against what is known of spheres
 #[cfg(target_os = "linux")]
 mod unreadable; // frames that the system refuses to describe: failed, never dropped
+mod vdb_file; // what small .vdb files share
 mod voxel_sizes; // voxels and radii that do not fit the particles: refused, or told, and no others
 mod watch; // the daemon's command, and those that ask what it did: what they take, refuse and tell
 mod ways;

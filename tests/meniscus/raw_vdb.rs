@@ -3,6 +3,8 @@
 //! All leaves and tiles are in the cube of 128 voxels from the origin on, in a single lower node. Nothing is compressed, so each
 //! value of the file is written out.
 
+use crate::vdb_file::{grid_head, vdb_file};
+
 /// What is in a place of 8³ voxels of the cube.
 pub(crate) enum Cell {
     /// A tile with one value, inactive.
@@ -16,41 +18,13 @@ const EDGE: i32 = 16;
 
 /// The bytes of a level set with this background; `cell` says what is at the cell with these coordinates, 0 to 15.
 pub(crate) fn raw_level_set(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> Vec<u8> {
-    let mut file = vec![0x20, 0x42, 0x44, 0x56, 0, 0, 0, 0];
-    for number in [224u32, 10, 0] {
-        file.extend(number.to_le_bytes());
-    }
-    file.push(1); // offsets follow
-    file.extend([b'0'; 36]); // in place of a UUID
-    file.extend(0u32.to_le_bytes()); // metadata
-    file.extend(1u32.to_le_bytes()); // grids
-    for text in ["surface", "Tree_float_5_4_3", ""] {
-        push_string(text, &mut file);
-    }
     let (head, buffers) = grid(voxel_size, background, cell);
-    let start = file.len() + 24;
-    for offset in [start, start + head.len(), start + head.len() + buffers.len()] {
-        file.extend((offset as u64).to_le_bytes());
-    }
-    [file, head, buffers].concat()
+    vdb_file(&head, &buffers)
 }
 
 /// Everything up to the buffers of the leaves, and these.
 fn grid(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> (Vec<u8>, Vec<u8>) {
-    let mut head = 0u32.to_le_bytes().to_vec(); // no compression
-    head.extend(1u32.to_le_bytes());
-    push_string("class", &mut head);
-    push_string("string", &mut head);
-    push_string("level set", &mut head);
-    push_string("UniformScaleMap", &mut head);
-    let (inverse, square) = (1.0 / voxel_size, 1.0 / voxel_size / voxel_size);
-    for number in [voxel_size, voxel_size, inverse, square, 0.5 * inverse] {
-        (0..3).for_each(|_| head.extend(number.to_le_bytes()));
-    }
-    head.extend(1u32.to_le_bytes()); // buffers for each leaf
-    head.extend(background.to_le_bytes());
-    head.extend(0u32.to_le_bytes()); // tiles of the root
-    head.extend(1u32.to_le_bytes()); // children
+    let mut head = grid_head(0, voxel_size, background, 1); // no compression
     head.extend([0; 12]);
     // The upper node has one child, the first.
     push_mask(32_768, |slot| slot == 0, &mut head);
@@ -71,11 +45,6 @@ fn grid(voxel_size: f64, background: f32, cell: impl Fn([i32; 3]) -> Cell) -> (V
         push_values(values.iter().copied(), &mut buffers);
     }
     (head, buffers)
-}
-
-fn push_string(text: &str, out: &mut Vec<u8>) {
-    out.extend((text.len() as u32).to_le_bytes());
-    out.extend(text.as_bytes());
 }
 
 fn push_mask(count: usize, is_on: impl Fn(usize) -> bool, out: &mut Vec<u8>) {
