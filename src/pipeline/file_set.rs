@@ -22,8 +22,10 @@
 //! A record is used only if this user made it, it has one name, and this version can read it. Any other is left in place with
 //! its old files, and the sweep returns a warning.
 //!
-//! A file that somebody else has replaced since is left as it is: the record has the size, the time of the last write and the
-//! inode of each new and old file. Where the old file of such a name was kept, it stays, and so does the record.
+//! The record has the size, the time of the last write and the inode of each new and old file. A file that is neither was
+//! written later, and stays. If all names have later files, the set is superseded, and its record and old files are removed:
+//! so it is when a run could not read the record and made the frame again. If only some names have, their old files stay, and
+//! so does the record.
 //!
 //! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
 
@@ -329,6 +331,17 @@ impl FileSet {
         Ok(is_begun)
     }
 
+    /// Whether every name has a later file.
+    fn is_superseded(&self) -> io::Result<bool> {
+        for member in &self.members {
+            let found = trait_of(&self.path(member))?;
+            if found.is_none() || found == Some(member.new) || found == member.old {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
     /// Renames the new files that do not have their names yet.
     fn complete(&self) -> io::Result<()> {
         for member in &self.members {
@@ -424,7 +437,7 @@ fn is_number(text: &str) -> bool {
 /// What became of a record.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Recovery {
-    /// The set was completed or undone, and the record removed.
+    /// The set was completed, undone or superseded, and the record removed.
     Done,
     /// Another process is using the record.
     InUse,
@@ -463,9 +476,12 @@ pub(super) fn recover(record_path: &Path) -> io::Result<Recovery> {
         }
     };
     let set = FileSet { record_path: record_path.to_owned(), members };
-    let completed = match set.can_be_completed()? {
-        true => set.complete().map(|()| Vec::new()),
-        false => set.undo(),
+    let completed = if set.is_superseded()? {
+        Ok(Vec::new())
+    } else if set.can_be_completed()? {
+        set.complete().map(|()| Vec::new())
+    } else {
+        set.undo()
     };
     let kept = match completed {
         // Somebody else removed a new file meanwhile.
@@ -723,30 +739,45 @@ mod tests {
 
     const OLD: Option<Trait> = Some(Trait { size: 12, modified_ns: 1 << 60, inode: 4 });
 
-    #[test]
-    fn abandoned_set_does_not_undo_a_later_one_and_keeps_its_old_files() {
-        let folder = tempfile::tempdir().expect("a folder");
-        write_old(folder.path(), 3);
-        // As though a process was killed, and this was seen only after another set.
-        let members = NAMES.map(|name| example(OsStr::new(name), OLD)).into();
-        let record_path = folder.path().join(".meniscus-set-0123456789abcdef");
-        let set = FileSet { record_path: record_path.clone(), members };
-        fs::write(&record_path, record_bytes(&set.members)).expect("written");
+    /// The record, old and new files of a set that another process left before any of these names had its present file.
+    fn write_abandoned(folder: &Path, names: &[&str]) -> FileSet {
+        let members = names.iter().map(|name| example(OsStr::new(name), OLD)).collect();
+        let set = FileSet { record_path: folder.join(".meniscus-set-0123456789abcdef"), members };
+        fs::write(&set.record_path, record_bytes(&set.members)).expect("written");
         for (index, member) in set.members.iter().enumerate() {
             fs::write(set.old_path(index), "older").expect("written");
             fs::write(set.temporary_path(member), "older").expect("written");
         }
+        set
+    }
+
+    #[test]
+    fn abandoned_set_whose_names_all_have_later_files_is_removed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_old(folder.path(), 3);
+        write_abandoned(folder.path(), &NAMES);
+        publish_new(folder.path()).expect("published");
+        let swept = sweep_temporaries(folder.path()).expect("there");
+        assert!(swept.warnings.is_empty(), "{swept:?}");
+        assert_eq!(contents(folder.path()), expected(None));
+    }
+
+    #[test]
+    fn abandoned_set_of_which_some_names_have_later_files_keeps_the_old_files() {
+        let folder = tempfile::tempdir().expect("a folder");
+        write_old(folder.path(), 3);
+        let set = write_abandoned(folder.path(), &[NAMES[0], NAMES[1], NAMES[2], "a.obj"]);
         publish_new(folder.path()).expect("published");
         let swept = sweep_temporaries(folder.path()).expect("there");
         let mut found = contents(folder.path());
         assert!((0..3).all(|index| set.old_path(index).exists()));
         assert!(swept.warnings.len() == 1 && swept.warnings[0].contains("another program"), "{swept:?}");
         // As the warning says.
-        fs::remove_file(&record_path).expect("removed");
+        fs::remove_file(&set.record_path).expect("removed");
         sweep_temporaries(folder.path()).expect("there");
-        found.retain(|(name, _)| !name.starts_with('.'));
+        found.retain(|(name, _)| !name.starts_with('.') && name != "a.obj");
         assert_eq!(found, expected(None));
-        assert_eq!(contents(folder.path()), expected(None));
+        assert_eq!(fs::read_to_string(folder.path().join("a.obj")).expect("put back"), "older");
     }
 
     #[cfg(unix)]
