@@ -276,6 +276,7 @@ fn pass_rate(shell: &Shell, pool: &ThreadPool) -> f64 {
         redistance_every: 1,
         cg_tolerance: 0.0,
         keeps_spheres: false,
+        distances_voxels: 0.0,
     };
     let mut band = shell.band.clone();
     let mut memory = Memory::new(shell.leaf_count());

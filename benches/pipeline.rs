@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Blocks of particles that are moved a little from their places, another way in each frame.
 fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<Vec<Frame>, Box<dyn Error>> {
-    let settings = Arc::new(Settings::resolve(f64::from(SPACING) / 2.0, &Choices::default())?);
+    let settings = Arc::new(Settings::paper(f64::from(SPACING) / 2.0, &Choices::default())?);
     let outputs = Arc::new(OutputOptions::new(folder.join("out"), &[OutputFormat::Glb, OutputFormat::Vdb]));
     fs::create_dir(&outputs.folder)?;
     let mut frames = Vec::new();

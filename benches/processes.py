@@ -68,6 +68,7 @@ def measured(command):
 def meniscus(frames, voxel_size, out, *options, threads=THREADS):
     """The command that skins one frame, or the frames of a pattern."""
     ours = [PROGRAM, "convert", frames, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
+    ours += ["--preset", "paper"]
     return [*ours, "--threads", threads, *options]
 
 

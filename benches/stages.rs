@@ -28,7 +28,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use glam::Vec3;
-use meniscus::anisotropy::{NeighborConfig, from_neighbors};
+use meniscus::anisotropy::{NeighborConfig, Stretch, from_neighbors};
 use meniscus::neighbors::Neighbors;
 use meniscus::particles::Particles;
 use meniscus::report::SkinReport;
@@ -107,7 +107,7 @@ impl Row {
 /// Skins a frame by turns on both pools.
 fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     let (particles, spacing) = frame(free_wanted / FREE_PER_PARTICLE);
-    let settings = Settings::resolve(spacing / 2.0, &Choices::default()).expect("valid");
+    let settings = Settings::paper(spacing / 2.0, &Choices::default()).expect("valid");
     let round_count = ((ROUND_COUNT as f64 * FREE_MIN / free_wanted).ceil() as usize).max(1);
     let mut reports: [Vec<SkinReport>; 2] = Default::default();
     for _ in 0..round_count {
@@ -217,9 +217,7 @@ fn print_shapes(pools: &[ThreadPool; 2]) {
     // 3·r_min, where r_min is √3·h and h half the spacing.
     let config = NeighborConfig {
         radius_world: 1.5 * 3f64.sqrt() * spacing,
-        max_stretch: 4.0,
-        position_smoothing: 0.0,
-        floor: 1.0,
+        stretch: Some(Stretch { max_stretch: 4.0, floor: 1.0, lone: 1.0, lone_floor: 1.0 }),
     };
     let count = particles.len() as f64;
     println!("\nshapes of {count} particles by their neighbours: ns a particle");
@@ -228,7 +226,7 @@ fn print_shapes(pools: &[ThreadPool; 2]) {
         let [sort, shapes, plain] = pool.install(|| {
             [
                 median_s(|| Neighbors::new(&particles, config.radius_world).cells().len() as f32),
-                median_s(|| from_neighbors(&particles, None, &config).shapes[0].longest),
+                median_s(|| from_neighbors(&particles, |_| true, None, &config).shapes[0].longest),
                 median_s(|| plain_moments(&Neighbors::new(&particles, config.radius_world))),
             ]
         });

@@ -108,7 +108,7 @@ fn run_plain_loop(folder: &Path) -> f64 {
 fn run_daemon(folder: &Path) -> f64 {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meniscus"));
     let voxel_size = VOXEL_SIZE.to_string();
-    command.args(["watch", "in", "--out", "out", "--once", "--voxel-size", &voxel_size]);
+    command.args(["watch", "in", "--out", "out", "--once", "--preset", "paper", "--voxel-size", &voxel_size]);
     run_timed(folder, command)
 }
 
@@ -127,7 +127,7 @@ fn run_timed(folder: &Path, mut command: Command) -> f64 {
 
 /// Each frame of `folder`/`in` through the stages, one after the other, all threads on each.
 fn plain_loop(folder: &Path) {
-    let settings = Settings::resolve(VOXEL_SIZE, &Choices::default()).expect("valid");
+    let settings = Settings::paper(VOXEL_SIZE, &Choices::default()).expect("valid");
     let pool = ThreadPoolBuilder::new().build().expect("threads");
     let mut inputs: Vec<PathBuf> = fs::read_dir(folder.join("in"))
         .expect("the folder is there")

@@ -106,7 +106,18 @@ struct Daemon {
 impl Daemon {
     fn start(folder: &Path) -> Daemon {
         let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
-            .args(["watch", "in", "--out", "out", "--log", "json", "--voxel-size", "0.05"])
+            .args([
+                "watch",
+                "in",
+                "--out",
+                "out",
+                "--log",
+                "json",
+                "--preset",
+                "paper",
+                "--voxel-size",
+                "0.05",
+            ])
             .args(["--listen", "127.0.0.1:0"])
             .current_dir(folder)
             .env_remove("NOTIFY_SOCKET")

@@ -25,7 +25,7 @@
 //! use meniscus::skin::skin;
 //!
 //! let block = (0..125).map(|i| [i % 5, i / 5 % 5, i / 25].map(|place| 0.1 * place as f32));
-//! let settings = Settings::resolve(0.05, &Choices::default())?;
+//! let settings = Settings::paper(0.05, &Choices::default())?;
 //! let surface = skin(&Particles::Single(block.collect()), &settings);
 //! assert!(surface.report.certificate.holds());
 //! assert!(surface.mesh.measure().is_closed_manifold());
@@ -60,6 +60,7 @@ pub mod certify;
 
 pub mod anisotropy;
 pub mod contour;
+pub mod flicker;
 pub mod preview;
 pub mod rasterize;
 pub mod smooth;

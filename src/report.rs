@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-pub use crate::certify::Certificate;
+pub use crate::certify::{Certificate, ParticlesOutside};
 use crate::mesh::MeshMeasures;
 pub use crate::obstacle::{ContactTally, DepthTally};
 pub use crate::smooth::Convergence;
@@ -85,6 +85,9 @@ pub struct Shaping {
     pub invalid_radius_count: usize,
     /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
     pub ball_count: usize,
+    /// Particles near the surface, of which neighbours were looked at. The others stay where they were given, and are not
+    /// stretched by neighbours.
+    pub near_count: usize,
     /// The longest half axis, in units of the settings' radii.
     pub longest: f32,
     /// Seconds that it took; those of rasterization have them, too.

@@ -43,8 +43,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         clip: Some(ClipBox { min: [0.5; 3], max: [9.0; 3] }),
         ..choices.clone()
     };
-    let settings =
-        [choices, edits].map(|choices| Arc::new(Settings::resolve(0.05, &choices).expect("valid")));
+    let settings = [choices, edits].map(|choices| Arc::new(Settings::paper(0.05, &choices).expect("valid")));
     let obstacles = folder.path().join("ball.#.obj");
     let bumps = bumps();
     (0..frame_count).for_each(|number| {

@@ -106,7 +106,6 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
         recursive: false,
         sentinel: None,
         outputs: OutputOptions::new(surfaces, &[OutputFormat::Glb, OutputFormat::Vdb]),
-        voxel_size: None,
         choices: Choices::default(),
         obstacles: Vec::new(),
     }

@@ -16,11 +16,10 @@ use std::sync::Arc;
 
 use meniscus::pipeline::{
     self, Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions,
-    VOXELS_PER_SPACING,
 };
 use meniscus::settings::{Choices, Settings};
 use meniscus::skin::skin;
-use meniscus::spacing::estimate_spacing;
+use meniscus::spacing::{estimate_spacing, rounded};
 use meniscus_formats::{Limits, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
 
@@ -46,8 +45,8 @@ pub(crate) fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
     let name = from.file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(&fs::read(from)?, &name, &Limits::default())?;
     let particles = pipeline::particles(frame.positions);
-    let spacing = estimate_spacing(&particles).ok_or("too few particles to measure their spacing")?;
-    let settings = Settings::resolve(spacing / VOXELS_PER_SPACING, &Choices::default())?;
+    let spacing = estimate_spacing(&particles).ok_or("a particle alone has no spacing")?.spacing;
+    let settings = Settings::resolve(&Choices::default(), Some(rounded(spacing).into()))?;
     let surface = skin(&particles, &settings);
     let mesh = pipeline::mesh_view(&surface.mesh, &[]);
     let options = gltf::WriteOptions::default();
@@ -62,8 +61,8 @@ pub(crate) fn skin_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error
     let mut frames = Vec::new();
     for sequence in pipeline::sequences(files.collect()) {
         let paths = sequence.frames.iter().map(|file| &*file.path);
-        let voxel_size = pipeline::automatic_voxel_size(paths, None)?.voxel_size;
-        let settings = Arc::new(Settings::resolve(voxel_size, &Choices::default())?);
+        let measured = pipeline::measure_spacing(paths, None)?;
+        let settings = Arc::new(Settings::resolve(&Choices::default(), Some((&measured).into()))?);
         frames.extend(sequence.frames.iter().map(|file| Frame::new(file, &settings, &outputs)));
     }
     let pool = ThreadPoolBuilder::new().build()?;

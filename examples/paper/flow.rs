@@ -3,6 +3,7 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
+use rayon::prelude::*;
 
 /// A velocity field in the unit cube, and the body that it carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,16 +53,16 @@ impl Flow {
     /// Carries points from one time to another one, by the classical method of Runge and Kutta.
     pub(crate) fn carry(self, points: &mut [DVec3], from: f64, to: f64) {
         let step = (to - from) / STEPS as f64;
-        for index in 0..STEPS {
-            let time = from + step * index as f64;
-            for point in &mut *points {
+        points.par_iter_mut().for_each(|point| {
+            for index in 0..STEPS {
+                let time = from + step * index as f64;
                 let first = self.velocity(*point, time);
                 let second = self.velocity(*point + 0.5 * step * first, time + 0.5 * step);
                 let third = self.velocity(*point + 0.5 * step * second, time + 0.5 * step);
                 let last = self.velocity(*point + step * third, time + step);
                 *point += step / 6.0 * (first + 2.0 * (second + third) + last);
             }
-        }
+        });
     }
 
     /// The body at first: negative inside.

@@ -64,7 +64,7 @@ fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
     let mut pictures = Vec::new();
     for ratio in RATIOS {
         let choices = Choices { radius_ratio: Some(ratio), ..Choices::default() };
-        let surface = skin(particles, &Settings::resolve(VOXEL_SIZE, &choices)?);
+        let surface = skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?);
         let measures = &surface.report.mesh;
         rows.push(vec![
             ratio.to_string(),
@@ -83,7 +83,7 @@ fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
 fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
-    let usual = Settings::resolve(VOXEL_SIZE, &Choices::default())?;
+    let usual = Settings::paper(VOXEL_SIZE, &Choices::default())?;
     let radii = Choices {
         radius_min: Some(usual.radius_min),
         radius_init: Some(usual.radius_init),
@@ -91,7 +91,7 @@ fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
     };
     for (part, choices) in [(1.0, Choices::default()), (0.5, Choices::default()), (0.25, radii)] {
         let voxel_size = part * SPACING;
-        let surface = skin(particles, &Settings::resolve(voxel_size, &choices)?);
+        let surface = skin(particles, &Settings::paper(voxel_size, &choices)?);
         let measures = &surface.report.mesh;
         rows.push(vec![
             part.to_string(),
@@ -147,7 +147,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
         pictures.push(shown.collect());
     }
     let choices = Choices { laplacian_steps: Some(0), steps: Some(0), ..Choices::default() };
-    let first = skin(particles, &Settings::resolve(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
+    let first = skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
     page.say(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
     let title = "Bending energy over integration time".to_owned();
@@ -168,7 +168,7 @@ fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f6
         step_size: Some(if time == 0.0 { step_size } else { time / steps }),
         ..Choices::default()
     };
-    Ok(skin(particles, &Settings::resolve(VOXEL_SIZE, &choices)?))
+    Ok(skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?))
 }
 
 /// The frame.

@@ -14,6 +14,7 @@ mod flow;
 mod flows;
 mod frame;
 mod output;
+mod quality;
 mod random_ball;
 mod samples;
 mod shapes;
@@ -60,6 +61,10 @@ const EXPERIMENTS: [Experiment; 8] = [
 const WITHOUT_SPLASHSURF: [&str; 3] = ["frame", "spheres", "shapes"];
 
 fn main() -> Outcome<()> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    if let Some(("quality", settings)) = words.split_first().map(|(first, rest)| (first.as_str(), rest)) {
+        return quality::run(settings);
+    }
     let (options, names): (Vec<String>, Vec<String>) =
         std::env::args().skip(1).partition(|argument| argument.starts_with("--"));
     let is_long = match options.iter().map(String::as_str).collect::<Vec<_>>()[..] {

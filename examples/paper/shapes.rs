@@ -248,7 +248,7 @@ pub(crate) fn skinned(
     choices: &Choices,
     obstacles: &Obstacles,
 ) -> Outcome<Surface> {
-    Ok(skin_cloud(cloud.clone(), &Settings::resolve(voxel_size, choices)?, obstacles))
+    Ok(skin_cloud(cloud.clone(), &Settings::paper(voxel_size, choices)?, obstacles))
 }
 
 pub(crate) fn holds(surface: &Surface) -> String {

@@ -140,6 +140,7 @@ fn explicit(steps: u32) -> Config {
         redistance_every: 50,
         cg_tolerance: 0.0,
         keeps_spheres: false,
+        distances_voxels: 0.0,
     }
 }
 

@@ -92,7 +92,7 @@ impl Scale {
 
     fn settings(self, integrator: Integrator) -> Outcome<Settings> {
         let choices = Choices { integrator: Some(integrator), ..(self.choices)(self.spacing) };
-        Ok(Settings::resolve(self.voxel_size, &choices)?)
+        Ok(Settings::paper(self.voxel_size, &choices)?)
     }
 }
 

@@ -25,6 +25,7 @@ pub mod houdini;
 pub mod lammps;
 mod le_bytes;
 pub mod limits;
+pub mod mesh;
 mod named_arrays;
 pub mod names;
 pub mod npy;
@@ -60,6 +61,7 @@ pub use data::{
 pub use error::{Error, Place, Result};
 pub use excerpt::{Escaped, escaped, is_unsafe};
 pub use limits::Limits;
+pub use mesh::read_mesh;
 pub use obstacle::{ObstacleData, read_obstacle};
 pub use packing::Packing;
 pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, Samples};

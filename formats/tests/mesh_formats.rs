@@ -498,3 +498,72 @@ fn damaged_meshes_are_errors_and_never_panics() {
     );
     assert!(matches!(text, Err(Error::Unsupported { .. })), "{text:?}");
 }
+
+/// A square of four points above another one.
+const VTK_POINTS: &str = "POINTS 8 float\n0 0 0 1 0 0 1 1 0 0 1 0 0 0 1 1 0 1 1 1 1 0 1 1\n";
+
+fn legacy_mesh(rest: &str) -> meniscus_formats::Result<MeshData> {
+    let text = format!("# vtk DataFile Version 5.1\na\nASCII\n{rest}");
+    meniscus_formats::read_mesh(text.as_bytes(), "a.vtk", &Limits::default(), &|_| {
+        Err(std::io::ErrorKind::NotFound.into())
+    })
+}
+
+#[test]
+fn legacy_vtk_meshes_of_any_layout_are_read() {
+    let quad = [[0, 1, 2], [0, 2, 3]];
+    let poly = |cells: &str| legacy_mesh(&format!("DATASET POLYDATA\n{VTK_POINTS}{cells}"));
+    let grid = |cells: &str| legacy_mesh(&format!("DATASET UNSTRUCTURED_GRID\n{VTK_POINTS}{cells}"));
+    for (name, found, expected) in [
+        ("polygons", poly("POLYGONS 2 9\n4 0 1 2 3\n3 4 5 6\n"), vec![quad[0], quad[1], [4, 5, 6]]),
+        (
+            "offsets",
+            poly("POLYGONS 3 7\nOFFSETS vtktypeint64\n0 4 7\nCONNECTIVITY vtktypeint64\n0 1 2 3 4 5 6\n"),
+            vec![quad[0], quad[1], [4, 5, 6]],
+        ),
+        ("strip", poly("TRIANGLE_STRIPS 1 5\n4 0 1 3 2\n"), vec![[0, 1, 3], [3, 1, 2]]),
+        ("no triangles", poly("VERTICES 1 2\n1 0\nLINES 1 3\n2 0 1\n"), vec![]),
+        (
+            "more behind",
+            poly("POLYGONS 1 4\n3 0 1 2\nCELL_DATA 1\nSCALARS a int 1\nLOOKUP_TABLE default\n7\n"),
+            vec![[0, 1, 2]],
+        ),
+        (
+            "cells",
+            grid("CELLS 5 21\n3 0 1 2\n4 0 1 2 3\n4 4 5 7 6\n2 0 1\n3 4 5 6\nCELL_TYPES 5\n5\n9\n8\n3\n7\n"),
+            vec![[0, 1, 2], quad[0], quad[1], [4, 5, 6], [4, 6, 7], [4, 5, 6]],
+        ),
+        (
+            "cells with offsets",
+            grid(
+                "CELLS 2 4\nOFFSETS vtktypeint64\n0 4\nCONNECTIVITY vtktypeint64\n0 1 2 3\nCELL_TYPES 1\n9\n",
+            ),
+            quad.to_vec(),
+        ),
+    ] {
+        let mesh = found.expect(name);
+        assert_eq!((mesh.positions.len(), mesh.triangles), (8, expected), "{name}");
+    }
+    for (cells, word) in [
+        ("CELLS 1 5\n4 0 1 2 4\nCELL_TYPES 1\n10\n", "type 10, which is not a flat polygon"),
+        ("CELLS 1 4\n3 0 1 2\n", "0 CELL_TYPES for 1 CELLS"),
+        ("CELLS 1 3\n2 0 1\nCELL_TYPES 1\n8\n", "type 8 with 2 corners"),
+        ("POLYGONS 1 4\n3 0 1 8\n", "not among the 8"),
+        ("POLYGONS 1 4\n3 0 1 -1\n", "not among the 8"),
+        ("POLYGONS 1 4\n4 0 1 2\n", "a cell of 4 corners, and 3 numbers remain"),
+        ("POLYGONS 1 4\n-3 0 1 2\n", "a cell of -3 corners"),
+        ("POLYGONS 1 99999999\n3 0 1 2\n", "no more than"),
+        (
+            "POLYGONS 3 6\nOFFSETS vtktypeint64\n0 6 3\nCONNECTIVITY vtktypeint64\n0 1 2 3 4 5\n",
+            "ends at corner 3 of 6",
+        ),
+        (
+            "POLYGONS 2 3\nOFFSETS vtktypeint64\n0 4\nCONNECTIVITY vtktypeint64\n0 1 2\n",
+            "ends at corner 4 of 3",
+        ),
+        ("POLYGONS 2 3\nOFFSETS float\n0 3\nCONNECTIVITY vtktypeint64\n0 1 2\n", "no integers"),
+    ] {
+        let error = grid(cells).expect_err(cells).to_string();
+        assert!(error.contains(word), "{error}");
+    }
+}

@@ -254,6 +254,7 @@ fn what_is_no_obstacle_is_told() {
         (b"", "empty.obj", "empty"),
         (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n", "points.ply", "no triangle"),
         (b"solid cube\n", "cube.stl", "not a format that obstacles"),
+        (b"# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS 1 float\n1 2 3\n", "a.vtk", "no triangle"),
     ] {
         let error = read(bytes, name).expect_err(name).to_string();
         assert!(error.contains(word), "{name}: {error}");

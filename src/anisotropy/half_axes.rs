@@ -23,6 +23,7 @@
 use super::RAISED_BELOW;
 use super::eigen::{Eigen, eigen};
 use super::moments::MOMENT_COUNT;
+use super::neighborhoods::Stretch;
 use crate::particles::Ellipsoid;
 use crate::simd::Lanes;
 
@@ -37,15 +38,6 @@ const WEIGHT_FULL: f32 = 4.0;
 /// shape of what was lost in rounding. No half axis is then more than about 50 times another.
 const SPREAD_MIN: f32 = 1e-4;
 
-/// What half axes are held to.
-#[derive(Clone, Copy)]
-pub(super) struct Limits {
-    /// The longest half axis divided by the shortest, 1 or more.
-    pub(super) max_stretch: f32,
-    /// The least half axis.
-    pub(super) floor: f32,
-}
-
 /// Eight particles.
 pub(super) struct Eights {
     pub(super) shapes: [Ellipsoid; 8],
@@ -53,8 +45,6 @@ pub(super) struct Eights {
     pub(super) raised: u8,
     /// Those that are balls, for want of neighbours.
     pub(super) balls: u8,
-    /// x, y and z of the mean of what is around each, relative to it, in units of the radius.
-    pub(super) means: [[f32; 8]; 3],
 }
 
 /// The shapes of eight particles, from their moments and their scales.
@@ -62,39 +52,52 @@ pub(super) struct Eights {
 pub(super) fn shapes<V: Lanes>(
     moments: &[[f32; 8]; MOMENT_COUNT],
     scales: &[f32; 8],
-    limits: Limits,
+    limits: Stretch,
 ) -> Eights {
-    let (mean, covariance) = mean_and_covariance::<V>(moments);
+    let covariance = covariance::<V>(moments);
     let Eigen { values, vectors } = eigen(covariance);
     // Each particle is among those around it, with a weight of 1.
     let neighbors = V::load(&moments[0]).sub(V::splat(1.0 + WEIGHT_NONE));
     let part = neighbors.mul(V::splat(1.0 / (WEIGHT_FULL - WEIGHT_NONE)));
     let part = part.max(V::splat(0.0)).min(V::splat(1.0));
-    let is_ball = V::not(V::splat(0.0).lt(part));
     let half_axes = blended(limited(values, limits.max_stretch), part);
-    let (half_axes, is_raised) = scaled(half_axes, is_ball, V::load(scales), limits.floor);
-    let mut means = [[0.0; 8]; 3];
-    for (row, along) in means.iter_mut().zip(mean) {
-        along.store(row);
-    }
+    let (half_axes, is_raised) = scaled(half_axes, part, V::load(scales), limits);
+    let is_ball = V::not(V::splat(0.0).lt(part));
     Eights {
         shapes: ellipsoids(half_axes, vectors, V::bits(is_ball)),
         raised: V::bits(is_raised),
         balls: V::bits(is_ball),
-        means,
     }
 }
 
-/// Mean and covariance (Yu and Turk, Eq. 10 and 9): the latter as xx, yy, zz, xy, xz and yz.
+/// The mean of what is around each of eight particles, relative to it, in units of the radius: x, y and z. Of the
+/// moments the first four are taken.
 #[inline(always)]
-fn mean_and_covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> ([V; 3], [V; 6]) {
+pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
+    let (mean, _) = mean_and_weight::<V>(moments);
+    let mut means = [[0.0; 8]; 3];
+    for (row, along) in means.iter_mut().zip(mean) {
+        along.store(row);
+    }
+    means
+}
+
+/// The mean (Yu and Turk, Eq. 10), and what a sum is multiplied by to be a mean.
+#[inline(always)]
+fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
     // A particle weighs 1 by itself. Only where some stand for all it may not be there.
     let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
     let mut means = [V::splat(0.0); 3];
     for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
         *mean = V::load(moment).mul(by_weight);
     }
-    let [x, y, z] = means;
+    (means, by_weight)
+}
+
+/// The covariance (Yu and Turk, Eq. 9): xx, yy, zz, xy, xz and yz.
+#[inline(always)]
+fn covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> [V; 6] {
+    let ([x, y, z], by_weight) = mean_and_weight::<V>(moments);
     let products = [x.mul(x), y.mul(y), z.mul(z), x.mul(y), x.mul(z), y.mul(z)];
     let mut covariance = [V::splat(0.0); 6];
     for (entry, (moment, product)) in covariance.iter_mut().zip(moments[4..].iter().zip(products)) {
@@ -103,7 +106,7 @@ fn mean_and_covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> ([V; 3],
     for diagonal in &mut covariance[..3] {
         *diagonal = diagonal.add(V::splat(SPREAD_MIN));
     }
-    (means, covariance)
+    covariance
 }
 
 /// Half axes of product 1, none of them more than `max_stretch` times another.
@@ -142,10 +145,14 @@ fn of_volume_one<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
     [a.div(root), b.div(root), c.div(root)]
 }
 
-/// The half axes times the scale, but none below the floor; and where one had to be raised.
+/// The half axes times the scale, but none below the floor; and where one had to be raised. The fewer neighbours there are,
+/// the more scale and floor are those of lone particles.
 #[inline(always)]
-fn scaled<V: Lanes>(half_axes: [V; 3], is_ball: V::Mask, scale: V, floor: f32) -> ([V; 3], V::Mask) {
-    let floor = V::splat(floor);
+fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
+    let is_ball = V::not(V::splat(0.0).lt(part));
+    let between = |lone: f32, usual: f32| V::splat(lone).add(part.mul(V::splat(usual - lone)));
+    let floor = between(limits.lone_floor, limits.floor);
+    let scale = scale.mul(between(limits.lone, 1.0));
     let [mut a, mut b, mut c] = half_axes;
     for half_axis in [&mut a, &mut b, &mut c] {
         // Not to rounding, for a ball.

@@ -23,17 +23,15 @@ mod neighborhoods;
 mod radii;
 mod velocity;
 
-use crate::particles::{Ellipsoid, Particles};
+use crate::particles::Ellipsoid;
 
-pub use neighborhoods::{NeighborConfig, from_neighbors};
+pub use neighborhoods::{ByNeighbors, NeighborConfig, Stretch, from_neighbors};
 pub use radii::{RadiusScales, radius_scales};
 pub use velocity::{VelocityConfig, from_velocities};
 
 /// Particles with shapes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shaped {
-    /// Where the particles are now, in the precision they came in. `None` where they did not move.
-    pub positions: Option<Particles>,
     /// The shape of each, in the order of the particles.
     pub shapes: Vec<Ellipsoid>,
     /// Particles of which a half axis was raised to the floor.

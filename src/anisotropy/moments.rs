@@ -21,12 +21,19 @@ use crate::simd::Lanes;
 /// Sums: W; those of w·x, w·y and w·z; those of w·xx, w·yy, w·zz, w·xy, w·xz and w·yz.
 pub(super) const MOMENT_COUNT: usize = 10;
 
-/// The moments around a particle at `at`, in units of the radius. `within` is memory to work in.
+/// The first of them, which are enough for means.
+pub(super) const MEAN_COUNT: usize = 4;
+
+/// The first `COUNT` moments around a particle at `at`, in units of the radius. `within` is memory to work in.
 #[inline(always)]
-pub(super) fn moments<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32>) -> [f32; MOMENT_COUNT] {
+pub(super) fn moments<V: Lanes, const COUNT: usize>(
+    eights: &[Eight],
+    at: Vec3,
+    within: &mut Vec<u32>,
+) -> [f32; COUNT] {
     let count = find_within::<V>(eights, at, within);
     let (full, rest) = within[..count].as_chunks::<8>();
-    let mut sums = [V::splat(0.0); MOMENT_COUNT];
+    let mut sums = [V::splat(0.0); COUNT];
     for places in full {
         let mut particles = Particles::NONE;
         particles.take(eights, places);
@@ -37,7 +44,7 @@ pub(super) fn moments<V: Lanes>(eights: &[Eight], at: Vec3, within: &mut Vec<u32
         particles.take(eights, rest);
         add_moments(&mut sums, &particles, at);
     }
-    let mut moments = [0.0; MOMENT_COUNT];
+    let mut moments = [0.0; COUNT];
     for (moment, sum) in moments.iter_mut().zip(sums) {
         *moment = total(sum);
     }
@@ -108,7 +115,7 @@ impl Particles {
 }
 
 #[inline(always)]
-fn add_moments<V: Lanes>(sums: &mut [V; MOMENT_COUNT], particles: &Particles, at: Vec3) {
+fn add_moments<V: Lanes, const COUNT: usize>(sums: &mut [V; COUNT], particles: &Particles, at: Vec3) {
     let dx = V::load(&particles.along[0]).sub(V::splat(at.x));
     let dy = V::load(&particles.along[1]).sub(V::splat(at.y));
     let dz = V::load(&particles.along[2]).sub(V::splat(at.z));

@@ -11,7 +11,7 @@
 //! At the plane surface of a solid the particles within R are on one side: they spread half as far outward as along
 //! the surface, and what is there is flattened to 0.56.
 //!
-//! Where asked, a particle is moved toward the mean of those around it (Yu and Turk, Eq. 6). Shapes are always those of
+//! Where particles are moved, it is toward the mean of those around them (Yu and Turk, Eq. 6). Shapes are always those of
 //! the particles as they were, as theirs are: one search does for both, and a particle depends on what is within R and
 //! on nothing else.
 //!
@@ -19,12 +19,12 @@
 //! are in. Where cells hold more than [`CELL_MAX`] particles only so many of each are looked at, here and there: then
 //! shapes depend on which particles there are in all cells that meet the ball of radius R.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
-use super::half_axes::{Limits, shapes};
-use super::moments::{MOMENT_COUNT, moments};
-use super::{Shaped, ball, scale_of};
+use super::half_axes::{means, shapes};
+use super::moments::{MEAN_COUNT, MOMENT_COUNT, moments};
+use super::scale_of;
 use crate::neighbors::{Neighbors, Surroundings};
 use crate::particles::{Ellipsoid, Particles};
 use crate::simd::{Kernel, Lanes, Level, dispatch_at};
@@ -34,47 +34,82 @@ use crate::simd::{Kernel, Lanes, Level, dispatch_at};
 pub struct NeighborConfig {
     /// R: particles farther away do not matter. World units, positive.
     pub radius_world: f64,
+    /// How particles are stretched; `None` where only means are wanted.
+    pub stretch: Option<Stretch>,
+}
+
+/// What half axes are held to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stretch {
     /// No half axis is more than this many times another, before they are raised to the floor: 1 or more.
     pub max_stretch: f32,
-    /// How far particles are moved toward the mean of those around them, 0 to 1 (Yu and Turk, Eq. 6: λ).
-    pub position_smoothing: f32,
-    /// The least half axis, in units of the settings' radii. Positive.
+    /// The least half axis of particles with many neighbours, in units of the settings' radii. Positive.
     pub floor: f32,
+    /// The scale of particles without neighbours, in units of that of others: they are balls.
+    pub lone: f32,
+    /// The least scale of these balls, in units of the settings' radii. Positive.
+    pub lone_floor: f32,
+}
+
+/// What the neighbours of some particles make of them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ByNeighbors {
+    /// Which particles these are, each once.
+    pub indices: Vec<u32>,
+    /// For each of them where the mean of what is around it is, relative to it, in units of R (Yu and Turk, Eq. 6).
+    pub means: Vec<[f32; 3]>,
+    /// The shape of each; empty where none are wanted.
+    pub shapes: Vec<Ellipsoid>,
+    /// How many have a half axis that was raised to the floor.
+    pub raised_count: usize,
+    /// How many are balls because their neighbours are too few.
+    pub ball_count: usize,
 }
 
 /// The particles of a cell that are looked at, at most: 7 times as many as a cell with an edge of 2.6 spacings has.
 /// So particles that are far nearer to each other than R is wide take a microsecond each, and not as many as there are.
 const CELL_MAX: usize = 128;
 
-/// Shapes particles by their neighbourhoods (Yu and Turk, Eq. 6 and 9 to 16). `scales` has one for each particle. Those
-/// without a place in the range of indices are balls.
-pub fn from_neighbors(particles: &Particles, scales: Option<&[f32]>, config: &NeighborConfig) -> Shaped {
-    shaped(particles, scales, config, Level::current())
+/// What the neighbours of the particles that are wanted make of them (Yu and Turk, Eq. 6 and 9 to 16). `scales` has one for each particle. Of
+/// the particles that are wanted, those without a place in the range of indices are left out.
+///
+/// A particle is the same whichever other ones are wanted, and whatever is missing from `particles` in cells of edge R that are not next to
+/// its own; particles keep their order.
+pub fn from_neighbors(
+    particles: &Particles,
+    is_wanted: impl Fn(usize) -> bool + Sync,
+    scales: Option<&[f32]>,
+    config: &NeighborConfig,
+) -> ByNeighbors {
+    by_neighbors(particles, is_wanted, scales, config, Level::current())
 }
 
-fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &NeighborConfig, level: Level) -> Shaped {
+fn by_neighbors(
+    particles: &Particles,
+    is_wanted: impl Fn(usize) -> bool + Sync,
+    scales: Option<&[f32]>,
+    config: &NeighborConfig,
+    level: Level,
+) -> ByNeighbors {
     assert!(scales.is_none_or(|scales| scales.len() == particles.len()), "a scale for each particle");
     let neighbors = Neighbors::new(particles, config.radius_world);
-    let count = neighbors.indices().len();
-    let mut sorted = vec![Ellipsoid::ball(1.0); count];
-    let moves = config.position_smoothing > 0.0;
-    let mut means = vec![[0.0f32; 3]; if moves { count } else { 0 }];
-    let counts = sorted
-        .par_chunks_mut(PIECE)
-        .zip_eq(pieces_of(&mut means, count))
-        .enumerate()
-        .map(|(piece, (shapes, means))| {
-            dispatch_at(
-                level,
-                Piece { neighbors: &neighbors, scales, config, first: piece * PIECE, shapes, means },
-            )
+    let in_order = (0u32..).zip(neighbors.indices());
+    let places: Vec<u32> =
+        in_order.filter(|(_, index)| is_wanted(**index as usize)).map(|(place, _)| place).collect();
+    let mut means = vec![[0.0f32; 3]; places.len()];
+    let shape_count = if config.stretch.is_some() { places.len() } else { 0 };
+    let mut shapes = vec![Ellipsoid::ball(1.0); shape_count];
+    let counts = places
+        .par_chunks(PIECE)
+        .zip_eq(means.par_chunks_mut(PIECE))
+        .zip_eq(pieces_of(&mut shapes, places.len()))
+        .map(|((places, means), shapes)| {
+            dispatch_at(level, Piece { neighbors: &neighbors, scales, config, places, means, shapes })
         })
         .reduce(Counts::default, Counts::plus);
-    let placed = Placed::new(&neighbors, particles.len());
-    let (shapes, unplaced) = placed.shapes(&sorted, scales, config.floor);
-    let counts = counts.plus(unplaced);
-    Shaped {
-        positions: moves.then(|| placed.moved(particles, &means, config)),
+    ByNeighbors {
+        indices: places.iter().map(|&place| neighbors.indices()[place as usize]).collect(),
+        means,
         shapes,
         raised_count: counts.raised,
         ball_count: counts.balls,
@@ -85,8 +120,8 @@ fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &NeighborConfig
 const PIECE: usize = 1024;
 
 /// As many pieces as `count` has, empty ones if nothing is wanted.
-fn pieces_of(means: &mut [[f32; 3]], count: usize) -> Vec<&mut [[f32; 3]]> {
-    let mut pieces: Vec<&mut [[f32; 3]]> = means.chunks_mut(PIECE).collect();
+fn pieces_of(shapes: &mut [Ellipsoid], count: usize) -> Vec<&mut [Ellipsoid]> {
+    let mut pieces: Vec<&mut [Ellipsoid]> = shapes.chunks_mut(PIECE).collect();
     pieces.resize_with(count.div_ceil(PIECE), Default::default);
     pieces
 }
@@ -103,143 +138,89 @@ impl Counts {
     }
 }
 
-/// Particles in a row, in the order of the grid.
+/// Particles that follow each other in the order of the grid.
 struct Piece<'a> {
     neighbors: &'a Neighbors,
     scales: Option<&'a [f32]>,
     config: &'a NeighborConfig,
-    /// The place of the first.
-    first: usize,
-    shapes: &'a mut [Ellipsoid],
-    /// Empty if nobody wants them.
+    /// Their places in the grid.
+    places: &'a [u32],
     means: &'a mut [[f32; 3]],
+    /// Empty if only means are wanted.
+    shapes: &'a mut [Ellipsoid],
 }
 
 impl Kernel for Piece<'_> {
     type Output = Counts;
 
     #[inline(always)]
-    fn run<V: Lanes>(mut self) -> Counts {
-        let mut surroundings = Surroundings::default();
-        let mut within = Vec::new();
-        let mut counts = Counts::default();
-        let mut waiting = Waiting::new();
-        let [x, y, z] = self.neighbors.locals();
-        let end = self.first + self.shapes.len();
-        let mut place = self.first;
-        let mut cell = self.neighbors.cell_at(place);
-        while place < end {
-            surroundings.gather(self.neighbors, self.neighbors.cells()[cell], CELL_MAX);
-            let cell_end = self.neighbors.places(cell).end.min(end);
-            while place < cell_end {
-                let at = Vec3::new(x[place], y[place], z[place]);
-                waiting.add(moments::<V>(surroundings.eights(), at, &mut within));
-                place += 1;
-                if waiting.count == 8 || place == end {
-                    counts = counts.plus(self.finish::<V>(&waiting, place - waiting.count));
-                    waiting.count = 0;
-                }
-            }
-            cell += 1;
+    fn run<V: Lanes>(self) -> Counts {
+        match self.config.stretch {
+            Some(stretch) => self.run_with::<V, MOMENT_COUNT>(Some(stretch)),
+            None => self.run_with::<V, MEAN_COUNT>(None),
         }
-        counts
     }
 }
 
 impl Piece<'_> {
-    /// Shapes the particles that wait; `place` is that of the first of them.
+    /// Takes the first `COUNT` moments of each particle.
     #[inline(always)]
-    fn finish<V: Lanes>(&mut self, waiting: &Waiting, place: usize) -> Counts {
-        let mut scales = [1.0; 8];
-        for (scale, &index) in scales.iter_mut().zip(&self.neighbors.indices()[place..place + waiting.count])
-        {
-            *scale = scale_of(self.scales, index as usize);
-        }
-        let NeighborConfig { max_stretch, floor, .. } = *self.config;
-        let limits = Limits { max_stretch: max_stretch.max(1.0), floor };
-        let eights = shapes::<V>(&waiting.moments, &scales, limits);
-        let first = place - self.first;
-        self.shapes[first..first + waiting.count].copy_from_slice(&eights.shapes[..waiting.count]);
-        if !self.means.is_empty() {
-            let means = &mut self.means[first..first + waiting.count];
-            for (k, mean) in means.iter_mut().enumerate() {
-                *mean = [eights.means[0][k], eights.means[1][k], eights.means[2][k]];
+    fn run_with<V: Lanes, const COUNT: usize>(mut self, stretch: Option<Stretch>) -> Counts {
+        let mut surroundings = Surroundings::default();
+        let mut within = Vec::new();
+        let mut counts = Counts::default();
+        let mut waiting = [[0.0f32; 8]; COUNT];
+        let mut waiting_count = 0;
+        let [x, y, z] = self.neighbors.locals();
+        let mut cell_end = 0;
+        for (number, &place) in self.places.iter().enumerate() {
+            let place = place as usize;
+            if place >= cell_end {
+                let cell = self.neighbors.cell_at(place);
+                surroundings.gather(self.neighbors, self.neighbors.cells()[cell], CELL_MAX);
+                cell_end = self.neighbors.places(cell).end;
+            }
+            let at = Vec3::new(x[place], y[place], z[place]);
+            let moments = moments::<V, COUNT>(surroundings.eights(), at, &mut within);
+            for (row, moment) in waiting.iter_mut().zip(moments) {
+                row[waiting_count % 8] = moment;
+            }
+            waiting_count += 1;
+            if waiting_count == 8 || number + 1 == self.places.len() {
+                let first = number + 1 - waiting_count;
+                counts = counts.plus(self.finish::<V, COUNT>(&waiting, first, waiting_count, stretch));
+                waiting_count = 0;
             }
         }
-        let bits = ((1u16 << waiting.count) - 1) as u8;
+        counts
+    }
+
+    /// Finishes up to eight particles, of which `first` is the first.
+    #[inline(always)]
+    fn finish<V: Lanes, const COUNT: usize>(
+        &mut self,
+        moments: &[[f32; 8]; COUNT],
+        first: usize,
+        count: usize,
+        stretch: Option<Stretch>,
+    ) -> Counts {
+        let along = means::<V>(moments);
+        for (k, mean) in self.means[first..first + count].iter_mut().enumerate() {
+            *mean = [along[0][k], along[1][k], along[2][k]];
+        }
+        let (Some(stretch), Some(moments)) = (stretch, moments.first_chunk()) else {
+            return Counts::default();
+        };
+        let mut scales = [1.0; 8];
+        for (scale, &place) in scales.iter_mut().zip(&self.places[first..first + count]) {
+            *scale = scale_of(self.scales, self.neighbors.indices()[place as usize] as usize);
+        }
+        let limits = Stretch { max_stretch: stretch.max_stretch.max(1.0), ..stretch };
+        let eights = shapes::<V>(moments, &scales, limits);
+        self.shapes[first..first + count].copy_from_slice(&eights.shapes[..count]);
+        let bits = ((1u16 << count) - 1) as u8;
         let [raised, balls] = [eights.raised & bits, eights.balls & bits].map(u8::count_ones);
         Counts { raised: raised as usize, balls: balls as usize }
-    }
-}
-
-/// Moments that wait until there are eight.
-struct Waiting {
-    moments: [[f32; 8]; MOMENT_COUNT],
-    count: usize,
-}
-
-impl Waiting {
-    #[inline(always)]
-    fn new() -> Waiting {
-        Waiting { moments: [[0.0; 8]; MOMENT_COUNT], count: 0 }
-    }
-
-    #[inline(always)]
-    fn add(&mut self, moments: [f32; MOMENT_COUNT]) {
-        for (row, moment) in self.moments.iter_mut().zip(moments) {
-            row[self.count % 8] = moment;
-        }
-        self.count += 1;
-    }
-}
-
-/// Where in the grid each particle is.
-struct Placed(Vec<u32>);
-
-/// In place of a place: the particle has none.
-const NOWHERE: u32 = u32::MAX;
-
-impl Placed {
-    fn new(neighbors: &Neighbors, count: usize) -> Placed {
-        let mut places = vec![NOWHERE; count];
-        for (place, &index) in (0..).zip(neighbors.indices()) {
-            places[index as usize] = place;
-        }
-        Placed(places)
-    }
-
-    /// The shapes in the order of the particles; counts of those that have no place.
-    fn shapes(&self, sorted: &[Ellipsoid], scales: Option<&[f32]>, floor: f32) -> (Vec<Ellipsoid>, Counts) {
-        let shape = |(index, &place): (usize, &u32)| match sorted.get(place as usize) {
-            Some(&shape) => shape,
-            None => ball(scale_of(scales, index), floor).0,
-        };
-        let shapes = self.0.par_iter().enumerate().map(shape).collect();
-        let unplaced = || self.0.iter().enumerate().filter(|&(_, &place)| place == NOWHERE);
-        let is_raised = |&(index, _): &(usize, &u32)| ball(scale_of(scales, index), floor).1;
-        (shapes, Counts { raised: unplaced().filter(is_raised).count(), balls: unplaced().count() })
-    }
-
-    /// The particles where smoothing moves them.
-    fn moved(&self, particles: &Particles, means: &[[f32; 3]], config: &NeighborConfig) -> Particles {
-        let step_world = f64::from(config.position_smoothing) * config.radius_world;
-        let step = |place: u32| {
-            let mean = means.get(place as usize).copied().unwrap_or_default();
-            Vec3::from(mean).as_dvec3() * step_world
-        };
-        match particles {
-            Particles::Single(positions) => {
-                let moved = |(position, &place): (&[f32; 3], &u32)| {
-                    (Vec3::from(*position).as_dvec3() + step(place)).as_vec3().to_array()
-                };
-                Particles::Single(positions.par_iter().zip(&self.0).map(moved).collect())
-            }
-            Particles::Double(positions) => {
-                let moved =
-                    |(position, &place): (&[f64; 3], &u32)| (DVec3::from(*position) + step(place)).to_array();
-                Particles::Double(positions.par_iter().zip(&self.0).map(moved).collect())
-            }
-        }
     }
 }
 

@@ -40,7 +40,6 @@ pub fn from_velocities(velocities: &[f32], scales: Option<&[f32]>, config: &Velo
     };
     let shapes: Vec<(Ellipsoid, bool)> = velocities.par_iter().enumerate().map(stretched).collect();
     Shaped {
-        positions: None,
         raised_count: shapes.iter().filter(|(_, is_raised)| *is_raised).count(),
         ball_count: velocities.iter().filter(|velocity| !is_finite(velocity)).count(),
         shapes: shapes.into_iter().map(|(shape, _)| shape).collect(),
@@ -119,7 +118,7 @@ mod tests {
         let infinite = f32::INFINITY;
         let velocities = [0.0, 0.0, 0.0, f32::NAN, 1.0, 0.0, -infinite, infinite, 0.0, 1e-40, 0.0, 0.0];
         let shaped = from_velocities(&velocities, None, &CONFIG);
-        assert_eq!((shaped.ball_count, shaped.raised_count, shaped.positions), (2, 0, None));
+        assert_eq!((shaped.ball_count, shaped.raised_count), (2, 0));
         for (shape, expected) in shaped.shapes.iter().zip([1.0; 4].map(Ellipsoid::ball)) {
             assert_eq!(*shape, expected);
         }

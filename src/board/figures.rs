@@ -84,7 +84,7 @@ impl Figures {
             certificate: CertificateView {
                 holds: skin.certificate.holds(),
                 bound_violations: skin.certificate.bound_violation_count,
-                particles_outside: skin.certificate.particles_outside,
+                particles_outside: skin.certificate.particles_outside.count,
                 closed_manifold: skin.certificate.mesh_is_closed_manifold,
             },
             notes: report.notes.clone(),

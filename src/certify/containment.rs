@@ -17,13 +17,15 @@ use rayon::prelude::*;
 use super::distances::is_inside_one;
 use super::mesh_cells::{corner, with_all_corners};
 use super::particle_checks::Part;
-use super::rays::outside_count;
+use super::rays::not_enclosed;
 use super::surfaces::Bodies;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
+use crate::level_set::NarrowBand;
 use crate::simd::{Kernel, Lanes, dispatch};
 
-/// How many particles of a part the mesh does not enclose though it should; and how many are exempt.
-pub(super) fn particles_outside(part: &Part) -> [usize; 2] {
+/// The particles of a part that the mesh does not enclose, each in voxels relative to the origin of its leaf; and how many are
+/// exempt.
+pub(super) fn particles_outside(part: &Part) -> (Vec<(IVec3, Vec3)>, usize) {
     let bodies = Bodies::of(part.bins);
     let bodies = bodies.as_ref();
     let origins = part.bins.topology.origins().par_iter().enumerate();
@@ -37,9 +39,30 @@ pub(super) fn particles_outside(part: &Part) -> [usize; 2] {
         let origin = found.origin;
         found.particles.into_iter().map(move |local| (origin, local))
     };
-    let leaking_count: usize = leaking.iter().map(|found| found.particles.len()).sum();
+    let mut outside: Vec<(IVec3, Vec3)> = leaking.into_iter().flat_map(particles).collect();
     let doubtful: Vec<(IVec3, Vec3)> = others.into_iter().flat_map(particles).collect();
-    [leaking_count + outside_count(part, bodies, &doubtful), exempt_count]
+    outside.extend(not_enclosed(part, bodies, &doubtful));
+    (outside, exempt_count)
+}
+
+/// How far outside of the surface φ says that a place is, in voxels; 0 where it is inside by φ. The place is given relative to the
+/// origin of its leaf, and φ is interpolated between voxels.
+pub(super) fn depth_outside(band: &NarrowBand, origin: IVec3, local: Vec3) -> f32 {
+    let cell = local.floor().as_ivec3();
+    let part = local - cell.as_vec3();
+    let depth: f32 = (0..8)
+        .map(|place| {
+            let step = corner(place);
+            let weights = Vec3::select(step.cmpeq(IVec3::ONE), part, 1.0 - part);
+            let phi = match band.topology.find_voxel(origin + cell + step) {
+                Some((leaf, local)) => band.phi.leaves[leaf].values[offset_in_leaf(local)],
+                // Particles in what is not stored are deep inside, or were left by all of the surface.
+                None => band.half_width,
+            };
+            weights.element_product() * phi
+        })
+        .sum();
+    depth.max(0.0)
 }
 
 /// The particles of a leaf of which its masks do not say that they are inside.

@@ -8,11 +8,12 @@
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
+use super::DistanceLimits;
 use super::particle_checks::{Part, ParticleChecks};
 use super::strays::{MOVE_MAX, Stray, returned};
 use super::surfaces::{Bodies, Sides};
 use crate::grid::{LEAF_EDGE, leaf_steps_within};
-use crate::rasterize::{ParticleBins, Radii};
+use crate::rasterize::ParticleBins;
 use crate::simd::{Kernel, Lanes, dispatch};
 
 /// What a cell may hide, in voxels.
@@ -31,7 +32,8 @@ pub(super) type Column = [f32; LANES];
 pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
     let bodies = Bodies::of(part.bins);
     let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
-    let steps = leaf_steps_within(part.radii.max * longest + CELL_MARGIN + 2.0 * MOVE_MAX);
+    let reach = part.radii.max * longest + part.radii.outward();
+    let steps = leaf_steps_within(reach + CELL_MARGIN + 2.0 * MOVE_MAX);
     let pieces = part.mesh.positions.par_chunks(PIECE).enumerate();
     let check = |(piece, positions)| {
         let first = piece * PIECE;
@@ -59,6 +61,8 @@ impl Kernel for PieceChecks<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) -> (ParticleChecks, Vec<Stray>) {
         let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
+        let limits = DistanceLimits::new(&self.part.radii).with_margin(CELL_MARGIN);
+        let [least, greatest] = limits.limits();
         let mut near = NearLeaves::nowhere();
         let mut rest = self.positions;
         while let Some(&first) = rest.first() {
@@ -87,13 +91,12 @@ impl Kernel for PieceChecks<'_> {
             }
             near.find_around(self.part.bins, origin, self.steps);
             let distances = near.distances(self.part.bins, &locals);
-            let Radii { min, max, .. } = self.part.radii;
             let Sides { is_inside_min, is_within_max } = match self.bodies {
                 None => Sides {
-                    is_inside_min: distances.map(|distance| distance < min - CELL_MARGIN),
-                    is_within_max: distances.map(|distance| distance <= max + CELL_MARGIN),
+                    is_inside_min: distances.map(|distance| distance < least),
+                    is_within_max: distances.map(|distance| distance <= greatest),
                 },
-                Some(bodies) => bodies.sides(&near, &locals, [min, max], CELL_MARGIN),
+                Some(bodies) => bodies.sides(&near, &locals, &limits),
             };
             for (lane, &position) in positions.iter().enumerate() {
                 if is_exempt(self.part, position) {
@@ -224,6 +227,9 @@ pub(super) fn is_inside_one(
     let points = point.to_array().map(|axis| [axis; LANES]);
     match bodies {
         None => near.distances(bins, &points)[0] < radius,
-        Some(bodies) => bodies.sides(&near, &points, [radius, radius], 0.0).is_inside_min[0],
+        Some(bodies) => {
+            let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
+            bodies.sides(&near, &points, &limits).is_inside_min[0]
+        }
     }
 }

@@ -9,6 +9,9 @@
 //! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
 //! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
 
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
 use super::{Exempt, MeshCells, Stray, containment, distances};
 use crate::level_set::NarrowBand;
 use crate::mesh::Mesh;
@@ -18,10 +21,10 @@ use crate::space::{CoordBox, Lattice};
 /// A part of a frame: what is in the leaves whose origins are in a box.
 #[derive(Clone, Copy)]
 pub struct Part<'a> {
-    /// The particles in these leaves, and in those as far around them as r_max and two voxels reach. Particles so
+    /// The particles in these leaves, and in those as far around them as r_max, an outward offset and two voxels reach. Particles so
     /// deep inside that no voxel near them is stored may be missing.
     pub bins: &'a ParticleBins,
-    /// The radii in voxels.
+    /// The radii and the offset in voxels.
     pub radii: Radii,
     /// The band that was contoured, in these leaves and those next to them.
     pub band: &'a NarrowBand,
@@ -46,12 +49,14 @@ pub struct ParticleChecks {
     pub vertex_distance_min: f32,
     /// Largest distance from a vertex to its nearest particle; 0 where there is no vertex.
     pub vertex_distance_max: f32,
-    /// Vertices nearer to a particle than r_min − h/2.
+    /// Vertices nearer to a particle than r_min + offset − h/2.
     pub vertices_inside_min: usize,
-    /// Vertices farther from all particles than r_max + h/2.
+    /// Vertices farther from all particles than r_max + h/2, and an outward offset.
     pub vertices_outside_max: usize,
     /// Particles outside the mesh, but for those that are exempt.
     pub particles_outside: usize,
+    /// How far from the surface the farthest of them is, in voxels, by φ; 0 where none is outside.
+    pub deepest_outside: f32,
     /// Particles that are exempt.
     pub particles_exempt: usize,
 }
@@ -64,6 +69,7 @@ impl ParticleChecks {
         vertices_inside_min: 0,
         vertices_outside_max: 0,
         particles_outside: 0,
+        deepest_outside: 0.0,
         particles_exempt: 0,
     };
 
@@ -75,6 +81,7 @@ impl ParticleChecks {
             vertices_inside_min: self.vertices_inside_min.max(other.vertices_inside_min),
             vertices_outside_max: self.vertices_outside_max.max(other.vertices_outside_max),
             particles_outside: self.particles_outside.max(other.particles_outside),
+            deepest_outside: self.deepest_outside.max(other.deepest_outside),
             particles_exempt: self.particles_exempt.max(other.particles_exempt),
         }
     }
@@ -87,6 +94,7 @@ impl ParticleChecks {
             vertices_inside_min: self.vertices_inside_min + other.vertices_inside_min,
             vertices_outside_max: self.vertices_outside_max + other.vertices_outside_max,
             particles_outside: self.particles_outside + other.particles_outside,
+            deepest_outside: self.deepest_outside.max(other.deepest_outside),
             particles_exempt: self.particles_exempt + other.particles_exempt,
         }
     }
@@ -96,14 +104,16 @@ impl ParticleChecks {
 /// them within a voxel.
 pub fn check(part: &Part) -> (ParticleChecks, Vec<Stray>) {
     let (vertices, strays) = distances::check_vertices(part);
-    let [particles_outside, particles_exempt] = containment::particles_outside(part);
-    (ParticleChecks { particles_outside, particles_exempt, ..vertices }, strays)
+    let (outside, particles_exempt) = containment::particles_outside(part);
+    let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
+    let deepest_outside = outside.par_iter().map(depth).reduce(|| 0.0, f32::max);
+    let checks =
+        ParticleChecks { particles_outside: outside.len(), deepest_outside, particles_exempt, ..vertices };
+    (checks, strays)
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::IVec3;
-
     use super::*;
     use crate::certify::NothingExempt;
     use crate::contour::{Contouring, contour};
@@ -130,7 +140,7 @@ mod tests {
         let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
         for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
             let cells = &MeshCells::new(&mesh, &band, &lattice);
-            let part = |owned: CoordBox| {
+            let part = |owned: CoordBox| -> ParticleChecks {
                 let (exempt, mesh, lattice) = (&NothingExempt, &mesh, &lattice);
                 check(&Part { bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt })
                     .0

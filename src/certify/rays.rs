@@ -34,10 +34,14 @@ struct Ray {
     is_end_inside: bool,
 }
 
-/// How many particles, each relative to the origin of a leaf, in voxels, the mesh does not enclose.
-pub(super) fn outside_count(part: &Part, bodies: Option<&Bodies>, particles: &[(IVec3, Vec3)]) -> usize {
+/// Those of the particles, each relative to the origin of a leaf, in voxels, that the mesh does not enclose.
+pub(super) fn not_enclosed(
+    part: &Part,
+    bodies: Option<&Bodies>,
+    particles: &[(IVec3, Vec3)],
+) -> Vec<(IVec3, Vec3)> {
     if particles.is_empty() {
-        return 0;
+        return Vec::new();
     }
     let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, bodies, origin, local);
     let rays: Vec<Option<Ray>> = particles.par_iter().map(ray).collect();
@@ -46,7 +50,8 @@ pub(super) fn outside_count(part: &Part, bodies: Option<&Bodies>, particles: &[(
     leaves.dedup();
     let triangles = TrianglesByLeaf::new(part, &leaves);
     let is_inside = |ray: &Option<Ray>| ray.is_some_and(|ray| ray.is_inside(part, &triangles));
-    rays.par_iter().filter(|ray| !is_inside(ray)).count()
+    let outside = rays.par_iter().zip(particles).filter(|(ray, _)| !is_inside(ray));
+    outside.map(|(_, particle)| *particle).collect()
 }
 
 impl Ray {

@@ -8,6 +8,7 @@
 
 use glam::Vec3;
 
+use super::DistanceLimits;
 use super::distances::{CELL_MARGIN, NearLeaves};
 use super::particle_checks::Part;
 use super::surfaces::distances_and_outward;
@@ -50,6 +51,8 @@ const SLACK: f32 = 2e-3;
 /// The way to the bound that a place is beyond; `None` where it is beyond neither.
 fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
     let Part { bins, radii, rounding, .. } = *part;
+    let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
+        DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
     let slack = SLACK + rounding;
     let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
     for &(from_leaf, leaf) in &near.leaves {
@@ -57,11 +60,10 @@ fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
             let apart = place - from_leaf - center;
             // What is said of an ellipsoid far away is less than its distance; and who is near must not depend on
             // which leaves were looked at.
-            if apart.length() > radii.max * bins.shapes.longest(index) + CELL_MARGIN + MOVE_MAX {
+            if apart.length() > max * bins.shapes.longest(index) + from_max + MOVE_MAX {
                 continue;
             }
-            let ([to_min, to_max], outward) =
-                distances_and_outward(&bins.shapes, index, apart, [radii.min, radii.max]);
+            let ([to_min, to_max], outward) = distances_and_outward(&bins.shapes, index, apart, [min, max]);
             if to_min < deepest.0 {
                 deepest = (to_min, outward);
             }
@@ -71,11 +73,10 @@ fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
         }
     }
     // Whoever is asked for has been found out of bounds, if by rounding only.
-    let margin = CELL_MARGIN - slack / 2.0;
-    if deepest.0 < -margin {
-        Some(deepest.1 * (slack - CELL_MARGIN - deepest.0))
-    } else if nearest.0 > margin && nearest.0.is_finite() {
-        Some(nearest.1 * (CELL_MARGIN - slack - nearest.0))
+    if deepest.0 < from_min + slack / 2.0 {
+        Some(deepest.1 * (from_min + slack - deepest.0))
+    } else if nearest.0 > from_max - slack / 2.0 && nearest.0.is_finite() {
+        Some(nearest.1 * (from_max - slack - nearest.0))
     } else {
         None
     }

@@ -19,13 +19,16 @@ use super::console::Console;
 /// The choices of the method.
 pub(super) fn choices(args: &MethodArgs) -> Choices {
     let MethodArgs { first, surface, particles, obstacles, mesh, solver } = args.clone();
-    let FirstArgs { preset, voxel_size: _ } = first;
-    let SurfaceArgs { radius_min, radius_ratio, radius_init, drop_islands, fill_cavities, clip } = surface;
+    let FirstArgs { preset, spacing, voxel_size } = first;
+    let SurfaceArgs { radius_min, radius_ratio, radius_init, offset, drop_islands, fill_cavities, clip } =
+        surface;
     let ParticleArgs {
         radius_attribute,
         radius_scale,
         anisotropy,
         max_stretch,
+        thin_radius,
+        lone_radius,
         neighbor_radius,
         position_smoothing,
         velocity_gain,
@@ -36,13 +39,18 @@ pub(super) fn choices(args: &MethodArgs) -> Choices {
     let SolverArgs { integrator, laplacian_steps, steps, step_size, redistance_every, cg_tolerance } = solver;
     Choices {
         preset: preset.map(preset_of),
+        spacing: spacing.spacing(),
+        voxel_size,
         radius_min,
         radius_ratio,
         radius_init,
+        offset,
         radius_attribute,
         radius_scale,
         anisotropy: anisotropy.map(anisotropy_of),
         max_stretch,
+        thin_radius,
+        lone_radius,
         neighbor_radius,
         position_smoothing,
         velocity_gain,
@@ -66,10 +74,13 @@ pub(super) fn choices(args: &MethodArgs) -> Choices {
 
 fn preset_of(preset: PresetChoice) -> Preset {
     match preset {
-        PresetChoice::Water => Preset::Water,
+        PresetChoice::Fluid => Preset::Fluid,
+        PresetChoice::Noisy => Preset::Noisy,
         PresetChoice::Splash => Preset::Splash,
         PresetChoice::Granular => Preset::Granular,
         PresetChoice::Preview => Preset::Preview,
+        PresetChoice::Paper => Preset::Paper,
+        PresetChoice::Water => Preset::Water,
         PresetChoice::Faithful => Preset::Faithful,
         PresetChoice::Smooth => Preset::Smooth,
     }
@@ -107,11 +118,7 @@ pub(super) fn warn_of_ignored(
     console: &Console,
 ) {
     let choices = choices(method);
-    let is_sound = match method.first.voxel_size {
-        Some(voxel_size) => Settings::resolve(voxel_size, &choices).is_ok(),
-        None => Settings::check(&choices).is_ok(),
-    };
-    if is_sound {
+    if Settings::check(&choices).is_ok() {
         for warning in ignored(method, &written_formats(formats, format_args), format_args) {
             console.warn(format_args!("warning: {warning}"));
         }
@@ -144,24 +151,34 @@ pub(super) fn ignored(args: &MethodArgs, written: &[OutputFormat], format_args: 
     let ignored = ignored.map(|(option, with)| format!("{option} is ignored: it is for {with} only"));
     let idle = without_file(args, written, format_args).into_iter();
     let idle = idle.map(|(option, kind)| format!("{option} changes no file: it is for {kind} only"));
-    ignored.chain(idle).collect()
+    let preset = args.first.preset.map(preset_of);
+    let deprecated = preset.and_then(|preset| Some((preset.name(), preset.successor()?.name())));
+    let deprecated = deprecated
+        .map(|(name, successor)| format!("the preset `{name}` is deprecated: use --preset {successor}"));
+    deprecated.into_iter().chain(ignored).chain(idle).collect()
 }
 
 /// Options that are without effect, and what they are for.
 fn without_use(args: &MethodArgs) -> Vec<(&'static str, &'static str)> {
-    let choices = choices(args).with_preset();
-    let ParticleArgs {
-        radius_scale, max_stretch, neighbor_radius, position_smoothing, velocity_gain, ..
-    } = &args.particles;
-    let anisotropy = choices.anisotropy.unwrap_or(AnisotropyKind::None);
-    let by_neighbors = anisotropy == AnisotropyKind::Neighbors;
+    let choices = choices(args);
+    let ParticleArgs { radius_scale, max_stretch, thin_radius, lone_radius, .. } = &args.particles;
+    let ParticleArgs { neighbor_radius, velocity_gain, .. } = &args.particles;
+    let anisotropy = choices.anisotropy_kind();
+    let by_neighbors = choices.uses_neighbors();
+    let is_flattened = anisotropy == AnisotropyKind::Neighbors;
     let is_implicit = choices.integrator == Some(Integrator::Implicit);
     let cases = [
         ("--cg-tolerance", args.solver.cg_tolerance.is_some(), is_implicit, "--integrator implicit"),
         ("--radius-scale", radius_scale.is_some(), choices.radius_attribute.is_some(), "--radius-attribute"),
         ("--max-stretch", max_stretch.is_some(), anisotropy != AnisotropyKind::None, "--anisotropy"),
-        ("--neighbor-radius", neighbor_radius.is_some(), by_neighbors, "--anisotropy neighbors"),
-        ("--position-smoothing", position_smoothing.is_some(), by_neighbors, "--anisotropy neighbors"),
+        ("--thin-radius", thin_radius.is_some(), is_flattened, "--anisotropy neighbors"),
+        ("--lone-radius", lone_radius.is_some(), is_flattened, "--anisotropy neighbors"),
+        (
+            "--neighbor-radius",
+            neighbor_radius.is_some(),
+            by_neighbors,
+            "--anisotropy neighbors and --position-smoothing",
+        ),
         (
             "--velocity-gain",
             velocity_gain.is_some(),

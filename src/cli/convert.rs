@@ -169,8 +169,8 @@ fn add(
 ) {
     let name = &sequence.name;
     let record = match &resolved {
-        Ok(Resolved { settings, automatic, outputs }) => {
-            SequenceRecord::new(name, settings, automatic.as_ref(), (outputs, obstacles))
+        Ok(Resolved { settings, measured, outputs }) => {
+            SequenceRecord::new(name, settings, measured.as_ref(), (outputs, obstacles))
         }
         Err(why) => SequenceRecord::without_settings(name, why),
     };
@@ -221,7 +221,7 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
     for sequence in &plan.sequences {
         let files = (&*sequence.outputs, &*obstacles);
         let record =
-            SequenceRecord::new(&sequence.name, &sequence.settings, sequence.automatic.as_ref(), files);
+            SequenceRecord::new(&sequence.name, &sequence.settings, sequence.measured.as_ref(), files);
         run.add_sequence(&sequence.name, record);
     }
     // Whether a result would replace another shard's input the plan was asked already, by name: looking at all

@@ -12,6 +12,7 @@ mod config_file;
 mod console;
 mod convert;
 mod destination;
+mod flicker;
 mod frame_selection;
 mod info;
 mod inputs;
@@ -115,6 +116,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString>>) -> ExitCode
         Command::Render(args) => render::render(&args, &mut console),
         Command::ContactSheet(args) => sheets::contact_sheet(&args, &mut console),
         Command::Tune(args) => sheets::tune(&args, &mut console),
+        Command::Flicker(args) => flicker::score(&args, &mut console),
         Command::Info(args) => info::info(&args, &mut console),
         Command::Watch(args) => watch::watch(&args),
         Command::Status(args) => status::status(&args, &mut console),

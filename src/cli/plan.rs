@@ -59,10 +59,10 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     for selected in &sequences {
         let name = &selected.sequence.name;
         let resolved = resolve_settings(selected, &args.method, &outputs, &pool, console)?;
-        let Resolved { settings, automatic, outputs } = resolved.map_err(|why| anyhow!("{name}: {why}"))?;
-        let automatic = automatic.map(|mut automatic| {
-            automatic.measured_on = whole(&automatic.measured_on)?;
-            Ok::<_, anyhow::Error>(automatic)
+        let Resolved { settings, measured, outputs } = resolved.map_err(|why| anyhow!("{name}: {why}"))?;
+        let measured = measured.map(|mut measured| {
+            measured.measured_on = whole(&measured.measured_on)?;
+            Ok::<_, anyhow::Error>(measured)
         });
         let sequence = plan.sequences.len();
         // Of numbers that were asked for it is told which are not there.
@@ -77,7 +77,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
         plan.sequences.push(PlannedSequence {
             name: name.clone(),
             settings,
-            automatic: automatic.transpose()?,
+            measured: measured.transpose()?,
             outputs: Arc::clone(&outputs),
         });
     }

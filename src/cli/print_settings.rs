@@ -9,15 +9,14 @@ use anyhow::{Context, Result, bail};
 use rayon::ThreadPool;
 use toml::Value;
 
-use crate::pipeline::{
-    OutputFormat, OutputOptions, PictureOptions, Sequence, automatic_voxel_size, compression_name, up_name,
-};
-use crate::settings::Settings;
+use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, Sequence, compression_name, up_name};
+use crate::settings::{Measured, Settings};
 
 use super::Verdict;
 use super::args::{ConvertArgs, MethodArgs};
 use super::choices::{choices, output_options};
 use super::console::Console;
+use super::resolving::measured_spacing;
 
 /// Prints the settings of each sequence; where there is none, those of any, with lengths in units of the voxel size
 /// unless that was given.
@@ -31,28 +30,33 @@ pub(super) fn print_settings(
     console: &mut Console,
 ) -> Result<Verdict> {
     let choices = choices(&args.method);
-    let given = args.method.first.voxel_size;
     if sequences.is_empty() {
-        let lengths = [choices.radius_min, choices.radius_init, choices.neighbor_radius];
-        if given.is_none() && (lengths.iter().any(Option::is_some) || choices.clip.is_some()) {
+        // With a voxel size the spacing is the one that has it by default.
+        let needs_spacing = choices.needs_spacing() && choices.voxel_size.is_none();
+        let lengths = [
+            choices.radius_min,
+            choices.radius_init,
+            choices.offset,
+            choices.thin_radius,
+            choices.lone_radius,
+            choices.neighbor_radius,
+        ];
+        let has_length = lengths.iter().any(Option::is_some) || choices.clip.is_some();
+        if needs_spacing && has_length {
             bail!(
-                "lengths are given, and no --voxel-size to compare them with: give one, or an INPUT to measure it on"
+                "lengths are given, and no --spacing to compare them with: give one, or an INPUT to measure it on"
             );
         }
-        if given.is_none() {
-            console.say(format_args!("# these follow the voxel size, here 1:"));
+        if needs_spacing {
+            console.say(format_args!("# these follow the particle spacing, here 1:"));
         }
-        let settings = Settings::resolve(given.unwrap_or(1.0), &choices)?;
-        print(&keys(&settings, args, given.is_some())?, console);
+        let settings = Settings::resolve(&choices, needs_spacing.then(|| Measured::from(1.0)))?;
+        print(&keys(&settings, args, !needs_spacing)?, console);
     }
-    let own_radii = choices.own_radii()?;
     for sequence in sequences {
-        let paths = || sequence.frames.iter().map(|file| &*file.path);
-        let voxel_size = match given {
-            Some(voxel_size) => voxel_size,
-            None => pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref()))?.voxel_size,
-        };
-        let settings = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
+        let measured = pool.install(|| measured_spacing(sequence, &choices, console))?;
+        let measured = measured.as_ref().map(Measured::from);
+        let settings = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
         console.say(format_args!("# {}", sequence.name));
         print(&keys(&settings, args, true)?, console);
     }
@@ -69,16 +73,13 @@ fn print(keys: &[Key], console: &mut Console) {
 }
 
 /// The keys that say what these settings and options are.
-fn keys(settings: &Settings, args: &ConvertArgs, has_voxel_size: bool) -> Result<Vec<Key>> {
+fn keys(settings: &Settings, args: &ConvertArgs, has_spacing: bool) -> Result<Vec<Key>> {
     let outputs = output_options(PathBuf::new(), args.format.as_deref(), &args.formats);
     let obstacles = obstacle_paths(&args.method)?;
     let key = |name: &str, value: String| (name.to_owned(), value);
     let formats = outputs.formats.iter().filter(|format| format.picture().is_none());
     let formats = formats.map(|format| format.extension().to_owned());
     let mut keys = vec![key("formats", list(formats.collect()))];
-    if has_voxel_size {
-        keys.push(key("voxel_size", settings.voxel_size.to_string()));
-    }
     if !obstacles.is_empty() {
         keys.push(key("obstacles", list(obstacles.clone())));
     }
@@ -87,8 +88,8 @@ fn keys(settings: &Settings, args: &ConvertArgs, has_voxel_size: bool) -> Result
             continue;
         }
         let value = if WORDS.contains(&name) { quoted(value) } else { value };
-        // Lengths without a voxel size are there to be seen, not to be used.
-        let mark = if !has_voxel_size && LENGTHS.contains(&name) { "#" } else { "" };
+        // Lengths without a spacing are there to be seen, not to be used.
+        let mark = if !has_spacing && LENGTHS.contains(&name) { "#" } else { "" };
         keys.push((format!("{mark}{name}"), value));
     }
     keys.extend(format_keys(&outputs));
@@ -153,7 +154,16 @@ fn list(texts: Vec<String>) -> String {
 }
 
 /// The keys whose values are lengths.
-const LENGTHS: [&str; 3] = ["radius_min", "radius_init", "neighbor_radius"];
+const LENGTHS: [&str; 8] = [
+    "spacing",
+    "voxel_size",
+    "radius_min",
+    "radius_init",
+    "offset",
+    "thin_radius",
+    "lone_radius",
+    "neighbor_radius",
+];
 
 /// The keys whose values are text. The others are numbers and switches.
 const WORDS: [&str; 6] = ["radius_attribute", "anisotropy", "attributes", "clip", "contour", "integrator"];

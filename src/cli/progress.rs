@@ -211,7 +211,7 @@ mod tests {
     use crate::settings::Choices;
 
     fn frame(name: &str) -> Frame {
-        let settings = Settings::resolve(0.1, &Choices::default()).expect("settings");
+        let settings = Settings::paper(0.1, &Choices::default()).expect("settings");
         let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
         Frame::new(&FrameFile::new(name.into()), &Arc::new(settings), &Arc::new(outputs))
     }

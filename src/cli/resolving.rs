@@ -1,5 +1,6 @@
 //! What all frames of a sequence share: found out once, told, and the same whichever of them are converted.
 
+use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -7,10 +8,10 @@ use anyhow::{Context, Result};
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, AutomaticVoxelSize, FrameError, FrameFile, NOTHING, OutputOptions, Sequence, automatic_voxel_size,
-    frame_name, frames_in, is_own_output, sequence_bounds, step_of,
+    self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
+    frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
-use crate::settings::Settings;
+use crate::settings::{Choices, Measured, Settings};
 
 use super::args::MethodArgs;
 use super::choices::choices;
@@ -30,23 +31,14 @@ pub(super) fn resolve_settings(
     console: &mut Console,
 ) -> Result<Result<Resolved, String>> {
     let choices = choices(method);
-    let automatic = match method.first.voxel_size {
-        Some(_) => None,
-        None => {
-            let paths = || sequence.frames.iter().map(|file| &*file.path);
-            let own_radii = choices.own_radii()?;
-            match pool.install(|| automatic_voxel_size(paths(), own_radii.as_ref())) {
-                Ok(automatic) => Some(automatic),
-                Err(error) => return Ok(Err(error.to_string())),
-            }
-        }
+    let measured = match pool.install(|| measured_spacing(sequence, &choices, console)) {
+        Ok(measured) => measured,
+        Err(error) => return Ok(Err(error.to_string())),
     };
-    let given = method.first.voxel_size;
-    let voxel_size = given.or(automatic.as_ref().map(|automatic| automatic.voxel_size));
-    let settings =
-        Settings::resolve(voxel_size.unwrap_or(f64::NAN), &choices).with_context(|| sequence.name.clone())?;
-    say_settings(sequence, selected.len(), &settings, automatic.as_ref(), console);
-    if automatic.is_some() {
+    let settings = Settings::resolve(&choices, measured.as_ref().map(Measured::from))
+        .with_context(|| sequence.name.clone())?;
+    say_settings(sequence, selected.len(), &settings, measured.as_ref(), console);
+    if measured.is_some() {
         warn_of_siblings(sequence, console);
     }
     for warning in settings.warnings() {
@@ -56,14 +48,49 @@ pub(super) fn resolve_settings(
         Ok(outputs) => Arc::new(outputs),
         Err(error) => return Ok(Err(error.to_string())),
     };
-    Ok(Ok(Resolved { settings: Arc::new(settings), automatic, outputs }))
+    Ok(Ok(Resolved { settings: Arc::new(settings), measured, outputs }))
+}
+
+/// The particle spacing of a sequence, where the choices need it. Prints what should make a user check it. `None` where it
+/// is not needed, or cannot be measured and follows from the voxel size that was chosen.
+///
+/// # Errors
+/// When it cannot be measured, and no voxel size was chosen.
+pub(super) fn measured_spacing(
+    sequence: &Sequence,
+    choices: &Choices,
+    console: &Console,
+) -> Result<Option<MeasuredSpacing>, NoSpacing> {
+    if !choices.needs_spacing() {
+        return Ok(None);
+    }
+    let warn = |what: &dyn fmt::Display| console.warn(format_args!("warning: {}: {what}", sequence.name));
+    let paths = sequence.frames.iter().map(|file| &*file.path);
+    // A scale that is no number is refused with the settings.
+    let own_radii = choices.own_radii().ok().flatten();
+    match (measure_spacing(paths, own_radii.as_ref()), choices.voxel_size) {
+        (Ok(measured), _) => {
+            measured.warnings.iter().for_each(|warning| warn(warning));
+            Ok(Some(measured))
+        }
+        (Err(none), Some(_)) => {
+            // Why a frame cannot be read is told when it is converted.
+            if none.sparse_count > 0 {
+                warn(
+                    &"the particle spacing cannot be measured and is derived from the voxel size: give --spacing",
+                );
+            }
+            Ok(None)
+        }
+        (Err(none), None) => Err(none),
+    }
 }
 
 /// What all frames of a sequence are converted with.
 pub(super) struct Resolved {
     pub(super) settings: Arc<Settings>,
-    /// Where the voxel size is from, unless it was given.
-    pub(super) automatic: Option<AutomaticVoxelSize>,
+    /// Where the particle spacing is from, unless it was given or is not needed.
+    pub(super) measured: Option<MeasuredSpacing>,
     /// The camera of pictures is fixed.
     pub(super) outputs: Arc<OutputOptions>,
 }
@@ -105,8 +132,8 @@ fn warn_of_siblings(sequence: &Sequence, console: &Console) {
 fn say_siblings(frame: &FrameFile, count: usize, console: &Console) {
     if count > 1 {
         console.warn(format_args!(
-            "warning: {}: its sequence has {count} frames, and its voxel size was measured on this one alone; \
-             name the whole sequence and pick with --frames, or give --voxel-size",
+            "warning: {}: its sequence has {count} frames, and its spacing was measured on this one alone; \
+             name the whole sequence and pick with --frames, or give --spacing",
             frame.name()
         ));
     }
@@ -116,26 +143,23 @@ fn say_settings(
     sequence: &Sequence,
     selected_count: usize,
     settings: &Settings,
-    automatic: Option<&AutomaticVoxelSize>,
+    measured: Option<&MeasuredSpacing>,
     console: &mut Console,
 ) {
     let frames = counted(selected_count, "frame");
-    let voxel_size = match automatic {
-        None => settings.voxel_size.to_string(),
-        Some(AutomaticVoxelSize { voxel_size, spacing, radius_median, measured_on }) => format!(
-            "{} ({}, measured on {})",
-            significant(*voxel_size),
-            match radius_median {
-                Some(radius) => format!("1/√3 of the particles' median r_min {}", significant(*radius)),
-                None => format!("half the particle spacing {}", significant(*spacing)),
-            },
-            frame_name(measured_on)
-        ),
-    };
+    let spacing = measured.map(|measured| {
+        let MeasuredSpacing { spacing, radius_median, measured_on, .. } = measured;
+        let radius = radius_median.map_or(String::new(), |radius| {
+            format!(", and the median r_min of the particles {}", significant(radius))
+        });
+        format!("spacing {}{radius} (measured on {}), ", significant(*spacing), frame_name(measured_on))
+    });
+    let spacing = spacing.unwrap_or_default();
+    let voxel_size = significant(settings.voxel_size);
     let [radius_min, radius_init, radius_max] =
         [settings.radius_min, settings.radius_init, settings.radius_max].map(significant);
     console.say(format_args!(
-        "{}: {frames}, voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}, {}",
+        "{}: {frames}, {spacing}voxel size {voxel_size}, radii {radius_min} / {radius_init} / {radius_max}, {}",
         sequence.name,
         counted(settings.steps as usize, "step")
     ));

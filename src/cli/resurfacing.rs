@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{BandToSurface, FrameReport, is_level_set, resurface_all};
-use crate::settings::{Choices, Settings};
+use crate::settings::{Choices, Preset, Settings};
 use crate::simd::level_warning;
 
 use super::Verdict;
@@ -63,7 +63,7 @@ pub(super) fn convert_level_sets(
     refuse_conflicts(sequences, found, &obstacle_files(&args.method)?, &outputs, None)?;
     let (outputs, choices): (Arc<_>, Choices) = (Arc::new(outputs), choices(&args.method));
     // What makes no sense with any voxel is no fault of a file.
-    Settings::resolve(1.0, &choices)?;
+    Settings::check(&Choices { preset: Some(Preset::Paper), ..choices.clone() })?;
     let bands: Vec<BandToSurface> = sequences
         .iter()
         .flat_map(|sequence| &sequence.selected)
@@ -129,18 +129,25 @@ fn refuse_of_particles(args: &ConvertArgs, slack_voxels: f64) -> Result<()> {
 /// Which of the options.
 pub(super) fn refuse_method(method: &MethodArgs) -> Result<()> {
     refuse_of_surfaces_of_particles(method)?;
-    refuse("a picture is of the file as it is", &of_solver(&method.solver))
+    let of_surface = [("--offset", method.surface.offset.is_some())];
+    refuse("a picture is of the file as it is", &[&of_surface[..], &of_solver(&method.solver)].concat())
 }
 
 /// Refuses what is about particles, and surfaces that are made of them.
 fn refuse_of_surfaces_of_particles(method: &MethodArgs) -> Result<()> {
     let MethodArgs { first, surface, particles, obstacles, mesh: _, solver: _ } = method;
-    let FirstArgs { preset, voxel_size } = first;
+    let FirstArgs { preset, spacing, voxel_size } = first;
     refuse(
         "the file has its voxels",
-        &[("--voxel-size", voxel_size.is_some()), ("--preset", preset.is_some())],
+        &[
+            ("--voxel-size", voxel_size.is_some()),
+            ("--spacing", spacing.spacing.is_some()),
+            ("--particle-radius", spacing.particle_radius.is_some()),
+            ("--preset", preset.is_some()),
+        ],
     )?;
-    let SurfaceArgs { radius_min, radius_ratio, radius_init, drop_islands, fill_cavities, clip } = surface;
+    let SurfaceArgs { radius_min, radius_ratio, radius_init, offset: _, drop_islands, fill_cavities, clip } =
+        surface;
     let of_surface = [
         ("--radius-min", radius_min.is_some()),
         ("--radius-ratio", radius_ratio.is_some()),
@@ -155,6 +162,8 @@ fn refuse_of_surfaces_of_particles(method: &MethodArgs) -> Result<()> {
         radius_scale,
         anisotropy,
         max_stretch,
+        thin_radius,
+        lone_radius,
         neighbor_radius,
         position_smoothing,
         velocity_gain,
@@ -165,6 +174,8 @@ fn refuse_of_surfaces_of_particles(method: &MethodArgs) -> Result<()> {
         ("--radius-scale", radius_scale.is_some()),
         ("--anisotropy", anisotropy.is_some()),
         ("--max-stretch", max_stretch.is_some()),
+        ("--thin-radius", thin_radius.is_some()),
+        ("--lone-radius", lone_radius.is_some()),
         ("--neighbor-radius", neighbor_radius.is_some()),
         ("--position-smoothing", position_smoothing.is_some()),
         ("--velocity-gain", velocity_gain.is_some()),

@@ -13,11 +13,11 @@ use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
     FrameError, FrameFile, LevelSetFile, NOTHING, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions,
-    Scene, Sequence, Stage, Still, StillFrame, Viewpoint, automatic_voxel_size, files_in, is_level_set,
-    picture_provenance, sequence_bounds, up_of, velocities,
+    Scene, Sequence, Stage, Still, StillFrame, Viewpoint, files_in, is_level_set, picture_provenance,
+    sequence_bounds, up_of, velocities,
 };
 use crate::preview::{Picture, render_particles, side_by_side};
-use crate::settings::{AttributeSelection, Choices, Settings};
+use crate::settings::{AttributeSelection, Choices, Measured, Settings};
 use crate::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, RunArgs, ViewArgs};
@@ -26,6 +26,7 @@ use super::choices::{choices, ignored, output_options};
 use super::console::Console;
 use super::inputs::{Found, find_beside_others, find_inputs};
 use super::quantities::{PictureSize, memory_bytes};
+use super::resolving::measured_spacing;
 use super::wording::counted;
 
 /// What is the same for all pictures of a command.
@@ -50,6 +51,23 @@ pub(super) struct Skinned {
     pub(super) frame: StillFrame,
     pub(super) still: Still,
     pub(super) settings: Settings,
+}
+
+/// The particle spacing of a sequence, where these choices need it.
+///
+/// # Errors
+/// When it cannot be measured.
+pub(super) fn measured(
+    sequence: &Sequence,
+    choices: &Choices,
+    console: &Console,
+) -> Result<Option<Measured>> {
+    let measured = measured_spacing(sequence, choices, console).map_err(|none| match none.sparse_count {
+        // Why a file cannot be read begins with its name.
+        0 => Error::from(none),
+        _ => Error::from(none).context(sequence.name.clone()),
+    })?;
+    Ok(measured.as_ref().map(Measured::from))
 }
 
 impl<'a> Studio<'a> {
@@ -96,29 +114,12 @@ impl<'a> Studio<'a> {
         if self.has_velocities() && choices.attributes.is_none() {
             choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
         }
-        let voxel_size = self.voxel_size(sequence, &choices)?;
-        let settings = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
+        let measured = measured(sequence, &choices, console)?;
+        let settings = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
         for warning in settings.warnings() {
             console.warn(format_args!("warning: {}: {warning}", sequence.name));
         }
         Ok(Some(settings))
-    }
-
-    /// That which was asked for, or the one that fits the sequence.
-    pub(super) fn voxel_size(&self, sequence: &Sequence, choices: &Choices) -> Result<f64> {
-        match self.method.first.voxel_size {
-            Some(voxel_size) => Ok(voxel_size),
-            None => {
-                let paths = sequence.frames.iter().map(|file| &*file.path);
-                let measured = automatic_voxel_size(paths, choices.own_radii()?.as_ref());
-                let measured = measured.map_err(|none| match none.sparse_count {
-                    // Why a file cannot be read begins with its name.
-                    0 => Error::from(none),
-                    _ => Error::from(none).context(sequence.name.clone()),
-                });
-                Ok(measured?.voxel_size)
-            }
-        }
     }
 
     /// Where all pictures of a sequence are taken from.

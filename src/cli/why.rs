@@ -193,8 +193,8 @@ fn lines(
             line(
                 "settings",
                 match settings_hold {
-                    None if is_known => "not compared: that needs a voxel size that is known",
-                    None => "not compared: that needs --config, and a voxel size that is known",
+                    None if is_known => "not compared: that needs a particle spacing that is known",
+                    None => "not compared: that needs --config, and a particle spacing that is known",
                     Some(true) => "as recorded",
                     Some(false) => "not as recorded",
                 },

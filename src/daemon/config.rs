@@ -51,8 +51,6 @@ pub struct Watch {
     pub sentinel: Option<String>,
     /// What is written, and where.
     pub outputs: OutputOptions,
-    /// The voxel size; measured on the first frame of each sequence by default.
-    pub voxel_size: Option<f64>,
     /// All other choices of the method.
     pub choices: Choices,
     /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for

@@ -309,7 +309,6 @@ mod tests {
                     vdb_compression: meniscus_formats::vdb::Compression::None,
                     picture: crate::pipeline::PictureOptions::default(),
                 },
-                voxel_size: None,
                 choices: Choices::default(),
                 obstacles: Vec::new(),
             };

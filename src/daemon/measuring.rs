@@ -23,12 +23,12 @@ impl Daemon<'_> {
         index
     }
 
-    /// Warns, once a folder, of files that look like one sequence and are many, each with its own voxel size.
+    /// Warns, once a folder, of files that look like one sequence and are many, each with its own particle spacing.
     pub(super) fn warn_of_single_frames(&mut self) {
         // Of two sequences that begin, the second frames may be yet to come.
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.newly_fallen_apart(count_min) {
-            if self.config.watches[root].voxel_size.is_none() {
+            if self.config.watches[root].choices.needs_spacing() {
                 tracing::warn!(folder = %folder.display(), "{}", single_frames_note(count));
             }
         }
@@ -37,6 +37,10 @@ impl Daemon<'_> {
     /// Has the sequences measured that wait for it and can be.
     pub(super) fn resolve_sequences(&mut self) {
         for index in std::mem::take(&mut self.dirty_sequences) {
+            if self.config.once && self.awaits_frames(index) {
+                self.dirty_sequences.insert(index);
+                continue;
+            }
             if let Some(order) = self.what_to_measure(index) {
                 self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
                 self.measuring_count += 1;
@@ -44,6 +48,17 @@ impl Daemon<'_> {
                 let _ = self.to_measure.send(order);
             }
         }
+    }
+
+    /// Whether a frame of a sequence that is to be measured may soon be complete.
+    fn awaits_frames(&self, index: usize) -> bool {
+        let awaited = |frame: &FrameState| match frame.phase {
+            Phase::Settling(_) => !frame.is_stuck(),
+            Phase::GoneThrough(_) | Phase::Retrying(..) => true,
+            _ => false,
+        };
+        matches!(self.sequences.get(index).settings, SequenceSettings::Unknown(_))
+            && self.frames.iter().any(|(_, frame)| frame.sequence == index && awaited(frame))
     }
 
     /// The complete frames of a sequence that come before all that are still being written, in natural
@@ -68,12 +83,7 @@ impl Daemon<'_> {
         let watch = self.config.watches[sequence.root].clone();
         let remembered =
             self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key).cloned();
-        let given = watch.voxel_size.map(|voxel_size| SequenceRecord {
-            voxel_size,
-            spacing: None,
-            measured_on: None,
-            camera: None,
-        });
+        let given = (!watch.choices.needs_spacing()).then(SequenceRecord::default);
         let (own_radii, known) = (own_radii.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
@@ -81,7 +91,7 @@ impl Daemon<'_> {
     /// A sequence was measured, or could not be.
     pub(super) fn measured(&mut self, measured: Measured) {
         self.measuring_count -= 1;
-        let Measured { sequence: index, record, sparse, unreadable, changed } = measured;
+        let Measured { sequence: index, record, sparse, unreadable, changed, warnings } = measured;
         let root = self.sequences.get(index).root;
         // Of a file that was written again since, this says nothing.
         let sparse = sparse.iter().filter(|(path, stamp)| self.is_held(&FrameId::new(root, path), stamp));
@@ -106,7 +116,7 @@ impl Daemon<'_> {
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
             self.stores.of_watch_mut(root).write_down(|journal| journal.note_sequence(&key, record));
-            self.tell_settings(index);
+            self.tell_settings(index, &warnings);
             self.show_sequence(index);
             for id in self.held_frames(index) {
                 self.release(&id);
@@ -150,18 +160,21 @@ impl Daemon<'_> {
         }
     }
 
-    fn tell_settings(&self, index: usize) {
+    fn tell_settings(&self, index: usize, warnings: &[String]) {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return };
         tracing::info!(
             sequence = %sequence.key.folder.join(&sequence.key.name).display(),
+            spacing = six_digits(settings.spacing),
             voxel_size = six_digits(settings.voxel_size),
             radius_min = six_digits(settings.radius_min),
             radius_init = six_digits(settings.radius_init),
             radius_max = six_digits(settings.radius_max),
-            "measured the voxel size, for all frames of the sequence"
+            "measured the particle spacing, for all frames of the sequence"
         );
-        for warning in settings.warnings() {
+        for warning in
+            warnings.iter().cloned().chain(settings.warnings().iter().map(|warning| warning.to_string()))
+        {
             tracing::warn!(sequence = %sequence.key.name, "{warning}");
         }
     }
@@ -181,16 +194,16 @@ impl Daemon<'_> {
 
 /// Why frames wait that are too sparse.
 fn why_held(watch: &Watch) -> &'static str {
-    if watch.voxel_size.is_some() { EMPTY_YET } else { TOO_SPARSE_YET }
+    if watch.choices.needs_spacing() { TOO_SPARSE_YET } else { EMPTY_YET }
 }
 
-/// Why frames wait whose voxel size is known.
+/// Why frames wait whose particle spacing is known.
 const EMPTY_YET: &str = "no frame of its sequence has had a particle yet by which the camera of its pictures could be \
                          placed: waiting for one; --camera with eye, target and ground would do instead";
 
 /// Why frames wait.
-const TOO_SPARSE_YET: &str = "no frame of its sequence has had the 33 distinct particles yet that it takes to \
-                              measure their spacing: waiting for one; --voxel-size would do instead";
+const TOO_SPARSE_YET: &str = "no frame of its sequence has had two particles in different places yet to measure \
+                              their spacing on: waiting for one; --spacing would do instead";
 
 /// Six significant digits: as many as anybody reads.
 fn six_digits(value: f64) -> f64 {

@@ -138,7 +138,7 @@ mod tests {
     }
 
     fn frame(name: &str) -> Frame {
-        let settings = Settings::resolve(0.1, &Choices::default()).expect("settings");
+        let settings = Settings::paper(0.1, &Choices::default()).expect("settings");
         let outputs = OutputOptions {
             folder: PathBuf::new(),
             formats: Vec::new(),

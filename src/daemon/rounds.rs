@@ -533,5 +533,5 @@ fn start_watcher(roots: &mut [Root<'_>]) -> (Option<Watcher>, Receiver<Hint>) {
 }
 
 /// Why a frame has no settings when all is said and done; convert says the same.
-const TOO_SPARSE: &str = "no frame of its sequence has the 33 distinct particles that it takes to measure \
-                          their spacing: give --voxel-size";
+const TOO_SPARSE: &str = "no frame of its sequence has two particles in different places to measure \
+                          their spacing on: give --spacing or --voxel-size";

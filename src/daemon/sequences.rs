@@ -3,13 +3,14 @@
 //! ```text
 //!   voxel size given ────────────────────────────────┐
 //!   in the journal, from an earlier run ─────────────┼──▶ fixed: every frame has the same
-//!   measured on the first frame, in natural order, ──┘
-//!   that has enough particles
+//!   measured on the first, middle and last of the ───┘
+//!   frames that are complete by then
 //! ```
 //!
 //! Until then, frames that are complete are held. A frame that comes before them by name, and is
-//! still being written, is waited for: what is measured must not depend on which of two files was
-//! finished first, or on the order in which frames are converted.
+//! still being written, is waited for: which frame is the first must not depend on which of two files was
+//! finished first, or on the order in which frames are converted. With `--once` all frames are waited for:
+//! they are measured as `convert` measures them.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -19,10 +20,10 @@ use glam::DVec3;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, FrameFile, Framed, Framing, ObstacleFiles, ObstacleStamps, OutputOptions,
-    PictureOptions, automatic_voxel_size, file_of, have_fallen_apart, sequence_bounds, settings_fingerprint,
+    Attempt, FileStamp, FrameError, FrameFile, Framed, Framing, ObstacleFiles, ObstacleStamps, OutputOptions,
+    PictureOptions, file_of, have_fallen_apart, measure_sequence, sequence_bounds, settings_fingerprint,
 };
-use crate::settings::{OwnRadii, Settings};
+use crate::settings::{self, OwnRadii, Settings};
 
 use super::config::Watch;
 use super::frames::FrameId;
@@ -95,7 +96,7 @@ impl Sequence {
 pub(super) enum SequenceSettings {
     /// What all its frames are converted with, and what the journal knows these settings by.
     Fixed(Arc<Settings>, Arc<str>),
-    /// To be measured on the first frame there is; and where its particles have radii of their own.
+    /// To be measured on its frames; and where their particles have radii of their own.
     Unknown(Option<OwnRadii>),
     /// Under way.
     BeingMeasured,
@@ -179,15 +180,15 @@ impl Sequences {
 }
 
 impl SequenceSettings {
-    /// The settings, where they need no measuring: the voxel size was given, or is remembered, and so is the camera if
+    /// The settings, where they need no measuring: the particle spacing was given, or is remembered, and so is the camera if
     /// there are to be pictures.
     pub(super) fn new(watch: &Watch, remembered: Option<&SequenceRecord>) -> SequenceSettings {
-        let voxel_size = watch.voxel_size.or(remembered.map(|record| record.voxel_size));
+        let measured = remembered.and_then(|record| record.measured.as_ref()).map(settings::Measured::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
         let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
-        let settings = match voxel_size {
-            None => unknown(),
-            Some(voxel_size) => Settings::resolve(voxel_size, &watch.choices).and_then(|settings| {
+        let settings = match watch.choices.needs_spacing() && measured.is_none() {
+            true => unknown(),
+            false => Settings::resolve(&watch.choices, measured).and_then(|settings| {
                 if lacks_camera {
                     return unknown();
                 }
@@ -214,7 +215,7 @@ fn asked_camera(outputs: &OutputOptions) -> String {
 }
 
 /// What the journal knows the settings by that a frame would be converted with now; `None` where the
-/// voxel size is neither given nor remembered.
+/// particle spacing is needed, and neither given nor remembered.
 pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Option<String> {
     let (folder, name) = FrameFile::new(frame.to_owned()).sequence();
     let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
@@ -260,7 +261,7 @@ pub(super) struct MeasureOrder {
     pub(super) files: Vec<(PathBuf, FileStamp)>,
     /// Where its particles have radii of their own.
     pub(super) own_radii: Option<OwnRadii>,
-    /// What is known already: the voxel size, where only the camera is not.
+    /// What is known already: the particle spacing, where only the camera is not.
     pub(super) known: Option<SequenceRecord>,
     /// What was asked for.
     pub(super) watch: Watch,
@@ -271,7 +272,7 @@ pub(super) struct MeasureOrder {
 pub(super) struct Measured {
     /// Which sequence.
     pub(super) sequence: usize,
-    /// The voxel size and where it is from, if one of the files tells.
+    /// The particle spacing and where it is from, if one of the files tells.
     pub(super) record: Option<SequenceRecord>,
     /// Files with too few particles.
     pub(super) sparse: Vec<(PathBuf, FileStamp)>,
@@ -279,59 +280,89 @@ pub(super) struct Measured {
     pub(super) unreadable: Vec<(PathBuf, FileStamp, FrameError)>,
     /// A file that was written again meanwhile: with it, nothing is known.
     pub(super) changed: Option<PathBuf>,
+    /// What should make a user check the spacing.
+    pub(super) warnings: Vec<String>,
 }
 
-/// Looks at the files one by one until the spacing is known.
-pub(super) fn measure(mut order: MeasureOrder) -> Measured {
+/// Measures the spacing, unless the voxel size is known, and places the camera of pictures.
+pub(super) fn measure(order: MeasureOrder) -> Measured {
     let mut measured = Measured {
         sequence: order.sequence,
         record: None,
         sparse: Vec::new(),
         unreadable: Vec::new(),
         changed: None,
+        warnings: Vec::new(),
     };
-    for (path, stamp) in std::mem::take(&mut order.files) {
-        let found = measured_on(&path, &order);
-        if FileStamp::of_path(file_of(&path)).ok() != Some(stamp) {
-            measured.changed = Some(path);
-            break;
+    let record = match &order.known {
+        Some(record) => Some(record.clone()),
+        None => {
+            let paths: Vec<&Path> = order.files.iter().map(|(path, _)| path.as_path()).collect();
+            let note = |path: &Path, attempt: Attempt| measured.note(path, attempt, &order);
+            let found = measure_sequence(&paths, order.own_radii.as_ref(), note);
+            found.map(|found| {
+                measured.warnings.clone_from(&found.warnings);
+                SequenceRecord { measured: Some(found), camera: None }
+            })
         }
-        match found {
-            Ok(Some(record)) => {
-                measured.record = Some(record);
-                break;
-            }
-            Ok(None) => measured.sparse.push((path, stamp)),
-            Err(error) => measured.unreadable.push((path, stamp, error)),
-        }
-    }
+    };
+    let record = match record {
+        Some(record) if order.watch.outputs.needs_camera() => with_camera(record, &order, &mut measured),
+        record => record,
+    };
+    measured.record = record.filter(|_| measured.changed.is_none());
     measured
 }
 
-/// What a frame says of its sequence; `None` if it has too few particles.
-fn measured_on(path: &Path, order: &MeasureOrder) -> Result<Option<SequenceRecord>, FrameError> {
-    let record = match &order.known {
-        Some(record) => record.clone(),
-        None => match automatic_voxel_size([path], order.own_radii.as_ref()) {
-            Ok(automatic) => SequenceRecord {
-                voxel_size: automatic.voxel_size,
-                spacing: Some(automatic.spacing),
-                measured_on: Some(automatic.measured_on),
-                camera: None,
-            },
-            Err(none) => return none.unreadable.map_or(Ok(None), Err),
-        },
-    };
-    let outputs = &order.watch.outputs;
-    if !outputs.needs_camera() {
-        return Ok(Some(record));
+impl Measured {
+    /// Notes what came of a frame, unless it has changed since it was found complete.
+    fn note(&mut self, path: &Path, attempt: Attempt, order: &MeasureOrder) {
+        let found = order.files.iter().find(|(file, _)| file == path);
+        let Some(&(_, stamp)) = found else { return };
+        if FileStamp::of_path(file_of(path)).ok() != Some(stamp) {
+            self.changed.get_or_insert_with(|| path.to_owned());
+            return;
+        }
+        match attempt {
+            Attempt::Measured => {}
+            Attempt::Sparse => self.sparse.push((path.to_owned(), stamp)),
+            Attempt::Unreadable(error) => self.unreadable.push((path.to_owned(), stamp, error)),
+        }
     }
-    let settings = Settings::resolve(record.voxel_size, &order.watch.choices);
-    let radius = settings.map_or(record.voxel_size, |settings| settings.radius_min);
-    let Some(bounds) = sequence_bounds(&[path], radius)? else { return Ok(None) };
-    let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
-    let camera = Some(SequenceCamera { asked: asked_camera(outputs), framed });
-    Ok(Some(SequenceRecord { camera, ..record }))
+}
+
+/// The record with the camera that the first frame asks for, of those that were not skipped when the spacing was measured;
+/// `None` if there is no such frame.
+fn with_camera(
+    record: SequenceRecord,
+    order: &MeasureOrder,
+    measured: &mut Measured,
+) -> Option<SequenceRecord> {
+    let outputs = &order.watch.outputs;
+    // Settings that make no sense end the sequence in another place.
+    let spacing = record.measured.as_ref().map(settings::Measured::from);
+    let settings = Settings::resolve(&order.watch.choices, spacing);
+    let radius = settings.map_or(0.0, |settings| settings.radius_min);
+    let measured_on = record.measured.as_ref().map(|measured| &measured.measured_on);
+    let measured_here = measured_on.filter(|_| order.known.is_none());
+    let is_before = |path: &PathBuf| measured_here.is_some_and(|first| path != first);
+    for (path, _) in order.files.iter().skip_while(|(path, _)| is_before(path)) {
+        let (attempt, bounds) = match sequence_bounds(&[path.as_path()], radius) {
+            Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
+            Ok(None) => (Attempt::Sparse, None),
+            Err(error) => (Attempt::Unreadable(error), None),
+        };
+        measured.note(path, attempt, order);
+        if let Some(bounds) = bounds {
+            let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
+            let camera = Some(SequenceCamera { asked: asked_camera(outputs), framed });
+            return Some(SequenceRecord { camera, ..record });
+        }
+        if measured.changed.is_some() {
+            return None;
+        }
+    }
+    None
 }
 
 /// A box that holds what a fluid in this one may come to: it is wider by half its height on each side.
@@ -342,6 +373,5 @@ fn widened([least, greatest]: [DVec3; 2], up: DVec3) -> [DVec3; 2] {
 
 /// What the user chose, in short: with other choices, a sequence is another.
 fn choices_fingerprint(watch: &Watch) -> String {
-    let chosen = format!("{:?} {:?}", watch.voxel_size, watch.choices);
-    format!("{:016x}", XxHash3_64::oneshot(chosen.as_bytes()))
+    format!("{:016x}", XxHash3_64::oneshot(format!("{:?}", watch.choices).as_bytes()))
 }

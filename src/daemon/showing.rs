@@ -7,13 +7,11 @@ use std::path::{Component, Path};
 use serde_json::{Value, json};
 
 use crate::board::{Board, Figures, FrameState, FrameSummary, FrameView, OutputView, Status, now_ms};
-use crate::pipeline::{
-    AutomaticVoxelSize, FrameFile, FrameReport, SequenceRecord, file_of, resident_memory_bytes, text_of_name,
-};
+use crate::pipeline::{FrameFile, FrameReport, SequenceRecord, file_of, resident_memory_bytes, text_of_name};
 
 use super::config::{Config, Order, Poll, Watch};
 use super::frames::{FrameId, Phase};
-use super::journal::{self, FrameRecord, Standing};
+use super::journal::{FrameRecord, Standing};
 use super::mounts::free_bytes;
 use super::rounds::Daemon;
 use super::sequences::SequenceSettings;
@@ -120,8 +118,9 @@ impl Daemon<'_> {
         let watch = &self.config.watches[sequence.root];
         let made = (&watch.outputs, &*self.obstacles[sequence.root]);
         let remembered = self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key);
-        let automatic = remembered.filter(|_| watch.voxel_size.is_none()).and_then(automatic_of);
-        board.show_sequence(name.clone(), SequenceRecord::new(&name, settings, automatic.as_ref(), made));
+        let measured = remembered.filter(|_| watch.choices.needs_spacing());
+        let measured = measured.and_then(|record| record.measured.as_ref());
+        board.show_sequence(name.clone(), SequenceRecord::new(&name, settings, measured, made));
     }
 
     /// Shows how the daemon is.
@@ -184,7 +183,6 @@ fn plan_of(config: &Config, watches: &[&Watch]) -> Value {
             "recursive": watch.recursive,
             "sentinel": watch.sentinel,
             "formats": watch.outputs.formats.iter().map(|format| format.extension()).collect::<Vec<_>>(),
-            "voxel_size": watch.voxel_size,
             "choices": choices,
             "obstacles": watch.obstacles.iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
         })
@@ -209,17 +207,6 @@ fn plan_of(config: &Config, watches: &[&Watch]) -> Value {
         },
         "rescan_s": config.rescan_every.as_secs_f64(),
         "watches": watches.iter().map(watch).collect::<Vec<_>>(),
-    })
-}
-
-/// Where the voxel size of a sequence is from; the journal does not keep the median of the particles' own radii.
-fn automatic_of(record: &journal::SequenceRecord) -> Option<AutomaticVoxelSize> {
-    let &journal::SequenceRecord { voxel_size, spacing, ref measured_on, .. } = record;
-    Some(AutomaticVoxelSize {
-        voxel_size,
-        spacing: spacing?,
-        radius_median: None,
-        measured_on: measured_on.clone()?,
     })
 }
 

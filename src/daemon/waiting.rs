@@ -172,7 +172,6 @@ mod tests {
             recursive: false,
             sentinel: sentinel.map(str::to_owned),
             outputs: OutputOptions::new(folder, &[OutputFormat::Ply]),
-            voxel_size: None,
             choices: Choices::default(),
             obstacles: Vec::new(),
         }

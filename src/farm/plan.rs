@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::pipeline::{
-    AutomaticVoxelSize, Frame, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry, file_of,
+    Frame, MeasuredSpacing, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry, file_of,
     output_path,
 };
 use crate::settings::Settings;
@@ -31,7 +31,7 @@ pub struct PlannedSequence {
     /// Its settings.
     pub settings: Arc<Settings>,
     /// Where the voxel size is from, unless it was given.
-    pub automatic: Option<AutomaticVoxelSize>,
+    pub measured: Option<MeasuredSpacing>,
     /// What is written of it, and where: the folder, absolute, is the same for all sequences. A camera that is needed is fixed.
     pub outputs: Arc<OutputOptions>,
 }

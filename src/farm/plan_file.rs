@@ -19,7 +19,7 @@ use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
-    AutomaticVoxelSize, CameraChoice, GENERATOR_AND_VERSION, METERS_PER_UNIT, OutputFormat, OutputOptions,
+    CameraChoice, GENERATOR_AND_VERSION, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
     PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
 };
 use crate::settings::{Choices, Settings};
@@ -73,12 +73,11 @@ struct Outputs {
 #[serde(deny_unknown_fields)]
 struct SequenceEntry {
     name: String,
-    voxel_size: String,
     /// By name, as text: see [`Choices::to_pairs`].
     settings: BTreeMap<String, String>,
     /// Where pictures are written.
     camera: Option<String>,
-    /// Where the voxel size was measured.
+    /// Where the particle spacing was measured.
     measured: Option<Measured>,
 }
 
@@ -87,6 +86,7 @@ struct SequenceEntry {
 struct Measured {
     on: String,
     spacing: String,
+    confidence: f64,
     radius_median: Option<String>,
 }
 
@@ -305,19 +305,19 @@ impl Outputs {
 
 impl SequenceEntry {
     fn of(sequence: &PlannedSequence) -> Result<SequenceEntry, PlanError> {
-        let PlannedSequence { name, settings, automatic, outputs } = sequence;
-        let measured = automatic.as_ref().map(|automatic| {
+        let PlannedSequence { name, settings, measured, outputs } = sequence;
+        let measured = measured.as_ref().map(|measured| {
             Ok(Measured {
-                on: text(&automatic.measured_on)?,
-                spacing: automatic.spacing.to_string(),
-                radius_median: automatic.radius_median.map(|radius| radius.to_string()),
+                on: text(&measured.measured_on)?,
+                spacing: measured.spacing.to_string(),
+                confidence: measured.confidence,
+                radius_median: measured.radius_median.map(|radius| radius.to_string()),
             })
         });
         let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
         let pairs = settings.to_choices().to_pairs();
         Ok(SequenceEntry {
             name: name.clone(),
-            voxel_size: settings.voxel_size.to_string(),
             settings: pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
             camera: has_pictures.then(|| outputs.picture.camera.to_string()),
             measured: measured.transpose()?,
@@ -326,12 +326,12 @@ impl SequenceEntry {
 
     fn into_sequence(self, place: &str, outputs: &OutputOptions) -> Result<PlannedSequence, PlanError> {
         let settings = self.settings(place)?;
-        let measured = self.measured.map(|measured| measured.into_automatic(place, settings.voxel_size));
+        let measured = self.measured.map(|measured| measured.into_measured(place));
         let outputs = with_camera(outputs, self.camera.as_deref(), place)?;
         Ok(PlannedSequence {
             name: self.name,
             settings: Arc::new(settings),
-            automatic: measured.transpose()?,
+            measured: measured.transpose()?,
             outputs: Arc::new(outputs),
         })
     }
@@ -345,8 +345,7 @@ impl SequenceEntry {
             })?;
             choices = choice.over(choices);
         }
-        let voxel_size = number(&format!("{place}/voxel_size"), &self.voxel_size)?;
-        let settings = Settings::resolve(voxel_size, &choices)
+        let settings = Settings::resolve(&choices, None)
             .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
         // Whatever a default would fill in may be another one for another shard.
         let needed = settings.to_choices().to_pairs();
@@ -362,14 +361,15 @@ impl SequenceEntry {
 }
 
 impl Measured {
-    fn into_automatic(self, place: &str, voxel_size: f64) -> Result<AutomaticVoxelSize, PlanError> {
+    fn into_measured(self, place: &str) -> Result<MeasuredSpacing, PlanError> {
         let median = self.radius_median.as_deref();
         let median = median.map(|text| number(&format!("{place}/measured/radius_median"), text));
-        Ok(AutomaticVoxelSize {
-            voxel_size,
+        Ok(MeasuredSpacing {
             spacing: number(&format!("{place}/measured/spacing"), &self.spacing)?,
+            confidence: self.confidence,
             radius_median: median.transpose()?,
             measured_on: absolute(&format!("{place}/measured/on"), &self.on)?,
+            warnings: Vec::new(),
         })
     }
 }

@@ -10,6 +10,7 @@
 //! Beyond the stored leaves φ is + or − the band's half width: outside or inside.
 
 mod bounds;
+mod offset;
 mod rebuilt;
 mod redistance;
 mod widen;
@@ -17,6 +18,7 @@ mod widen;
 use std::sync::Arc;
 
 pub use bounds::Bounds;
+pub use offset::{extend_distances, offset_reach_voxels, offset_surface};
 pub use rebuilt::{
     REBUILT_HALF_WIDTH, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
@@ -24,6 +26,12 @@ pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
 pub use widen::{WIDENED_MAX, widened, widened_leaf_count};
 
 use crate::grid::{Field, Topology};
+
+/// No value of a finished level set is nearer to zero than this, in voxels, unless something demands it: its bounds, or an
+/// obstacle. Where the surface all but touches a voxel, meshers fold it around that voxel in triangles that are the sharper the
+/// smaller they are. Through OpenVDB's mesher one voxel at 10⁻⁶ had ∫H² = 4800, three times that of its whole frame; at 0.0002 it
+/// had 320, at 0.003 it has 30, at 1/128 less than a drop's 4π.
+pub const NEAREST_TO_ZERO: f32 = 1.0 / 128.0;
 
 /// Signed distances near a surface.
 #[derive(Clone, Debug)]

@@ -32,12 +32,10 @@
 use glam::IVec3;
 use rayon::prelude::*;
 
-use super::Obstacles;
 use super::leaf::ObstacleLeaf;
 use crate::grid::{Leaf, ROW_COUNT};
 use crate::level_set::{Bounds, NarrowBand};
 use crate::simd::{self, Kernel, Lanes};
-use crate::space::Lattice;
 
 /// What obstacles changed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -61,11 +59,10 @@ impl ContactTally {
     }
 }
 
-/// Makes φ_0 and its bounds respect the obstacles. Voids of less than `void_threshold` voxels are filled; none is, if
+/// Makes φ_0 and its bounds respect the obstacles, whose leaves `obstacle` gives by their origins, within the half width of the band. Voids of less than `void_threshold` voxels are filled; none is, if
 /// that is 0.
 pub fn hold_contact(
-    obstacles: &Obstacles,
-    lattice: &Lattice,
+    obstacle: impl Fn(IVec3) -> ObstacleLeaf + Sync,
     void_threshold: f32,
     band: &mut NarrowBand,
     bounds: &mut Bounds,
@@ -75,7 +72,7 @@ pub fn hold_contact(
     let fields = band.phi.leaves.par_iter_mut().zip(fields).zip(band.topology.origins());
     let of_leaf = |((phi, (lower, upper)), &origin): ((&mut Leaf, (&mut Leaf, &mut Leaf)), &IVec3)| {
         let inside = Leaf::splat(-half_width);
-        let leaf = obstacles.leaf(origin, lattice, half_width);
+        let leaf = obstacle(origin);
         let obstacle = match &leaf {
             ObstacleLeaf::Outside => return ContactTally::default(),
             ObstacleLeaf::Inside => &inside,

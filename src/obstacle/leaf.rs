@@ -27,6 +27,19 @@ impl ObstacleLeaf {
         }
     }
 
+    /// The leaf with the distances greater by so much, which must be known so much farther than `half_width`.
+    pub fn shifted(self, by: f32, half_width: f32) -> ObstacleLeaf {
+        match self {
+            ObstacleLeaf::Near(mut leaf) if by != 0.0 => {
+                for value in &mut Arc::make_mut(&mut leaf).values {
+                    *value = (*value + by).clamp(-half_width, half_width);
+                }
+                ObstacleLeaf::of_values(leaf, half_width)
+            }
+            unchanged => unchanged,
+        }
+    }
+
     /// The leaf of both obstacles together.
     pub(super) fn union(self, other: ObstacleLeaf) -> ObstacleLeaf {
         match (self, other) {

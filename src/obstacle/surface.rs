@@ -85,6 +85,25 @@ impl Surface {
     }
 }
 
+/// The triangles with an area and finite corners, as they are.
+pub(super) fn sound_triangles(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Vec<[DVec3; 3]> {
+    let corner = |index: u32| {
+        let position = positions.get(index as usize);
+        position
+            .filter(|position| position.iter().all(|c| c.abs() < FARTHEST))
+            .map(|&position| position.into())
+    };
+    let corners = |&[a, b, c]: &[u32; 3]| Some([corner(a)?, corner(b)?, corner(c)?]);
+    triangles.iter().filter_map(corners).filter(|corners| !is_flat(corners)).collect()
+}
+
+/// How many edges these triangles end at; vertices at one place count as one.
+pub(super) fn open_edge_count(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> usize {
+    let (points, welded) = weld(positions);
+    let faces = distinct_faces(&points, &welded, triangles, &mut MeshFindings::default());
+    rim(&points, &faces).len()
+}
+
 /// Whether the winding number is nowhere above 1/2, as far as can be told behind some of the triangles: there it is the
 /// greatest.
 fn encloses_nothing(tree: &Tree) -> bool {

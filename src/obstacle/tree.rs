@@ -214,7 +214,7 @@ fn node_of(order: &[(DVec3, u32)], first: u32, triangles: &[[DVec3; 3]]) -> Node
 /// The point of a triangle, which has an area, that is nearest to another one.
 ///
 /// Christer Ericson. Real-Time Collision Detection. 2005
-fn nearest_point(&[a, b, c]: &[DVec3; 3], point: DVec3) -> DVec3 {
+pub(super) fn nearest_point(&[a, b, c]: &[DVec3; 3], point: DVec3) -> DVec3 {
     let (ab, ac, ap) = (b - a, c - a, point - a);
     let (d1, d2) = (ab.dot(ap), ac.dot(ap));
     if d1 <= 0.0 && d2 <= 0.0 {

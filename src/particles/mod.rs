@@ -13,6 +13,7 @@ mod shapes;
 
 use std::borrow::Cow;
 use std::convert::Infallible;
+use std::ops::Range;
 
 use glam::DVec3;
 
@@ -79,13 +80,65 @@ pub trait ParticleSource: Sync {
     /// Whatever keeps the source from having them.
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error>;
 
-    /// What the particles are, in the order of the batches and of the particles in them.
-    fn shapes(&self) -> &Shapes {
-        &Shapes::Balls
+    /// The number of particles in a batch.
+    fn count_of(&self, batch: usize) -> usize;
+
+    /// Whether particles differ in shape.
+    fn has_shapes(&self) -> bool {
+        false
     }
 
-    /// How many particles come before those of a batch. Asked for only where particles differ in shape.
-    fn first_of(&self, batch: usize) -> usize;
+    /// What the particles of a batch are, in their order: of all batches the same variant, [`Shapes::Balls`] unless
+    /// they [have shapes](Self::has_shapes).
+    fn shapes_of(&self, _batch: usize) -> Shapes {
+        Shapes::Balls
+    }
+
+    /// Whether particles were given elsewhere.
+    fn has_moved(&self) -> bool {
+        false
+    }
+
+    /// Of those particles of a batch that were given elsewhere: where, and where they are now, world units.
+    ///
+    /// # Errors
+    /// As for [`batch`](Self::batch).
+    fn given_of(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Self::Error> {
+        Ok(Vec::new())
+    }
+}
+
+/// A reference to a source is a source of the same particles.
+impl<S: ParticleSource> ParticleSource for &S {
+    type Error = S::Error;
+
+    fn batch_count(&self) -> usize {
+        (**self).batch_count()
+    }
+
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, S::Error> {
+        (**self).batch(batch)
+    }
+
+    fn count_of(&self, batch: usize) -> usize {
+        (**self).count_of(batch)
+    }
+
+    fn has_shapes(&self) -> bool {
+        (**self).has_shapes()
+    }
+
+    fn shapes_of(&self, batch: usize) -> Shapes {
+        (**self).shapes_of(batch)
+    }
+
+    fn has_moved(&self) -> bool {
+        (**self).has_moved()
+    }
+
+    fn given_of(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
+        (**self).given_of(batch)
+    }
 }
 
 /// The positions of a batch in world units, in the precision they came in.
@@ -128,6 +181,36 @@ impl Particles {
     }
 }
 
+impl Particles {
+    /// The indices of the particles of a batch.
+    pub(crate) fn range_of(&self, batch: usize) -> Range<usize> {
+        batch * BATCH..self.len().min((batch + 1) * BATCH)
+    }
+}
+
+impl Positions<'_> {
+    /// The number of particles.
+    pub fn len(&self) -> usize {
+        match self {
+            Positions::Single(positions) => positions.len(),
+            Positions::Double(positions) => positions.len(),
+        }
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The position of particle `place` of the batch.
+    pub fn position(&self, place: usize) -> DVec3 {
+        match self {
+            Positions::Single(positions) => glam::Vec3::from(positions[place]).as_dvec3(),
+            Positions::Double(positions) => DVec3::from(positions[place]),
+        }
+    }
+}
+
 /// Particles in a batch of what is in memory.
 const BATCH: usize = 1 << 14;
 
@@ -139,15 +222,15 @@ impl ParticleSource for Particles {
     }
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
-        let range = batch * BATCH..self.len().min((batch + 1) * BATCH);
+        let range = self.range_of(batch);
         Ok(match self {
             Particles::Single(positions) => Positions::Single(Cow::Borrowed(&positions[range])),
             Particles::Double(positions) => Positions::Double(Cow::Borrowed(&positions[range])),
         })
     }
 
-    fn first_of(&self, batch: usize) -> usize {
-        batch * BATCH
+    fn count_of(&self, batch: usize) -> usize {
+        self.range_of(batch).len()
     }
 }
 
@@ -162,11 +245,15 @@ impl ParticleSource for Cloud {
         self.positions.batch(batch)
     }
 
-    fn shapes(&self) -> &Shapes {
-        &self.shapes
+    fn count_of(&self, batch: usize) -> usize {
+        self.positions.count_of(batch)
     }
 
-    fn first_of(&self, batch: usize) -> usize {
-        self.positions.first_of(batch)
+    fn has_shapes(&self) -> bool {
+        !self.shapes.are_balls()
+    }
+
+    fn shapes_of(&self, batch: usize) -> Shapes {
+        self.shapes.in_range(self.positions.range_of(batch))
     }
 }

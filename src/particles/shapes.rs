@@ -8,6 +8,8 @@
 //!   ellipsoids   |T(x − p)| = r         T: a symmetric matrix of its own       (paper, Eq. 1, Fig. 11)
 //! ```
 
+use std::ops::Range;
+
 use glam::Vec3;
 
 /// What the particles of a frame are.
@@ -34,6 +36,15 @@ impl Shapes {
             Shapes::Balls => 1.0,
             Shapes::Scaled(scales) => scales[index],
             Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].longest,
+        }
+    }
+
+    /// Those of the particles in a range.
+    pub fn in_range(&self, range: Range<usize>) -> Shapes {
+        match self {
+            Shapes::Balls => Shapes::Balls,
+            Shapes::Scaled(scales) => Shapes::Scaled(scales[range].to_vec()),
+            Shapes::Ellipsoids(ellipsoids) => Shapes::Ellipsoids(ellipsoids[range].to_vec()),
         }
     }
 

@@ -89,6 +89,11 @@ impl Wanted {
         Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
     }
 
+    /// These, and the particles' radii where there are any.
+    pub(super) fn and_radius(self) -> Wanted {
+        Wanted { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
+    }
+
     /// Whether positions are enough.
     pub fn is_nothing(&self) -> bool {
         self.needed.is_empty() && self.selected.is_none()
@@ -220,7 +225,7 @@ mod tests {
     }
 
     fn wanted(choices: Choices) -> Wanted {
-        Wanted::by(&Settings::resolve(1.0, &choices).expect("sound"))
+        Wanted::by(&Settings::paper(1.0, &choices).expect("sound"))
     }
 
     /// The method knows no formats, so it has the names of its own: they must be those of the readers.

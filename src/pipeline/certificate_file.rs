@@ -29,7 +29,7 @@ use super::sink::{Unseen, write_unseen};
 use super::steps::frame_name;
 
 /// Another number, another form of the file.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// One with more bytes is none.
 const SIZE_MAX_BYTES: u64 = 1 << 20;

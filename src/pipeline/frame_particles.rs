@@ -11,7 +11,7 @@ use crate::particles::{self, Cloud, ParticleSource, Shapes};
 
 use crate::report::Shaping;
 use crate::settings::Settings;
-use crate::skin;
+use crate::skin::{self, ShapedSource};
 
 use super::attributes::own_radii_min;
 use super::frame::Cause;
@@ -91,11 +91,19 @@ impl FrameParticles {
         bytes as f64 / cloud.positions.len().max(1) as f64
     }
 
-    /// The same particles in the shapes that the settings ask for.
-    pub fn shaped(self, settings: &Settings) -> (FrameParticles, Shaping) {
+    /// The same particles where and as the settings ask for them.
+    ///
+    /// # Errors
+    /// When they are on disk and cannot be read.
+    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameParticles>, Shaping), Cause> {
+        let (particles, shaping) = self.shaped_by_attributes(settings);
+        skin::shape_by_neighbors(particles, shaping, settings)
+    }
+
+    fn shaped_by_attributes(self, settings: &Settings) -> (FrameParticles, Shaping) {
         match self {
             FrameParticles::InMemory(cloud) => {
-                let (cloud, mut shaping) = skin::shape(cloud, settings);
+                let (cloud, mut shaping) = skin::shape_by_attributes(cloud, settings);
                 if shaping.small_radius_count > 0
                     && let Some(own) = &settings.own_radii
                 {
@@ -104,7 +112,7 @@ impl FrameParticles {
                 }
                 (FrameParticles::InMemory(cloud), shaping)
             }
-            // What needs more than positions is never read in batches.
+            // What needs attributes is never read in batches.
             FrameParticles::OnDisk(_) => (self, Shaping::default()),
         }
     }
@@ -152,17 +160,24 @@ impl ParticleSource for FrameParticles {
         }
     }
 
-    fn shapes(&self) -> &Shapes {
+    fn count_of(&self, batch: usize) -> usize {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.shapes(),
-            FrameParticles::OnDisk(_) => &Shapes::Balls,
+            FrameParticles::InMemory(cloud) => cloud.count_of(batch),
+            FrameParticles::OnDisk(file) => file.batches.particles_of(batch).len(),
         }
     }
 
-    fn first_of(&self, batch: usize) -> usize {
+    fn has_shapes(&self) -> bool {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.first_of(batch),
-            FrameParticles::OnDisk(file) => file.batches.particles_of(batch).start,
+            FrameParticles::InMemory(cloud) => cloud.has_shapes(),
+            FrameParticles::OnDisk(_) => false,
+        }
+    }
+
+    fn shapes_of(&self, batch: usize) -> Shapes {
+        match self {
+            FrameParticles::InMemory(cloud) => cloud.shapes_of(batch),
+            FrameParticles::OnDisk(_) => Shapes::Balls,
         }
     }
 }

@@ -6,7 +6,9 @@ use std::path::Path;
 
 use crate::settings::Settings;
 use crate::skin::tiled::{self, TiledError, TiledFrame};
-use crate::skin::{self, Plan, SHELF_COUNT, Storage, Surface, Surroundings, Targets, TooLarge, Unfit};
+use crate::skin::{
+    self, Plan, SHELF_COUNT, ShapedSource, Storage, Surface, Surroundings, Targets, TooLarge, Unfit,
+};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;
@@ -70,9 +72,9 @@ pub struct LevelSetSkinning;
 /// A frame between two stages: in memory, or in tiles on disk.
 pub enum Skinned<T> {
     /// Whole; and its particles, where their attributes are wanted later.
-    Whole(T, Option<FrameParticles>),
+    Whole(T, Option<ShapedSource<FrameParticles>>),
     /// In tiles.
-    Tiled(Box<TiledFrame<FrameParticles>>),
+    Tiled(Box<TiledFrame<ShapedSource<FrameParticles>>>),
 }
 
 impl Method for LevelSetSkinning {
@@ -114,10 +116,10 @@ impl Method for LevelSetSkinning {
         plan: &Plan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause> {
-        let (particles, shaping) = particles.shaped(settings);
+        let (particles, shaping) = particles.shaped(settings)?;
         let Some(tile_leaves) = plan.tile_leaves else {
             let rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
-            particles.check_unchanged()?;
+            particles.given().check_unchanged()?;
             return Ok(Skinned::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
         };
         let storages =
@@ -125,7 +127,7 @@ impl Method for LevelSetSkinning {
         let storages = storages.map_err(Cause::Scratch)?;
         let frame = tiled::rasterize(particles, settings, shaping, obstacles, tile_leaves, storages)?;
         // It will be read once more; but what follows takes a while.
-        frame.source().check_unchanged()?;
+        frame.source().given().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))
     }
 
@@ -162,12 +164,18 @@ impl Method for LevelSetSkinning {
             }
             Skinned::Tiled(frame) => {
                 let (surface, particles) = tiled::contour(*frame, settings, &stored(outputs))?;
-                particles.check_unchanged()?;
+                particles.given().check_unchanged()?;
                 (surface, Some(particles))
             }
         };
         // Those on disk have no attributes that are wanted.
-        if let Some(FrameParticles::InMemory(cloud)) = particles {
+        let in_memory = |given| match given {
+            FrameParticles::InMemory(cloud) => Some(cloud),
+            FrameParticles::OnDisk(_) => None,
+        };
+        let is_wanted = settings.attributes.is_some();
+        let cloud = particles.filter(|_| is_wanted).and_then(|particles| particles.into_cloud(in_memory));
+        if let Some(cloud) = cloud {
             skin::transfer(&mut surface, &cloud, settings, targets(outputs));
         }
         Ok(surface)

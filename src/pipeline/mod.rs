@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   source      which files are frames, in which order, of which sequence   steps  those of a file that has several
-//!   voxel_size  the voxel size of a sequence, where nobody gave one
+//!   measured_spacing  the particle spacing of a sequence, where nobody gave one
 //!   outputs     which files will be written, and that none of them is an input
 //!   frame       what is to be done, and what came of it
 //!
@@ -19,6 +19,7 @@
 //!   picture     surfaces to pictures                   viewpoint   where they are taken from
 //!   resurfacing  surfaces of level sets that are given
 //!   level_set_file  surfaces from .vdb                 picture_file  pictures from .png
+//!   mesh_file   meshes of any program
 //!   still       a frame by itself, and no files       particles_only  particles as they are, and no surface
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   file_set    replaces several files, or none        open        opens files without waiting at pipes
@@ -38,7 +39,7 @@
 //! ```
 //! use std::sync::Arc;
 //! use meniscus::pipeline::{
-//!     Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, automatic_voxel_size, run,
+//!     Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
 //! use meniscus::settings::{Choices, Settings};
 //!
@@ -47,8 +48,8 @@
 //! # let line = |i: i32| format!("{},{},{}\n", i % 5, i / 5 % 5, i / 25);
 //! # std::fs::write(&path, (0..125).map(line).collect::<String>())?;
 //! # let out = folder.path().join("out");
-//! let voxel_size = automatic_voxel_size([&*path], None)?.voxel_size;
-//! let settings = Arc::new(Settings::resolve(voxel_size, &Choices::default())?);
+//! let measured = measure_spacing([&*path], None)?;
+//! let settings = Arc::new(Settings::resolve(&Choices::default(), Some((&measured).into()))?);
 //! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
 //! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
 //! let pool = rayon::ThreadPoolBuilder::new().build()?;
@@ -63,6 +64,7 @@ mod attributes;
 mod bounds;
 mod budget;
 mod certificate_file;
+mod close_up;
 mod crew;
 mod file_set;
 mod frame;
@@ -71,7 +73,9 @@ mod frame_particles;
 mod framing;
 mod inspection;
 mod level_set_file;
+mod measured_spacing;
 mod memory;
+mod mesh_file;
 mod method;
 mod misfit;
 mod names;
@@ -103,12 +107,12 @@ mod still;
 mod stored;
 mod temporary;
 mod viewpoint;
-mod voxel_size;
 mod writing;
 
 pub use attributes::Wanted;
 pub use bounds::{NOTHING, bounds_of_particles, is_level_set, sequence_bounds};
 pub use certificate_file::certificate_path;
+pub use close_up::close_up;
 pub use frame::{
     Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist, velocity_hint,
 };
@@ -116,7 +120,10 @@ pub use frame_particles::FrameParticles;
 pub use framing::{Framed, Framing};
 pub use inspection::{FrameState, Inspection, inspect};
 pub use level_set_file::LevelSetFile;
+pub(crate) use measured_spacing::{Attempt, measure_sequence};
+pub use measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use memory::{default_memory_bytes, resident_memory_bytes};
+pub use mesh_file::read_mesh_file;
 pub use method::{LevelSetSkinning, Method};
 pub(crate) use names::text_of_name;
 pub use notes::{breaks_guarantee, flaws, keeps_guarantees, notes, standing_notes};
@@ -158,5 +165,4 @@ pub use steps::{
 pub use still::{Still, StillFrame};
 pub use temporary::{SweepError, Swept, remove_left_behind, sweep_temporaries};
 pub use viewpoint::{CameraChoice, Viewpoint};
-pub use voxel_size::{AutomaticVoxelSize, NoVoxelSize, VOXELS_PER_SPACING, automatic_voxel_size};
 pub use writing::{encode_level_set, mesh_view, vertex_attributes};

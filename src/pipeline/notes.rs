@@ -86,8 +86,9 @@ fn shape_notes(shaping: &Shaping, particle_count: usize) -> Vec<String> {
     tell(shaping.small_radius_count, &small);
     tell(shaping.invalid_radius_count, "without a radius that is a positive number: the least was taken");
     tell(shaping.large_radius_count, "too large for the grid: the largest radius that it holds was taken");
-    if 2 * shaping.ball_count > particle_count {
-        tell(shaping.ball_count, "not stretched: too few neighbours, or no finite velocity");
+    // Neighbours were looked at: then lone particles are no news.
+    if shaping.near_count == 0 && 2 * shaping.ball_count > particle_count {
+        tell(shaping.ball_count, "not stretched: no finite velocity");
     }
     notes
 }
@@ -152,8 +153,9 @@ fn broken_guarantees(report: &SkinReport) -> Vec<String> {
             significant(certificate.vertex_distance_max)
         ));
     }
-    if certificate.particles_outside > 0 {
-        broken.push(format!("{} outside the surface", counted(certificate.particles_outside, "particle")));
+    if certificate.particle_violation_count() > 0 {
+        let particles = counted(certificate.particle_violation_count(), "particle");
+        broken.push(format!("{particles} outside the surface"));
     }
     let mesh = &report.mesh;
     if !mesh.is_closed_manifold() {
@@ -178,7 +180,7 @@ mod tests {
     fn guarantees_that_broke_are_sentences() {
         let mut report = FrameReport::default();
         assert_eq!(notes(&report), [""; 0]);
-        report.skin.certificate.particles_outside = 2;
+        report.skin.certificate.particles_outside.count = 2;
         report.skin.certificate.vertices_outside_max = 1;
         report.skin.certificate.vertex_distance_max = 7.25;
         report.skin.mesh.boundary_edge_count = 3;

@@ -116,7 +116,8 @@ fn reach(settings: &Settings) -> f64 {
         Anisotropy::None => 1.0,
         Anisotropy::Neighbors { max_stretch, .. } | Anisotropy::Velocity { max_stretch, .. } => max_stretch,
     };
-    radius * stretch + (settings.void_threshold + BAND_VOXELS) * h
+    let moved = settings.position_smoothing * settings.neighbor_radius + settings.offset.max(0.0);
+    radius * stretch + moved + (settings.void_threshold + BAND_VOXELS) * h
 }
 
 /// Half the thickness of what is written of a level set, in voxels.

@@ -226,7 +226,7 @@ pub(super) fn level_set_provenance(
     slack_voxels: f64,
     format: OutputFormat,
 ) -> Vec<(String, String)> {
-    const OF_MESH: [&str; 5] = ["voxel_size", "contour", "decimate", "smooth_normals", "quads"];
+    const OF_MESH: [&str; 6] = ["voxel_size", "offset", "contour", "decimate", "smooth_normals", "quads"];
     const OF_SOLVER: [&str; 6] =
         ["integrator", "laplacian_steps", "steps", "step_size", "redistance_every", "cg_tolerance"];
     let has_say = |name: &str| OF_MESH.contains(&name) || (slack_voxels > 0.0 && OF_SOLVER.contains(&name));

@@ -11,16 +11,16 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use crate::certify::Certificate;
-use crate::report::{EditReport, Shaping, SkinReport, TransferCounts, TransferReport};
+use crate::report::{EditReport, ParticlesOutside, Shaping, SkinReport, TransferCounts, TransferReport};
 use crate::settings::{Settings, contouring_name, integrator_name};
 
 use super::frame::{Frame, FrameReport, Outcome};
+use super::measured_spacing::MeasuredSpacing;
 use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
 use super::provenance::chosen_options;
 use super::shown::shown;
 use super::sink::write_whole;
-use super::voxel_size::AutomaticVoxelSize;
 
 /// What is told of a frame whose file was not left alone.
 const CHANGED: &str = "the file was written while it was read";
@@ -38,10 +38,13 @@ pub struct RunRecord {
 #[derive(Clone, Debug, Serialize)]
 pub struct SequenceRecord {
     sequence: String,
-    /// Null where the voxel size was given, or where there is none.
+    /// Null where there are no settings.
     spacing: Option<f64>,
+    /// From 0 to 1; null where the spacing was given, or is not needed.
+    spacing_confidence: Option<f64>,
+    /// Null likewise.
     spacing_measured_on: Option<String>,
-    /// Of particles with radii of their own, where the voxel size follows it; else null.
+    /// Of particles with radii of their own, where the spacing was measured; else null.
     radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<SettingsRecord>,
@@ -132,6 +135,7 @@ struct ShapesRecord {
     small_radius_min: f64,
     large_radii: usize,
     invalid_radii: usize,
+    near: usize,
     raised: usize,
     balls: usize,
     longest: f64,
@@ -213,6 +217,11 @@ struct SecondsRecord {
 #[serde(deny_unknown_fields)]
 pub(super) struct CertificateRecord {
     holds: bool,
+    /// How far the surface was moved outward after its bounds were checked, a length; negative inward.
+    offset: f64,
+    /// The least and the greatest distance, lengths, that vertices were to have to the nearest particle. Null for surfaces of level
+    /// sets.
+    distance_limits: Option<[f64; 2]>,
     bound_violations: usize,
     /// Null for an empty mesh.
     vertex_distance_min_voxels: Option<f64>,
@@ -222,7 +231,13 @@ pub(super) struct CertificateRecord {
     vertices_outside_max: usize,
     /// Not finite, or too far from the others: the surface is that of the rest.
     particles_left_out: usize,
-    particles_outside: usize,
+    /// The positions that were checked.
+    positions: CheckedPositions,
+    particles_outside: OutsideRecord,
+    /// The offset is so far inward that particles outside are no violation.
+    particles_may_be_outside: bool,
+    /// Null where positions are those that were given.
+    given_outside: Option<OutsideRecord>,
     /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
@@ -232,6 +247,25 @@ pub(super) struct CertificateRecord {
     /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
     closed_manifold: bool,
     position_rounding_voxels: f64,
+}
+
+/// Which positions of particles a certificate is about.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum CheckedPositions {
+    /// Those in the file.
+    Given,
+    /// Those to which position smoothing moved the particles.
+    Smoothed,
+}
+
+/// Particles outside the surface.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct OutsideRecord {
+    count: usize,
+    /// How far from the surface the farthest is, a length.
+    deepest: f64,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -340,7 +374,7 @@ impl SequenceRecord {
     pub fn new(
         name: &str,
         settings: &Settings,
-        automatic: Option<&AutomaticVoxelSize>,
+        measured: Option<&MeasuredSpacing>,
         (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
     ) -> SequenceRecord {
         let mut more = settings.more();
@@ -350,9 +384,10 @@ impl SequenceRecord {
         more.extend(chosen_options(outputs, settings));
         SequenceRecord {
             sequence: name.to_owned(),
-            spacing: automatic.map(|automatic| automatic.spacing),
-            spacing_measured_on: automatic.map(|automatic| text(&automatic.measured_on)),
-            radius_median: automatic.and_then(|automatic| automatic.radius_median),
+            spacing: Some(settings.spacing),
+            spacing_confidence: measured.map(|measured| measured.confidence),
+            spacing_measured_on: measured.map(|measured| text(&measured.measured_on)),
+            radius_median: measured.and_then(|measured| measured.radius_median),
             settings: Some(settings_record(settings, more)),
             error: None,
         }
@@ -363,6 +398,7 @@ impl SequenceRecord {
         SequenceRecord {
             sequence: name.to_owned(),
             spacing: None,
+            spacing_confidence: None,
             spacing_measured_on: None,
             radius_median: None,
             settings: None,
@@ -445,6 +481,7 @@ fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
         small_radius_min: shaping.small_radius_min,
         large_radii: shaping.large_radius_count,
         invalid_radii: shaping.invalid_radius_count,
+        near: shaping.near_count,
         raised: shaping.raised_count,
         balls: shaping.ball_count,
         longest: f64::from(shaping.longest),
@@ -502,14 +539,24 @@ impl CertificateRecord {
             bound_violation_count: self.bound_violations,
             vertices_inside_min: self.vertices_inside_min,
             vertices_outside_max: self.vertices_outside_max,
-            particles_outside: self.particles_outside,
+            particles_outside: ParticlesOutside {
+                count: self.particles_outside.count,
+                deepest: self.particles_outside.deepest,
+            },
+            may_leave_particles_outside: self.particles_may_be_outside,
             mesh_is_closed_manifold: self.closed_manifold,
             ..Certificate::default()
         };
         let fault = certificate.fault();
+        if (self.positions == CheckedPositions::Smoothed) != self.given_outside.is_some() {
+            return Err("given_outside is for smoothed positions, and for these only".to_owned());
+        }
         let range = self.vertex_distance_min_voxels.zip(self.vertex_distance_max_voxels);
         if range.is_some_and(|(least, largest)| least > largest) {
             return Err("the least distance from a vertex to a particle is above the largest".to_owned());
+        }
+        if self.particles_may_be_outside && self.offset >= 0.0 {
+            return Err("particles may be outside though the surface was not moved inward".to_owned());
         }
         match (self.holds, certificate.holds()) {
             (true, true) => Ok(None),
@@ -520,10 +567,16 @@ impl CertificateRecord {
     }
 }
 
+fn outside_record(ParticlesOutside { count, deepest }: ParticlesOutside) -> OutsideRecord {
+    OutsideRecord { count, deepest }
+}
+
 pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
         holds: certificate.holds(),
+        offset: certificate.offset,
+        distance_limits: certificate.distance_limits,
         bound_violations: certificate.bound_violation_count,
         vertex_distance_min_voxels: Some(certificate.vertex_distance_min).filter(|least| least.is_finite()),
         vertex_distance_max_voxels: Some(certificate.vertex_distance_max)
@@ -531,7 +584,13 @@ pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
         vertices_inside_min: certificate.vertices_inside_min,
         vertices_outside_max: certificate.vertices_outside_max,
         particles_left_out: certificate.particles_left_out,
-        particles_outside: certificate.particles_outside,
+        positions: match certificate.given_outside {
+            None => CheckedPositions::Given,
+            Some(_) => CheckedPositions::Smoothed,
+        },
+        particles_outside: outside_record(certificate.particles_outside),
+        particles_may_be_outside: certificate.may_leave_particles_outside,
+        given_outside: certificate.given_outside.map(outside_record),
         particles_exempt: certificate.particles_exempt,
         vertices_returned: report.vertices_returned,
         flat_triangles_removed: report.flat_triangles_removed,

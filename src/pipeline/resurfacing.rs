@@ -81,7 +81,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
             "the class of the grid \"{name}\" is not \"level set\": save it as one"
         )));
     }
-    let settings = Settings::resolve(file.lattice().voxel_size, &band.choices)
+    let settings = Settings::paper(file.lattice().voxel_size, &band.choices)
         .map_err(|error| refused(error.to_string()))?;
     let has_vdb = band.outputs.formats.contains(&OutputFormat::Vdb);
     if has_vdb && file.origin() != DVec3::ZERO {

@@ -229,8 +229,8 @@ pub fn have_fallen_apart(count: usize, single_count: usize) -> bool {
 /// What to say of a folder that [`single_frame_sequences`] names.
 pub fn single_frames_note(count: usize) -> String {
     format!(
-        "{count} files form {count} sequences of one frame each, so each gets its own voxel size; name the frame number with \
-         a pattern such as dam_####_v003.ply, or give --voxel-size"
+        "{count} files form {count} sequences of one frame each, so each gets its own particle spacing; name the frame number with \
+         a pattern such as dam_####_v003.ply, or give --spacing"
     )
 }
 

@@ -102,6 +102,12 @@ impl<'a> Lighting<'a> {
         albedo * (light.ambient + SUN * facing) + (0.02 + 0.5 * edge) * open * mirrored + 0.55 * glint * SUN
     }
 
+    /// The colour of a dull surface of this colour.
+    pub(super) fn matte(&self, albedo: Vec3, light: Light, normal: Vec3) -> Vec3 {
+        let facing = normal.dot(self.sun).max(0.0) * light.sun;
+        albedo * (light.ambient + SUN * facing)
+    }
+
     /// The colour of the ground: that of the background, but for what is in the way of its light.
     pub(super) fn ground(&self, light: Light) -> Vec3 {
         let facing = self.up.dot(self.sun);

@@ -13,6 +13,7 @@
 
 mod camera;
 mod light;
+mod plot;
 mod sheet;
 mod shrink;
 mod sky;
@@ -21,10 +22,12 @@ mod surface;
 mod tile;
 mod walk;
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 pub use camera::{Camera, Placement, Up};
-pub use sheet::{Block, Cell, Sheet, Shown, side_by_side};
+pub use plot::{Line, Plot};
+pub use sheet::{Block, Cell, Sheet, Shown, side_by_side, stacked};
 
 use crate::grid::Field;
 use crate::level_set::NarrowBand;
@@ -99,6 +102,22 @@ pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers)
 /// A picture of particles as balls of this radius, in world units, in the same light.
 pub fn render_particles(particles: &Particles, radius: f64, view: &View) -> Picture {
     splats::render(particles, radius, view)
+}
+
+/// A place on a surface, in a colour of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mark {
+    /// World units.
+    pub position: DVec3,
+    /// Unit vector out of the surface.
+    pub normal: DVec3,
+    /// Linear, with the primaries of sRGB.
+    pub color: [f32; 3],
+}
+
+/// A picture of marks as balls of this radius, in world units, on the ground's background.
+pub fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
+    splats::render_marks(marks, radius, view)
 }
 
 /// The tiles of a picture, put together.

@@ -157,25 +157,38 @@ pub fn side_by_side(pictures: &[Picture]) -> Picture {
     canvas.picture
 }
 
+/// Pictures one below the other, from the top, all of one width.
+pub fn stacked(pictures: &[Picture]) -> Picture {
+    let width = pictures.iter().map(|picture| picture.size[0]).max().unwrap_or(0);
+    let height = pictures.iter().map(|picture| picture.size[1]).sum();
+    let mut canvas = Canvas::new([width, height]);
+    let mut top = 0;
+    for picture in pictures {
+        canvas.paste(picture, [0, top]);
+        top += picture.size[1];
+    }
+    canvas.picture
+}
+
 /// Letters of one size.
-struct Hand {
+pub(super) struct Hand {
     font: MonoFont<'static>,
     /// From a line to the next, pixels.
     line_height: usize,
 }
 
-const TEXT: Hand = Hand { font: FONT_7X13, line_height: 15 };
+pub(super) const TEXT: Hand = Hand { font: FONT_7X13, line_height: 15 };
 const HEADING: Hand = Hand { font: FONT_9X18_BOLD, line_height: 22 };
 
 /// Text in lines.
-struct Words<'h> {
+pub(super) struct Words<'h> {
     hand: &'h Hand,
     lines: Vec<String>,
 }
 
 impl<'h> Words<'h> {
     /// Text in lines no wider than so many pixels.
-    fn new(text: &str, hand: &'h Hand, width: usize) -> Words<'h> {
+    pub(super) fn new(text: &str, hand: &'h Hand, width: usize) -> Words<'h> {
         let letters = width / hand.font.character_size.width as usize;
         Words { hand, lines: wrapped(text, letters.max(1)) }
     }
@@ -243,12 +256,12 @@ const EMPTY: [f32; 3] = [0.68, 0.69, 0.71];
 const INK: [f32; 3] = [0.03, 0.04, 0.05];
 
 /// A picture that is being put together.
-struct Canvas {
-    picture: Picture,
+pub(super) struct Canvas {
+    pub(super) picture: Picture,
 }
 
 impl Canvas {
-    fn new(size: [usize; 2]) -> Canvas {
+    pub(super) fn new(size: [usize; 2]) -> Canvas {
         let count = size[0] * size[1];
         let (color, coverage) = (vec![PAPER; count], vec![0.0; count]);
         Canvas { picture: Picture { size, color, coverage, data: None } }
@@ -263,7 +276,7 @@ impl Canvas {
         }
     }
 
-    fn fill(&mut self, color: [f32; 3], [left, top]: [usize; 2], [width, height]: [usize; 2]) {
+    pub(super) fn fill(&mut self, color: [f32; 3], [left, top]: [usize; 2], [width, height]: [usize; 2]) {
         for row in top..top + height {
             let first = row * self.picture.size[0] + left;
             self.picture.color[first..first + width].fill(color);
@@ -271,7 +284,7 @@ impl Canvas {
     }
 
     /// Writes lines whose upper left corner is at a place.
-    fn write(&mut self, words: &Words, [left, top]: [usize; 2]) {
+    pub(super) fn write(&mut self, words: &Words, [left, top]: [usize; 2]) {
         let style = MonoTextStyle::new(&words.hand.font, BinaryColor::On);
         for (index, line) in words.lines.iter().enumerate() {
             let place = Point::new(left as i32, (top + index * words.hand.line_height) as i32);
@@ -367,9 +380,13 @@ mod tests {
     }
 
     #[test]
-    fn pictures_stand_side_by_side() {
-        let both = side_by_side(&[plain([3, 2], 0.1), plain([2, 2], 0.2)]);
+    fn pictures_stand_side_by_side_and_one_below_the_other() {
+        let pictures = [plain([3, 2], 0.1), plain([2, 2], 0.2)];
+        let both = side_by_side(&pictures);
         assert_eq!(both.size, [5, 2]);
         assert_eq!(both.color[2..4], [[0.1; 3], [0.2; 3]]);
+        let both = stacked(&pictures);
+        assert_eq!(both.size, [3, 4]);
+        assert_eq!(both.color[5..9], [[0.1; 3], [0.2; 3], [0.2; 3], PAPER]);
     }
 }

@@ -23,7 +23,7 @@ use super::need::Need;
 use super::occupancy::Occupancy;
 use super::region::{Regions, meet};
 use crate::grid::{LeafMask, Topology, offset_in_leaf};
-use crate::particles::{ParticleSource, Shapes};
+use crate::particles::{Ellipsoid, ParticleSource, Shapes};
 use crate::space::Lattice;
 
 /// The particles that matter to a surface, by leaf.
@@ -65,8 +65,7 @@ impl ParticleBins {
                 return Ok(KeptBatch::default());
             }
             let sorted = LeafBatch::new(&source.batch(batch)?, lattice, occupancy.has_shapes);
-            let first = if occupancy.has_shapes { source.first_of(batch) } else { 0 };
-            Ok(KeptBatch::new(&sorted, first, need))
+            Ok(KeptBatch::new(&sorted, &source.shapes_of(batch), need))
         };
         let batches = (0..source.batch_count()).into_par_iter().map(keep).collect::<Result<Vec<_>, _>>()?;
         let mut counts = vec![0usize; need.occupied().len()];
@@ -79,11 +78,8 @@ impl ParticleBins {
         for (place, &leaf) in leaves.iter().enumerate() {
             starts[place + 1] = starts[place] + counts[leaf];
         }
-        let positions = gather(&batches, &leaves, &starts, |batch| &batch.positions);
-        let shapes = match source.shapes() {
-            Shapes::Balls => Shapes::Balls,
-            shapes => shapes.of(&gather(&batches, &leaves, &starts, |batch| &batch.indices)),
-        };
+        let positions = gather(&batches, &leaves, &starts, Vec3::ZERO, |batch| &batch.positions);
+        let shapes = gather_shapes(&batches, &leaves, &starts);
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
         let stray = occupancy.stray();
         Ok(ParticleBins { topology, starts, positions, shapes, particle_count, dropped_count, stray })
@@ -121,13 +117,13 @@ struct KeptBatch {
     /// Each leaf that has any, and where its particles end in `positions`.
     leaves: Vec<(u32, u32)>,
     positions: Vec<Vec3>,
-    /// Which particles of the source they are, where they have shapes of their own.
-    indices: Vec<u32>,
+    /// What they are, in the same order.
+    shapes: Shapes,
 }
 
 impl KeptBatch {
-    /// `first` particles of the source come before the batch.
-    fn new(batch: &LeafBatch, first: usize, need: &Need) -> KeptBatch {
+    /// `shapes` are those of the particles of the batch.
+    fn new(batch: &LeafBatch, shapes: &Shapes, need: &Need) -> KeptBatch {
         let needed = |(origin, locals, places)| {
             let leaf = need.occupied().find(origin)?;
             let kept = need.kept(leaf);
@@ -137,17 +133,17 @@ impl KeptBatch {
             batch.leaves_with_places().filter_map(needed).collect();
         needed.sort_unstable_by_key(|&(leaf, ..)| leaf);
         let mut positions = Vec::with_capacity(needed.iter().map(|(_, _, locals, _)| locals.len()).sum());
-        let mut indices = Vec::new();
+        let mut places_kept = Vec::new();
         let mut leaves = Vec::with_capacity(needed.len());
         for (leaf, kept, locals, places) in needed {
             let is_kept = |local: &Vec3| kept.contains(cell_of(*local));
             positions.extend(locals.iter().filter(|local| is_kept(local)));
             let particles = locals.iter().zip(places).filter(|(local, _)| is_kept(local));
-            indices.extend(particles.map(|(_, &place)| first as u32 + place));
+            places_kept.extend(particles.map(|(_, &place)| place));
             leaves.push((leaf as u32, positions.len() as u32));
         }
         positions.shrink_to_fit();
-        KeptBatch { leaves, positions, indices }
+        KeptBatch { leaves, positions, shapes: shapes.of(&places_kept) }
     }
 
     /// The leaves, and which of the particles are in them.
@@ -169,18 +165,40 @@ impl KeptBatch {
 
 /// The voxel that is the least corner of a particle's cell, as its place in the leaf. (Rounded, a particle may
 /// be at the far end of its leaf.)
-fn cell_of(local: Vec3) -> usize {
+pub(super) fn cell_of(local: Vec3) -> usize {
     offset_in_leaf(local.as_ivec3().min(IVec3::splat(7)))
 }
 
+/// The shapes of the particles of these leaves in all batches.
+fn gather_shapes(batches: &[KeptBatch], leaves: &[usize], starts: &[usize]) -> Shapes {
+    // All batches have the same variant, but for those of which nothing was kept.
+    match batches.iter().map(|batch| &batch.shapes).find(|shapes| !shapes.are_balls()) {
+        None | Some(Shapes::Balls) => Shapes::Balls,
+        Some(Shapes::Scaled(_)) => {
+            Shapes::Scaled(gather(batches, leaves, starts, 1.0, |batch| match &batch.shapes {
+                Shapes::Scaled(scales) => scales,
+                _ => &[],
+            }))
+        }
+        Some(Shapes::Ellipsoids(_)) => {
+            let fill = Ellipsoid::ball(1.0);
+            Shapes::Ellipsoids(gather(batches, leaves, starts, fill, |batch| match &batch.shapes {
+                Shapes::Ellipsoids(ellipsoids) => ellipsoids,
+                _ => &[],
+            }))
+        }
+    }
+}
+
 /// What there is of the particles of these leaves in all batches; `starts` tells where each leaf's are to be.
-fn gather<T: Copy + Default + Send + Sync>(
-    batches: &[KeptBatch],
+fn gather<'a, T: Copy + Send + Sync + 'a>(
+    batches: &'a [KeptBatch],
     leaves: &[usize],
     starts: &[usize],
-    of: impl Fn(&KeptBatch) -> &Vec<T> + Sync,
+    fill: T,
+    of: impl Fn(&'a KeptBatch) -> &'a [T] + Sync,
 ) -> Vec<T> {
-    let mut gathered = vec![T::default(); starts[leaves.len()]];
+    let mut gathered = vec![fill; starts[leaves.len()]];
     // A piece for each of so many leaves that searching the batches for the first of them does not count.
     let piece_leaves = leaves.len().div_ceil(PIECES).max(1);
     let mut pieces = Vec::new();

@@ -14,7 +14,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
-use rustc_hash::FxHashSet;
+use rustc_hash::{FxHashMap, FxHashSet};
 
 use super::Scene;
 use super::batch::LeafBatch;
@@ -36,6 +36,8 @@ pub struct Footprint {
     pub particle_count: usize,
     /// Particles in leaves that are not deep inside: about those that are kept.
     pub near_particle_count: usize,
+    /// About those whose neighbours are looked at; 0 if none are.
+    pub shaped_particle_count: usize,
     /// Particles left out: not finite, or too far away for the grid.
     pub dropped_count: usize,
     /// How far half of the particles are from their middle along an axis, in voxels; 0 for a frame that is no wider
@@ -46,11 +48,59 @@ pub struct Footprint {
 /// A frame of this width is small beside what 32 bits hold of a position.
 const SPREAD_UNSEEN_VOXELS: i32 = 1 << 16;
 
-/// The footprint of these particles.
+/// Which particles are near the surface.
+#[derive(Clone, Copy, Debug)]
+pub struct NearSurface {
+    /// Those so near to a place, axis by axis, that is not surely in a particle, in voxels.
+    pub depth: f32,
+    /// What is surely in a particle is so near to it, in voxels.
+    pub cover: f32,
+}
+
+impl NearSurface {
+    /// Whether so many particles in a leaf, were they a lattice, would surely cover each of its voxels.
+    fn is_surely_covered(&self, particle_count: usize) -> bool {
+        let spacing = LEAF_EDGE as f32 / (particle_count as f32).cbrt();
+        // Half the diagonal of the lattice's cells, and most of that of an octant, somewhere in which the particle is.
+        0.87 * spacing + 0.7 <= self.cover
+    }
+}
+
+/// How many particles are near the surface: all where a leaf is not full or next to it at half a leaf's depth, and a part of those in
+/// leaves behind it. `occupied` tells of each leaf how many particles it holds, and whether these fill it.
+fn shaped_count(occupied: &FxHashMap<IVec3, (usize, bool)>, near: NearSurface) -> usize {
+    let count_of = |deep: &FxHashSet<IVec3>| -> usize {
+        deep.iter().filter_map(|origin| occupied.get(origin)).map(|(count, _)| count).sum()
+    };
+    let is_deep = |&(count, is_full): &(usize, bool)| is_full && near.is_surely_covered(count);
+    let mut deep: FxHashSet<IVec3> =
+        occupied.iter().filter(|(_, leaf)| is_deep(leaf)).map(|(&origin, _)| origin).collect();
+    let all: usize = occupied.values().map(|(count, _)| count).sum();
+    let mut left = count_of(&deep);
+    let mut shaped = (all - left) as f32;
+    let mut depth = near.depth - 0.5 * LEAF_EDGE as f32;
+    while depth > 0.0 && left > 0 {
+        let around = |origin: &IVec3| {
+            Reach::box_of([-1; 3], [1; 3]).all(|step| deep.contains(&(*origin + step * LEAF_EDGE)))
+        };
+        let next: FxHashSet<IVec3> = deep.iter().copied().filter(around).collect();
+        let left_next = count_of(&next);
+        shaped += (left - left_next) as f32 * (depth / LEAF_EDGE as f32).min(1.0);
+        (deep, left) = (next, left_next);
+        depth -= LEAF_EDGE as f32;
+    }
+    shaped as usize
+}
+
+/// The footprint of these particles. `shaped` tells which of them are looked at before they are rasterized.
 ///
 /// # Errors
 /// Those of the source.
-pub fn footprint<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Footprint, S::Error> {
+pub fn footprint<S: ParticleSource>(
+    source: &S,
+    scene: &Scene,
+    shaped: Option<NearSurface>,
+) -> Result<Footprint, S::Error> {
     let Scene { lattice, radii, .. } = scene;
     let near = Reach::new(radii.init * radii.roomy + radii.half_width());
     let cells = Cells::new(radii.init);
@@ -93,7 +143,12 @@ pub fn footprint<S: ParticleSource>(source: &S, scene: &Scene) -> Result<Footpri
     );
     // Particles are kept one leaf deeper than distances.
     let kept = occupied.iter().filter(|(origin, _)| !is_full_around(origin, 2));
+    let shaped_particle_count = shaped.map_or(0, |near| {
+        let of_leaf = |leaf: &Occupied| (leaf.count, leaf.cells == cells.all);
+        shaped_count(&occupied.iter().map(|(&origin, leaf)| (origin, of_leaf(leaf))).collect(), near)
+    });
     Ok(Footprint {
+        shaped_particle_count,
         surface: surface.into_iter().collect(),
         occupied_count: occupied.len(),
         particle_count: occupied.iter().map(|(_, leaf)| leaf.count).sum(),
@@ -278,7 +333,7 @@ mod tests {
         for (counts, every) in scenes {
             let particles = scattered(counts, every);
             let Ok(Footprint { surface, near_particle_count, .. }) =
-                footprint(&particles, &Scene::open(LATTICE, RADII));
+                footprint(&particles, &Scene::open(LATTICE, RADII), None);
             let Ok(rasterized) = rasterize(&particles, &Scene::open(LATTICE, RADII));
             let (found, real) = (surface.len(), rasterized.band.topology.len());
             let ratio = found as f64 / real as f64;
@@ -306,7 +361,7 @@ mod tests {
         for radius in [10.0, 25.0] {
             let obstacles = octahedron(radius);
             let scene = Scene { obstacles: &obstacles, ..Scene::open(LATTICE, RADII) };
-            let Ok(Footprint { surface, .. }) = footprint(&particles, &scene);
+            let Ok(Footprint { surface, .. }) = footprint(&particles, &scene, None);
             let Ok(rasterized) = rasterize(&particles, &scene);
             let ratio = surface.len() as f64 / rasterized.band.topology.len() as f64;
             assert!((1.0..1.7).contains(&ratio), "{ratio:.2} times the leaves around {radius}");
@@ -316,11 +371,13 @@ mod tests {
     #[test]
     fn the_area_is_that_of_the_cells() {
         // A block that fills 3 × 3 × 3 leaves, and a particle by itself in a cell of 4 voxels.
-        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &Scene::open(LATTICE, RADII));
+        let Ok(block) = footprint(&scattered([12, 12, 12], 1), &Scene::open(LATTICE, RADII), None);
         assert_eq!(block.area_voxels, 6 * 24 * 24);
-        let Ok(particle) = footprint(&Particles::Single(vec![[100.5; 3]]), &Scene::open(LATTICE, RADII));
+        let Ok(particle) =
+            footprint(&Particles::Single(vec![[100.5; 3]]), &Scene::open(LATTICE, RADII), None);
         assert_eq!(particle.area_voxels, 6 * 4 * 4);
-        let Ok(nothing) = footprint(&Particles::Single(vec![[f32::NAN; 3]]), &Scene::open(LATTICE, RADII));
+        let Ok(nothing) =
+            footprint(&Particles::Single(vec![[f32::NAN; 3]]), &Scene::open(LATTICE, RADII), None);
         assert_eq!(nothing, Footprint { dropped_count: 1, ..Footprint::default() });
     }
 }

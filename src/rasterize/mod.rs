@@ -39,6 +39,7 @@ mod strayed;
 mod tests;
 #[cfg(test)]
 mod tests_of_shapes;
+mod vicinity;
 
 use std::sync::Arc;
 
@@ -46,8 +47,9 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 pub use bin::ParticleBins;
-pub use footprint::{Footprint, footprint};
+pub use footprint::{Footprint, NearSurface, footprint};
 pub use occupancy::Occupancy;
+pub use vicinity::{Block, Gathered, Vicinity};
 
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
 use crate::level_set::{Bounds, NarrowBand};
@@ -75,6 +77,8 @@ pub struct Radii {
     /// Half axes that the band has room for, in units of the radii: 1 for balls. Particles may have longer ones; then
     /// the surface cannot move quite as far as their bounds would let it.
     pub roomy: f32,
+    /// How far the finished surface is moved outward, in voxels; negative inward. The band has room for it.
+    pub offset: f32,
 }
 
 /// Exact distances are kept so far beyond r_max, in voxels; farther ones are swept.
@@ -83,12 +87,18 @@ const EXACT_MARGIN: f32 = 2.0;
 impl Radii {
     /// The radii of particles that are all alike.
     pub const fn of_balls(min: f32, init: f32, max: f32) -> Radii {
-        Radii { min, init, max, shortest: 1.0, roomy: 1.0 }
+        Radii { min, init, max, shortest: 1.0, roomy: 1.0, offset: 0.0 }
+    }
+
+    /// Half the thickness of the band that is worked on, in voxels: what is left of it around the surface once that is moved
+    /// by the offset is the half width of the result.
+    pub fn half_width(&self) -> f32 {
+        self.result_half_width() + self.offset.abs().ceil()
     }
 
     /// Half the thickness of the band that smoothing may need (Eq. 7), in voxels: it reads values
-    /// up to 5 voxels from the surface, and the surface may move to either bound.
-    pub fn half_width(&self) -> f32 {
+    /// up to 5 voxels from the surface, and the surface may move to either bound. The band of the result has it, too.
+    pub fn result_half_width(&self) -> f32 {
         let gap = (self.max - self.init).max(self.init - self.min) * self.roomy;
         // Radii that differ by whole voxels but for rounding need no voxel more.
         5.0 + (gap - 1e-4).max(0.0).ceil()
@@ -111,7 +121,13 @@ impl Radii {
     /// How far exact distances to a particle are kept from its centre, in voxels; it has no half axis longer than this,
     /// in units of the radii.
     fn exact_reach(&self, longest: f32) -> f32 {
-        self.max * longest + EXACT_MARGIN
+        // The certificate asks for the nearest particles of vertices that were moved outward.
+        self.max * longest + self.outward() + EXACT_MARGIN
+    }
+
+    /// How far the finished surface is moved outward, in voxels: 0 where it is moved inward.
+    pub fn outward(&self) -> f32 {
+        self.offset.max(0.0)
     }
 
     /// Leaves are stored if a voxel of theirs is so near, on every axis, to one beside the surface.
@@ -142,14 +158,25 @@ impl Scene<'_> {
         Scene { lattice, radii, obstacles: &NO_OBSTACLES, void_threshold: 0.0, keeps_all_particles: false }
     }
 
-    /// The obstacles' signed distances in the leaf with this origin, in voxels, within the half width of the band.
+    /// The obstacles' signed distances in the leaf with this origin, in voxels.
     pub fn obstacle(&self, origin: IVec3) -> ObstacleLeaf {
-        self.obstacles.leaf(origin, &self.lattice, self.radii.half_width())
+        self.obstacles.leaf(origin, &self.lattice, self.obstacle_half_width())
+    }
+
+    /// How far the obstacles' distances are known, in voxels: wherever the surface is before and after it is moved.
+    pub fn obstacle_half_width(&self) -> f32 {
+        self.radii.half_width() + self.radii.offset.abs()
+    }
+
+    /// The same of obstacles that are moved against the offset: a surface that meets these meets the true ones once it is
+    /// moved itself. Within the half width of the band.
+    pub fn obstacle_before_offset(&self, origin: IVec3) -> ObstacleLeaf {
+        self.obstacle(origin).shifted(-self.radii.offset, self.radii.half_width())
     }
 
     /// Whether the surface of an obstacle may pass by a voxel of the leaf with this origin.
     fn is_at_obstacle(&self, origin: IVec3) -> bool {
-        self.obstacles.touches(origin, &self.lattice, OBSTACLE_MARGIN)
+        self.obstacles.touches(origin, &self.lattice, OBSTACLE_MARGIN + self.radii.offset.abs())
     }
 }
 
@@ -237,7 +264,8 @@ fn measure<S: ParticleSource>(
 
 /// Origins of the leaves with a voxel within the band's margin, on every axis, of a voxel inside S_0 that has a face
 /// neighbour outside. With obstacles, also of those inside S_0 and in no obstacle: there are two surfaces then, and a void
-/// may be filled beside either.
+/// may be filled beside either. Those of the obstacles are where the moved surface will meet them; where it is before lies within the
+/// margin, which has room for the offset, and a plate that is thinner than that is not lost.
 fn leaves_near_surface(need: &Need, distances: &Distances, scene: &Scene, regions: &Regions) -> Vec<IVec3> {
     let mut inside = distances.inside(Sphere::Init, scene.radii);
     let margin = scene.radii.band_margin();
@@ -294,8 +322,11 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     let mut phi = signed_distance(&topology, &mut distances, Sphere::Init, radii);
     let is_banded = |leaf: usize| {
         let origin = topology.origins()[leaf];
+        let is_within = |obstacle: &ObstacleLeaf| has_value_within(&phi.leaves[leaf], half_width, obstacle);
+        // A part of an obstacle that the offset makes vanish for now is there again once the surface is moved.
         regions.banded.contains(origin)
-            && has_value_within(&phi.leaves[leaf], half_width, &scene.obstacle(origin))
+            && (is_within(&scene.obstacle_before_offset(origin))
+                || radii.offset != 0.0 && is_within(&scene.obstacle(origin)))
     };
     let kept: Vec<usize> = (0..topology.len()).into_par_iter().filter(|&leaf| is_banded(leaf)).collect();
     rayon::join(|| keep(&mut phi, &kept), || distances.keep(&kept));
@@ -313,12 +344,18 @@ fn level_sets(measured: Measured, scene: &Scene, regions: &Regions) -> Rasterize
     let mut bounds = Bounds { lower, upper };
     // What is not stored is at least the half width away, and a voxel beside it nearly so. Outer bounds that are
     // farther than the band has room for must not let the surface out of it; those of balls that are alike never do. Inward it
-    // goes far only where it is sharply convex, as only small balls are, and their own S_min is near.
-    let held_beyond = if bins.shapes.are_balls() { f32::INFINITY } else { half_width - 2.0 };
-    finish(&mut band, &mut bounds, held_beyond);
+    // goes far only where it is sharply convex, as only small balls are, and their own S_min is near. Room for the offset is
+    // not theirs.
+    let held_beyond = if bins.shapes.are_balls() { f32::INFINITY } else { radii.result_half_width() - 2.0 };
+    finish(&mut band, &mut bounds, (held_beyond, HELD + radii.outward()));
     let contact = match scene.obstacles.is_empty() {
         true => ContactTally::default(),
-        false => hold_contact(scene.obstacles, &scene.lattice, scene.void_threshold, &mut band, &mut bounds),
+        false => hold_contact(
+            |origin| scene.obstacle_before_offset(origin),
+            scene.void_threshold,
+            &mut band,
+            &mut bounds,
+        ),
     };
     Rasterized { bins, band, bounds, contact }
 }
@@ -362,22 +399,23 @@ fn sweep_count(half_width: f32) -> u32 {
 }
 
 /// Holds all values within ± half width, makes `lower` ≤ `upper` at every voxel, which sweeping each by itself
-/// does not promise, and moves φ between them. Where φ_0 is more than `held_beyond`, φ stays positive.
-fn finish(band: &mut NarrowBand, bounds: &mut Bounds, held_beyond: f32) {
+/// does not promise, and moves φ between them. Where φ_0 is more than `held_beyond`, φ stays above `held`.
+fn finish(band: &mut NarrowBand, bounds: &mut Bounds, (held_beyond, held): (f32, f32)) {
     let half_width = band.half_width;
     let bounds = bounds.lower.leaves.par_iter_mut().zip(&mut bounds.upper.leaves);
     band.phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
-        simd::dispatch(Finish { half_width, held_beyond, phi, lower, upper });
+        simd::dispatch(Finish { half_width, held_beyond, held, phi, lower, upper });
     });
 }
 
-/// The least that φ may be where it is to stay positive, in voxels.
+/// The least that φ may be where it is to stay positive, in voxels, once the surface is moved.
 const HELD: f32 = 1.0;
 
 /// The values of one leaf.
 struct Finish<'a> {
     half_width: f32,
     held_beyond: f32,
+    held: f32,
     phi: &'a mut Leaf,
     lower: &'a mut Leaf,
     upper: &'a mut Leaf,
@@ -389,7 +427,7 @@ impl Kernel for Finish<'_> {
     #[inline(always)]
     fn run<V: Lanes>(self) {
         let (least, most) = (V::splat(-self.half_width), V::splat(self.half_width));
-        let (held, held_beyond) = (V::splat(HELD), V::splat(self.held_beyond));
+        let (held, held_beyond) = (V::splat(self.held), V::splat(self.held_beyond));
         for row in 0..ROW_COUNT {
             let (phi, lower, upper) =
                 (self.phi.row_mut(row), self.lower.row_mut(row), self.upper.row_mut(row));

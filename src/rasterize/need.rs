@@ -30,6 +30,9 @@
 //!   ρ + 3/2·√3. All of them are in S_min, where φ is negative; there is no vertex in such a cell.
 //! - The corners of its own cell are within √3 of it: it is inside of whatever surface is found.
 //!
+//! Where the surface is moved inward by b once it is smooth, a vertex x may be within S_min. Then some point of the surface before is
+//! b away from x, and all that is said of x holds of that point if voxels within ρ + b + 3/2·√3 of p are looked at.
+//!
 //! Where particles have shapes of their own, all of this is said of the balls that each holds for certain: what is
 //! deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
 //! may be the nearest to what is far away.
@@ -70,8 +73,14 @@ pub(super) struct Need<'a> {
 /// Voxels that are surely within r_init, and within ρ ≤ r_min, of a particle.
 type Covers = [LeafMask; 2];
 
-/// A larger ρ is of no use: what is around a particle must be within a leaf of it.
+/// A larger ρ is of no use.
 const RHO_MAX: f32 = 4.0;
+
+/// What is around a particle must be within a leaf of it.
+const AROUND_MAX: f32 = 7.9;
+
+/// 3/2·√3 and what rounding takes.
+const CELL_MARGIN: f32 = 2.598_077 + ROUNDING;
 
 /// Below this r_init, in voxels, no particle is left out: √3 and a little.
 const TELLING_RADIUS: f32 = 1.75;
@@ -85,7 +94,8 @@ impl<'a> Need<'a> {
         let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
         // Whatever its shape, a particle holds a ball of this many radii.
-        let rho = (radii.min * radii.shortest).min(RHO_MAX);
+        let inward = (-radii.offset).max(0.0);
+        let rho = (radii.min * radii.shortest).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward);
         let sure = radii.init * radii.shortest;
         let covers = covers(occupancy, &occupied, [&Ball::new(sure), &Ball::new(rho)]);
         let inside = surrounded(&occupied, &covers, |[init, _]| init);
@@ -98,7 +108,7 @@ impl<'a> Need<'a> {
         } else if occupancy.has_shapes {
             need.kept_leaves(occupancy, radii, regions)
         } else {
-            need.kept_cells(&covers, radii, rho, regions)
+            need.kept_cells(&covers, radii, rho + inward, regions)
         };
         need
     }
@@ -123,13 +133,13 @@ impl<'a> Need<'a> {
         &self.kept[leaf]
     }
 
-    fn kept_cells(&self, covers: &[Covers], radii: Radii, rho: f32, regions: &Regions) -> Vec<LeafMask> {
+    fn kept_cells(&self, covers: &[Covers], radii: Radii, depth: f32, regions: &Regions) -> Vec<LeafMask> {
         if radii.init < TELLING_RADIUS {
             return vec![LeafMask::FULL; self.occupied.len()];
         }
         let measured = self.measured_leaves(radii, regions);
         let rings = leaf_steps_within(radii.exact_reach(1.0));
-        let around = (rho + 1.5 * 3f32.sqrt() + ROUNDING) as i32;
+        let around = (depth + CELL_MARGIN) as i32;
         let kept = |&origin: &IVec3| {
             if !rings.iter().any(|&step| measured.contains(&(origin + step))) {
                 return LeafMask::EMPTY;
@@ -290,10 +300,11 @@ const BOXES: usize = 256;
 
 /// Finds the cells of a leaf from which a voxel that is not covered may be seen: from `around` voxels before
 /// the cell to `around` after it, on each axis.
-struct Uncovered<'a> {
+pub(super) struct Uncovered<'a> {
     /// The leaf and those around it, as [`cube`] has them.
-    covers: [&'a LeafMask; 27],
-    around: i32,
+    pub(super) covers: [&'a LeafMask; 27],
+    /// At most 7.
+    pub(super) around: i32,
 }
 
 impl Kernel for Uncovered<'_> {

@@ -45,6 +45,8 @@ struct Occupied {
     longest: f32,
     /// How many particles it holds.
     count: usize,
+    /// The first batch that has any of them.
+    first_batch: usize,
 }
 
 /// What is remembered of a batch, so that it need not be looked at where it is of no use.
@@ -92,24 +94,29 @@ impl Occupancy {
     /// Those of the source.
     pub fn new<S: ParticleSource>(source: &S, lattice: &Lattice) -> Result<Occupancy, S::Error> {
         let shards: Shards<Occupied> = Shards::new();
-        let shapes = source.shapes();
-        let has_shapes = !shapes.are_balls();
-        let look = |batch: usize| -> Result<BatchSummary, S::Error> {
-            let first = if has_shapes { source.first_of(batch) } else { 0 };
-            let batch = LeafBatch::new(&source.batch(batch)?, lattice, has_shapes);
+        let has_shapes = source.has_shapes();
+        let look = |batch_index: usize| -> Result<BatchSummary, S::Error> {
+            let shapes = source.shapes_of(batch_index);
+            let batch = LeafBatch::new(&source.batch(batch_index)?, lattice, has_shapes);
             let mut voxels = CoordBox::EMPTY;
             for (origin, locals, places) in batch.leaves_with_places() {
-                let longest = places.iter().map(|&place| shapes.longest(first + place as usize));
+                let longest = places.iter().map(|&place| shapes.longest(place as usize));
                 let longest = longest.fold(if has_shapes { 0.0 } else { 1.0 }, f32::max);
                 voxels.include(origin);
                 voxels.include(origin + IVec3::splat(LEAF_EDGE - 1));
                 shards.add(
                     origin,
-                    || Occupied { octants: Box::new(Octants::EMPTY), longest: 0.0, count: 0 },
+                    || Occupied {
+                        octants: Box::new(Octants::EMPTY),
+                        longest: 0.0,
+                        count: 0,
+                        first_batch: batch_index,
+                    },
                     |leaf| {
                         locals.iter().for_each(|&local| leaf.octants.insert(local));
                         leaf.longest = leaf.longest.max(longest);
                         leaf.count += locals.len();
+                        leaf.first_batch = leaf.first_batch.min(batch_index);
                     },
                 );
             }
@@ -151,6 +158,11 @@ impl Occupancy {
     /// The longest half axis of any particle in the leaf with this origin, in units of the radii.
     pub(super) fn longest_of(&self, origin: IVec3) -> f32 {
         self.occupied.get(origin).map_or(0.0, |leaf| leaf.longest)
+    }
+
+    /// How many particles the leaf with this origin holds, and the first batch that has any of them.
+    pub(super) fn count_of(&self, origin: IVec3) -> Option<(usize, usize)> {
+        self.occupied.get(origin).map(|leaf| (leaf.count, leaf.first_batch))
     }
 
     /// The longest half axis of any particle, in units of the radii.
@@ -200,8 +212,8 @@ mod tests {
             if batch == 2 { Err("the end is missing") } else { Ok(Positions::Single(vec![[0.0; 3]].into())) }
         }
 
-        fn first_of(&self, batch: usize) -> usize {
-            batch
+        fn count_of(&self, _batch: usize) -> usize {
+            1
         }
     }
 

@@ -37,8 +37,8 @@ impl ParticleSource for Small<'_> {
         Ok(Positions::Single(positions.into()))
     }
 
-    fn first_of(&self, batch: usize) -> usize {
-        7 * batch
+    fn count_of(&self, batch: usize) -> usize {
+        self.0.chunks(7).nth(batch).map_or(0, <[_]>::len)
     }
 }
 

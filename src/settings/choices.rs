@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!   command line ─┐
-//!   meniscus.toml ┼─▶ Choices ──over──▶ those of a preset ──resolve──▶ Settings
+//!   meniscus.toml ┼─▶ Choices ──over the defaults of a preset──resolve──▶ Settings
 //!   journal ──────┘      ▲ │
 //!      (name, text) ─────┘ └─────▶ (name, text)
 //! ```
@@ -15,32 +15,41 @@ use std::str::FromStr;
 
 use crate::particles::Attribute;
 
-use super::presets::Preset;
+use super::presets::{Preset, Recipe};
 use super::{Contouring, Integrator};
 
-/// What a user may choose. `None` means the preset's choice, and where it has none the default: the paper's, but
-/// for the integrator.
+/// What a user may choose. `None` means what the preset says.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choices {
-    /// A bundle of choices, below the others.
+    /// What the defaults of all others are.
     pub preset: Option<Preset>,
-    /// Radius of the inner spheres r_min, world units; √3·h by default (Eq. 13).
+    /// Distance d between neighbouring particles, world units; measured by default.
+    pub spacing: Option<f64>,
+    /// Edge length h of a voxel, world units; half the spacing with most presets.
+    pub voxel_size: Option<f64>,
+    /// Radius of the inner spheres r_min, world units.
     pub radius_min: Option<f64>,
-    /// r_max / r_min; 2 by default.
+    /// r_max / r_min.
     pub radius_ratio: Option<f64>,
-    /// Radius of the first surface, world units; (r_min + r_max) / 2 by default (Eq. 2).
+    /// Radius of the first surface, world units.
     pub radius_init: Option<f64>,
+    /// How far the finished surface is moved, world units: outward, or inward where negative; 0 by default.
+    pub offset: Option<f64>,
     /// The attribute that has each particle's own radius; none by default.
     pub radius_attribute: Option<String>,
     /// r_min of a particle in units of its own radius; 1 by default.
     pub radius_scale: Option<f64>,
-    /// What stretches particles; nothing by default.
+    /// What stretches particles.
     pub anisotropy: Option<AnisotropyKind>,
     /// The longest half axis of a particle in units of its shortest, at most; 4 by default.
     pub max_stretch: Option<f64>,
-    /// How far neighbours count, world units; 3 r_min by default.
+    /// The least half axis of inner ellipsoids that neighbours flatten, world units.
+    pub thin_radius: Option<f64>,
+    /// r_min of a particle that has no neighbours, world units.
+    pub lone_radius: Option<f64>,
+    /// How far neighbours count, world units.
     pub neighbor_radius: Option<f64>,
-    /// How far particles are moved to the mean of their neighbours, 0 to 1; 0 by default.
+    /// How far particles are moved to the mean of their neighbours, 0 to 1.
     pub position_smoothing: Option<f64>,
     /// Seconds of movement by which velocities stretch; 0.01 by default.
     pub velocity_gain: Option<f64>,
@@ -50,7 +59,7 @@ pub struct Choices {
     pub attributes: Option<AttributeSelection>,
     /// Pieces of surface with fewer particles are dropped; 0 by default.
     pub drop_islands: Option<u32>,
-    /// Cavities of a smaller volume are filled, in units of h³; 0 by default.
+    /// Cavities of a smaller volume are filled, in units of h³.
     pub fill_cavities: Option<f64>,
     /// What is outside this box is cut off; nothing by default.
     pub clip: Option<ClipBox>,
@@ -64,11 +73,11 @@ pub struct Choices {
     pub quads: Option<bool>,
     /// Which integrator; `Fast` by default.
     pub integrator: Option<Integrator>,
-    /// Laplacian steps before the biharmonic ones; 15 by default.
+    /// Laplacian steps before the biharmonic ones.
     pub laplacian_steps: Option<u32>,
-    /// Biharmonic steps; 5, or 500 for `Explicit` and `Adaptive`.
+    /// Biharmonic steps.
     pub steps: Option<u32>,
-    /// Size of a step in units of h⁴; 20, or 0.01 for `Explicit` (Eq. 14, 15) and `Adaptive`.
+    /// Size of a step in units of h⁴.
     pub step_size: Option<f64>,
     /// Redistance after so many steps; 1, or 50 for `Explicit` and `Adaptive`.
     pub redistance_every: Option<u32>,
@@ -110,13 +119,18 @@ impl Choices {
     pub fn over(self, below: Choices) -> Choices {
         Choices {
             preset: self.preset.or(below.preset),
+            spacing: self.spacing.or(below.spacing),
+            voxel_size: self.voxel_size.or(below.voxel_size),
             radius_min: self.radius_min.or(below.radius_min),
             radius_ratio: self.radius_ratio.or(below.radius_ratio),
             radius_init: self.radius_init.or(below.radius_init),
+            offset: self.offset.or(below.offset),
             radius_attribute: self.radius_attribute.or(below.radius_attribute),
             radius_scale: self.radius_scale.or(below.radius_scale),
             anisotropy: self.anisotropy.or(below.anisotropy),
             max_stretch: self.max_stretch.or(below.max_stretch),
+            thin_radius: self.thin_radius.or(below.thin_radius),
+            lone_radius: self.lone_radius.or(below.lone_radius),
             neighbor_radius: self.neighbor_radius.or(below.neighbor_radius),
             position_smoothing: self.position_smoothing.or(below.position_smoothing),
             velocity_gain: self.velocity_gain.or(below.velocity_gain),
@@ -138,10 +152,30 @@ impl Choices {
         }
     }
 
-    /// These, and where one is not made that of the preset, if there is one.
-    pub fn with_preset(&self) -> Choices {
-        let below = self.preset.map(|preset| preset.choices(self.integrator.unwrap_or(Integrator::Fast)));
-        self.clone().over(below.unwrap_or_default())
+    /// The numbers of the preset.
+    pub(super) fn recipe(&self) -> Recipe {
+        self.preset.unwrap_or_default().recipe()
+    }
+
+    /// Whether the particle spacing has to be measured to know the settings.
+    pub fn needs_spacing(&self) -> bool {
+        let follows_voxel_size = self.preset.unwrap_or_default().follows_voxel_size();
+        self.spacing.is_none() && (self.voxel_size.is_none() || !follows_voxel_size)
+    }
+
+    /// How far particles are moved to the mean of their neighbours.
+    pub(super) fn position_smoothing(&self) -> f64 {
+        self.position_smoothing.unwrap_or(self.recipe().position_smoothing)
+    }
+
+    /// Whether a particle's place or shape depends on its neighbours.
+    pub fn uses_neighbors(&self) -> bool {
+        self.position_smoothing() > 0.0 || self.anisotropy_kind() == AnisotropyKind::Neighbors
+    }
+
+    /// What stretches particles.
+    pub fn anisotropy_kind(&self) -> AnisotropyKind {
+        self.anisotropy.unwrap_or(self.recipe().anisotropy)
     }
 
     /// The choices that were made, by name.
@@ -150,13 +184,18 @@ impl Choices {
         let count = |count: &Option<u32>| count.map(|count| count.to_string());
         let pairs = [
             ("preset", self.preset.map(|preset| preset.name().to_owned())),
+            ("spacing", text(&self.spacing)),
+            ("voxel_size", text(&self.voxel_size)),
             ("radius_min", text(&self.radius_min)),
             ("radius_ratio", text(&self.radius_ratio)),
             ("radius_init", text(&self.radius_init)),
+            ("offset", text(&self.offset)),
             ("radius_attribute", self.radius_attribute.clone()),
             ("radius_scale", text(&self.radius_scale)),
             ("anisotropy", self.anisotropy.map(|kind| kind.name().to_owned())),
             ("max_stretch", text(&self.max_stretch)),
+            ("thin_radius", text(&self.thin_radius)),
+            ("lone_radius", text(&self.lone_radius)),
             ("neighbor_radius", text(&self.neighbor_radius)),
             ("position_smoothing", text(&self.position_smoothing)),
             ("velocity_gain", text(&self.velocity_gain)),
@@ -188,13 +227,18 @@ impl Choices {
         for (name, value) in pairs {
             match name {
                 "preset" => choices.preset = Some(Preset::named(value)?),
+                "spacing" => choices.spacing = parse(value)?,
+                "voxel_size" => choices.voxel_size = parse(value)?,
                 "radius_min" => choices.radius_min = parse(value)?,
                 "radius_ratio" => choices.radius_ratio = parse(value)?,
                 "radius_init" => choices.radius_init = parse(value)?,
+                "offset" => choices.offset = parse(value)?,
                 "radius_attribute" => choices.radius_attribute = Some(value.to_owned()),
                 "radius_scale" => choices.radius_scale = parse(value)?,
                 "anisotropy" => choices.anisotropy = Some(AnisotropyKind::named(value)?),
                 "max_stretch" => choices.max_stretch = parse(value)?,
+                "thin_radius" => choices.thin_radius = parse(value)?,
+                "lone_radius" => choices.lone_radius = parse(value)?,
                 "neighbor_radius" => choices.neighbor_radius = parse(value)?,
                 "position_smoothing" => choices.position_smoothing = parse(value)?,
                 "velocity_gain" => choices.velocity_gain = parse(value)?,
@@ -327,13 +371,18 @@ mod tests {
     fn all() -> Choices {
         Choices {
             preset: Some(Preset::Splash),
+            spacing: Some(0.2_f64.next_up()),
+            voxel_size: Some(1.0 / 7.0),
             radius_min: Some(1.0 / 3.0),
             radius_ratio: Some(1.5),
             radius_init: Some(f64::MIN_POSITIVE / 3.0),
+            offset: Some(-1.0 / 7.0),
             radius_attribute: Some("p scale, \"é\"".to_owned()),
             radius_scale: Some(0.1_f64.next_up()),
             anisotropy: Some(AnisotropyKind::Velocity),
             max_stretch: Some(1e300),
+            thin_radius: Some(0.1),
+            lone_radius: Some(0.15),
             neighbor_radius: Some(0.2),
             position_smoothing: Some(0.9),
             velocity_gain: Some(1.0 / 48.0),

@@ -15,11 +15,14 @@ pub use crate::smooth::Integrator;
 use crate::words::significant;
 pub use choices::{AnisotropyKind, AttributeSelection, Choices, ClipBox, contouring_name, integrator_name};
 pub use pairs::Pairs;
-pub use presets::Preset;
+use presets::{InitialRadius, Recipe, Scale, Unit, tidy};
+pub use presets::{Measured, Preset};
 
 /// All settings of a sequence, checked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
+    /// Distance d between neighbouring particles, world units.
+    pub spacing: f64,
     /// Edge length h of a voxel, world units.
     pub voxel_size: f64,
     /// r_min, world units.
@@ -28,6 +31,8 @@ pub struct Settings {
     pub radius_init: f64,
     /// r_max, world units.
     pub radius_max: f64,
+    /// How far the finished surface is moved outward, world units; negative inward.
+    pub offset: f64,
     /// r_max / r_min as it was chosen: their quotient may be another number by a rounding.
     pub radius_ratio: f64,
     /// Where particles have radii of their own: then the three above are those of a particle whose
@@ -35,6 +40,11 @@ pub struct Settings {
     pub own_radii: Option<OwnRadii>,
     /// What stretches particles.
     pub anisotropy: Anisotropy,
+    /// How far particles are moved toward the mean of their neighbours, 0 to 1; 0 leaves them where they are.
+    pub position_smoothing: f64,
+    /// R: particles farther apart are not neighbours, world units. 0 where neighbours are not
+    /// [used](Settings::uses_neighbors).
+    pub neighbor_radius: f64,
     /// Gaps between the surface and obstacles are filled where they are narrower, in units of h.
     pub void_threshold: f64,
     /// Attributes of the particles that the surface gets.
@@ -83,12 +93,12 @@ pub enum Anisotropy {
     None,
     /// Where the neighbours are.
     Neighbors {
-        /// How far neighbours count, world units.
-        radius: f64,
         /// The longest half axis in units of the shortest, at most.
         max_stretch: f64,
-        /// How far particles are moved to the mean of their neighbours, 0 to 1.
-        position_smoothing: f64,
+        /// The least half axis of the inner ellipsoids, world units.
+        thin_radius: f64,
+        /// r_min of a particle without neighbours, world units: no more than `radius_min`.
+        lone_radius: f64,
     },
     /// The velocity.
     Velocity {
@@ -105,8 +115,8 @@ pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 /// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
-/// r_max / r_min, as the paper has it.
-const RADIUS_RATIO: f64 = 2.0;
+/// How far outward the surface may be moved, in units of h.
+const OFFSET_MAX: f64 = 2.0;
 
 /// Narrower gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 1.0;
@@ -119,6 +129,9 @@ const MAX_STRETCH: f64 = 4.0;
 
 /// Beyond it a particle would reach over several leaves.
 const MAX_STRETCH_MAX: f64 = 8.0;
+
+/// The least half axis that a flattened particle may have, in units of h. Then the sides of a sheet are 1.8 voxels apart.
+const THIN_MIN_VOXELS: f64 = 0.9;
 
 /// How far neighbours count, in units of r_min.
 const NEIGHBOR_RADIUS: f64 = 3.0;
@@ -147,6 +160,12 @@ pub const STEPS_MAX: u32 = 1_000_000;
 /// More steps than this take so long that somebody should know before.
 const STEPS_TOLD: f64 = 2000.0;
 
+/// The least size of a step, in units of h⁴.
+const STEP_SIZE_MIN: f64 = 1e-6;
+
+/// The greatest size of a step, in units of h⁴.
+const STEP_SIZE_MAX: f64 = 1e4;
+
 /// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
@@ -166,39 +185,55 @@ impl fmt::Display for SettingsError {
 impl std::error::Error for SettingsError {}
 
 impl Settings {
-    /// Fills in the defaults and checks every number.
+    /// Fills in the defaults of the preset and checks every number.
+    ///
+    /// Lengths that nobody chose follow the particle spacing: that of `choices`, else the `measured` one, else the one that
+    /// has the chosen voxel size by default. The preset [`Preset::Paper`] follows the voxel size.
     ///
     /// # Errors
-    /// When a number is not finite or out of its range, or when the radii are out of order.
-    pub fn resolve(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
-        let choices = choices.with_preset();
-        let h = positive("voxel size", voxel_size)?;
-        let radius_ratio = choices.radius_ratio.unwrap_or(RADIUS_RATIO);
-        let [radius_min, radius_init, radius_max] = radii(h, radius_ratio, &choices)?;
+    /// When a number is not finite or out of its range, when the radii are out of order, or when neither spacing nor voxel
+    /// size is known.
+    pub fn resolve(choices: &Choices, measured: Option<Measured>) -> Result<Settings, SettingsError> {
+        let recipe = choices.recipe();
+        let scale = Scale::new(choices, measured)?;
+        let Scale { spacing, voxel_size: h } = scale;
+        let radius_ratio = choices.radius_ratio.unwrap_or(recipe.radius_ratio);
+        let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, choices)?;
         let integrator = choices.integrator.unwrap_or(Integrator::Fast);
+        let voxels = scale.voxels(recipe.unit);
         let explicit = is_explicit(integrator);
+        let neighbor_radius = match choices.uses_neighbors() {
+            true => neighbor_radius(choices, radius_min, &scale)?,
+            false => 0.0,
+        };
+        let position_smoothing = choices.position_smoothing();
+        within("smoothing of positions", position_smoothing, 0.0, 1.0)?;
         let settings = Settings {
+            spacing,
             voxel_size: h,
             radius_min,
             radius_init,
             radius_max,
+            offset: offset(choices, radius_min, h)?,
             radius_ratio,
             own_radii: choices.own_radii()?,
-            anisotropy: anisotropy(&choices, radius_min, h)?,
+            anisotropy: anisotropy(choices, radius_min, &scale)?,
+            position_smoothing,
+            neighbor_radius,
             void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
             drop_islands: choices.drop_islands.unwrap_or(0),
-            fill_cavities: choices.fill_cavities.unwrap_or(0.0),
+            fill_cavities: choices.fill_cavities.unwrap_or_else(|| cavities(&recipe, voxels)),
             clip: choices.clip.map(checked_box).transpose()?,
             decimate: choices.decimate.unwrap_or(0.0),
             smooth_normals: choices.smooth_normals.unwrap_or(0),
             quads: choices.quads.unwrap_or(false),
-            attributes: choices.attributes,
+            attributes: choices.attributes.clone(),
             integrator,
-            laplacian_steps: choices.laplacian_steps.unwrap_or(15),
-            steps: choices.steps.unwrap_or_else(|| default_steps(integrator)),
+            laplacian_steps: choices.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
+            steps: choices.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
             step_size: positive(
                 "step size",
-                choices.step_size.unwrap_or(if explicit { 0.01 } else { 20.0 }),
+                choices.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
             )?,
             redistance_every: choices.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
             cg_tolerance: positive("conjugate gradient tolerance", choices.cg_tolerance.unwrap_or(1e-4))?,
@@ -209,13 +244,28 @@ impl Settings {
         Ok(settings)
     }
 
+    /// The paper's settings for a voxel size, with these choices over them: what tests and the paper's experiments
+    /// use. Particles count as two voxels apart, where a preset among the choices follows the spacing.
+    ///
+    /// # Errors
+    /// Those of [`Settings::resolve`].
+    pub fn paper(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
+        let paper = Choices {
+            preset: Some(Preset::Paper),
+            voxel_size: Some(voxel_size),
+            spacing: Some(2.0 * voxel_size),
+            ..Choices::default()
+        };
+        Settings::resolve(&choices.clone().over(paper), None)
+    }
+
     fn check_solver(&self) -> Result<(), SettingsError> {
         let steps_max = f64::from(STEPS_MAX);
         let every = f64::from(self.redistance_every);
         within("number of steps after which distances are restored", every, 1.0, steps_max)?;
         within("number of steps", f64::from(self.steps), 0.0, steps_max)?;
         within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, steps_max)?;
-        within("step size in h⁴", self.step_size, 1e-6, 1e4)?;
+        within("step size in h⁴", self.step_size, STEP_SIZE_MIN, STEP_SIZE_MAX)?;
         if self.integrator == Integrator::Adaptive {
             let time = f64::from(self.steps) * self.step_size;
             let what = "time of adaptive steps (their number times their size) in h⁴";
@@ -248,29 +298,41 @@ impl Settings {
         self.own_radii.is_some() || self.anisotropy != Anisotropy::None
     }
 
-    /// The choices that make these settings, every one of them, but for the voxel size and what is not used.
+    /// Whether a particle's place or shape depends on its neighbours.
+    pub fn uses_neighbors(&self) -> bool {
+        self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
+    }
+
+    /// The choices that make these settings, every one of them, but for what is not used.
     pub fn to_choices(&self) -> Choices {
-        let (kind, neighbor_radius, position_smoothing, velocity_gain, max_stretch) = match self.anisotropy {
-            Anisotropy::None => (AnisotropyKind::None, None, None, None, None),
-            Anisotropy::Neighbors { radius, max_stretch, position_smoothing } => {
-                (AnisotropyKind::Neighbors, Some(radius), Some(position_smoothing), None, Some(max_stretch))
-            }
+        let (kind, velocity_gain, max_stretch) = match self.anisotropy {
+            Anisotropy::None => (AnisotropyKind::None, None, None),
+            Anisotropy::Neighbors { max_stretch, .. } => (AnisotropyKind::Neighbors, None, Some(max_stretch)),
             Anisotropy::Velocity { gain, max_stretch } => {
-                (AnisotropyKind::Velocity, None, None, Some(gain), Some(max_stretch))
+                (AnisotropyKind::Velocity, Some(gain), Some(max_stretch))
             }
+        };
+        let (thin_radius, lone_radius) = match self.anisotropy {
+            Anisotropy::Neighbors { thin_radius, lone_radius, .. } => (Some(thin_radius), Some(lone_radius)),
+            Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
         };
         let is_implicit = self.integrator == Integrator::Implicit;
         Choices {
             preset: None,
+            spacing: Some(self.spacing),
+            voxel_size: Some(self.voxel_size),
             radius_min: Some(self.radius_min),
             radius_ratio: Some(self.radius_ratio),
             radius_init: Some(self.radius_init),
+            offset: (self.offset != 0.0).then_some(self.offset),
             radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
             radius_scale: self.own_radii.as_ref().map(|own| own.scale),
             anisotropy: Some(kind),
             max_stretch,
-            neighbor_radius,
-            position_smoothing,
+            thin_radius,
+            lone_radius,
+            neighbor_radius: self.uses_neighbors().then_some(self.neighbor_radius),
+            position_smoothing: Some(self.position_smoothing),
             velocity_gain,
             void_threshold: Some(self.void_threshold),
             attributes: self.attributes.clone(),
@@ -300,23 +362,43 @@ impl Settings {
         })
     }
 
-    /// Whether there is a voxel size with which these choices make sense: for a voxel size that is
-    /// not yet known.
+    /// Whether there is a particle spacing with which these choices make sense: for a spacing that is not yet known.
     ///
     /// # Errors
     /// When there is none.
     pub fn check(choices: &Choices) -> Result<(), SettingsError> {
-        let sound = |radius: &f64| radius.is_finite() && *radius > 0.0;
-        let ratio = choices.radius_ratio.unwrap_or(RADIUS_RATIO);
-        // One that puts a radius that was given between the others. What is wrong with the ratio
-        // is told by `resolve`.
-        let voxel_size = match (choices.radius_min.filter(sound), choices.radius_init.filter(sound)) {
-            (Some(radius_min), _) => radius_min * ratio,
-            (None, Some(radius_init)) => radius_init / (3f64.sqrt() * 0.5 * (1.0 + ratio)),
-            (None, None) => 1.0,
+        if !choices.needs_spacing() {
+            return Settings::resolve(choices, None).map(|_| ());
+        }
+        let sound = |length: &f64| length.is_finite() && *length > 0.0;
+        let recipe = choices.recipe();
+        // One with which a length that was given is as long as by default. What is wrong with a length is told by
+        // `resolve`.
+        let unit = match recipe.unit {
+            Unit::Spacing => 1.0,
+            Unit::VoxelSize => recipe.voxel_size,
         };
-        let voxel_size = Some(voxel_size).filter(sound).unwrap_or(1.0);
-        Settings::resolve(voxel_size, choices).map(|_| ())
+        let ratio = choices.radius_ratio.filter(|ratio| *ratio >= 1.0).unwrap_or(recipe.radius_ratio);
+        let init = initial_radius(&recipe, 1.0, ratio);
+        let spacing = match (choices.voxel_size, choices.radius_min, choices.radius_init) {
+            (Some(voxel_size), ..) => voxel_size / recipe.voxel_size,
+            (None, Some(radius), _) => radius / (recipe.radius_min * unit),
+            (None, None, Some(radius)) => radius / (recipe.radius_min * init * unit),
+            (None, None, None) => 1.0,
+        };
+        let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
+        // An inward offset can be compared with an r_min that is given; any other fits particles that are far enough apart.
+        let inward = choices.offset.filter(|offset| offset.is_finite()).map_or(0.0, |offset| -offset);
+        if let Some(radius_min) = choices.radius_min.filter(sound) {
+            require(inward <= (1.0 + 1e-9) * radius_min, || {
+                format!("the offset is {}; it must be from -r_min = {} on", -inward, -radius_min)
+            })?;
+        }
+        let offset = choices.offset.filter(|offset| !offset.is_finite());
+        let [thin_radius, lone_radius] =
+            [choices.thin_radius, choices.lone_radius].map(|radius| radius.filter(|radius| !sound(radius)));
+        let choices = Choices { offset, thin_radius, lone_radius, ..choices.clone() };
+        Settings::resolve(&choices, Some(Measured::from(spacing))).map(|_| ())
     }
 
     /// What a user should be told before work begins, one sentence each.
@@ -337,10 +419,7 @@ impl Settings {
         let (least, steps) = self.step_count();
         if steps > STEPS_TOLD {
             let at_least = if least { "at least " } else { "" };
-            warnings.push(format!(
-                "{at_least}{steps:.0} steps for each frame will take long; {} are the default",
-                default_steps(self.integrator)
-            ));
+            warnings.push(format!("{at_least}{steps:.0} steps for each frame will take long"));
         }
         if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
             warnings.push(format!(
@@ -369,19 +448,60 @@ fn is_explicit(integrator: Integrator) -> bool {
     matches!(integrator, Integrator::Explicit | Integrator::Adaptive)
 }
 
+/// Size of an explicit step, in units of h⁴ (Eq. 14, 15).
+const EXPLICIT_STEP_SIZE: f64 = 0.01;
+
 /// The biharmonic steps of an integrator, unless others are asked for.
-fn default_steps(integrator: Integrator) -> u32 {
-    if is_explicit(integrator) { 500 } else { 5 }
+fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
+    match is_explicit(integrator) {
+        true => {
+            let steps = recipe.explicit_time * voxels.powi(4) / EXPLICIT_STEP_SIZE;
+            steps.round().clamp(0.0, f64::from(STEPS_MAX)) as u32
+        }
+        false => recipe.steps,
+    }
+}
+
+/// The size of a biharmonic step, unless another is asked for, in units of h⁴.
+fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f64 {
+    match is_explicit(integrator) {
+        true => EXPLICIT_STEP_SIZE,
+        false => (recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
+    }
+}
+
+/// Laplacian steps, unless another number is asked for: one at least, where there are to be any.
+fn laplacian_steps(recipe: &Recipe, voxels: f64) -> u32 {
+    let steps = recipe.laplacian_steps * voxels * voxels;
+    let least = if recipe.laplacian_steps > 0.0 { 1.0 } else { 0.0 };
+    steps.round().clamp(least, f64::from(STEPS_MAX)) as u32
+}
+
+/// The volume below which cavities are filled, unless another is asked for, in units of h³.
+fn cavities(recipe: &Recipe, voxels: f64) -> f64 {
+    (recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
+}
+
+/// r_init, unless another is asked for, for r_min and r_max = `ratio` · r_min.
+fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
+    let radius_max = ratio * radius_min;
+    match recipe.radius_init {
+        InitialRadius::Middle => 0.5 * (radius_min + radius_max),
+        InitialRadius::Times(factor) => tidy(factor * radius_min).min(radius_max),
+    }
 }
 
 /// r_min, r_init and r_max.
-fn radii(h: f64, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
-    let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(3f64.sqrt() * h))?;
+fn radii(scale: &Scale, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
+    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+    // On coarse voxels it is raised to the least with which no particle falls between them (Eq. 13).
+    let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
+    let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(usual))?;
     require(ratio.is_finite() && ratio >= 1.0, || {
         format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
     })?;
     let radius_max = ratio * radius_min;
-    let radius_init = choices.radius_init.unwrap_or(0.5 * (radius_min + radius_max));
+    let radius_init = choices.radius_init.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
     let radius_init = positive("radius r_init", radius_init)?;
     // A product of two numbers as typed may miss a third as typed by a rounding.
     let slack = 1e-9 * radius_max;
@@ -390,10 +510,14 @@ fn radii(h: f64, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsErro
     })?;
     require(radius_max <= RADIUS_MAX_VOXELS * h, || {
         format!(
-            "r_max is {} voxels, and {RADIUS_MAX_VOXELS} are the most: choose a smaller {}, or a larger voxel size with r_min in \
-             world units",
+            "r_max is {} voxels, and {RADIUS_MAX_VOXELS} are the most: choose {}",
             significant(radius_max / h),
-            if choices.radius_min.is_some() { "r_min or ratio" } else { "ratio" }
+            match (choices.radius_min, recipe.unit) {
+                (Some(_), _) => "a smaller r_min or ratio, or a larger voxel size",
+                (None, Unit::VoxelSize) =>
+                    "a smaller ratio, or a larger voxel size with r_min in world units",
+                (None, Unit::Spacing) => "a larger voxel size or a smaller ratio",
+            }
         )
     })?;
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
@@ -411,29 +535,75 @@ impl Choices {
     }
 }
 
-fn anisotropy(choices: &Choices, radius_min: f64, h: f64) -> Result<Anisotropy, SettingsError> {
+/// How far the finished surface is moved.
+fn offset(choices: &Choices, radius_min: f64, h: f64) -> Result<f64, SettingsError> {
+    let offset = choices.offset.unwrap_or(0.0);
+    let [inward, outward] = [-radius_min, OFFSET_MAX * h];
+    // A radius that was computed may miss one as typed by a rounding.
+    let slack = 1e-9 * radius_min;
+    require((inward - slack..=outward).contains(&offset), || {
+        format!("the offset is {offset}; it must be from -r_min = {inward} to {OFFSET_MAX} h = {outward}")
+    })?;
+    Ok(offset)
+}
+
+fn anisotropy(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<Anisotropy, SettingsError> {
     let max_stretch = choices.max_stretch.unwrap_or(MAX_STRETCH);
     within("greatest stretch", max_stretch, 1.0, MAX_STRETCH_MAX)?;
-    match choices.anisotropy {
-        None | Some(AnisotropyKind::None) => Ok(Anisotropy::None),
-        Some(AnisotropyKind::Neighbors) => {
-            let radius = choices.neighbor_radius.unwrap_or(NEIGHBOR_RADIUS * radius_min);
-            let radius = positive("radius within which neighbours count", radius)?;
-            require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
-                format!(
-                    "the radius within which neighbours count is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
-                    radius / h
-                )
-            })?;
-            let position_smoothing = choices.position_smoothing.unwrap_or(0.0);
-            within("smoothing of positions", position_smoothing, 0.0, 1.0)?;
-            Ok(Anisotropy::Neighbors { radius, max_stretch, position_smoothing })
+    match choices.anisotropy_kind() {
+        AnisotropyKind::None => Ok(Anisotropy::None),
+        AnisotropyKind::Neighbors => {
+            let [thin_radius, lone_radius] = flattened_radii(choices, radius_min, scale)?;
+            Ok(Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius })
         }
-        Some(AnisotropyKind::Velocity) => {
+        AnisotropyKind::Velocity => {
             let gain = positive("velocity gain", choices.velocity_gain.unwrap_or(VELOCITY_GAIN))?;
             Ok(Anisotropy::Velocity { gain, max_stretch })
         }
     }
+}
+
+/// The least half axis of flattened particles, and r_min of those without neighbours.
+fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<[f64; 2], SettingsError> {
+    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+    let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
+    let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
+    // A grid that is too coarse for flat particles has none.
+    let thin = recipe.thin_radius.map(length).filter(|radius| *radius >= least * (1.0 - 1e-9));
+    let thin = thin.map_or(held, |radius| radius.min(most));
+    let thin = positive("least half axis of flattened particles", choices.thin_radius.unwrap_or(thin))?;
+    // Numbers as typed may miss computed ones by a rounding.
+    let slack = 1e-9 * most;
+    require((least - slack..=most + slack).contains(&thin), || {
+        format!(
+            "the least half axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
+            significant(least),
+            significant(most)
+        )
+    })?;
+    let lone = recipe.lone_radius.map_or(radius_min, |radius| length(radius).max(held).min(radius_min));
+    let lone = positive("radius of particles without neighbours", choices.lone_radius.unwrap_or(lone))?;
+    require(lone <= radius_min + slack, || {
+        format!(
+            "the radius of particles without neighbours is {lone}; it must be at most r_min = {}",
+            significant(radius_min)
+        )
+    })?;
+    Ok([thin, lone.min(radius_min)])
+}
+
+fn neighbor_radius(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
+    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+    let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius));
+    let radius = choices.neighbor_radius.or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
+    let radius = positive("radius within which neighbours count", radius)?;
+    require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
+        format!(
+            "the radius within which neighbours count is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
+            radius / h
+        )
+    })?;
+    Ok(radius)
 }
 
 fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
@@ -478,119 +648,4 @@ fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsErr
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn settings_are_made_again_of_their_choices() {
-        let presets = Preset::ALL.map(|preset| Choices { preset: Some(preset), ..Choices::default() });
-        let others = [
-            Choices {
-                anisotropy: Some(AnisotropyKind::Velocity),
-                max_stretch: Some(2.0),
-                ..Choices::default()
-            },
-            Choices { radius_attribute: Some("pscale".into()), quads: Some(true), ..Choices::default() },
-            Choices { integrator: Some(Integrator::Implicit), decimate: Some(0.1), ..Choices::default() },
-        ];
-        let all: Vec<Settings> = presets
-            .iter()
-            .chain(&others)
-            .map(|choices| Settings::resolve(0.5, choices).expect("sound"))
-            .collect();
-        for (index, settings) in all.iter().enumerate() {
-            assert_eq!(Settings::resolve(0.5, &settings.to_choices()).as_ref(), Ok(settings));
-            assert!(!all[..index].contains(settings), "{settings:?} twice");
-        }
-    }
-
-    #[test]
-    fn ratios_are_printed_as_they_were_chosen() {
-        // 3 r_min / r_min is not 3 for all of these.
-        for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
-            let choices = Choices { preset: Some(Preset::Smooth), ..Choices::default() };
-            let settings = Settings::resolve(voxel_size, &choices).expect("sound");
-            assert_eq!(settings.to_choices().radius_ratio, Some(3.0));
-            assert_eq!(Settings::resolve(voxel_size, &settings.to_choices()), Ok(settings));
-        }
-    }
-
-    #[test]
-    fn presets_take_as_much_more_or_less_with_any_integrator() {
-        for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive]
-        {
-            let resolved = |preset, steps| {
-                let choices = Choices { preset, steps, integrator: Some(integrator), ..Choices::default() };
-                Settings::resolve(1.0, &choices).expect("sound")
-            };
-            let own = resolved(None, None);
-            for (preset, fifths) in [(Preset::Smooth, 10), (Preset::Preview, 1), (Preset::Water, 5)] {
-                let settings = resolved(Some(preset), None);
-                assert_eq!((5 * settings.steps, settings.step_size), (fifths * own.steps, own.step_size));
-                assert_eq!(resolved(Some(preset), Some(7)).steps, 7);
-            }
-        }
-    }
-
-    #[test]
-    fn many_steps_are_told_before_they_are_taken() {
-        let told = |integrator, steps, step_size| {
-            let choices = Choices { integrator: Some(integrator), steps, step_size, ..Choices::default() };
-            Settings::resolve(1.0, &choices)
-                .expect("sound")
-                .warnings()
-                .into_iter()
-                .find(|warning| warning.contains(" steps for each"))
-        };
-        let adaptive = told(Integrator::Adaptive, None, Some(20.0)).expect("so many");
-        assert!(adaptive.starts_with("at least 720000 steps"), "{adaptive}");
-        let explicit = told(Integrator::Explicit, Some(5000), None).expect("so many");
-        assert!(explicit.starts_with("5000 steps") && explicit.contains("500 are the default"), "{explicit}");
-        for integrator in [Integrator::Fast, Integrator::Explicit, Integrator::Adaptive] {
-            assert_eq!(told(integrator, None, None), None);
-            assert_eq!(told(integrator, Some(2000), None), None);
-        }
-    }
-
-    #[test]
-    fn choices_are_checked_before_a_voxel_size_is_known() {
-        let choices = |radius_min, radius_ratio, radius_init| Choices {
-            radius_min,
-            radius_ratio,
-            radius_init,
-            ..Choices::default()
-        };
-        for sound in [
-            choices(None, None, None),
-            choices(Some(1e-9), None, None),
-            choices(Some(1e9), Some(30.0), None),
-            choices(None, None, Some(1e-9)),
-            choices(None, Some(1.0), Some(1e9)),
-            choices(None, Some(4.0), Some(0.3)),
-            choices(Some(0.1), Some(4.0), Some(0.3)),
-        ] {
-            assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
-        }
-        for (senseless, word) in [
-            (choices(None, Some(0.5), None), "ratio"),
-            (choices(None, Some(-1.0), Some(1.0)), "ratio"),
-            (choices(None, Some(f64::NAN), Some(1.0)), "ratio"),
-            (choices(Some(-1.0), None, None), "r_min"),
-            (choices(Some(f64::INFINITY), None, None), "r_min"),
-            (choices(None, None, Some(0.0)), "r_init"),
-            (choices(Some(0.1), Some(2.0), Some(0.3)), "r_init is 0.3"),
-            (choices(None, Some(1000.0), None), "voxels"),
-            (Choices { steps: Some(u32::MAX), ..Choices::default() }, "steps"),
-            (Choices { max_stretch: Some(0.5), ..Choices::default() }, "stretch"),
-            (Choices { void_threshold: Some(-1.0), ..Choices::default() }, "void"),
-            (Choices { quads: Some(true), decimate: Some(0.1), ..Choices::default() }, "quads"),
-            (
-                Choices { clip: Some(ClipBox { min: [0.0; 3], max: [1.0, 0.0, 1.0] }), ..Choices::default() },
-                "box",
-            ),
-        ] {
-            let error = Settings::check(&senseless).expect_err("senseless");
-            assert!(error.what.contains(word), "{senseless:?}: {error}");
-        }
-    }
-}
+mod tests;

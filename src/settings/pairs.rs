@@ -52,11 +52,11 @@ impl Settings {
         }
         match self.anisotropy {
             Anisotropy::None => {}
-            Anisotropy::Neighbors { radius, max_stretch, position_smoothing } => pairs.extend([
+            Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius } => pairs.extend([
                 ("anisotropy", "neighbors".to_owned()),
-                ("neighbor_radius", radius.to_string()),
                 ("max_stretch", max_stretch.to_string()),
-                ("position_smoothing", position_smoothing.to_string()),
+                ("thin_radius", thin_radius.to_string()),
+                ("lone_radius", lone_radius.to_string()),
             ]),
             Anisotropy::Velocity { gain, max_stretch } => pairs.extend([
                 ("anisotropy", "velocity".to_owned()),
@@ -64,12 +64,19 @@ impl Settings {
                 ("max_stretch", max_stretch.to_string()),
             ]),
         }
+        if self.uses_neighbors() {
+            pairs.push(("neighbor_radius", self.neighbor_radius.to_string()));
+            pairs.push(("position_smoothing", self.position_smoothing.to_string()));
+        }
         if let Some(attributes) = &self.attributes {
             pairs.push(("attributes", attributes.to_string()));
         }
     }
 
     fn push_edits(&self, pairs: &mut Pairs) {
+        if self.offset != 0.0 {
+            pairs.push(("offset", self.offset.to_string()));
+        }
         if self.drop_islands > 0 {
             pairs.push(("drop_islands", self.drop_islands.to_string()));
         }

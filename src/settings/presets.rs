@@ -1,41 +1,151 @@
-//! Bundles of choices, for what people do most.
+//! Bundles of defaults, for what people do most.
+//!
+//! Lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more detail. Those of
+//! the paper's presets are in voxels h, as in the paper.
 
-use super::choices::{AnisotropyKind, Choices};
-use super::{Integrator, default_steps};
+use super::choices::AnisotropyKind;
+use super::{Choices, SettingsError, require};
 
-/// A bundle of choices.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// A bundle of defaults.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Preset {
-    /// Bodies of water: the paper's parameters, and no bubbles.
-    Water,
-    /// Sheets, threads and drops: particles stretched along them.
+    /// Water and other liquids.
+    #[default]
+    Fluid,
+    /// Particles that lie at random, as those of FLIP and MPM do.
+    Noisy,
+    /// Sheets, threads and drops.
     Splash,
     /// Sand, snow, grain: near the particles and hardly smoothed, for every bump is meant.
     Granular,
     /// A quick look.
     Preview,
-    /// As near to the particles as `Granular`, and smoothed in full within that.
+    /// The parameters of the paper; lengths follow the voxel size.
+    Paper,
+    /// Deprecated: as [`Preset::Paper`], with small cavities filled.
+    Water,
+    /// Deprecated: as [`Preset::Paper`], nearer to the particles.
     Faithful,
-    /// As smooth as can be.
+    /// Deprecated: as [`Preset::Paper`], with more room and more steps.
     Smooth,
 }
 
-/// How far particles of sheets are moved to the mean of their neighbours. On a crown of 28 554 particles, three voxels to
-/// the spacing, 0.4 leaves the sheet whole, 0.5 tears one hole into it and 0.6 to 0.9 two; bending energy falls by 5 % from there to 0.9.
-const SPLASH_SMOOTHING: f64 = 0.4;
+/// What the lengths and times of a preset are multiples of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unit {
+    /// The particle spacing d.
+    Spacing,
+    /// The voxel size h.
+    VoxelSize,
+}
+
+/// Where smoothing starts, between r_min and r_max.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum InitialRadius {
+    /// Half way (paper, Eq. 2).
+    Middle,
+    /// So many r_min, but no farther than r_max.
+    Times(f64),
+}
+
+/// The numbers of a preset.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Recipe {
+    /// What the numbers below are multiples of: powers of this length.
+    pub(super) unit: Unit,
+    /// The voxel size in particle spacings, where none is given.
+    pub(super) voxel_size: f64,
+    /// r_min, in units.
+    pub(super) radius_min: f64,
+    /// r_max / r_min.
+    pub(super) radius_ratio: f64,
+    /// r_init.
+    pub(super) radius_init: InitialRadius,
+    /// What stretches particles.
+    pub(super) anisotropy: AnisotropyKind,
+    /// The least half axis of flattened particles, in units; `None` for √3 h.
+    pub(super) thin_radius: Option<f64>,
+    /// r_min of particles without neighbours, in units; `None` for r_min.
+    pub(super) lone_radius: Option<f64>,
+    /// How far neighbours count, in units; `None` for 3 r_min.
+    pub(super) neighbor_radius: Option<f64>,
+    /// How far particles are moved to the mean of their neighbours, 0 to 1.
+    pub(super) position_smoothing: f64,
+    /// Cavities of a smaller volume are filled, in units³.
+    pub(super) fill_cavities: f64,
+    /// Laplacian steps of the usual size, for a voxel as large as the unit: they become more with its square.
+    pub(super) laplacian_steps: f64,
+    /// Implicit steps.
+    pub(super) steps: u32,
+    /// Size of an implicit step, in units⁴.
+    pub(super) step_size: f64,
+    /// What explicit steps add up to, in units⁴.
+    pub(super) explicit_time: f64,
+}
+
+/// The paper's numbers: r_min = √3 h (Eq. 13), five implicit steps of 20 h⁴ or 500 explicit ones of 0.01 h⁴ (Eq. 14, 15).
+const PAPER: Recipe = Recipe {
+    unit: Unit::VoxelSize,
+    voxel_size: 0.5,
+    // √3, which is no constant expression.
+    radius_min: 1.732_050_807_568_877_2,
+    radius_ratio: 2.0,
+    radius_init: InitialRadius::Middle,
+    anisotropy: AnisotropyKind::None,
+    thin_radius: None,
+    lone_radius: None,
+    neighbor_radius: None,
+    position_smoothing: 0.0,
+    fill_cavities: 0.0,
+    laplacian_steps: 15.0,
+    steps: 5,
+    step_size: 20.0,
+    explicit_time: 5.0,
+};
+
+/// For fluids: docs/method.md has the measurements behind it.
+const FLUID: Recipe = Recipe {
+    unit: Unit::Spacing,
+    voxel_size: 0.4,
+    radius_min: 1.15,
+    radius_ratio: 2.0,
+    radius_init: InitialRadius::Times(1.26),
+    anisotropy: AnisotropyKind::Neighbors,
+    thin_radius: Some(0.36),
+    lone_radius: Some(0.7),
+    neighbor_radius: Some(2.6),
+    position_smoothing: 0.7,
+    fill_cavities: 25.0,
+    laplacian_steps: 1.6,
+    steps: 2,
+    step_size: 0.25,
+    explicit_time: 0.5,
+};
 
 impl Preset {
     /// Every preset there is.
-    pub const ALL: [Preset; 6] =
-        [Preset::Water, Preset::Splash, Preset::Granular, Preset::Preview, Preset::Faithful, Preset::Smooth];
+    pub const ALL: [Preset; 9] = [
+        Preset::Fluid,
+        Preset::Noisy,
+        Preset::Splash,
+        Preset::Granular,
+        Preset::Preview,
+        Preset::Paper,
+        Preset::Water,
+        Preset::Faithful,
+        Preset::Smooth,
+    ];
 
     /// As it is typed.
     pub fn name(self) -> &'static str {
         match self {
-            Preset::Water => "water",
+            Preset::Fluid => "fluid",
+            Preset::Noisy => "noisy",
             Preset::Splash => "splash",
             Preset::Granular => "granular",
             Preset::Preview => "preview",
+            Preset::Paper => "paper",
+            Preset::Water => "water",
             Preset::Faithful => "faithful",
             Preset::Smooth => "smooth",
         }
@@ -46,28 +156,150 @@ impl Preset {
         Preset::ALL.into_iter().find(|preset| preset.name() == name)
     }
 
-    /// What it stands for with an integrator: of biharmonic steps, so much more or less than that one's own number.
-    pub fn choices(self, integrator: Integrator) -> Choices {
-        let none = Choices::default();
-        let fifths_of_steps = |fifths: u32| Some(fifths * default_steps(integrator) / 5);
+    /// For a deprecated preset, the one that takes its place.
+    pub fn successor(self) -> Option<Preset> {
         match self {
-            Preset::Water => Choices { fill_cavities: Some(200.0), ..none },
-            Preset::Splash => {
-                let anisotropy = Some(AnisotropyKind::Neighbors);
-                Choices {
-                    anisotropy,
-                    position_smoothing: Some(SPLASH_SMOOTHING),
-                    fill_cavities: Some(200.0),
-                    ..none
-                }
-            }
-            Preset::Granular => Choices { radius_ratio: Some(1.25), steps: fifths_of_steps(1), ..none },
-            Preset::Preview => Choices { steps: fifths_of_steps(1), ..none },
-            Preset::Faithful => Choices { radius_ratio: Some(1.25), ..none },
+            Preset::Water | Preset::Smooth => Some(Preset::Fluid),
+            Preset::Faithful => Some(Preset::Granular),
+            _ => None,
+        }
+    }
+
+    /// Whether its lengths and times follow the voxel size, and need no particle spacing.
+    pub fn follows_voxel_size(self) -> bool {
+        self.recipe().unit == Unit::VoxelSize
+    }
+
+    /// The voxel size for particles that are so far apart, where none is chosen.
+    pub fn voxel_size(self, spacing: f64) -> f64 {
+        tidy(self.recipe().voxel_size * spacing)
+    }
+
+    pub(super) fn recipe(self) -> Recipe {
+        match self {
+            Preset::Fluid => FLUID,
+            Preset::Noisy => Recipe {
+                radius_init: InitialRadius::Times(1.39),
+                neighbor_radius: Some(3.0),
+                position_smoothing: 0.9,
+                laplacian_steps: 7.5,
+                steps: 4,
+                step_size: 0.5,
+                explicit_time: 2.0,
+                ..FLUID
+            },
+            Preset::Splash => Recipe {
+                voxel_size: 0.35,
+                radius_min: 1.0,
+                radius_init: InitialRadius::Times(1.2),
+                thin_radius: Some(0.32),
+                lone_radius: Some(0.62),
+                ..FLUID
+            },
+            Preset::Granular => Recipe {
+                voxel_size: 0.5,
+                radius_min: 0.866_025_403_784_438_6,
+                radius_ratio: 1.25,
+                radius_init: InitialRadius::Middle,
+                anisotropy: AnisotropyKind::None,
+                position_smoothing: 0.0,
+                fill_cavities: 0.0,
+                steps: 1,
+                step_size: 0.125,
+                explicit_time: 0.125,
+                ..FLUID
+            },
+            Preset::Preview => Recipe {
+                voxel_size: 1.0,
+                anisotropy: AnisotropyKind::None,
+                position_smoothing: 0.0,
+                steps: 1,
+                step_size: 0.125,
+                explicit_time: 0.125,
+                ..FLUID
+            },
+            Preset::Paper => PAPER,
+            Preset::Water => Recipe { fill_cavities: 200.0, ..PAPER },
+            Preset::Faithful => Recipe { radius_ratio: 1.25, ..PAPER },
             Preset::Smooth => {
-                let steps = fifths_of_steps(10);
-                Choices { radius_ratio: Some(3.0), steps, fill_cavities: Some(200.0), ..none }
+                let (steps, explicit_time) = (2 * PAPER.steps, 2.0 * PAPER.explicit_time);
+                Recipe { radius_ratio: 3.0, steps, explicit_time, fill_cavities: 200.0, ..PAPER }
             }
         }
+    }
+}
+
+/// The lengths that settings follow, world units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Scale {
+    /// The particle spacing d.
+    pub(super) spacing: f64,
+    /// The voxel size h.
+    pub(super) voxel_size: f64,
+}
+
+impl Scale {
+    /// From what was chosen and measured.
+    ///
+    /// # Errors
+    /// When a length is not positive, or neither of them is known.
+    pub(super) fn new(choices: &Choices, measured: Option<Measured>) -> Result<Scale, SettingsError> {
+        let recipe = choices.recipe();
+        let voxel_size = choices.voxel_size.map(|h| super::positive("voxel size", h)).transpose()?;
+        let spacing = choices.spacing.or(measured.map(|measured| measured.spacing));
+        let spacing = match (spacing, voxel_size) {
+            (Some(spacing), _) => super::positive("particle spacing", spacing)?,
+            (None, Some(h)) => tidy(h / recipe.voxel_size),
+            (None, None) => {
+                require(false, || "the particle spacing is unknown: give --spacing".into())?;
+                f64::NAN
+            }
+        };
+        let usual = tidy(recipe.voxel_size * spacing);
+        let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
+        let median = measured.and_then(|measured| measured.radius_median);
+        let voxel_size = voxel_size.unwrap_or_else(|| median.map_or(usual, for_radii));
+        Ok(Scale { spacing, voxel_size })
+    }
+
+    /// So many units, as a length.
+    pub(super) fn units(&self, unit: Unit, count: f64) -> f64 {
+        match unit {
+            Unit::VoxelSize => count * self.voxel_size,
+            Unit::Spacing => tidy(count * self.spacing),
+        }
+    }
+
+    /// So many voxels are in a unit.
+    pub(super) fn voxels(&self, unit: Unit) -> f64 {
+        match unit {
+            Unit::VoxelSize => 1.0,
+            Unit::Spacing => self.spacing / self.voxel_size,
+        }
+    }
+}
+
+/// A product of decimal numbers without the digits that binary rounding adds: 0.02, and not 0.020000000000000004.
+pub(super) fn tidy(number: f64) -> f64 {
+    format!("{number:.12e}").parse().unwrap_or(number)
+}
+
+/// Voxels to the spacing of particles, at most, however small their own radii are: radii in another unit than the
+/// positions would ask for a grid that nobody can have.
+const VOXELS_PER_SPACING_MAX: f64 = 8.0;
+
+/// What was measured on the particles of a sequence.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measured {
+    /// The particle spacing d, world units.
+    pub spacing: f64,
+    /// The median r_min of particles that have radii of their own, world units: the voxels become small enough for it,
+    /// unless a voxel size is chosen.
+    pub radius_median: Option<f64>,
+}
+
+impl From<f64> for Measured {
+    fn from(spacing: f64) -> Measured {
+        Measured { spacing, radius_median: None }
     }
 }

@@ -71,11 +71,11 @@ const VOXELS_PER_PLACE: usize = 6;
 
 /// How far values reach: see [`crate::transfer`].
 fn reach<'a>(settings: &Settings, shapes: &'a Shapes) -> Reach<'a> {
-    let Settings { radius_init, radius_max, voxel_size, .. } = *settings;
+    let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
     Reach {
         radius_world: RADII * radius_init,
         radius_max_world: radius_max,
-        margin_world: MARGIN_VOXELS * voxel_size,
+        margin_world: MARGIN_VOXELS * voxel_size + offset.max(0.0),
         shapes,
     }
 }
@@ -131,7 +131,7 @@ mod tests {
             attributes: Some(AttributeSelection::All),
             ..Choices::default()
         };
-        let settings = Settings::resolve(0.1, &choices).expect("sound");
+        let settings = Settings::paper(0.1, &choices).expect("sound");
         let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
         let told = surface.report.transfer.clone().expect("transferred").vertices;
         assert!(told.lonely_count == surface.mesh.positions.len() && told.empty_count == 0, "{told:?}");
@@ -143,6 +143,7 @@ mod tests {
         let reference = surface.attributes.vertices.clone();
         let (more, _) =
             crate::skin::shape(drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]), &settings);
+        let more = more.into_moved();
         let targets = Targets { vertices: true, band_half_width_voxels: None };
         transfer(&mut surface, &more, &settings, targets);
         for (one, other) in surface.attributes.vertices.iter().zip(&reference) {

@@ -1,8 +1,8 @@
 //! From a level set that is given, and no particles, to its surface: within bounds around the given one, or as it is.
 //!
 //! ```text
-//!   φ given ──no slack──────────────────────────────▶ contour
-//!      └────slack s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ contour
+//!   φ given ──no slack──────────────────────────────▶ [offset] ──▶ contour
+//!      └────slack s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
 //! ```
 //!
 //! The smoothest surface that nowhere leaves the given one by more than the slack: what spheres are to particles, the given surface
@@ -20,7 +20,7 @@ use super::{Surface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, sm
 use crate::certify::{Part, certificate};
 use crate::contour;
 use crate::grid::{Field, negative_masks};
-use crate::level_set::{Bounds, NarrowBand, widened, widened_leaf_count};
+use crate::level_set::{Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count};
 use crate::report::SkinReport;
 use crate::settings::Settings;
 use crate::smooth;
@@ -35,7 +35,7 @@ const HALF_WIDTH_MIN: f32 = 3.0;
 const MARGIN: f32 = 5.0;
 
 /// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
-/// is nowhere farther than that from the given one. Of the settings those of particles have no say.
+/// is nowhere farther than that from the given one, before it is moved by the settings' offset. Of the settings those of particles have no say.
 /// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked.
 pub fn resurface(
     band: NarrowBand,
@@ -46,7 +46,8 @@ pub fn resurface(
 ) -> Surface {
     let started = Instant::now();
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
-    let mut band = match working_half_width(&band, slack) {
+    let offset = (settings.offset / settings.voxel_size) as f32;
+    let mut band = match working_half_width(&band, slack, offset) {
         Some(half_width) => widened(&band, half_width),
         None => band,
     };
@@ -65,6 +66,12 @@ pub fn resurface(
     }
     report.seconds.smooth = started.elapsed().as_secs_f64();
     let started = Instant::now();
+    let bound_violation_count = bounds.violation_count(&band.phi);
+    drop(bounds);
+    if offset != 0.0 {
+        let half_width = band.half_width - offset.abs().ceil();
+        offset_surface(&mut band, offset, half_width, |_| None);
+    }
     let lattice = lattice(settings);
     let mut mesh = contour::contour(&band, &lattice, settings.contouring);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
@@ -73,25 +80,31 @@ pub fn resurface(
     // There is no particle to ask about.
     let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
     let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
-    let counts = (bounds.violation_count(&band.phi), 0);
-    report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
+    let counts = (bound_violation_count, 0);
+    report.certificate = certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
-/// The half width of the band that is worked on; `None` for that of the given one.
-fn working_half_width(band: &NarrowBand, slack: f32) -> Option<f32> {
-    match slack > 0.0 {
+/// The half width of the band that is worked on; `None` for that of the given one. Where the surface is moved, the file's values
+/// need not be distances as far as that, and what is left of the band is no narrower than without.
+fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32> {
+    let without_offset = match slack > 0.0 {
         true => Some(MARGIN + slack.ceil()),
         false => (band.half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+    };
+    if offset == 0.0 {
+        return without_offset;
     }
+    Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
 }
 
 /// The most memory that [`resurface`] takes with these arguments, the given band included, in bytes: never much less than it
 /// does.
 pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
-    let (leaves, widening) = match working_half_width(band, slack_voxels) {
+    let offset = (settings.offset / settings.voxel_size) as f32;
+    let (leaves, widening) = match working_half_width(band, slack_voxels, offset) {
         Some(_) => {
             let wide = widened_leaf_count(band) as f64;
             // The given band, two fields of the wide one, and the list that its leaves are found by.
@@ -162,7 +175,7 @@ mod tests {
         };
         let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
         let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
-        let settings = Settings::resolve(0.01, &Choices::default()).expect("sound");
+        let settings = Settings::paper(0.01, &Choices::default()).expect("sound");
         let flat_count = |translation: DVec3| {
             let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count

@@ -13,11 +13,11 @@ use std::fmt;
 
 use glam::DVec3;
 
-use crate::particles::{ParticleSource, Particles, Positions};
+use crate::particles::{ParticleSource, Particles};
 use crate::rasterize::Footprint;
 use crate::settings::Settings;
 use crate::space::INDEX_LIMIT;
-use crate::spacing::{estimate_spacing, median};
+use crate::spacing::{Sample, median};
 use crate::words::significant;
 
 /// A frame is refused where most of its particles are farther from their middle, in voxels: 32-bit positions would be off
@@ -82,7 +82,8 @@ impl fmt::Display for TooFine {
 
 impl std::error::Error for TooFine {}
 
-/// Whether the voxels are too small for a frame with this footprint. Where that is so, its particles are gone through once more.
+/// Whether the voxels are too small for a frame with this footprint. Where that is so, its particles are read once more, and twice
+/// more if they are many.
 ///
 /// # Errors
 /// Those of the source.
@@ -95,37 +96,11 @@ pub(super) fn too_fine<S: ParticleSource>(
     if spread_voxels <= SPREAD_MAX_VOXELS && dropped_count <= particle_count {
         return Ok(None);
     }
-    let every = (particle_count + dropped_count).div_ceil(SAMPLE_MAX).max(1);
-    let sample = sample(source, every)?;
-    // In a sample, those that are left have more room each.
-    let spacing = estimate_spacing(&sample).map(|spacing| spacing / (every as f64).cbrt());
-    let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample));
-    let is_too_fine = |spacing| (voxel_size < least).then_some(TooFine { voxel_size, spacing, least, limit });
-    Ok(spacing.and_then(is_too_fine))
-}
-
-/// As many particles are as good as all.
-const SAMPLE_MAX: usize = 1 << 20;
-
-/// One particle of so many, where it is finite.
-fn sample<S: ParticleSource>(source: &S, every: usize) -> Result<Particles, S::Error> {
-    let mut sample: Vec<[f64; 3]> = Vec::new();
-    let mut passed = 0;
-    for batch in 0..source.batch_count() {
-        let mut take = |position: [f64; 3]| {
-            if passed % every == 0 && DVec3::from(position).is_finite() {
-                sample.push(position);
-            }
-            passed += 1;
-        };
-        match source.batch(batch)? {
-            Positions::Single(positions) => {
-                positions.iter().for_each(|&[x, y, z]| take([x, y, z].map(f64::from)))
-            }
-            Positions::Double(positions) => positions.iter().for_each(|&position| take(position)),
-        }
-    }
-    Ok(Particles::Double(sample))
+    let sample = Sample::of(source, particle_count + dropped_count)?;
+    let Some(estimate) = sample.estimate(source)? else { return Ok(None) };
+    let spacing = estimate.spacing;
+    let (voxel_size, (least, limit)) = (settings.voxel_size, least_voxel_size(&sample.particles));
+    Ok((voxel_size < least).then_some(TooFine { voxel_size, spacing, least, limit }))
 }
 
 /// The least voxel size with which most of these particles are near enough to their middle and to the origin, and which

@@ -1,16 +1,19 @@
 //! From the smoothed level set to the surface: what users ask to be taken away, the mesh, and what is checked of both.
 //!
 //! ```text
-//!   φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ mesh ──fewer triangles──▶ mesh ──▶ certificate
+//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ mesh ──fewer triangles──▶ mesh ──▶ certificate
 //! ```
 //!
 //! What is checked is the mesh as it will be written: with the triangles that are left, at the positions that each file makes of
 //! its own. A vertex that is out of its bounds is moved, a triangle without area is taken out, and the mesh is checked again.
 //!
+//! The bounds of smoothing are checked before φ is changed here.
+//!
 //! Whatever is taken away is counted, and the certificate does not ask for it any more: not for particles in islands
 //! that were dropped, nor for the spheres that a box or an obstacle cuts.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
@@ -19,7 +22,7 @@ use super::{Scene, lattice};
 use crate::certify::{self, Exempt, Part, ParticleChecks};
 use crate::contour;
 use crate::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::{NarrowBand, offset_surface};
 use crate::mesh::{Mesh, Rounding, decimate};
 use crate::obstacle::ObstacleLeaf;
 use crate::report::{DepthTally, EditReport, SkinReport};
@@ -38,18 +41,33 @@ pub(super) fn has_edits(settings: &Settings) -> bool {
     settings.drop_islands > 0 || settings.fill_cavities > 0.0 || settings.clip.is_some()
 }
 
+/// Moves the surface by the offset, if there is one: up to obstacles, and no farther.
+pub(super) fn offset(band: &mut NarrowBand, scene: &Scene) {
+    let radii = scene.radii;
+    if radii.offset == 0.0 {
+        return;
+    }
+    let wall = |origin: IVec3| match scene.obstacle(origin) {
+        // Where all is deep inside obstacles, there is no surface to hold.
+        ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
+        ObstacleLeaf::Near(mut distances) => {
+            Arc::make_mut(&mut distances).values.iter_mut().for_each(|distance| *distance = -*distance);
+            Some(distances)
+        }
+    };
+    offset_surface(band, radii.offset, radii.result_half_width(), wall);
+}
+
 /// Takes away what the settings ask for. `particles` are those of each leaf, in voxels relative to its origin.
 pub(super) fn edit<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
-    mut bounds: Option<&mut Bounds>,
     particles: impl IntoIterator<Item = (IVec3, P)>,
     (scene, settings): (&Scene, &Settings),
     report: &mut EditReport,
 ) -> Edits {
     let mut edits = Edits::default();
     if settings.drop_islands > 0 {
-        let dropped =
-            trim::drop_islands(band, bounds.as_deref_mut(), u64::from(settings.drop_islands), particles);
+        let dropped = trim::drop_islands(band, u64::from(settings.drop_islands), particles);
         report.island_count = dropped.piece_count;
         report.island_particle_count = dropped.particle_count;
         edits.islands = Some(dropped);
@@ -63,13 +81,13 @@ pub(super) fn edit<P: AsRef<[Vec3]>>(
         };
         let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
             if scene.obstacles.is_empty() { None } else { Some(&kept) };
-        let filled = trim::fill_cavities(band, bounds.as_deref_mut(), settings.fill_cavities, kept);
+        let filled = trim::fill_cavities(band, settings.fill_cavities, kept);
         report.cavity_count = filled.cavity_count;
         report.cavity_voxel_count = filled.voxel_count;
     }
     if let Some(clip) = &settings.clip {
         let clip = trim::ClipBox { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
-        report.clipped_voxel_count = trim::clip(band, bounds, &scene.lattice, &clip).voxel_count;
+        report.clipped_voxel_count = trim::clip(band, &scene.lattice, &clip).voxel_count;
         edits.clip = Some(clip);
     }
     edits
@@ -84,7 +102,7 @@ pub(super) fn mesh(
 ) -> Mesh {
     let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
     if !scene.obstacles.is_empty() {
-        *depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.radii.half_width());
+        *depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.obstacle_half_width());
     }
     if let Some(clip) = &edits.clip {
         clip.hold(&mut mesh);
@@ -204,7 +222,9 @@ impl Exempt for Exemptions<'_> {
     }
 
     fn vertex(&self, index: DVec3) -> bool {
-        self.is_near_cut(index) || self.obstacle_distance(index) < self.scene.void_threshold + VERTEX_MARGIN
+        // What obstacles took away before the surface was moved reaches so much farther.
+        let margin = self.scene.void_threshold + VERTEX_MARGIN + self.scene.radii.outward();
+        self.is_near_cut(index) || self.obstacle_distance(index) < margin
     }
 }
 

@@ -23,19 +23,19 @@ pub use band::{SLACK_MAX_VOXELS, resurface, resurfacing_bytes};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use finish::Stored;
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
-pub use shape::shape;
+pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};
 pub use shelves::{SHELF_COUNT, Storage};
 
-use crate::certify::{MeshCells, Part, certificate};
+use crate::certify::{GivenPlace, MeshCells, Part, certificate, doubtful_places, given_outside};
 use crate::contour;
 use crate::grid::Leaf;
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::{Bounds, NarrowBand, offset_reach_voxels};
 use crate::mesh::Mesh;
 use crate::obstacle::{ContactTally, Obstacles};
 use crate::particles::{Cloud, ParticleSource, Particles};
 use crate::rasterize::{self, ParticleBins, Radii, Scene};
 use crate::report::{Shaping, SkinReport};
-use crate::settings::{Anisotropy, Settings};
+use crate::settings::Settings;
 use crate::smooth;
 use crate::space::{CoordBox, Lattice};
 use finish::{Checked, Edits, Exemptions};
@@ -70,6 +70,8 @@ pub struct Rasterized {
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
+    /// Where particles were given that are elsewhere now, and may be outside; `None` where none was moved.
+    given: Option<Vec<GivenPlace>>,
     report: SkinReport,
 }
 
@@ -80,10 +82,11 @@ pub struct Smoothed {
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
+    given: Option<Vec<GivenPlace>>,
     report: SkinReport,
 }
 
-/// Skins one frame: rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
+/// Skins one frame: shape by neighbours, rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
 /// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
 /// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; [`plan`] tells of voxels that are too small for a frame.
 ///
@@ -95,7 +98,7 @@ pub struct Smoothed {
 /// use meniscus::settings::{Choices, Settings};
 /// use meniscus::skin::skin;
 ///
-/// let settings = Settings::resolve(0.1, &Choices::default())?;
+/// let settings = Settings::paper(0.1, &Choices::default())?;
 /// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
 /// // A particle by itself becomes a ball, and its certificate says that it is between the particle's two radii.
 /// assert!(drop.report.certificate.holds());
@@ -103,17 +106,23 @@ pub struct Smoothed {
 /// # Ok::<(), meniscus::settings::SettingsError>(())
 /// ```
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
-    let Ok(rasterized) = rasterize(particles, settings, Shaping::default(), Obstacles::default());
+    let Ok((shaped, shaping)) = shape_by_neighbors(particles, Shaping::default(), settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shaping, Obstacles::default());
     contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
 }
 
 /// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
 /// vertices those that the settings ask for.
 pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
-    let (cloud, shaping) = shape(cloud, settings);
-    let Ok(rasterized) = rasterize(&cloud, settings, shaping, obstacles.clone());
+    let (shaped, shaping) = shape(cloud, settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shaping, obstacles.clone());
     let mut surface = contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre]);
-    transfer(&mut surface, &cloud, settings, Targets { vertices: true, band_half_width_voxels: None });
+    transfer(
+        &mut surface,
+        &shaped.into_moved(),
+        settings,
+        Targets { vertices: true, band_half_width_voxels: None },
+    );
     surface
 }
 
@@ -131,6 +140,13 @@ pub fn rasterize<S: ParticleSource>(
     let scene = scene(settings, &obstacles);
     let rasterize::Rasterized { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
     let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
+    let given = match source.has_moved() {
+        true => {
+            let upper = (&*band.topology, &bounds.upper, scene.radii.offset);
+            Some(doubtful_places(source, &scene.lattice, upper)?)
+        }
+        false => None,
+    };
     let mut report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
@@ -141,7 +157,7 @@ pub fn rasterize<S: ParticleSource>(
         ..SkinReport::default()
     };
     report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
-    Ok(Rasterized { bins, band, bounds, obstacles, report })
+    Ok(Rasterized { bins, band, bounds, obstacles, given, report })
 }
 
 /// The second stage: the constrained smoothing.
@@ -156,19 +172,22 @@ pub fn smooth_observed(
     advanced: &mut dyn FnMut(f64),
 ) -> Smoothed {
     let started = Instant::now();
-    let Rasterized { bins, mut band, bounds, obstacles, mut report } = rasterized;
+    let Rasterized { bins, mut band, bounds, obstacles, given, mut report } = rasterized;
     let smoothed = smooth::smooth_observed(&mut band, &bounds, &smooth_config(settings), advanced);
     report_smoothing(&mut report, smoothed, settings);
     report.seconds.smooth = started.elapsed().as_secs_f64();
-    Smoothed { bins, band, bounds, obstacles, report }
+    Smoothed { bins, band, bounds, obstacles, given, report }
 }
 
 fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
     report.free_voxel_count = smoothed.free_voxel_count;
     report.pass_count = smoothed.pass_count;
     report.moved_count = smoothed.moved_count;
-    let of_shapes = shape_reach(settings);
-    let reach_before = radii(settings).reach_voxels(longest_of(&report.shaping)).saturating_add(of_shapes);
+    let radii = radii(settings);
+    let longest = longest_of(&report.shaping);
+    let of_shapes = shape::shape_reach(settings, longest);
+    let of_offset = if radii.offset == 0.0 { 0 } else { offset_reach_voxels(radii.result_half_width()) };
+    let reach_before = radii.reach_voxels(longest).saturating_add(of_shapes).saturating_add(of_offset);
     report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
     report.convergence = smoothed.convergence;
     report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
@@ -177,13 +196,14 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 /// The third stage: the mesh, its measures and the certificate, which is about the mesh as each file stores it.
 pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Surface {
     let started = Instant::now();
-    let Smoothed { bins, mut band, mut bounds, obstacles, mut report } = smoothed;
+    let Smoothed { bins, mut band, bounds, obstacles, given, mut report } = smoothed;
     let scene = scene(settings, &obstacles);
     let Scene { lattice, radii, .. } = scene;
+    let bound_violation_count = bounds.violation_count(&band.phi);
+    drop(bounds);
+    finish::offset(&mut band, &scene);
     let edits = match finish::has_edits(settings) {
-        true => {
-            finish::edit(&mut band, Some(&mut bounds), bins.leaves(), (&scene, settings), &mut report.edits)
-        }
+        true => finish::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
         false => Edits::default(),
     };
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
@@ -197,8 +217,11 @@ pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Su
         check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
         Ok::<(), Infallible>(())
     });
-    let counts = (bounds.violation_count(&band.phi), report.dropped_count);
-    report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
+    let counts = (bound_violation_count, report.dropped_count);
+    report.certificate =
+        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+    report.certificate.given_outside =
+        given.map(|given| given_outside(&given, &band, (&lattice, radii.offset), exempt));
     report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
@@ -222,7 +245,7 @@ fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
 fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usize, S::Error> {
     match scene.obstacles.is_empty() {
         true => Ok(0),
-        false => scene.obstacles.count_inside(source, &scene.lattice, scene.radii.half_width()),
+        false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),
     }
 }
 
@@ -230,8 +253,9 @@ fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usiz
 fn radii(settings: &Settings) -> Radii {
     let voxels = |world: f64| (world / settings.voxel_size) as f32;
     let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
+    let offset = voxels(settings.offset);
     match settings.has_shapes() {
-        false => Radii::of_balls(min, init, max),
+        false => Radii { offset, ..Radii::of_balls(min, init, max) },
         // Half axes come back from a matrix, not quite as long as they were.
         true => Radii {
             min,
@@ -239,6 +263,7 @@ fn radii(settings: &Settings) -> Radii {
             max,
             shortest: 0.9999 * shape::shortest(settings),
             roomy: shape::roomy(settings),
+            offset,
         },
     }
 }
@@ -246,15 +271,6 @@ fn radii(settings: &Settings) -> Radii {
 /// The longest half axis of the particles, in units of the radii.
 fn longest_of(shaping: &Shaping) -> f32 {
     if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
-}
-
-/// How far the particles are, in voxels, that one's shape depends on.
-fn shape_reach(settings: &Settings) -> u32 {
-    match settings.anisotropy {
-        Anisotropy::None | Anisotropy::Velocity { .. } => 0,
-        // In crowds, what is sampled depends on the whole cells around.
-        Anisotropy::Neighbors { radius, .. } => (2.0 * radius / settings.voxel_size).ceil() as u32,
-    }
 }
 
 fn smooth_config(settings: &Settings) -> smooth::Config {
@@ -266,6 +282,8 @@ fn smooth_config(settings: &Settings) -> smooth::Config {
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
         keeps_spheres: can_spheres_shrink(settings),
+        // The level that becomes the surface has to be as far from it as it says.
+        distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
     }
 }
 

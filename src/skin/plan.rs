@@ -7,12 +7,12 @@ use rustc_hash::FxHashMap;
 
 use super::fineness::{TooFine, too_fine};
 use super::tiles::{HALO_LEAVES, tiles_around};
-use super::{TOPOLOGY_LEAF_BYTES, radii, scene};
+use super::{TOPOLOGY_LEAF_BYTES, radii, scene, shape};
 use crate::grid::Leaf;
 use crate::obstacle::Obstacles;
 use crate::particles::ParticleSource;
 use crate::rasterize::{self, Footprint};
-use crate::settings::{Contouring, Integrator, Settings};
+use crate::settings::{Anisotropy, Contouring, Integrator, Settings};
 
 /// How a frame is to be skinned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,7 +93,7 @@ pub fn plan<S: ParticleSource>(
     allowed_bytes: u64,
 ) -> Result<Result<Plan, Unfit>, S::Error> {
     let Surroundings { obstacles, attribute_bytes } = surroundings;
-    let footprint = rasterize::footprint(source, &scene(settings, obstacles))?;
+    let footprint = rasterize::footprint(source, &scene(settings, obstacles), shape::near_surface(settings))?;
     if let Some(too_fine) = too_fine(source, settings, &footprint)? {
         return Ok(Err(Unfit::TooFine(too_fine)));
     }
@@ -152,10 +152,43 @@ const SORTED_PARTICLE_BYTES: f64 = 40.0;
 /// Memory for a particle's shape: in the frame, where it is kept, and as it is looked up.
 const SHAPE_BYTES: f64 = 200.0;
 
-/// Memory for the shapes of all particles.
+/// Memory for the shapes of particles, and for where neighbours move them.
 fn shape_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
-    if settings.has_shapes() { SHAPE_BYTES * footprint.particle_count as f64 } else { 0.0 }
+    let by_attributes =
+        settings.own_radii.is_some() || matches!(settings.anisotropy, Anisotropy::Velocity { .. });
+    let shaped_count = match (by_attributes, settings.has_shapes()) {
+        (true, _) => footprint.particle_count,
+        // They are made for each batch, and kept of the particles that are.
+        (false, true) => footprint.near_particle_count,
+        (false, false) => 0,
+    };
+    let [_, kept] = shape::changes_bytes(settings);
+    let of_changes =
+        if settings.uses_neighbors() { kept * footprint.shaped_particle_count as f64 } else { 0.0 };
+    let given = if settings.position_smoothing > 0.0 {
+        GIVEN_BYTES * footprint.shaped_particle_count.min(footprint.near_particle_count) as f64
+    } else {
+        0.0
+    };
+    SHAPE_BYTES * shaped_count as f64 + of_changes + given
 }
+
+/// Memory for where particles were given that may be outside of the surface: of each particle near it, in the mean.
+const GIVEN_BYTES: f64 = 24.0;
+
+/// Memory while neighbours are looked at, before anything else of the frame is kept.
+fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
+    if !settings.uses_neighbors() {
+        return 0.0;
+    }
+    let [collected, _] = shape::changes_bytes(settings);
+    (SORTED_LEAF_BYTES + VICINITY_LEAF_BYTES) * footprint.occupied_count as f64
+        + shape::gathered_bytes(footprint.particle_count)
+        + collected * footprint.shaped_particle_count as f64
+}
+
+/// Memory for a leaf while it is found out which particles are near the surface: masks of its cells, and the leaves around it.
+const VICINITY_LEAF_BYTES: f64 = 300.0;
 
 /// Memory while attributes are transferred and written, beside the mesh and two level sets: near particles sorted and
 /// packed; values at vertices and in the band, once as they are found and once in a row, then packed for six voxels.
@@ -164,18 +197,25 @@ fn transfer_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f
         return 0.0;
     }
     let [_, area, _, particles] = counts(footprint, settings);
-    particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
+    // The particles once more, in their shapes.
+    let moved = match (settings.uses_neighbors(), settings.anisotropy) {
+        (true, Anisotropy::Neighbors { .. }) => SHAPES_BYTES * footprint.particle_count as f64,
+        _ => 0.0,
+    };
+    moved + particles * (80.0 + 2.0 * attribute_bytes) + area * (48.0 + 8.0 * attribute_bytes)
 }
 
-/// Memory while islands, cavities and what is beyond a box are taken away, beside so many fields: the field that a box
-/// makes of another, pieces, and, of a frame in tiles, particles, of which islands are told by.
-fn edit_bytes(footprint: &Footprint, settings: &Settings, fields: f64) -> f64 {
+/// Memory for an ellipsoid, and for it in one batch and in all.
+const SHAPES_BYTES: f64 = 56.0;
+
+/// Memory while islands, cavities and what is beyond a box are taken away: φ, the field that a box makes of it, pieces, and, of a frame in tiles, particles, of which islands are told by.
+fn edit_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
     let [surface, _, occupied, particles] = counts(footprint, settings);
     let has_pieces = settings.drop_islands > 0 || settings.fill_cavities > 0.0;
     if !has_pieces && settings.clip.is_none() {
         return 0.0;
     }
-    let fields = if settings.clip.is_some() { fields + 1.0 } else { fields };
+    let fields = if settings.clip.is_some() { 2.0 } else { 1.0 };
     let pieces = if has_pieces { PIECES_LEAF_BYTES * surface } else { 0.0 };
     let particles = if settings.drop_islands > 0 {
         KEPT_PARTICLE_BYTES * particles + LISTED_LEAF_BYTES * occupied
@@ -183,6 +223,11 @@ fn edit_bytes(footprint: &Footprint, settings: &Settings, fields: f64) -> f64 {
         0.0
     };
     FIELD_BYTES * fields * surface + pieces + particles
+}
+
+/// Memory while the surface is moved, of so many leaves: φ, what it is swept into, and which voxels are beside the surface.
+fn offset_bytes(settings: &Settings, leaf_count: f64) -> f64 {
+    if settings.offset == 0.0 { 0.0 } else { 2.2 * FIELD_BYTES * leaf_count }
 }
 
 /// Memory for the pieces in a leaf: masks of its voxels, once as they are found and once in a row, and what they touch.
@@ -196,14 +241,16 @@ fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64)
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
-        edit_bytes(footprint, settings, 3.0),
+        edit_bytes(footprint, settings),
+        offset_bytes(settings, surface),
         FIELD_BYTES * 4.0 * surface + mesh_bytes(settings) * area,
         FIELD_BYTES * 2.0 * surface
             + mesh_bytes(settings) * area
             + transfer_bytes(footprint, settings, attribute_bytes),
     ];
     let stages_bytes = stages.into_iter().fold(0.0, f64::max) + KEPT_PARTICLE_BYTES * particles;
-    (stages_bytes.max(SORTED_PARTICLE_BYTES * particles) + shape_bytes(footprint, settings)) as u64
+    let after = stages_bytes.max(SORTED_PARTICLE_BYTES * particles) + shape_bytes(footprint, settings);
+    after.max(neighbors_bytes(footprint, settings)) as u64
 }
 
 fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64, tile_leaves: i32) -> u64 {
@@ -219,14 +266,16 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,
         FIELD_BYTES * smoothing_fields(settings) * smoothed,
-        edit_bytes(footprint, settings, 1.0) + sorting,
+        edit_bytes(footprint, settings) + sorting,
+        offset_bytes(settings, surface),
         FIELD_BYTES * surface + mesh_bytes(settings) * area + sorting,
         // Writing: φ, and φ as it is packed.
         FIELD_BYTES * 2.0 * surface
             + mesh_bytes(settings) * area
             + transfer_bytes(footprint, settings, attribute_bytes),
     ];
-    (stages.into_iter().fold(0.0, f64::max) + kept + shape_bytes(footprint, settings)) as u64
+    let after = stages.into_iter().fold(0.0, f64::max) + kept + shape_bytes(footprint, settings);
+    after.max(neighbors_bytes(footprint, settings)) as u64
 }
 
 /// Memory for a leaf of a field.

@@ -13,7 +13,7 @@ use super::finish::{self, Checked, Edits, Exemptions, Stored};
 use super::shelves::{Shelves, Storage};
 use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
 use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
-use crate::certify::{MeshCells, Part, certificate};
+use crate::certify::{MeshCells, Part, certificate, given_outside_of};
 use crate::contour;
 use crate::grid::LEAF_EDGE;
 use crate::level_set::{Bounds, NarrowBand};
@@ -167,6 +167,7 @@ pub fn contour<S: ParticleSource>(
         let bins = rasterize::particles_of_window(&source, &occupancy, &scene, owned);
         bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
     };
+    finish::offset(&mut band, &scene);
     let mut edits = Edits::default();
     if finish::has_edits(settings) {
         let mut particles = Vec::new();
@@ -175,8 +176,7 @@ pub fn contour<S: ParticleSource>(
             let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
             particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
         }
-        // The bounds were checked, and what becomes of them nobody asks.
-        edits = finish::edit(&mut band, None, particles, (&scene, settings), &mut report.edits);
+        edits = finish::edit(&mut band, particles, (&scene, settings), &mut report.edits);
     }
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
@@ -193,7 +193,13 @@ pub fn contour<S: ParticleSource>(
         Ok::<(), TiledError<S::Error>>(())
     })?;
     let counts = (bound_violation_count, report.dropped_count);
-    report.certificate = certificate(checks, counts, &mesh, &report.mesh, &lattice);
+    report.certificate =
+        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+    if source.has_moved() {
+        let how = (&lattice, radii.offset);
+        let outside = given_outside_of(&source, &band, how, exempt).map_err(TiledError::Source)?;
+        report.certificate.given_outside = Some(outside);
+    }
     report.seconds.contour = started.elapsed().as_secs_f64();
     Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
 }
@@ -251,15 +257,21 @@ mod tests {
     /// A long bar of two sheets that come together and part again, much longer than a halo is wide, and a few
     /// particles by themselves.
     fn particles() -> Particles {
+        let Particles::Double(mut positions) = bar(190) else { unreachable!("positions of 64 bits") };
+        positions.extend([[31.0, -8.0, 8.0], [-20.0, 15.0, -9.0], [120.5, 10.5, 10.5]]);
+        Particles::Double(positions)
+    }
+
+    /// The bar alone, as long as this.
+    fn bar(length: i32) -> Particles {
         let mut positions = Vec::new();
-        for index in 0..190 * 5 * 4 {
+        for index in 0..length * 5 * 4 {
             let (x, y, z) = (f64::from(index / 20), f64::from(index / 4 % 5), f64::from(index % 4));
             let jitter = |seed: f64| 0.3 * (f64::from(index) * seed).sin();
             let gap = if z > 1.5 { 1.5 + 1.5 * (0.2 * x).sin() } else { 0.0 };
             let lift = 2.0 * (0.05 * x).sin() + gap;
             positions.push([x + jitter(12.9), y + jitter(78.2), z + lift + jitter(37.7)].map(|p| p - 13.0));
         }
-        positions.extend([[31.0, -8.0, 8.0], [-20.0, 15.0, -9.0], [120.5, 10.5, 10.5]]);
         Particles::Double(positions)
     }
 
@@ -288,9 +300,11 @@ mod tests {
             Choices { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..Choices::default() },
             Choices { redistance_every: Some(2), ..Choices::default() },
             Choices { integrator: Some(Integrator::Explicit), steps: Some(60), ..Choices::default() },
+            Choices { offset: Some(-0.7), ..Choices::default() },
+            Choices { offset: Some(0.9), steps: Some(2), ..Choices::default() },
         ];
         for choices in choices {
-            let settings = Settings::resolve(0.5, &choices).expect("sound");
+            let settings = Settings::paper(0.5, &choices).expect("sound");
             let whole = skin(&particles(), &settings);
             let tiled = finished(rasterized(&settings, 4), &settings);
             assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
@@ -327,11 +341,23 @@ mod tests {
         };
         let all = [
             Choices { radius_attribute: Some("pscale".into()), ..plain.clone() },
-            Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..plain.clone() },
+            Choices { offset: Some(-0.6), ..plain.clone() },
+            Choices {
+                anisotropy: Some(AnisotropyKind::Neighbors),
+                position_smoothing: Some(0.9),
+                ..plain.clone()
+            },
+            Choices { anisotropy: Some(AnisotropyKind::Neighbors), offset: Some(0.8), ..plain.clone() },
+            Choices { position_smoothing: Some(0.9), ..plain.clone() },
+            Choices {
+                radius_attribute: Some("pscale".into()),
+                position_smoothing: Some(0.5),
+                ..plain.clone()
+            },
             Choices { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
         ];
         for choices in all {
-            let settings = Settings::resolve(0.5, &choices).expect("sound");
+            let settings = Settings::paper(0.5, &choices).expect("sound");
             let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(particles()) };
             let report = same_in_tiles(cloud, &settings, &obstacles);
             let SkinReport { certificate, edits, contact, .. } = &report;
@@ -340,6 +366,45 @@ mod tests {
                 edits.island_count > 0 && edits.clipped_voxel_count > 0 && contact.void_count > 0,
                 "{edits:?}"
             );
+        }
+    }
+
+    /// Where the moved surface ends at the obstacle, some voxels lie exactly on the obstacle's surface, and all around them are outside.
+    #[test]
+    fn an_outward_offset_of_smoothed_positions_beside_an_obstacle_is_closed() {
+        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
+        for offset in [0.4, 0.8] {
+            let choices =
+                Choices { position_smoothing: Some(0.9), offset: Some(offset), ..Choices::default() };
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            let report = same_in_tiles(Cloud::from(particles()), &settings, &obstacles);
+            assert!(report.certificate.holds(), "{:?}", report.certificate);
+        }
+    }
+
+    /// Obstacles with faces and corners on voxels: distances to them are zero there.
+    #[test]
+    fn moved_surfaces_beside_obstacles_are_closed_and_the_same_in_tiles() {
+        let solids = [
+            octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0),
+            cuboid(DVec3::new(14.0, -14.0, -12.0), DVec3::new(18.0, -9.0, -8.0)),
+            cuboid(DVec3::new(-30.0, -30.0, -16.0), DVec3::new(60.0, 30.0, -12.0)),
+        ];
+        for solid in solids {
+            let obstacles =
+                Obstacles { members: vec![Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 24))] };
+            for (offset, position_smoothing) in [(-0.8, 0.9), (0.25, 0.5), (0.4, 0.4), (0.8, 0.0), (1.0, 0.9)]
+            {
+                let choices = Choices {
+                    position_smoothing: Some(position_smoothing),
+                    offset: Some(offset),
+                    ..Choices::default()
+                };
+                let settings = Settings::paper(0.5, &choices).expect("sound");
+                let report = same_in_tiles(Cloud::from(bar(36)), &settings, &obstacles);
+                assert!(report.certificate.holds(), "{choices:?}: {:?}", report.certificate);
+            }
         }
     }
 
@@ -366,7 +431,7 @@ mod tests {
             radius_min: Some(0.05),
             ..Choices::default()
         };
-        let settings = Settings::resolve(0.02, &choices).expect("sound");
+        let settings = Settings::paper(0.02, &choices).expect("sound");
         let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(places.collect())) };
         let report = same_in_tiles(cloud, &settings, &Obstacles::default());
         assert!(report.vertices_returned > 0, "the scene has none");
@@ -375,11 +440,11 @@ mod tests {
 
     /// Skins particles whole and in tiles.
     fn same_in_tiles(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> SkinReport {
-        let (cloud, shaping) = super::super::shape(cloud, settings);
-        let Ok(whole) = super::super::rasterize(&cloud, settings, shaping, obstacles.clone());
+        let (shaped, shaping) = super::super::shape(cloud, settings);
+        let Ok(whole) = super::super::rasterize(&shaped, settings, shaping, obstacles.clone());
         let whole =
             super::super::contour(super::super::smooth(whole, settings), settings, &[Stored::AsTheyAre]);
-        let frame = rasterize(cloud, settings, shaping, obstacles.clone(), 4, storages());
+        let frame = rasterize(shaped, settings, shaping, obstacles.clone(), 4, storages());
         let smoothed = smooth(frame.expect("in memory"), settings, &mut |_| {}).expect("in memory");
         let (tiled, _) = contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory");
         assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
@@ -397,10 +462,20 @@ mod tests {
         Solid::new(&positions, &faces)
     }
 
+    fn cuboid(least: DVec3, greatest: DVec3) -> Solid {
+        let corner = |slot: usize| {
+            [0, 1, 2].map(|axis| if slot >> (2 - axis) & 1 == 1 { greatest[axis] } else { least[axis] })
+        };
+        let positions: Vec<[f64; 3]> = (0..8).map(corner).collect();
+        let sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+        let faces: Vec<[u32; 3]> = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Solid::new(&positions, &faces)
+    }
+
     /// So the test above can fail: what a tile does not see, it does not get right.
     #[test]
     fn a_halo_that_is_too_narrow_shows() {
-        let settings = Settings::resolve(0.5, &Choices::default()).expect("sound");
+        let settings = Settings::paper(0.5, &Choices::default()).expect("sound");
         let mut frame = rasterized(&settings, 4);
         frame.tiling = frame.tiling.with_halo(4, 1);
         assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);

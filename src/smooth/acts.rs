@@ -18,7 +18,7 @@ use super::thickness::THICKNESS_REACH;
 use super::tips::{TIP_REACH, around_tips};
 use super::{Config, Integrator, SmoothReport, explicit, implicit, keep_off_zero, laplacian};
 use crate::grid::{Field, Topology};
-use crate::level_set::{Bounds, NarrowBand, Sweeps, redistance_in};
+use crate::level_set::{Bounds, NarrowBand, Sweeps, extend_distances, redistance_in};
 
 /// A part of the smoothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,6 +55,8 @@ pub enum Act {
     Implicit,
     /// Distances and bounds restored after steps.
     Redistance,
+    /// Distances carried on, beyond where they were restored.
+    Extend,
     /// Values moved off zero.
     Finish,
 }
@@ -84,7 +86,7 @@ impl Act {
     pub fn reach_voxels(self) -> Option<u32> {
         match self {
             Act::Laplacian { steps } => Some(steps),
-            Act::Restore | Act::Redistance => Some(REDISTANCE_REACH),
+            Act::Restore | Act::Redistance | Act::Extend => Some(REDISTANCE_REACH),
             // What is thick is found again by every act of a step.
             Act::Passes { count, holds_tips, .. } => {
                 Some(count.saturating_mul(2).saturating_add(region_reach(holds_tips)))
@@ -163,9 +165,21 @@ pub fn acts(config: &Config, reach_max: u32) -> Vec<Act> {
             acts.push(Act::Redistance);
         }
     }
+    if config.distances_voxels > 0.0 {
+        // In place of the last one, which may be of first order.
+        acts.pop_if(|act| *act == Act::Redistance);
+        if acts.last() != Some(&Act::Restore) {
+            acts.push(Act::Restore);
+        }
+        let sweeps = (3f32.sqrt() * (config.distances_voxels + DISTANCES_MARGIN)).ceil() as u32;
+        acts.extend((1..sweeps.div_ceil(REDISTANCE_SWEEPS)).map(|_| Act::Extend));
+    }
     acts.push(Act::Finish);
     acts
 }
+
+/// Voxels beside the farthest place where distances are wanted have them, too.
+const DISTANCES_MARGIN: f32 = 1.0;
 
 /// So many, in portions of at most `most`: the first of each and how many there are.
 fn portions(total: u32, most: u32) -> impl Iterator<Item = (u32, u32)> {
@@ -256,6 +270,11 @@ impl Work<'_> {
                 let solved = implicit::step(band, bounds, region, step_size, tolerance, &mut memory.first);
                 let moved_count = free_count * solved.pass_count() as u64;
                 Tally { free_count, moved_count, convergence: Some(solved), ..Tally::default() }
+            }
+            Act::Extend => {
+                extend_distances(band, Sweeps::accurate(REDISTANCE_SWEEPS));
+                bounds.clamp(&mut band.phi);
+                Tally::default()
             }
             Act::Finish => {
                 keep_off_zero(&mut band.phi, bounds);
@@ -379,6 +398,7 @@ mod tests {
             redistance_every,
             cg_tolerance: 1e-4,
             keeps_spheres: false,
+            distances_voxels: 0.0,
         }
     }
 
@@ -408,6 +428,25 @@ mod tests {
                 assert!(parts.len() > whole.len());
             }
         }
+    }
+
+    #[test]
+    fn distances_are_restored_last_where_they_are_wanted() {
+        let last = |integrator, steps, laplacian_steps, distances_voxels| {
+            let config = Config { distances_voxels, laplacian_steps, ..config(integrator, steps, 1) };
+            let acts = acts(&config, 48);
+            acts[acts.len().saturating_sub(3)..].to_vec()
+        };
+        for (acts, expected) in [
+            (last(Integrator::Implicit, 1, 15, 0.0), [Act::Implicit, Act::Redistance, Act::Finish]),
+            (last(Integrator::Implicit, 1, 15, 2.0), [Act::Implicit, Act::Restore, Act::Finish]),
+            (last(Integrator::Fast, 0, 15, 2.0), [Act::Laplacian { steps: 15 }, Act::Restore, Act::Finish]),
+            // 8 sweeps reach 4.6 voxels along the diagonal.
+            (last(Integrator::Implicit, 1, 15, 5.0), [Act::Restore, Act::Extend, Act::Finish]),
+        ] {
+            assert_eq!(acts, expected);
+        }
+        assert_eq!(last(Integrator::Fast, 0, 0, 2.0), [Act::Restore, Act::Finish]);
     }
 
     #[test]

@@ -29,7 +29,7 @@ pub use implicit::Convergence;
 use rayon::prelude::*;
 
 use crate::grid::Field;
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
 
 /// How the constrained smoothing is integrated in fictitious time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,6 +69,8 @@ pub struct Config {
     /// Whether implicit steps, too, leave lone spheres of any radius what the Laplacian steps leave them. Explicit steps
     /// always do. Threads of the least particles then end a little thicker and rougher.
     pub keeps_spheres: bool,
+    /// The result holds distances as far from the surface as this, in voxels. With 0 they are as good as the integrator needs them.
+    pub distances_voxels: f32,
 }
 
 /// What smoothing took.
@@ -113,13 +115,7 @@ pub fn smooth_observed(
     report
 }
 
-/// No value of the result is nearer to zero than this, in voxels, unless its bounds demand it.
-const NEAREST_TO_ZERO: f32 = 1.0 / 128.0;
-
-/// Moves values off zero. Where the surface all but touches a voxel, meshers fold it around that voxel
-/// in triangles that are the sharper the smaller they are. Through OpenVDB's mesher one voxel at 10⁻⁶
-/// had ∫H² = 4800, three times that of its whole frame; at 0.0002 it had 320, at 0.003 it has 30, at 1/128 less than a
-/// drop's 4π.
+/// Moves values off zero, unless their bounds demand that they are as near.
 fn keep_off_zero(phi: &mut Field, bounds: &Bounds) {
     let bounds = bounds.lower.leaves.par_iter().zip(&bounds.upper.leaves);
     phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
@@ -149,6 +145,7 @@ pub fn smooth_laplacian_only(band: &mut NarrowBand, bounds: &Bounds, steps: u32)
         redistance_every: 1,
         cg_tolerance: 0.0,
         keeps_spheres: false,
+        distances_voxels: 0.0,
     };
     let mut memory = Memory::new(band.topology.len());
     for act in acts(&config, REDISTANCE_EVERY) {

@@ -19,7 +19,7 @@ use rustc_hash::FxHashSet;
 use super::pieces::{Contact, Pieces};
 use super::turned::{Side, turn};
 use crate::grid::{FACE_STEPS, LEAF_EDGE, LEAF_VOXELS, LeafMask, Topology, negative_masks};
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::NarrowBand;
 use crate::space::CoordBox;
 
 /// What was filled.
@@ -31,13 +31,11 @@ pub struct FilledCavities {
     pub voxel_count: u64,
 }
 
-/// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside, and the lower
-/// bounds there, where they are wanted, are lowered to φ.
+/// Fills the enclosed pieces of the outside with fewer than `volume_voxels` voxels: they turn inside.
 ///
 /// What has a voxel that is `kept` is no cavity: that tells those of a leaf, by its origin, and is asked once of each.
 pub fn fill_cavities(
     band: &mut NarrowBand,
-    bounds: Option<&mut Bounds>,
     volume_voxels: f64,
     kept: Option<&dyn Fn(IVec3) -> LeafMask>,
 ) -> FilledCavities {
@@ -57,7 +55,7 @@ pub fn fill_cavities(
     }
     let is_filled: Vec<bool> =
         surroundings.verdicts.iter().map(|verdict| *verdict == Verdict::Enclosed).collect();
-    turn(band, bounds, &surroundings.pieces.voxels_of(&is_filled), Side::Inside);
+    turn(band, &surroundings.pieces.voxels_of(&is_filled), Side::Inside);
     filled
 }
 

@@ -7,7 +7,7 @@
 //!   │▒c              c ▒│          beyond the box are taken out
 //! ```
 //!
-//! The bounds are cut in the same way, and so hold φ where they held it before. Whether a gap between stored leaves is deep inside
+//! Whether a gap between stored leaves is deep inside
 //! is told as a .vdb file tells it: by the faces that look into it along z.
 //!
 //! A cap lies on its plane. Where a plane passes within 1/128 of a voxel of a row of voxels it is moved to that much
@@ -22,7 +22,7 @@ use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::grid::{Field, LEAF_EDGE, Leaf, LeafMask, Topology, negative_masks, voxel_in_leaf};
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::{NEAREST_TO_ZERO, NarrowBand};
 use crate::mesh::Mesh;
 use crate::space::Lattice;
 
@@ -74,13 +74,8 @@ pub struct Clipped {
     pub removed_leaf_count: usize,
 }
 
-/// Cuts off what is outside a box. What is left is closed, and the bounds, where they are wanted, are cut as φ is.
-pub fn clip(
-    band: &mut NarrowBand,
-    bounds: Option<&mut Bounds>,
-    lattice: &Lattice,
-    clip_box: &ClipBox,
-) -> Clipped {
+/// Cuts off what is outside a box. What is left is closed.
+pub fn clip(band: &mut NarrowBand, lattice: &Lattice, clip_box: &ClipBox) -> Clipped {
     let cut = Cut {
         min: clip_box.min / lattice.voxel_size,
         max: clip_box.max / lattice.voxel_size,
@@ -101,10 +96,7 @@ pub fn clip(
     band.topology = Arc::new(Topology::new(origins));
     let from: Vec<Option<usize>> = band.topology.origins().iter().map(|&origin| old.find(origin)).collect();
     clipped.added_leaf_count = from.iter().filter(|from| from.is_none()).count();
-    let bounds = bounds.into_iter().flat_map(|Bounds { lower, upper }| [lower, upper]);
-    for field in [&mut band.phi].into_iter().chain(bounds) {
-        *field = cut.apply(field, &band.topology, &from, band.half_width);
-    }
+    band.phi = cut.apply(&band.phi, &band.topology, &from, band.half_width);
     clipped.voxel_count += stored_difference(&old, &inside, &band.topology, &negative_masks(&band.phi));
     clipped
 }
@@ -153,7 +145,7 @@ const FIRST_Z: u64 = 0x0101_0101_0101_0101;
 const LAST_Z: u64 = FIRST_Z << 7;
 
 /// No voxel is nearer to a plane than this, in voxels.
-const NEAREST_TO_PLANE: f64 = 1.0 / 128.0;
+const NEAREST_TO_PLANE: f64 = NEAREST_TO_ZERO as f64;
 
 /// A box in voxels, and the half width of the band that it cuts.
 #[derive(Clone, Copy, Debug)]

@@ -11,7 +11,7 @@ use glam::{IVec3, Vec3};
 use super::pieces::{Contact, Pieces};
 use super::turned::{Side, turn};
 use crate::grid::{LEAF_EDGE, Topology, negative_masks};
-use crate::level_set::{Bounds, NarrowBand};
+use crate::level_set::NarrowBand;
 
 /// What was dropped.
 #[derive(Clone, Debug)]
@@ -27,14 +27,12 @@ pub struct DroppedIslands {
     is_dropped: Vec<bool>,
 }
 
-/// Drops the pieces of the inside with fewer than `particle_count_least` particles: their voxels turn outside, and the
-/// upper bounds there, where they are wanted, are raised to φ.
+/// Drops the pieces of the inside with fewer than `particle_count_least` particles: their voxels turn outside.
 ///
 /// Particles come leaf by leaf: a leaf's origin, and positions in voxels relative to it (0 to 8 on each axis).
 /// Particles that are not given are not counted.
 pub fn drop_islands<P: AsRef<[Vec3]>>(
     band: &mut NarrowBand,
-    bounds: Option<&mut Bounds>,
     particle_count_least: u64,
     particles: impl IntoIterator<Item = (IVec3, P)>,
 ) -> DroppedIslands {
@@ -60,7 +58,7 @@ pub fn drop_islands<P: AsRef<[Vec3]>>(
     }
     let turned = dropped.pieces.voxels_of(&dropped.is_dropped);
     dropped.voxel_count = turned.iter().map(|(_, mask)| u64::from(mask.count())).sum();
-    turn(band, bounds, &turned, Side::Outside);
+    turn(band, &turned, Side::Outside);
     dropped
 }
 

@@ -8,8 +8,8 @@
 //!                  ┊ box              the fluid beyond it is cut off, the cut closed by a flat cap
 //! ```
 //!
-//! They change φ and not the mesh, so that the mesh and the .vdb agree; and they keep the bounds true: where φ is
-//! moved on purpose, its interval is moved with it, and the caller is told how much that was.
+//! They change φ and not the mesh, so that the mesh and the .vdb agree. The bounds, which were checked before, say nothing of what
+//! is moved on purpose; the caller is told how much that was.
 //!
 //! The order is islands, cavities, box. A drop in a bubble that is too small goes first, and the bubble is then as
 //! large as it looks; a hollow drop that is too small goes with its hollow. Pieces are judged as the fluid

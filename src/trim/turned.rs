@@ -15,7 +15,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, Topology, voxel_in_leaf};
-use crate::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
+use crate::level_set::{NarrowBand, Sweeps, UNREACHED, extend};
 use crate::space::CoordBox;
 
 /// A side of the surface.
@@ -27,14 +27,8 @@ pub(super) enum Side {
     Outside,
 }
 
-/// Turns voxels, given leaf by leaf in order, to a side of the surface, and widens the bounds to hold what φ becomes.
-/// The voxels must be whole pieces of the other side.
-pub(super) fn turn(
-    band: &mut NarrowBand,
-    mut bounds: Option<&mut Bounds>,
-    turned: &[(usize, LeafMask)],
-    side: Side,
-) {
+/// Turns voxels, given leaf by leaf in order, to a side of the surface. The voxels must be whole pieces of the other side.
+pub(super) fn turn(band: &mut NarrowBand, turned: &[(usize, LeafMask)], side: Side) {
     if turned.is_empty() {
         return;
     }
@@ -42,19 +36,13 @@ pub(super) fn turn(
     let swept = sweep(band, turned, &near, side);
     for ((leaf, free), swept) in swept {
         let phi = &mut band.phi.leaves[leaf];
-        let bound = bounds.as_deref_mut().map(|bounds| match side {
-            Side::Inside => &mut bounds.lower.leaves[leaf],
-            Side::Outside => &mut bounds.upper.leaves[leaf],
-        });
-        for values in [Some(phi), bound].into_iter().flatten() {
-            for offset in free.iter() {
-                let distance = swept.values[offset].abs().min(band.half_width);
-                let old = &mut values.values[offset];
-                // A voxel that was on the other side is less than any distance.
-                *old = match side {
-                    Side::Inside => old.min(-distance),
-                    Side::Outside => old.max(distance),
-                }
+        for offset in free.iter() {
+            let distance = swept.values[offset].abs().min(band.half_width);
+            let old = &mut phi.values[offset];
+            // A voxel that was on the other side is less than any distance.
+            *old = match side {
+                Side::Inside => old.min(-distance),
+                Side::Outside => old.max(distance),
             }
         }
     }

@@ -78,7 +78,7 @@ def render():
     values = np.array([0, 0, 0, *FLIGHT], "<f4").tobytes()
     (FOLDER / "ball.ply").write_bytes("\n".join([*header, "end_header", ""]).encode() + values)
     picture = FOLDER / "ball.exr"
-    words = ["--voxel-size", VOXEL_SIZE, "--radius-min", 1, "--radius-ratio", 1, "--attributes", "all"]
+    words = ["--preset", "paper", "--voxel-size", VOXEL_SIZE, "--radius-min", 1, "--radius-ratio", 1, "--attributes", "all"]
     words += ["--size", f"{SIZE[0]}x{SIZE[1]}", "--camera", CAMERA]
     command = [PROGRAM, "render", FOLDER / "ball.ply", "-o", picture, *words]
     subprocess.run([str(word) for word in command], check=True, capture_output=True, timeout=300)

@@ -36,7 +36,7 @@ def main():
         out = OUT / "reference" / integrator
         shutil.rmtree(out, ignore_errors=True)
         inputs = [DATA / "third-party" / "splashsurf" / name for name in FRAMES]
-        options = ["--voxel-size", VOXEL_SIZE, "--integrator", integrator, "--format", "vdb,ply,glb"]
+        options = ["--preset", "paper", "--voxel-size", VOXEL_SIZE, "--integrator", integrator, "--format", "vdb,ply,glb"]
         status, said, frames = convert(inputs, out, *options)
         if status:
             check.line(integrator, f"exit status {status}", [said.strip()])

@@ -26,7 +26,7 @@ SHARD_COUNT = 4
 BROKEN_SHARD = 1
 KILLED_SHARD = 2
 # So fine that a frame takes a while, and a shard can be killed between two.
-OPTIONS = ["--format", "glb,vdb", "--voxel-size", "0.008", "--radius-min", "0.0277", "--radius-init", "0.0416"]
+OPTIONS = ["--format", "glb,vdb", "--preset", "paper", "--voxel-size", "0.008", "--radius-min", "0.0277", "--radius-init", "0.0416"]
 DEADLINE_SECONDS = 200
 
 

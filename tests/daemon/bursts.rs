@@ -8,8 +8,20 @@ use rustix::process::Signal;
 use crate::scene::{Line, NO_SCANS, Scene, Watching, by_length, csv, names_in, ply};
 
 /// What makes a frame of few particles cheap. The last two are the daemon's alone.
-const CHEAP: [&str; 10] =
-    ["--voxel-size", "0.1", "--laplacian-steps", "0", "--steps", "0", "--format", "obj", "--settle", "50ms"];
+const CHEAP: [&str; 12] = [
+    "--preset",
+    "paper",
+    "--voxel-size",
+    "0.1",
+    "--laplacian-steps",
+    "0",
+    "--steps",
+    "0",
+    "--format",
+    "obj",
+    "--settle",
+    "50ms",
+];
 
 /// Few particles, others for each number.
 fn few(number: usize) -> Vec<[f32; 3]> {
@@ -45,7 +57,7 @@ fn a_burst_of_which_no_event_tells_is_found() {
     daemon.await_lines(frame_count, "all are converted", Line::is_converted);
     daemon.finish();
     assert_eq!(outputs(&scene, "out").len(), frame_count);
-    scene.assert_as_converted(&CHEAP[..8]);
+    scene.assert_as_converted(&CHEAP[..10]);
 }
 
 /// Faster than anybody could listen, by four at once, in all the ways of writing.
@@ -71,7 +83,7 @@ fn a_burst_is_taken_as_it_comes() {
     daemon.await_lines(frame_count, "all are converted", Line::is_converted);
     daemon.assert_no_complaints();
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), frame_count);
-    scene.assert_as_converted(&CHEAP[..8]);
+    scene.assert_as_converted(&CHEAP[..10]);
 }
 
 /// The names of the meshes in a folder.
@@ -108,7 +120,7 @@ fn folders_that_are_filled_at_once_lose_nothing() {
     }
     for index in 0..3 {
         let folder = folder(index);
-        scene.assert_folder_as_converted(&format!("in/{folder}"), &format!("out/{folder}"), &CHEAP[..8]);
+        scene.assert_folder_as_converted(&format!("in/{folder}"), &format!("out/{folder}"), &CHEAP[..10]);
     }
 }
 

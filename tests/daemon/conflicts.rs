@@ -86,7 +86,7 @@ fn an_obstacle_is_never_replaced() {
     for (obstacle, refused) in
         [("out/dam.1.obj", &["dam.1"][..]), ("elsewhere/../out/dam.#.obj", &["dam.1", "dam.2"])]
     {
-        let with = ["--format", "obj", "--obstacle", obstacle, "--voxel-size", "0.06"];
+        let with = ["--format", "obj", "--obstacle", obstacle, "--preset", "paper", "--voxel-size", "0.06"];
         let once = scene.once(&[&with[..], &QUICK].concat());
         once.assert_status(if refused.len() == 2 { 2 } else { 1 });
         for name in refused {

@@ -154,8 +154,18 @@ fn pipes_do_not_hold_up_verify_and_convert() {
     // The results cannot be compared with a pipe, and nothing proves that the input was removed on purpose.
     let verified = verify();
     assert_eq!(verified.status, Some(1), "{}", verified.err);
-    let convert = ["convert", "in/dam.1.ply", "--out", "again", "--voxel-size", "0.1", "--skip-done"];
-    for arguments in [&convert[..], &convert[..6], &["info", "in"], &shard] {
+    let convert = [
+        "convert",
+        "in/dam.1.ply",
+        "--out",
+        "again",
+        "--preset",
+        "paper",
+        "--voxel-size",
+        "0.1",
+        "--skip-done",
+    ];
+    for arguments in [&convert[..], &convert[..8], &["info", "in"], &shard] {
         let ran = scene.run(arguments);
         assert_ne!(ran.status, None, "{arguments:?}");
     }

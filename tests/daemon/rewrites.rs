@@ -10,7 +10,7 @@ use crate::scene::{
 };
 
 /// With a voxel size, for what it would be measured on changes here.
-const FORMATS: [&str; 4] = ["--format", "obj,vdb", "--voxel-size", "0.06"];
+const FORMATS: [&str; 6] = ["--format", "obj,vdb", "--preset", "paper", "--voxel-size", "0.06"];
 
 fn watch(scene: &Scene, more: &[&str]) -> Watching {
     scene.watch(&[&["--settle", "100ms"], &NO_SCANS[..], &FORMATS, more].concat())
@@ -165,7 +165,7 @@ fn touch(scene: &Scene, within: &str) {
 #[test]
 fn a_frame_that_is_overwritten_while_it_is_read_is_read_again() {
     let noticed_count = by_length(2, 100);
-    let arguments = ["--format", "obj", "--voxel-size", "0.4"];
+    let arguments = ["--format", "obj", "--preset", "paper", "--voxel-size", "0.4"];
     let scene = Scene::new();
     let versions = [0.0, 0.25, 0.5].map(|shift| text_ply_of_one_length(&block(30, 0.1, shift)));
     assert!(versions.iter().all(|version| version.len() == versions[0].len()));

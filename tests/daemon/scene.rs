@@ -48,10 +48,10 @@ pub(crate) fn block(edge_count: usize, spacing: f32, shift: f32) -> Vec<[f32; 3]
         .collect()
 }
 
-/// The frame of this number in a sequence of small moving cubes. The first one tells another spacing
-/// than the others.
+/// The frame of this number in a sequence of small moving cubes. The first one has a slightly larger spacing,
+/// which rounds to that of the others: whichever frames are measured, the voxel size is the same.
 pub(crate) fn moving(number: usize) -> Vec<[f32; 3]> {
-    block(6, if number == 1 { 0.11 } else { 0.1 }, 0.025 * number as f32)
+    block(6, if number == 1 { 0.104 } else { 0.1 }, 0.025 * number as f32)
 }
 
 /// Particles as binary PLY.

@@ -3,7 +3,7 @@
 use std::fs::{FileTimes, OpenOptions};
 use std::time::{Duration, SystemTime};
 
-use crate::scene::{Line, NO_SCANS, Once, Scene, block, contents, moving, ply};
+use crate::scene::{Line, NO_SCANS, Once, Scene, block, contents, ply};
 
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 const QUICK: [&str; 2] = ["--settle", "50ms"];
@@ -14,12 +14,20 @@ fn once(scene: &Scene, more: &[&str]) -> Once {
     once
 }
 
-/// The first frame tells another voxel size than all others. It is gone when the daemon comes again, and
-/// still its voxel size holds.
+/// Writes frames of a sequence, of which the first two have a spacing that rounds to 0.11, and later ones of 0.1.
+fn put_shrinking(scene: &Scene, numbers: impl IntoIterator<Item = usize>) {
+    for number in numbers {
+        let spacing = if number <= 2 { 0.108 } else { 0.1 };
+        scene.put(&format!("in/dam.{number}.ply"), ply(&block(6, spacing, 0.025 * number as f32)));
+    }
+}
+
+/// The first frames have another spacing than the others. One is gone when the daemon comes again, and
+/// still the voxel size holds.
 #[test]
 fn the_voxel_size_outlives_its_frame_and_the_daemon() {
     let scene = Scene::new();
-    scene.put_moving(1..=4);
+    put_shrinking(&scene, 1..=4);
     let ran = scene.run(&[&["convert", "in", "--out", "all"], &FORMATS[..]].concat());
     assert_eq!(ran.status, Some(0), "{}", ran.err);
     let expected = contents(&scene.path("all"));
@@ -29,10 +37,10 @@ fn the_voxel_size_outlives_its_frame_and_the_daemon() {
     once(&scene, &[]);
     scene.remove("in/dam.1.ply");
     // While nobody watches, and while somebody does.
-    scene.put_moving([3]);
+    put_shrinking(&scene, [3]);
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
     daemon.await_converted("dam.3.ply");
-    scene.put_moving([4]);
+    put_shrinking(&scene, [4]);
     daemon.await_converted("dam.4.ply");
     assert_eq!(daemon.finish().iter().filter(|line| line.is_converted()).count(), 2);
     assert!(contents(&scene.path("out")) == expected);
@@ -43,9 +51,12 @@ fn the_voxel_size_outlives_its_frame_and_the_daemon() {
 fn the_first_frame_is_waited_for() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
-    let first = ply(&moving(1));
+    // With the first and the last frame the spacing rounds to 0.11, without the first to 0.1.
+    let frame = |spacing: f32, number: usize| ply(&block(6, spacing, 0.025 * number as f32));
+    let first = frame(0.108, 1);
     scene.write("in/dam.1.ply", &first[..1000]);
-    scene.put_moving(2..=3);
+    scene.put("in/dam.2.ply", frame(0.1, 2));
+    scene.put("in/dam.3.ply", frame(0.108, 3));
     // Another sequence has nothing to do with it; when it is done, the others had their time.
     scene.put("in/drop.1.ply", ply(&block(5, 0.1, 0.0)));
     daemon.await_converted("drop.1.ply");
@@ -57,27 +68,27 @@ fn the_first_frame_is_waited_for() {
     scene.assert_as_converted(&FORMATS);
 }
 
-/// The first frames have too few particles to tell: then the first that has enough does.
+/// A frame of one particle has no spacing: it waits for one that has.
 #[test]
-fn frames_of_few_particles_wait_for_one_that_tells() {
+fn frames_of_one_particle_wait_for_one_with_more() {
     let scene = Scene::new();
     let daemon = scene.watch(&[&QUICK[..], &FORMATS, &NO_SCANS].concat());
     for number in 1..=2 {
-        scene.put(&format!("in/dam.{number}.ply"), ply(&block(2, 0.1, 0.0)));
+        scene.put(&format!("in/dam.{number}.ply"), ply(&block(1, 0.1, 0.0)));
     }
     scene.put("in/dam.3.ply", ply(&block(6, 0.12, 0.0)));
     daemon.await_lines(3, "all are converted", Line::is_converted);
-    let is_told = |line: &Line| line.message.contains("33 distinct particles yet");
+    let is_told = |line: &Line| line.message.contains("two particles in different places yet");
     let complaints = daemon.lines(Line::is_complaint);
     assert!(complaints.len() <= 1 && complaints.iter().all(is_told), "{}", daemon.told());
     daemon.finish();
     scene.assert_as_converted(&FORMATS);
     // Where none tells, all fail, and why is told once for each.
     let scene = Scene::new();
-    scene.put("in/dam.1.ply", ply(&block(2, 0.1, 0.0)));
+    scene.put("in/dam.1.ply", ply(&block(1, 0.1, 0.0)));
     let none = scene.once(&[&QUICK[..], &FORMATS].concat());
     none.assert_status(2);
-    assert!(none.log.iter().any(|line| line.message.contains("--voxel-size")));
+    assert!(none.log.iter().any(|line| line.message.contains("--spacing")));
 }
 
 /// The outputs do not depend on which frame is converted first.

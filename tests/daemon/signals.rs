@@ -10,7 +10,8 @@ use crate::window::get;
 const FORMATS: [&str; 2] = ["--format", "obj,vdb"];
 
 /// Minutes of smoothing of a small frame.
-const ENDLESS: [&str; 6] = ["--integrator", "explicit", "--steps", "1000000", "--voxel-size", "0.03"];
+const ENDLESS: [&str; 8] =
+    ["--integrator", "explicit", "--steps", "1000000", "--preset", "paper", "--voxel-size", "0.03"];
 
 /// What is under way when it is asked to end is finished, and nothing else is begun; the rest comes next
 /// time.
@@ -145,7 +146,7 @@ fn the_exit_status_is_that_of_convert() {
         &["watch", "nowhere", "--out", "out", "--once"][..],
         &["watch", "in", "--out", "out", "--once", "--settel", "1s"],
         &["watch", "in", "--out", "out", "--once", "--pattern", "[a"],
-        &["watch", "in", "--out", "out", "--once", "--voxel-size", "-1"],
+        &["watch", "in", "--out", "out", "--once", "--preset", "paper", "--voxel-size", "-1"],
         &["watch", "--once"],
     ] {
         assert_eq!(scene.run(arguments).status, Some(2), "{arguments:?}");

@@ -6,8 +6,9 @@ use std::io::Write;
 
 use crate::scene::{Line, NO_SCANS, Scene, await_that, moving, names_in, ply};
 
-const ARGUMENTS: [&str; 6] = ["--format", "obj", "--settle", "100ms", "--voxel-size", "0.06"];
-const CONVERT: [&str; 4] = ["--format", "obj", "--voxel-size", "0.06"];
+const ARGUMENTS: [&str; 8] =
+    ["--format", "obj", "--settle", "100ms", "--preset", "paper", "--voxel-size", "0.06"];
+const CONVERT: [&str; 6] = ["--format", "obj", "--preset", "paper", "--voxel-size", "0.06"];
 
 /// Steps of a dump.
 fn steps(numbers: impl IntoIterator<Item = usize>) -> String {

@@ -145,7 +145,7 @@ fn frames_appear_while_a_producer_writes() {
     let sequence = &settings["sequences"][0];
     assert_eq!(sequence["sequence"], "dam.{}.ply");
     // By default, two voxels to the spacing.
-    assert_eq!(sequence["spacing"].as_f64(), sequence["voxel_size"].as_f64().map(|size| 2.0 * size));
+    assert_eq!(sequence["spacing"].as_f64(), sequence["voxel_size"].as_f64().map(|size| 2.5 * size));
     assert!(sequence["spacing_measured_on"].as_str().is_some_and(|path| path.ends_with("dam.1.ply")));
     assert!(get(&address, "/metrics").text().contains("\nmeniscus_frames_converted_total 4\n"));
     assert_eq!(get(&address, "/api/status").json()["frames"]["done"], 4);

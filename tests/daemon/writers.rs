@@ -162,7 +162,7 @@ fn a_writer_that_closes_and_goes_on_is_waited_for() {
 #[test]
 fn rows_that_come_too_late_are_not_lost() {
     let scene = Scene::new();
-    let daemon = watch(&scene, &["--unproven", "200ms", "--voxel-size", "0.06"]);
+    let daemon = watch(&scene, &["--unproven", "200ms", "--preset", "paper", "--voxel-size", "0.06"]);
     let table = csv(&moving(2));
     let (rows, more_rows) = table.split_at(table.match_indices('\n').nth(100).expect("rows").0 + 1);
     scene.write("in/dam.2.csv", rows);
@@ -171,7 +171,7 @@ fn rows_that_come_too_late_are_not_lost() {
     let all = daemon.await_lines(2, "converted again", Line::is_converted);
     assert_eq!(particle_count(&all[1]), 216);
     daemon.finish();
-    scene.assert_as_converted(&[&FORMATS[..], &["--voxel-size", "0.06"]].concat());
+    scene.assert_as_converted(&[&FORMATS[..], &["--preset", "paper", "--voxel-size", "0.06"]].concat());
 }
 
 /// A producer dies half-way, and another one begins the frame again.

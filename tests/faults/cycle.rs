@@ -77,7 +77,7 @@ impl Cycle<'_> {
             Way::Farm => {
                 let shard = |shard: &'static str| vec!["convert", "--plan", "plan.json", "--shard", shard];
                 vec![
-                    [&PLAN[..], &CHEAP[..8]].concat(),
+                    [&PLAN[..], &CHEAP[..10]].concat(),
                     shard("0"),
                     shard("1"),
                     vec!["verify", "out", "--plan", "plan.json"],
@@ -126,7 +126,7 @@ impl Cycle<'_> {
             Way::Convert => run(&[&CONVERT[..], &CHEAP].concat()),
             Way::Watch => run(&[&WATCH[..], &CHEAP].concat()),
             Way::Farm => {
-                run(&[&PLAN[..], &CHEAP[..8]].concat());
+                run(&[&PLAN[..], &CHEAP[..10]].concat());
                 run(&["convert", "--plan", "plan.json", "--shard", "0"]);
                 run(&["convert", "--plan", "plan.json", "--shard", "1"]);
                 run(&["verify", "out", "--plan", "plan.json"])

@@ -17,9 +17,11 @@ pub(crate) const FRAME_COUNT: usize = 3;
 pub(crate) const FORMATS: [&str; 2] = ["obj", "vdb"];
 
 /// What makes a frame cheap.
-pub(crate) const CHEAP: [&str; 10] = [
+pub(crate) const CHEAP: [&str; 12] = [
     "--format",
     "obj,vdb",
+    "--preset",
+    "paper",
     "--voxel-size",
     "0.1",
     "--steps",
@@ -197,7 +199,7 @@ impl Scene {
 
     /// Makes a plan of two shards.
     pub(crate) fn plan(&self) {
-        let ran = self.run(&[&PLAN[..], &CHEAP[..8]].concat(), None);
+        let ran = self.run(&[&PLAN[..], &CHEAP[..10]].concat(), None);
         assert_eq!(ran.status.code(), Some(0), "{}", ran.err);
     }
 

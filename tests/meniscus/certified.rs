@@ -63,7 +63,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
     for (decimate, radius_min) in [(0.0, 0.4), (0.0, 0.9), (0.8, 0.7), (0.5, 1.2)] {
         let choices =
             Choices { decimate: Some(decimate), radius_min: Some(radius_min), ..Choices::default() };
-        let settings = Settings::resolve(1.0, &choices).expect("sound");
+        let settings = Settings::paper(1.0, &choices).expect("sound");
         for (seed, stored) in [(1, Stored::AsTheyAre), (2, Stored::Rounded(quarters)), (3, Stored::AsTheyAre)]
         {
             let positions = cloud(seed, 300, 16.0);
@@ -80,7 +80,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
             let measures = &surface.report.mesh;
             assert_eq!((measures.boundary_edge_count, measures.non_manifold_edge_count), (0, 0));
             assert_eq!(
-                certificate.particles_outside, outside_count,
+                certificate.particles_outside.count, outside_count,
                 "decimated by {decimate}, r_min {radius_min}, {stored:?}"
             );
             outside_in_all += outside_count;
@@ -91,7 +91,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
 
 #[test]
 fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
-    let settings = Settings::resolve(1.0, &Choices::default()).expect("sound");
+    let settings = Settings::paper(1.0, &Choices::default()).expect("sound");
     let mut removed_count = 0;
     for seed in 0..4 {
         let positions = cloud(40 + seed, 400, 24.0);
@@ -126,7 +126,7 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
 /// Drops this far from all others are still closed meshes: what 32 bits make flat is taken out.
 #[test]
 fn drops_as_far_away_as_positions_reach_are_closed() {
-    let settings = Settings::resolve(0.1, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.1, &Choices::default()).expect("sound");
     let near: Vec<[f64; 3]> = block(10, 0.0).iter().map(|position| position.map(|x| 2.0 * x)).collect();
     let mut removed_count = 0;
     for (seed, voxels) in [2e4, 7e4, 2e5, 5e5, 8e5, 1e6].into_iter().enumerate() {
@@ -146,7 +146,7 @@ fn drops_as_far_away_as_positions_reach_are_closed() {
 
 #[test]
 fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
-    let settings = Settings::resolve(0.1, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.1, &Choices::default()).expect("sound");
     let positions = block(8, 0.0);
     let alone = skin(&Particles::Double(positions.clone()), &settings);
     for far in [3e5, -4e6, 9e7, 1e30] {
@@ -165,7 +165,7 @@ fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
 /// A frame of two parts is as wide as it is.
 #[test]
 fn a_frame_of_two_parts_far_from_each_other_keeps_both() {
-    let settings = Settings::resolve(0.1, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.1, &Choices::default()).expect("sound");
     let mut positions = block(8, 0.0);
     positions.extend(block(8, 3e5));
     let report = skin(&Particles::Double(positions), &settings).report;
@@ -197,6 +197,10 @@ fn the_command_leaves_an_escaped_particle_out_with_a_warning_and_ends_well() {
 }
 
 /// A shard whose frames break a guarantee fails, each time that it runs, and says how many.
+/// Spheres so small that they fall between the voxels.
+const SMALL: [&str; 8] =
+    ["--out", "out", "--voxel-size", "0.05", "--preset", "paper", "--radius-min", "0.001"];
+
 #[test]
 fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
     let folder = tempdir().expect("a folder");
@@ -204,8 +208,7 @@ fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
     for number in 1..=2 {
         write_ply(&folder.join(format!("a.{number}.ply")), &block(4, 0.013));
     }
-    // Spheres so small that they fall between the voxels.
-    let options = ["--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001", "-o", "p.json"];
+    let options = [&SMALL[..], &["-o", "p.json"]].concat();
     let plan = meniscus(folder, &[&["plan", "a.1.ply", "a.2.ply", "--shards=1"][..], &options].concat());
     assert_eq!(plan.status, 0, "{}", plan.err);
     let shard = ["convert", "--plan", "p.json", "--shard", "0"];
@@ -224,8 +227,7 @@ fn shards_with_broken_frames_exit_1_unless_violations_are_allowed() {
 /// With and without `--skip-done` in the first run.
 #[test]
 fn skipped_frame_that_failed_validation_fails_again() {
-    // Spheres so small that they fall between the voxels.
-    let convert = ["convert", "a.1.ply", "--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001"];
+    let convert = [&["convert", "a.1.ply"], &SMALL[..]].concat();
     let skip = [&convert[..], &["--skip-done"]].concat();
     for first in [&convert[..], &skip] {
         let folder = tempdir().expect("a folder");
@@ -245,7 +247,7 @@ fn skipped_frame_that_failed_validation_fails_again() {
         assert_eq!(allowed.status, 0, "{}", allowed.err);
         assert!(allowed.err.contains("a.1.ply: the certificate does not hold"), "{}", allowed.err);
         // A run with other settings replaces the outputs by good ones.
-        let good = ["convert", "a.1.ply", "--out", "out", "--voxel-size", "0.05"];
+        let good = ["convert", "a.1.ply", "--out", "out", "--preset", "paper", "--voxel-size", "0.05"];
         for more in [&[][..], &["--skip-done"]] {
             let ran = meniscus(folder, &[&good[..], more].concat());
             assert_eq!(ran.status, 0, "{}", ran.err);
@@ -261,7 +263,18 @@ fn frame_that_failed_validation_before_a_kill_fails_again() {
     for number in 1..=30 {
         write_ply(&folder.join(format!("a.{number}.ply")), &block(4, 0.013));
     }
-    let small = ["--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001", "--threads", "1"];
+    let small = [
+        "--out",
+        "out",
+        "--voxel-size",
+        "0.05",
+        "--preset",
+        "paper",
+        "--radius-min",
+        "0.001",
+        "--threads",
+        "1",
+    ];
     let mut child = Command::new(env!("CARGO_BIN_EXE_meniscus"))
         .args(["convert", "a.#.ply"])
         .args(small)

@@ -205,7 +205,7 @@ fn help_and_version_are_no_errors() {
         assert_eq!(meniscus(folder.path(), arguments).status, 0);
     }
     let help = meniscus(folder.path(), &["convert", "--help"]).out;
-    for word in ["half the particle spacing", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
+    for word in ["0.4 particle spacings", "√3·h", "r_max / r_min", "0.9 spacings", "Exit status"] {
         assert!(help.contains(word), "the help does not say {word}");
     }
 }
@@ -283,12 +283,12 @@ fn two_inputs_never_become_one_output() {
 }
 
 #[test]
-fn without_a_spacing_the_voxel_size_is_asked_for() {
+fn where_no_spacing_can_be_measured_it_is_asked_for() {
     let folder = folder();
-    write_ply(&folder.path().join("few.ply"), &block(3, 0.0));
+    write_ply(&folder.path().join("one.ply"), &block(1, 0.0));
     write_ply(&folder.path().join("none.ply"), &[]);
-    for name in ["few.ply", "none.ply"] {
-        assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--voxel-size"]);
+    for name in ["one.ply", "none.ply"] {
+        assert_refused(folder.path(), &["convert", name, "--out", "o"], &[name, "--spacing"]);
     }
 }
 
@@ -304,14 +304,14 @@ fn where_nothing_can_be_read_the_reason_leads() {
     for inputs in [&["f.1.vtk"][..], &["f.1.vtk", "f.2.vtk"]] {
         let err = err(inputs);
         assert!(err.contains("f.1.vtk: legacy VTK: a data set of the type STRUCTURED_POINTS"), "{err}");
-        assert!(!err.contains("--voxel-size") && !err.contains("distinct"), "{err}");
+        assert!(!err.contains("--spacing") && !err.contains("different places"), "{err}");
     }
-    // Readable, but sparse: a voxel size would help.
+    // Readable, but sparse: a spacing would help.
     fs::create_dir(path.join("mixed")).expect("made");
-    write_ply(&path.join("mixed/f.1.ply"), &block(3, 0.0));
+    write_ply(&path.join("mixed/f.1.ply"), &block(1, 0.0));
     fs::write(path.join("mixed/f.2.ply"), "ply\n").expect("written");
     let err = err(&["mixed"]);
-    assert!(err.contains("give --voxel-size; 1 cannot be read: ") && err.contains("f.2.ply"), "{err}");
+    assert!(err.contains("give --spacing; 1 cannot be read: ") && err.contains("f.2.ply"), "{err}");
 }
 
 #[test]
@@ -344,10 +344,10 @@ fn settings_are_told_for_each_sequence() {
             .unwrap_or_else(|| panic!("{start} not in {out}"))
             .to_owned()
     };
-    assert!(line("dam.{}.ply: 3 frames, voxel size 0.0").contains("measured on dam.9.ply"));
+    assert!(line("dam.{}.ply: 3 frames, spacing 0.").contains("measured on dam.9.ply"));
     let spacing = |line: String| -> f64 {
         let after = line.split("spacing ").nth(1).expect("a spacing").to_owned();
-        after.split(',').next().expect("a number").parse().expect("a number")
+        after.split(' ').next().expect("a number").parse().expect("a number")
     };
     let ratio = spacing(line("coarse.ply: 1 frame,")) / spacing(line("dam.{}.ply"));
     assert!((ratio - 2.0).abs() < 1e-3, "{ratio}");
@@ -370,7 +370,10 @@ fn voxels_that_do_not_fit_the_particles_are_told() {
     write_ply(&folder.path().join("block.ply"), &block(5, 0.0));
     let of_size = |voxel_size: &str| {
         let arguments = ["convert", "block.ply", "--out", "o", "--format", "glb", "--report", "r.json"];
-        let ran = meniscus(folder.path(), &[&arguments[..], &["--voxel-size", voxel_size]].concat());
+        let ran = meniscus(
+            folder.path(),
+            &[&arguments[..], &["--preset", "paper", "--voxel-size", voxel_size]].concat(),
+        );
         assert_eq!(ran.status, 0, "{}", ran.err);
         let report = fs::read_to_string(folder.path().join("r.json")).expect("a report");
         (ran.err, report)
@@ -410,6 +413,25 @@ fn what_is_ignored_is_told() {
         let ran = meniscus(folder.path(), &[&arguments[..], &rest].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
         assert_eq!(ran.err.contains("--cg-tolerance is ignored"), integrator != "implicit", "{}", ran.err);
+    }
+}
+
+/// Positions are smoothed without stretch, too; neighbours need one or the other.
+#[test]
+fn position_smoothing_needs_no_anisotropy() {
+    let folder = folder();
+    write_sequence(folder.path(), 1, 1);
+    for (more, is_ignored) in [
+        (&["--neighbor-radius", "0.2"][..], true),
+        (&["--neighbor-radius", "0.2", "--position-smoothing", "0"], true),
+        (&["--neighbor-radius", "0.2", "--position-smoothing", "0.5"], false),
+        (&["--neighbor-radius", "0.2", "--anisotropy", "neighbors"], false),
+        (&["--position-smoothing", "0.5"], false),
+    ] {
+        let convert = ["convert", "dam.1.ply", "--out", "o", "--preset", "paper"];
+        let ran = meniscus(folder.path(), &[&convert[..], more].concat());
+        assert_eq!(ran.status, 0, "{}", ran.err);
+        assert_eq!(ran.err.contains("is ignored"), is_ignored, "{more:?}: {}", ran.err);
     }
 }
 
@@ -479,7 +501,7 @@ fn what_lies_beside_the_frames_is_passed_over() {
     // Tables whose names say nothing are frames, whatever they are called.
     fs::write(path.join("table.txt"), "x,y,z\n0,0,0\n1,0,0\n").expect("written");
     fs::write(path.join("bare"), "0 0 0\n1 0 0\n").expect("written");
-    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
+    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
     assert_eq!((ran.status, &*ran.err), (0, ""), "{}", ran.out);
     assert!(
         ran.out.contains("passed over Makefile and 5 other files: no frames of particles"),
@@ -489,13 +511,13 @@ fn what_lies_beside_the_frames_is_passed_over() {
     for name in others.map(|(name, _)| name).iter().filter(|name| **name != "notes.txt") {
         fs::remove_file(path.join(name)).expect("removed");
     }
-    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--voxel-size", "0.05"]);
+    let ran = meniscus(path, &["convert", ".", "--out", "o", "--format", "ply", "--spacing", "0.1"]);
     assert!(ran.out.contains("passed over notes.txt: no frame of particles"), "{}", ran.out);
     // Of several folders, it is told which one it is in.
     fs::create_dir(path.join("more")).expect("made");
     write_sequence(&path.join("more"), 3, 3);
     fs::write(path.join("more/README"), "Nothing to see here.\n").expect("written");
-    let several = ["convert", ".", "more", "--out", "several", "--format", "ply", "--voxel-size", "0.05"];
+    let several = ["convert", ".", "more", "--out", "several", "--format", "ply", "--spacing", "0.1"];
     let ran = meniscus(path, &several);
     let told = Path::new(".").join("notes.txt").display().to_string();
     assert!(ran.out.contains(&format!("passed over {told} and 1 other file: no frames")), "{}", ran.out);

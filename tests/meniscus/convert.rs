@@ -98,7 +98,7 @@ fn an_empty_frame_is_a_frame() {
     let out = converted(path, &["dam.#.ply", "--out", "o", "--format", "glb,gltf,vdb,obj,ply"]);
     assert!(out.contains("measured on dam.2.ply"), "{out}");
     assert_eq!(names_in(&path.join("o")).len(), 10);
-    converted(path, &["dam.1.ply", "--out", "p", "--voxel-size", "0.1"]);
+    converted(path, &["dam.1.ply", "--out", "p", "--spacing", "0.1"]);
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn a_sequence_without_settings_costs_itself_only() {
         write_ply(&path.join(name), &block(6, 0.0));
     }
     for name in ["b.1.ply", "b.2.ply"] {
-        write_ply(&path.join(name), &block(2, 0.0));
+        write_ply(&path.join(name), &block(1, 0.0));
     }
     for (on_error, b, c) in
         [("continue", ["failed", "failed"], "converted"), ("stop", ["failed", "not_started"], "not_started")]
@@ -147,7 +147,7 @@ fn a_sequence_without_settings_costs_itself_only() {
         let arguments = ["a.ply", "b.1.ply", "b.2.ply", "c.ply", "--out", on_error, "--on-error", on_error];
         let ran = convert(path, &[&arguments[..], &["--report", "report.json", "--format", "ply"]].concat());
         assert_eq!(ran.status, 1, "{}", ran.err);
-        assert_eq!(ran.err.matches("error: b.{}.ply: no frame has the 33").count(), 1, "{}", ran.err);
+        assert_eq!(ran.err.matches("error: b.{}.ply: no frame has two particles").count(), 1, "{}", ran.err);
         let report = report(&path.join("report.json"));
         let expected = [("a.ply", "converted"), ("b.1.ply", b[0]), ("b.2.ply", b[1]), ("c.ply", c)];
         assert_eq!(statuses(&report), expected);
@@ -295,7 +295,7 @@ fn the_report_says_what_was_measured() {
     let settings = &report["settings"][0];
     assert_eq!((&settings["sequence"], &settings["integrator"]), (&"dam.{}.ply".into(), &"fast".into()));
     let [h, spacing] = ["voxel_size", "spacing"].map(|key| settings[key].as_f64().expect("a number"));
-    assert!((2.0 * h / spacing - 1.0).abs() < 1e-12, "{h} {spacing}");
+    assert!((2.5 * h / spacing - 1.0).abs() < 1e-12, "{h} {spacing}");
     let frame = &report["frames"][1];
     assert_eq!((&frame["input"], &frame["settings"]), (&"dam.2.ply".into(), &0.into()));
     assert_eq!((&frame["particles"], &frame["dropped"]), (&216.into(), &0.into()));

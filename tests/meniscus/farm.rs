@@ -445,7 +445,7 @@ const CASES: [Case; 12] = [
     ),
     (
         "damaged",
-        |f| in_certificate(f, "\"particles_outside\": 0", "\"particles_outside\": 7"),
+        |f| in_certificate(f, "\"count\": 0", "\"count\": 7"),
         "it contradicts itself: holds is true, but: 7 particles outside",
     ),
     (
@@ -459,7 +459,7 @@ const CASES: [Case; 12] = [
             let arguments = ["convert", "in/dam.1.ply", "--out=out", "--voxel-size=0.07", "--format=glb"];
             succeeded(&meniscus(f, &arguments));
         },
-        "dam.1.glb: voxel_size is 0.07, and was to be 0.05",
+        "dam.1.glb: voxel_size is 0.07, and was to be 0.04",
     ),
     ("stale", |f| write_ply(&f.join("in/dam.1.ply"), &block(5, 0.0)), "made from another state of the input"),
     (
@@ -468,7 +468,7 @@ const CASES: [Case; 12] = [
             edit(f.join("out/dam.1.certificate.json"), |bytes| {
                 let text = String::from_utf8(bytes.clone()).expect("text");
                 let text = text.replace("\"holds\": true", "\"holds\": false");
-                *bytes = text.replace("\"particles_outside\": 0", "\"particles_outside\": 3").into_bytes();
+                *bytes = text.replace("\"count\": 0", "\"count\": 3").into_bytes();
             });
         },
         "the certificate does not hold: 3 particles outside",
@@ -582,11 +582,15 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ("/outputs/up", json!("x"), "/outputs/up: `x` is not known"),
         ("/outputs/picture_size", json!([1, 99999999]), "/outputs/picture_size: each must be 16 to 8192"),
         ("/sequences", json!([]), "/sequences: there are none"),
-        ("/sequences/0/voxel_size", json!("wide"), "/sequences/0/voxel_size: `wide` is no positive number"),
-        ("/sequences/0/voxel_size", json!("-1"), "/sequences/0/voxel_size: `-1` is no positive number"),
+        (
+            "/sequences/0/settings/voxel_size",
+            json!("wide"),
+            "/sequences/0/settings/voxel_size: `wide` is no value",
+        ),
+        ("/sequences/0/settings/voxel_size", json!("-1"), "/sequences/0/settings: the voxel size is -1"),
         ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: `1e99` is no value"),
         ("/sequences/0/settings/step_size", json!("-1"), "/sequences/0/settings: the step size"),
-        ("/sequences/0/settings", json!({}), "/sequences/0/settings/radius_min: missing"),
+        ("/sequences/0/settings", json!({}), "/sequences/0/settings: the particle spacing is unknown"),
         ("/sequences/0/camera", json!("auto"), "/sequences/0/camera: there are no pictures"),
         ("/shards", json!([]), "/shards: there are 0"),
         ("/shards/1/first", json!(0), "/shards/1: "),

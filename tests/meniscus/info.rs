@@ -24,10 +24,12 @@ fn particles_are_described() {
     let particles = &json[0]["particles"];
     assert_eq!(particles["count"], 1000);
     let spacing = particles["spacing"].as_f64().expect("a number");
-    // The surface of so small a block has its part in the median.
-    assert!((spacing / 0.1 - 1.0).abs() < 0.15, "{spacing}");
-    let suggested = particles["suggested_voxel_size"].as_f64().expect("a number");
-    assert!((2.0 * suggested / spacing - 1.0).abs() < 1e-12, "{suggested}");
+    assert!((spacing / 0.1 - 1.0).abs() < 1e-6, "{spacing}");
+    assert!(
+        particles["spacing_confidence"].as_f64().is_some_and(|confidence| confidence > 0.95),
+        "{particles}"
+    );
+    assert_eq!(particles["suggested_voxel_size"], 0.04);
 }
 
 #[test]
@@ -50,7 +52,7 @@ fn attributes_are_described() {
     assert_eq!(find("density")["role"], "density");
     assert_eq!(find("density")["min"][0], -2.5);
     assert_eq!(find("id")["max"][0], 9_007_199_254_740_993_i64);
-    assert_eq!(json[0]["particles"]["spacing"], Value::Null);
+    assert_eq!(json[0]["particles"]["spacing"], 1.0);
 }
 
 /// A step that is cut off is told as such, and the others are described.

@@ -10,6 +10,7 @@ mod docs; // links of the pages lead somewhere, and what they say is tested is
 #[cfg(unix)]
 mod escaping; // names and contents of files neither forge lines nor control the terminal
 mod farm; // frames dealt to many machines: plans, shards, and whether all is there
+mod flicker; // how much surfaces flicker: spheres that are known, in meshes of every format
 mod formats; // the table of what is read, written and kept
 mod info; // the command that tells what files hold
 mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
@@ -19,6 +20,7 @@ mod library; // the example for other programs does what the command does
 mod manual; // pages for man and completions for shells: of every command and option
 mod names; // names of frames and results: frame numbers, single files, pipes, clashes
 mod obstacles; // what stands in the way: contact without gaps, from meshes to reports (paper, Fig. 15 and 16)
+mod offset; // the finished surface moved: where it ends up, and what it still guarantees
 mod oracle; // the method against the paper's algorithms on a plain dense grid, in double precision
 mod own_shapes; // particles of their own sizes and shapes (paper, Fig. 11 and 13)
 mod particles_only; // particles from one format to another, without a surface
@@ -33,6 +35,7 @@ mod shapes; // particles to skin, the method with its defaults, and level sets r
 mod shared; // files of real programs: each is converted, or refused for a reason
 mod sheets; // many pictures on one: what is on them, and that commands do what cells show
 mod shots; // meshes in other programs' formats, and all frames of a shot in one file
+mod spacings; // how far apart particles are, against what is known of them
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that come one by one: order, bounds, and what goes wrong on the way

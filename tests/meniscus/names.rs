@@ -15,9 +15,9 @@ fn folder_with(names: &[&str]) -> TempDir {
     let folder = tempdir().expect("a folder");
     fs::create_dir(folder.path().join("in")).expect("made");
     for (index, name) in names.iter().enumerate() {
-        // Frames have different spacings: settings of each frame's own would show.
+        // Frames have different spacings, and the third rounds to another one: settings of each frame's own would show.
         let points: Vec<[f64; 3]> =
-            block(6, 0.0).iter().map(|point| point.map(|x| x * (1.0 + 0.1 * index as f64))).collect();
+            block(6, 0.0).iter().map(|point| point.map(|x| x * (1.0 + 0.04 * index as f64))).collect();
         write_ply(&folder.path().join("in").join(name), &points);
     }
     folder
@@ -44,7 +44,7 @@ fn pipe(folder: &Path, arguments: &[&str], input: &[u8]) -> (i32, Vec<u8>, Strin
 #[test]
 fn versions_and_subframes_are_one_sequence_everywhere() {
     let is_measured_once = |out: &str, sequence: &str, first: &str| {
-        let line = out.lines().find(|line| line.starts_with(&format!("{sequence}: 3 frames, voxel size ")));
+        let line = out.lines().find(|line| line.starts_with(&format!("{sequence}: 3 frames, spacing ")));
         line.is_some_and(|line| line.contains(&format!("measured on {first})")))
     };
     for (names, sequence) in [
@@ -76,7 +76,7 @@ fn versions_and_subframes_are_one_sequence_everywhere() {
 fn folder_of_single_frames_is_warned_about() {
     let folder = folder_with(&["dam_1_2.ply", "dam_2_3.ply"]);
     let path = folder.path();
-    let note = "2 files form 2 sequences of one frame each, so each gets its own voxel size";
+    let note = "2 files form 2 sequences of one frame each, so each gets its own particle spacing";
     for arguments in [
         &["convert", "in", "--out", "out", "--format", "obj"][..],
         &["plan", "in", "--out", "out", "--output", "plan.json", "--shards", "2"],
@@ -85,7 +85,7 @@ fn folder_of_single_frames_is_warned_about() {
         let ran = meniscus(path, arguments);
         assert_eq!(ran.status, 0, "{}", ran.err);
         assert_eq!(ran.err.matches(note).count(), 1, "{arguments:?}: {}", ran.err);
-        let ran = meniscus(path, &[arguments, &QUICK].concat());
+        let ran = meniscus(path, &[arguments, &["--spacing", "0.1"]].concat());
         assert!(!ran.err.contains(note), "{arguments:?}: {}", ran.err);
     }
     let ran = meniscus(path, &["convert", "in/dam_#_2.ply", "--out", "out", "--format", "obj"]);

@@ -131,8 +131,13 @@ fn fluid(counts: [i32; 3], center: DVec3, is_kept: impl Fn(DVec3) -> bool) -> Ve
 }
 
 fn skinned(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64) -> Surface {
-    let choices = Choices { void_threshold: Some(void_threshold), ..Choices::default() };
-    let settings = Settings::resolve(1.0, &choices).expect("sound");
+    skinned_and_moved(particles, body, void_threshold, 0.0)
+}
+
+fn skinned_and_moved(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64, offset: f64) -> Surface {
+    let choices =
+        Choices { void_threshold: Some(void_threshold), offset: Some(offset), ..Choices::default() };
+    let settings = Settings::paper(1.0, &choices).expect("sound");
     let positions = Particles::Double(particles);
     let cloud = Cloud { positions, shapes: Shapes::Balls, attributes: Vec::new() };
     skin_cloud(cloud, &settings, &body.obstacles())
@@ -264,6 +269,44 @@ fn a_thin_plate_deep_in_fluid_is_there() {
     assert_eq!(surface.report.mesh.component_count, 2);
 }
 
+/// An offset moves the free surface, and not what lies on a wall; a plate that is thinner than the offset is still there.
+#[test]
+fn moved_surface_rests_on_the_wall() {
+    let floor = cuboid(DVec3::new(-50.0, -50.0, -20.0), DVec3::new(50.0, 50.0, 0.27));
+    // The lowest particles are half a spacing above the floor: what an offset leaves below them is narrow enough to be filled.
+    let center = DVec3::new(0.2, -0.3, 8.3);
+    let particles = fluid([14, 14, 8], center, |place| place.z > 0.27);
+    let height = |offset: f64| {
+        let surface = skinned_and_moved(particles.clone(), &floor, 2.0, offset);
+        let distances = check("moved", &surface, &floor);
+        let is_inner = |place: DVec3| (place - center).truncate().abs().max_element() < 8.0;
+        let places = surface.mesh.positions.iter().map(|position| surface.mesh.origin + position.as_dvec3());
+        let inner: Vec<(f64, DVec3)> =
+            distances.into_iter().zip(places).filter(|(_, place)| is_inner(*place)).collect();
+        let below: Vec<f64> =
+            inner.iter().filter(|(_, place)| place.z < 5.0).map(|(distance, _)| *distance).collect();
+        assert!(
+            below.len() > 150 && below.iter().all(|distance| distance.abs() < 0.05),
+            "{offset}: {below:?}"
+        );
+        let above: Vec<f64> =
+            inner.iter().filter(|(_, place)| place.z > 5.0).map(|(_, place)| place.z).collect();
+        above.iter().sum::<f64>() / above.len() as f64
+    };
+    let plain = height(0.0);
+    for offset in [-1.7, -0.8, 1.1, 2.0] {
+        assert!((height(offset) - plain - offset).abs() < 0.1, "{offset}: {} {plain}", height(offset));
+    }
+    let plate = cuboid(DVec3::new(-12.0, -12.0, 0.4), DVec3::new(12.0, 12.0, 1.7));
+    for offset in [-1.7, 1.5] {
+        let surface = skinned_and_moved(fluid([26, 26, 26], DVec3::ZERO, |_| true), &plate, 2.0, offset);
+        check("plate", &surface, &plate);
+        let (count, dry_count) = dry_voxels(&surface, &plate, |_| true);
+        assert!(count > 500 && dry_count == 0, "{offset}: {dry_count} of {count}");
+        assert_eq!(surface.report.mesh.component_count, 2);
+    }
+}
+
 fn convert(folder: &Path, arguments: &[&str]) -> Ran {
     meniscus(folder, &[&["convert"], arguments].concat())
 }
@@ -284,8 +327,9 @@ fn the_command_goes_around_obstacles_and_says_so() {
     let folder = tempdir().expect("a folder");
     let path = folder.path();
     dipping(path, 0.0);
-    let arguments = ["dam.1.ply", "--voxel-size", "0.05", "--obstacle", "ball.obj", "--out", "o"];
-    let run = |more: &[&str]| convert(path, &[&arguments, more].concat());
+    let arguments = ["dam.1.ply", "--preset", "paper", "--voxel-size", "0.05", "--obstacle", "ball.obj"];
+    let arguments = [&arguments[..], &["--out", "o"]].concat();
+    let run = |more: &[&str]| convert(path, &[&arguments[..], more].concat());
     let first = run(&["--report", "r.json", "--threads", "1"]);
     assert_eq!(first.status, 0, "{}", first.err);
     assert!(first.err.contains("inside obstacles"), "{}", first.err);
@@ -312,7 +356,8 @@ fn the_command_goes_around_obstacles_and_says_so() {
     dipping(path, 0.1);
     let moved = run(&["--skip-done"]);
     assert!(!moved.out.contains("done already") && glb() != before, "{}", moved.out);
-    let without = convert(path, &["dam.1.ply", "--voxel-size", "0.05", "--out", "o", "--skip-done"]);
+    let without = ["dam.1.ply", "--preset", "paper", "--voxel-size", "0.05", "--out", "o", "--skip-done"];
+    let without = convert(path, &without);
     assert!(!without.out.contains("done already"), "{}", without.out);
 }
 
@@ -435,7 +480,7 @@ fn obstacles_that_do_nothing_are_told() {
         fs::write(path.join(name), body.obj()).expect("written");
         let arguments =
             ["dam.#.ply", "--voxel-size", "0.05", "--format", "vdb", "--out", "o", "--report", "r.json"];
-        let ran = convert(path, &[&arguments[..], &["--obstacle", name]].concat());
+        let ran = convert(path, &[&arguments[..], &["--preset", "paper", "--obstacle", name]].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
         let notes = |frame: usize| {
             report(&path.join("r.json"))["frames"][frame]["notes"].to_string().contains("touches nothing")

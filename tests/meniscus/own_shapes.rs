@@ -32,7 +32,7 @@ fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
 
 /// Skins with a voxel of 1.
 fn skinned(cloud: Cloud, choices: &Choices) -> Surface {
-    let settings = Settings::resolve(1.0, choices).expect("sound");
+    let settings = Settings::paper(1.0, choices).expect("sound");
     let surface = skin_cloud(cloud, &settings, &Obstacles::default());
     let certificate = &surface.report.certificate;
     assert!(certificate.holds(), "{certificate:?}");
@@ -118,8 +118,9 @@ fn far_particles_of_any_size_change_nothing() {
         (0..300).map(|_| DVec3::new(random.unit(), random.unit(), random.unit()) * 14.0).collect();
     let radii: Vec<f32> = (0..300).map(|_| 1.8 + 2.0 * random.unit() as f32).collect();
     let velocities: Vec<Vec3> = (0..300).map(|_| Vec3::X * 40.0 * random.unit() as f32).collect();
-    for kind in [AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity] {
-        let choices = Choices { anisotropy: Some(kind), position_smoothing: None, ..by_radii() };
+    let kinds = [AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity];
+    for (kind, part) in kinds.into_iter().flat_map(|kind| [(kind, 0.0), (kind, 0.9)]) {
+        let choices = Choices { anisotropy: Some(kind), position_smoothing: Some(part), ..by_radii() };
         let alone = with_velocities(with_radii(cloud(&positions), radii.clone()), &velocities);
         let alone = skinned(alone, &choices);
         let far = DVec3::splat(f64::from(alone.report.reach_voxels.expect("fast")) * 1.8);
@@ -199,6 +200,20 @@ fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
     assert!(more < balls / 4.0, "{more} of {balls}");
     assert!(moved < balls / 2.0, "{moved} of {balls}");
     assert!(splash < moved && splash < balls / 2.0, "{splash} of {balls}");
+}
+
+/// Without stretch, too, positions are smoothed: of two particles 2 apart each is moved to 0.126 from their middle, by the weights
+/// 1 and 1 − (2/R)³ of itself and of the other one, and by 0.9 of the way, with R = 3√3.
+#[test]
+fn a_pair_is_drawn_together_without_stretch() {
+    let pair = [DVec3::new(-1.0, 0.2, 0.3), DVec3::new(1.0, 0.2, 0.3)];
+    let reach = |choices: &Choices| {
+        let mesh = skinned(cloud(&pair), choices).mesh;
+        mesh.positions.iter().map(|at| mesh.origin.x + f64::from(at.x)).fold(0.0, f64::max)
+    };
+    let given = reach(&Choices::default());
+    let smoothed = reach(&Choices { position_smoothing: Some(0.9), ..Choices::default() });
+    assert!((given - smoothed - 0.874).abs() < 0.25, "{given} {smoothed}");
 }
 
 /// Fig. 11, on the right, and Eq. 16: half axes (1 + s)² along the velocity and 1/(1 + s) across.

@@ -102,7 +102,7 @@ impl Bench {
     /// A frame of `edge_count`³ particles for each; 0 is a frame that is no frame at all.
     pub(crate) fn new(edge_counts: &[usize]) -> Bench {
         let folder = tempdir().expect("a folder");
-        let settings = Arc::new(Settings::resolve(0.05, &Choices::default()).expect("valid"));
+        let settings = Arc::new(Settings::paper(0.05, &Choices::default()).expect("valid"));
         let outputs = Arc::new(OutputOptions {
             folder: folder.path().join("out"),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
@@ -336,7 +336,7 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
     assert_eq!(run(&bench), "cccc");
     // Settings.
     let choices = Choices { laplacian_steps: Some(14), ..Choices::default() };
-    bench.frames[2].settings = Arc::new(Settings::resolve(0.05, &choices).expect("valid"));
+    bench.frames[2].settings = Arc::new(Settings::paper(0.05, &choices).expect("valid"));
     assert_eq!(run(&bench), "ddcd");
 }
 

@@ -84,7 +84,7 @@ fn commands(text: &str) -> Vec<&str> {
 }
 
 /// Commands within sentences, and who tries them: a file, and what it has of them.
-const IN_SENTENCES: [(&str, &str, &str); 7] = [
+const IN_SENTENCES: [(&str, &str, &str); 9] = [
     ("cargo install --path . --locked", ".ci/install", "cargo install --path . --locked"),
     (".debian/build", "tests/clients/check_package.py", "\".debian\" / \"build\""),
     (
@@ -95,6 +95,8 @@ const IN_SENTENCES: [(&str, &str, &str); 7] = [
     ("cargo doc --open", ".ci/run", "cargo doc"),
     ("meniscus tune INPUT -o tune.png", "README.md", "\nmeniscus tune cache/ -o tune.png"),
     ("meniscus convert --help", "tests/meniscus/manual.rs", "--help"),
+    ("meniscus flicker", "README.md", "\nmeniscus flicker 'surfaces"),
+    ("meniscus info", "tests/meniscus/info.rs", "\"info\""),
     (
         "cargo run --release -p solid -- 38.6e6 FILE.ply",
         "benches/processes.py",
@@ -370,7 +372,7 @@ fn write_ship(path: &Path) {
 
 /// The level set of a block.
 fn write_level_set(path: &Path) {
-    let settings = Settings::resolve(0.05, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.05, &Choices::default()).expect("sound");
     let surface = skin(&Particles::Double(block(4, 0.0)), &settings);
     let encoded = encode_level_set(&surface, &settings, &vdb::WriteOptions::default(), &[]);
     let mut out = BufWriter::new(File::create(path).expect("made"));

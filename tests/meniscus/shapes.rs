@@ -33,6 +33,7 @@ pub(crate) fn default_config(integrator: Integrator) -> Config {
         redistance_every,
         cg_tolerance: 1e-4,
         keeps_spheres: false,
+        distances_voxels: 0.0,
     }
 }
 

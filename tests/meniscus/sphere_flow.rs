@@ -74,6 +74,7 @@ fn thin_plate_smoothing_gives_a_noisy_sphere_back() {
             redistance_every,
             cg_tolerance: 1e-4,
             keeps_spheres: false,
+            distances_voxels: 0.0,
         };
         smooth(&mut band, &bounds, &config);
         let volume = volume(&band) / ball_volume(RADIUS);

@@ -10,7 +10,7 @@ use tempfile::{TempDir, tempdir};
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};
 
-const OUT: [&str; 3] = ["--out=out", "--format=obj", "--voxel-size=0.05"];
+const OUT: [&str; 3] = ["--out=out", "--format=obj", "--spacing=0.1"];
 
 fn particles(number: usize) -> Vec<[f64; 3]> {
     block(5, 0.02 * number as f64)

@@ -20,7 +20,7 @@ fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<Plan, Unfit> {
     let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
     let radius_ratio = (spacings < 0.1).then_some(1.25);
     let choices = Choices { radius_min, radius_ratio, ..Choices::default() };
-    let settings = Settings::resolve(voxel_size, &choices).expect("settings");
+    let settings = Settings::paper(voxel_size, &choices).expect("settings");
     let around = Surroundings { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
     let Ok(planned) = plan(&Particles::Double(particles.to_vec()), &settings, around, u64::MAX);
     planned
@@ -64,8 +64,8 @@ fn particles_astray_do_not_make_voxels_too_small() {
         assert!(!is_too_fine(&with(others), 0.5), "{:?}", others[0]);
         assert!(is_too_fine(&with(others), 1e-8), "{:?}", others[0]);
     }
-    // So few that they have no spacing.
-    assert!(!is_too_fine(&sprayed[..32], 0.5));
+    // One alone has no spacing.
+    assert!(!is_too_fine(&sprayed[..1], 0.5));
     assert!(is_too_fine(&sprayed[..40], 0.5));
     // Wherever it is; but not where the grid has no indices.
     assert!(!is_too_fine(&block(6, 1e7), 0.5));
@@ -85,6 +85,9 @@ fn every_command_refuses_voxels_that_are_too_small() {
         &["watch", "in", "--out", "seen", "--once", "--settle", "0s"],
     ] {
         let ran = meniscus(path, &[command, &["--voxel-size", "1e-9"]].concat());
+        let words = "r_max is 230000000 voxels, and 64 are the most: choose a larger voxel size";
+        assert!(ran.status != 0 && ran.err.contains(words), "{command:?}: {}{}", ran.out, ran.err);
+        let ran = meniscus(path, &[command, &["--preset", "paper", "--voxel-size", "1e-9"]].concat());
         assert_ne!(ran.status, 0, "{command:?}: {}{}", ran.out, ran.err);
         for word in [
             "a.ply",
@@ -111,13 +114,14 @@ fn told(folder: &Path, particles: &[[f64; 3]], options: &[&str]) -> String {
 #[test]
 fn a_surface_that_is_empty_says_why_and_what_would_help() {
     let folder = tempdir().expect("a folder");
-    let options = ["--voxel-size", "0.05", "--radius-min", "0.001", "--allow-violations"];
+    let small = ["--preset", "paper", "--voxel-size", "0.05", "--radius-min", "0.001"];
+    let options = [&small[..], &["--allow-violations"]].concat();
     let said = told(folder.path(), &block(6, 0.013), &options);
     for word in ["all particles fall between the voxels", "are 0.02 and 0.04 voxels", "--radius-min 0.0866"] {
         assert!(said.contains(word), "it does not say {word}: {said}");
     }
-    let command = ["convert", "a.ply", "--out", "out", "--voxel-size", "0.05", "--radius-min", "0.001"];
-    let ran = meniscus(folder.path(), &command);
+    let command = ["convert", "a.ply", "--out", "out"];
+    let ran = meniscus(folder.path(), &[&command[..], &small].concat());
     assert_eq!(ran.status, 1, "{}", ran.err);
     assert!(
         ran.err.ends_with(
@@ -128,7 +132,14 @@ fn a_surface_that_is_empty_says_why_and_what_would_help() {
     );
     let (_, named) = said.split_once("by --radius-min ").expect("a radius");
     let radius: String = named.chars().take_while(|&c| c == '.' || c.is_ascii_digit()).collect();
-    assert_eq!(told(folder.path(), &block(6, 0.013), &["--voxel-size", "0.05", "--radius-min", &radius]), "");
+    assert_eq!(
+        told(
+            folder.path(),
+            &block(6, 0.013),
+            &["--preset", "paper", "--voxel-size", "0.05", "--radius-min", &radius]
+        ),
+        ""
+    );
 }
 
 /// One of so many places on a circle around the origin.
@@ -169,7 +180,7 @@ fn a_torn_surface_is_told_and_no_other() {
             })
         })
         .collect();
-    let settings = Settings::resolve(0.04, &Choices::default()).expect("settings");
+    let settings = Settings::paper(0.04, &Choices::default()).expect("settings");
     assert_eq!(skin(&Particles::Double(bubble.clone()), &settings).mesh.measure().component_count, 2);
     for (particles, options, expected) in [
         (&ring, &["--voxel-size", "0.05"][..], false),
@@ -184,7 +195,9 @@ fn a_torn_surface_is_told_and_no_other() {
         (&spray, &["--voxel-size", "0.05"], false),
         (&spray, &["--voxel-size", "0.02"], true),
     ] {
-        assert_eq!(is_told(particles, options), expected, "{} {options:?}", particles.len());
+        let paper: &[&str] = if options.contains(&"--preset") { &[] } else { &["--preset", "paper"] };
+        let options = [paper, options].concat();
+        assert_eq!(is_told(particles, &options), expected, "{} {options:?}", particles.len());
     }
 }
 
@@ -202,7 +215,8 @@ fn the_examples_are_torn_by_small_voxels_only() {
     ] {
         let frame = frames.join(name);
         let frame = frame.to_str().expect("text");
-        let ran = meniscus(folder.path(), &["convert", frame, "--out", "out", "--voxel-size", size]);
+        let paper = ["--preset", "paper", "--voxel-size", size];
+        let ran = meniscus(folder.path(), &[&["convert", frame, "--out", "out"], &paper[..]].concat());
         assert!(
             ran.err.contains(expected) && ran.err.is_empty() == expected.is_empty(),
             "{name} {size}: {}",

@@ -107,10 +107,11 @@ fn numbers_have_ranges_that_are_told_and_held() {
     let try_out = |option: &str, value: &str| {
         let typed = format!("{option}={value}");
         let beside = match option {
-            "--voxel-size" => &[][..],
-            "--velocity-gain" => &["--voxel-size=1", "--anisotropy=velocity"],
-            "--radius-scale" => &["--voxel-size=1", "--radius-attribute=pscale"],
-            _ => &["--voxel-size=1", "--anisotropy=neighbors"],
+            "--voxel-size" | "--spacing" | "--particle-radius" => &[][..],
+            "--thin-radius" | "--lone-radius" => &["--voxel-size=1"],
+            "--velocity-gain" => &["--preset=paper", "--voxel-size=1", "--anisotropy=velocity"],
+            "--radius-scale" => &["--preset=paper", "--voxel-size=1", "--radius-attribute=pscale"],
+            _ => &["--preset=paper", "--voxel-size=1", "--anisotropy=neighbors"],
         };
         meniscus(folder.path(), &[&["convert", "--print-settings", &typed], beside].concat())
     };
@@ -126,6 +127,7 @@ fn numbers_have_ranges_that_are_told_and_held() {
         range_count += 1;
         assert!(of_option(option).contains(range), "{option} {range}: {}", of_option(option));
         let (bad, good): (Vec<String>, Vec<String>) = match range.split_once(" to ") {
+            Some(("-r_min", _)) => (vec!["-1.8".into(), "2.1".into()], vec!["-1.7".into(), "2".into()]),
             Some(("r_min", _)) => (vec!["1.5".into(), "3.7".into()], vec!["1.8".into(), "3.4".into()]),
             Some((least, most)) => {
                 let [low, high]: [f64; 2] = [least, most].map(|bound| bound.parse().expect(range));
@@ -247,7 +249,7 @@ fn why_tells_everything_that_decides() {
     let configured = ["--config", "meniscus.toml"];
     let words = ["dam.1.glb is not there", "It will be converted because its output", "No daemon is"];
     tells("in/dam.1.ply", &configured, &words);
-    fs::write(path.join("meniscus.toml"), format!("{config}voxel_size = 0.05\n")).expect("written");
+    fs::write(path.join("meniscus.toml"), format!("{config}spacing = 0.1\n")).expect("written");
     tells(
         "in/dam.1.ply",
         &configured,
@@ -341,8 +343,8 @@ fn the_journal_says_what_the_daemon_was_asked_for() {
         journal.note_plan(plan).expect("noted");
     };
     ask(&|watch| watch.choices.radius_ratio = Some(1.25));
-    tells("in/dam.1.ply", &["settings  not compared: that needs a voxel size that is known"]);
-    ask(&|watch| watch.voxel_size = Some(0.05));
+    tells("in/dam.1.ply", &["settings  not compared: that needs a particle spacing that is known"]);
+    ask(&|watch| watch.choices.spacing = Some(0.05));
     tells("in/dam.1.ply", &["settings  not as recorded", "because its settings or obstacles are others"]);
     // The file wins.
     fs::write(path.join("meniscus.toml"), "[[watch]]\ninput = \"in\"\noutput = \"out\"\n").expect("written");
@@ -401,10 +403,10 @@ fn printed_settings_are_keys_of_a_file() {
             &[&["--preset", "granular", "--voxel-size", ".04"][..], &obstacle].concat(),
             &["up = \"z\"\n", "vdb_half = true\n", "vdb_compression = \"none\"\n", "void_threshold = 1\n"],
         ),
-        (&["--preset", "smooth"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
+        (&["--radius-ratio", "3", "--steps", "10"], &["radius_ratio = 3\n", "steps = 10\n", "up = \"y\"\n"]),
         (
             &["--preset", "preview", "--integrator", "explicit", "--format", "obj,vdb", "--quads"],
-            &["steps = 100\n", "quads = true\n", "step_size = 0.01\n"],
+            &["steps = 13\n", "quads = true\n", "step_size = 0.01\n"],
         ),
         (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
     ]
@@ -435,7 +437,7 @@ fn printed_settings_are_keys_of_a_file() {
         }
         assert!(count > 0);
     }
-    // A length says nothing without a voxel.
+    // A length says nothing without a spacing.
     let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
-    assert!(refused.status == 2 && refused.err.contains("--voxel-size"), "{}", refused.err);
+    assert!(refused.status == 2 && refused.err.contains("--spacing"), "{}", refused.err);
 }

@@ -141,15 +141,24 @@ fn from_a_file_in_batches() {
     let path = folder.path();
     // Many particles in few voxels.
     let particles: Vec<_> = block(113, 0.0).into_iter().map(|at| at.map(|along| along * 0.1)).collect();
-    for (name, has_list) in [("batches.ply", false), ("whole.ply", true)] {
-        write_binary_ply(&path.join(name), &particles, has_list);
-        let arguments = ["convert", name, "--out", "o", "--voxel-size", "0.1", "--format", "obj"];
-        let ran = meniscus(path, &arguments);
-        assert_eq!((ran.status, ran.err.contains("the list `extra`")), (0, has_list), "{}", ran.err);
-    }
+    let files = [("batches.ply", false), ("whole.ply", true)];
+    files.iter().for_each(|&(name, has_list)| write_binary_ply(&path.join(name), &particles, has_list));
     let file_bytes = path.join("batches.ply").metadata().expect("there").len();
     assert!(file_bytes >= STREAMED_FROM_BYTES, "{file_bytes} bytes are read whole");
-    let [batches, whole] = ["batches.obj", "whole.obj"].map(|name| surface_in(&path.join("o").join(name)));
-    assert!(batches.len() > 100, "{batches:?}");
-    assert!(batches == whole, "the surfaces differ");
+    let smoothing = ["--position-smoothing", "0.9"];
+    let mut surfaces = Vec::new();
+    let balls = ["--anisotropy", "none"];
+    for more in [&[][..], &smoothing, &[&smoothing[..], &balls].concat(), &["--preset", "paper"]] {
+        for (name, has_list) in files {
+            let arguments = ["convert", name, "--out", "o", "--voxel-size", "0.1", "--format", "obj"];
+            let ran = meniscus(path, &[&arguments[..], more].concat());
+            assert_eq!((ran.status, ran.err.contains("the list `extra`")), (0, has_list), "{}", ran.err);
+        }
+        let [batches, whole] =
+            ["batches.obj", "whole.obj"].map(|name| surface_in(&path.join("o").join(name)));
+        assert!(batches.len() > 100, "{batches:?}");
+        assert!(batches == whole, "the surfaces differ with {more:?}");
+        assert!(!surfaces.contains(&batches), "{more:?} changes nothing");
+        surfaces.push(batches);
+    }
 }

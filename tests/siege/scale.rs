@@ -16,7 +16,8 @@ fn frame_count() -> usize {
 }
 
 /// The voxel size is given, for frames without particles have none to measure.
-const ARGUMENTS: [&str; 8] = ["in", "--out", "out", "--format", "ply", "--voxel-size", "0.1", "--settle"];
+const ARGUMENTS: [&str; 10] =
+    ["in", "--out", "out", "--format", "ply", "--preset", "paper", "--voxel-size", "0.1", "--settle"];
 
 fn arguments<'a>(more: &[&'a str]) -> Vec<&'a str> {
     [&ARGUMENTS[..], &["100ms"], more].concat()

@@ -5,22 +5,12 @@ use std::f64::consts::PI;
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::contour::Contouring;
 use meniscus::grid::{LEAF_EDGE, offset_in_leaf, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand};
+use meniscus::level_set::NarrowBand;
 use meniscus::space::Lattice;
 use meniscus::trim::{ClipBox, Clipped, clip, drop_islands, fill_cavities};
 
 use super::bands::{band, block_band, sphere};
 use super::{BOTH, Random, UNIT, sound};
-
-/// Bounds that leave φ a voxel on either side.
-fn bounds_of(band: &NarrowBand) -> Bounds {
-    let moved = |by: f32| {
-        let mut field = band.phi.clone();
-        field.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += by);
-        field
-    };
-    Bounds { lower: moved(-1.0), upper: moved(1.0) }
-}
 
 /// The union of balls.
 fn balls(balls: &[([f64; 3], f64)]) -> impl Fn([f64; 3]) -> f64 {
@@ -82,8 +72,8 @@ fn a_speck_goes_and_nothing_else_moves() {
         // What is deep inside is not counted, and is enough.
         (u64::MAX, &[BALL], in_speck + in_drop),
     ] {
-        let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let dropped = drop_islands(&mut band, Some(&mut bounds), least, given());
+        let mut band = whole.clone();
+        let dropped = drop_islands(&mut band, least, given());
         assert_eq!((dropped.piece_count, dropped.particle_count), (3 - left.len(), gone));
         let volume: f64 =
             [DROP, SPECK][left.len() - 1..].iter().map(|(_, radius)| 4.0 / 3.0 * PI * radius.powi(3)).sum();
@@ -92,7 +82,6 @@ fn a_speck_goes_and_nothing_else_moves() {
             locals.iter().filter(|local| dropped.holds(*origin, **local)).count() as u64
         });
         assert_eq!(held.sum::<u64>(), gone);
-        assert_eq!(bounds.violation_count(&band.phi), 0);
         // Distances are those to what is left; and what was nearer to that is as it was, to the last bit.
         assert!(farthest_from(&band, balls(left)) < 0.3, "{}", farthest_from(&band, balls(left)));
         let (of_left, before) = (balls(left), balls(&[BALL, DROP, SPECK]));
@@ -129,12 +118,11 @@ fn bubbles_up_to_a_volume_are_filled() {
     assert!(whole.topology.find(IVec3::ZERO).is_none(), "the middle is not stored");
     let volume = |(_, radius): ([f64; 3], f64)| 4.0 / 3.0 * PI * radius.powi(3);
     for (most, filled_count) in [(20.0, 0), (100.0, 1), (500.0, 2), (1e5, 3), (f64::INFINITY, 3)] {
-        let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let filled = fill_cavities(&mut band, Some(&mut bounds), most, None);
+        let mut band = whole.clone();
+        let filled = fill_cavities(&mut band, most, None);
         let expected: f64 = BUBBLES[..filled_count].iter().map(|&bubble| volume(bubble)).sum();
         assert_eq!(filled.cavity_count, filled_count);
         assert!((filled.voxel_count as f64 - expected).abs() <= 0.03 * expected, "{filled:?} {expected}");
-        assert_eq!(bounds.violation_count(&band.phi), 0);
         let error = farthest_from(&band, host_without(&BUBBLES[filled_count..]));
         assert!(error < 0.3, "{error}");
         for contouring in BOTH {
@@ -160,10 +148,9 @@ fn what_is_within_what_is_judged_by_itself() {
     let components = |band: &NarrowBand| sound(band, &UNIT, Contouring::Dual).1.component_count;
     assert_eq!(components(&whole), 5);
     let trimmed = |least: u64, most: f64| {
-        let (mut band, mut bounds) = (whole.clone(), bounds_of(&whole));
-        let dropped = drop_islands(&mut band, Some(&mut bounds), least, given());
-        let filled = fill_cavities(&mut band, Some(&mut bounds), most, None);
-        assert_eq!(bounds.violation_count(&band.phi), 0);
+        let mut band = whole.clone();
+        let dropped = drop_islands(&mut band, least, given());
+        let filled = fill_cavities(&mut band, most, None);
         (dropped.piece_count, filled.cavity_count, components(&band))
     };
     // The grain alone; the hollow drop with it, and with its hollow.
@@ -180,10 +167,8 @@ fn what_is_within_what_is_judged_by_itself() {
 /// Clips a ball of radius 30 about (0.3, −0.2, 0.4) in voxels of edge `h`, and checks the mesh.
 fn clipped_ball(h: f64, clip_box: ClipBox, contouring: Contouring) -> (f64, Clipped, Vec<DVec3>) {
     let mut band = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
-    let mut bounds = bounds_of(&band);
     let lattice = Lattice { voxel_size: h };
-    let clipped = clip(&mut band, Some(&mut bounds), &lattice, &clip_box);
-    assert_eq!(bounds.violation_count(&band.phi), 0);
+    let clipped = clip(&mut band, &lattice, &clip_box);
     let (mut mesh, _) = sound(&band, &lattice, contouring);
     let beyond = |p: &Vec3| clip_box.distance(mesh.origin + p.as_dvec3());
     let worst = mesh.positions.iter().map(beyond).fold(f64::MIN, f64::max);
@@ -239,23 +224,22 @@ fn a_box_in_the_deep_inside_comes_out_whole() {
 fn boxes_that_cut_all_or_nothing() {
     let everywhere = ClipBox { min: DVec3::splat(-1e300), max: DVec3::splat(f64::INFINITY) };
     let ball = band(IVec3::splat(-40), IVec3::splat(40), sphere([0.3, -0.2, 0.4], 30.0));
-    let (mut band, mut bounds) = (ball.clone(), bounds_of(&ball));
-    assert_eq!(clip(&mut band, Some(&mut bounds), &UNIT, &everywhere), Clipped::default());
+    let mut band = ball.clone();
+    assert_eq!(clip(&mut band, &UNIT, &everywhere), Clipped::default());
     assert!(band.phi == ball.phi && band.topology.origins() == ball.topology.origins());
     for (min, max) in [
         (DVec3::splat(500.0), DVec3::splat(600.0)),
         (DVec3::splat(2.0), DVec3::splat(-2.0)),
         (DVec3::NAN, DVec3::splat(f64::NEG_INFINITY)),
     ] {
-        let (mut band, mut bounds) = (ball.clone(), bounds_of(&ball));
-        let clipped = clip(&mut band, Some(&mut bounds), &UNIT, &ClipBox { min, max });
+        let mut band = ball.clone();
+        let clipped = clip(&mut band, &UNIT, &ClipBox { min, max });
         assert!((clipped.voxel_count as f64 / (4.0 / 3.0 * PI * 27_000.0) - 1.0).abs() < 0.01, "{clipped:?}");
         assert_eq!(sound(&band, &UNIT, Contouring::Dual).1.triangle_count, 0);
     }
 }
 
-/// All three, on noise: whatever φ is, what comes out is sound, within its bounds, and the same on any number of
-/// threads.
+/// All three, on noise: whatever φ is, what comes out is sound, and the same on any number of threads.
 #[test]
 fn noise_is_trimmed_as_well() {
     let mut random = Random(7);
@@ -272,17 +256,16 @@ fn noise_is_trimmed_as_well() {
     let trimmed = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
         pool.install(|| {
-            let (mut band, mut bounds) = (noise.clone(), bounds_of(&noise));
+            let mut band = noise.clone();
             let given = given.iter().map(|(origin, locals)| (*origin, locals));
-            let dropped = drop_islands(&mut band, Some(&mut bounds), 20, given);
-            let filled = fill_cavities(&mut band, Some(&mut bounds), 50.0, None);
+            let dropped = drop_islands(&mut band, 20, given);
+            let filled = fill_cavities(&mut band, 50.0, None);
             let clip_box = ClipBox { min: DVec3::splat(-6.2), max: DVec3::splat(12.1) };
-            let clipped = clip(&mut band, Some(&mut bounds), &UNIT, &clip_box);
-            assert_eq!(bounds.violation_count(&band.phi), 0);
+            let clipped = clip(&mut band, &UNIT, &clip_box);
             sound(&band, &UNIT, Contouring::Tetrahedra);
             let (mesh, _) = sound(&band, &UNIT, Contouring::Dual);
             let counts = (dropped.piece_count, dropped.particle_count, filled, clipped);
-            (counts, band.phi, bounds.lower, bounds.upper, mesh)
+            (counts, band.phi, mesh)
         })
     };
     let one = trimmed(1);
@@ -297,12 +280,11 @@ fn far_changes_stay_far() {
     let (min, max) = (IVec3::splat(-56), IVec3::new(136, 40, 40));
     let made = |scene: &[([f64; 3], f64)]| {
         let mut band = band(min, max, balls(scene));
-        let mut bounds = bounds_of(&band);
         let all = particles(min, max, balls(scene));
-        drop_islands(&mut band, Some(&mut bounds), 40, all.iter().map(|(origin, locals)| (*origin, locals)));
-        fill_cavities(&mut band, Some(&mut bounds), 100.0, None);
+        drop_islands(&mut band, 40, all.iter().map(|(origin, locals)| (*origin, locals)));
+        fill_cavities(&mut band, 100.0, None);
         let clip_box = ClipBox { min: DVec3::splat(-30.0), max: DVec3::new(130.0, 12.5, 30.0) };
-        clip(&mut band, Some(&mut bounds), &UNIT, &clip_box);
+        clip(&mut band, &UNIT, &clip_box);
         band
     };
     let (with, without) = (made(&[BALL, DROP, SPECK, far]), made(&[BALL, DROP, SPECK]));

@@ -6,7 +6,7 @@
 //!   BINARY                            or ASCII
 //!   DATASET POLYDATA                  or UNSTRUCTURED_GRID
 //!   POINTS 64 float                   768 bytes, or 192 decimals
-//!   VERTICES 64 128                   128 integers of 32 bits, up to version 4.2
+//!   VERTICES 64 128                   128 integers of 32 bits, up to version 4.2; POLYGONS and CELLS likewise
 //!   VERTICES 65 64                    from 5.0 on: 65 and 64 integers behind lines of their own,
 //!   OFFSETS vtktypeint64 ..           OFFSETS and CONNECTIVITY
 //!   POINT_DATA 64                     what follows has a value for each point
@@ -19,7 +19,7 @@
 //! Nothing tells that the file has ended, other than that nothing is missing.
 
 use crate::bytes::Endian;
-use crate::data::{ParticleFrame, Positions, Values};
+use crate::data::{MeshData, ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
@@ -27,6 +27,7 @@ use crate::named_arrays::NamedArray;
 use crate::number::Number;
 
 use super::LEGACY;
+use super::cells::{POLYGON, Points, TRIANGLE_STRIP, add_cells, integers};
 use super::pieces::{POLYGONS_NOTE, Piece, checked_count, joined, positions_of};
 use super::xml_arrays::decimals;
 
@@ -53,6 +54,48 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     Ok(joined(vec![Piece { positions, arrays: found.arrays }], found.notes))
 }
 
+/// Reads the points and the polygons, without normals; a polygon of more than three corners becomes a fan. A file without
+/// polygons is a mesh without triangles.
+///
+/// # Errors
+///
+/// As [`read`]; [`Error::Invalid`] for polygons of points that are missing, [`Error::Unsupported`] for cells with a volume.
+pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
+    let mut file = File { bytes, at: 0, is_binary: false, limits };
+    file.head()?;
+    let mut found = Found { keeps_cells: true, ..Found::default() };
+    while let Some(line) = file.line()? {
+        file.section(&line, &mut found)?;
+    }
+    let positions = match found.positions {
+        Some(Positions::F32(positions)) => {
+            positions.into_iter().map(|position| position.map(f64::from)).collect()
+        }
+        Some(Positions::F64(positions)) => positions,
+        None => return Err(file.short("the file ends before any POINTS")),
+    };
+    let mut mesh = MeshData { positions, ..MeshData::default() };
+    let points = Points { first: 0, count: mesh.positions.len() as u64 };
+    for CellList { kind, ends, corners } in &found.cells {
+        if kind.is_none() && found.cell_types.len() != ends.len() {
+            let what = format!("{} CELL_TYPES for {} CELLS", found.cell_types.len(), ends.len());
+            return Err(Error::invalid(LEGACY, Place::File, what));
+        }
+        let type_of = |index: usize| kind.unwrap_or_else(|| found.cell_types[index]);
+        add_cells(LEGACY, (ends, corners), type_of, points, &mut mesh.triangles)?;
+    }
+    Ok(mesh)
+}
+
+/// Cells of a section.
+struct CellList {
+    /// The type of all of them; `None` where each has its own among the CELL_TYPES.
+    kind: Option<i64>,
+    /// Where the corners of each cell end.
+    ends: Vec<i64>,
+    corners: Vec<i64>,
+}
+
 /// What was read so far.
 #[derive(Default)]
 struct Found {
@@ -62,6 +105,10 @@ struct Found {
     /// Whether the arrays that follow have values for points.
     is_of_points: bool,
     has_polygons: bool,
+    /// Whether cells are wanted; else they are passed over.
+    keeps_cells: bool,
+    cells: Vec<CellList>,
+    cell_types: Vec<i64>,
 }
 
 /// The walk through the file.
@@ -134,8 +181,13 @@ impl<'a> File<'a> {
         match line.keyword().as_str() {
             "DATASET" => check_data_set(line),
             "POINTS" => self.points(line, found),
-            "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" | "CELLS" => self.pass_cells(line, found),
-            "CELL_TYPES" => self.pass(line, Number::I32, line.count(1, "the number of cells")?),
+            "VERTICES" | "LINES" | "POLYGONS" | "TRIANGLE_STRIPS" | "CELLS" => self.cell_section(line, found),
+            "CELL_TYPES" => {
+                let types =
+                    self.cell_numbers(line, Number::I32, line.count(1, "the number of cells")?, found)?;
+                found.cell_types.extend(types);
+                Ok(())
+            }
             "POINT_DATA" => {
                 let count = line.count(1, "the number of points")?;
                 found.is_of_points = true;
@@ -196,33 +248,58 @@ impl<'a> File<'a> {
         Ok(())
     }
 
-    /// The numbers of cells, of which nothing is kept.
-    fn pass_cells(&mut self, line: &Line, found: &mut Found) -> Result<()> {
+    /// The numbers of cells, which are kept where a mesh is wanted.
+    fn cell_section(&mut self, line: &Line, found: &mut Found) -> Result<()> {
         let (count, size) = (line.count(1, "the number of cells")?, line.count(2, "the size of the cells")?);
         // Where offsets follow, there is one more than there are cells.
         let has_offsets = self.bytes[self.at..].trim_ascii_start().starts_with(b"OFFSETS");
         let cell_count = count.saturating_sub(has_offsets.into());
-        found.has_polygons |=
-            matches!(line.keyword().as_str(), "POLYGONS" | "TRIANGLE_STRIPS") && cell_count > 0;
+        let kind = match line.keyword().as_str() {
+            "POLYGONS" => Some(POLYGON),
+            "TRIANGLE_STRIPS" => Some(TRIANGLE_STRIP),
+            "CELLS" => None,
+            // Points and lines.
+            _ => Some(0),
+        };
+        found.has_polygons |= matches!(kind, Some(POLYGON | TRIANGLE_STRIP)) && cell_count > 0;
         if !has_offsets {
-            return self.pass(line, Number::I32, size);
+            let numbers = self.cell_numbers(line, Number::I32, size, found)?;
+            if found.keeps_cells {
+                found.cells.push(counted_cells(kind, &numbers, line)?);
+            }
+            return Ok(());
         }
         let offsets = self.line()?.ok_or_else(|| self.short("the file ends before OFFSETS"))?;
-        self.pass_typed(&offsets, count)?;
-        match self.line()? {
+        let mut ends = self.typed_cell_numbers(&offsets, count, found)?;
+        let corners = match self.line()? {
             Some(connectivity) if connectivity.keyword() == "CONNECTIVITY" => {
-                self.pass_typed(&connectivity, size)
+                self.typed_cell_numbers(&connectivity, size, found)?
             }
-            Some(other) => Err(other.invalid("expected CONNECTIVITY")),
-            None => Err(self.short("the file ends before CONNECTIVITY")),
+            Some(other) => return Err(other.invalid("expected CONNECTIVITY")),
+            None => return Err(self.short("the file ends before CONNECTIVITY")),
+        };
+        if found.keeps_cells {
+            // The first is where the first cell begins.
+            ends.drain(..ends.len().min(1));
+            found.cells.push(CellList { kind, ends, corners });
+        }
+        Ok(())
+    }
+
+    fn typed_cell_numbers(&mut self, line: &Line, count: u64, found: &Found) -> Result<Vec<i64>> {
+        match type_of(line.word(1)) {
+            Some(Type::Of(number)) => self.cell_numbers(line, number, count, found),
+            _ => Err(line.invalid(&format!("cells of the type `{}`", excerpt(line.word(1))))),
         }
     }
 
-    fn pass_typed(&mut self, line: &Line, count: u64) -> Result<()> {
-        match type_of(line.word(1)) {
-            Some(Type::Of(number)) => self.pass(line, number, count),
-            _ => Err(line.invalid(&format!("cells of the type `{}`", excerpt(line.word(1))))),
+    /// The next `count` integers where cells are wanted; else goes behind them.
+    fn cell_numbers(&mut self, line: &Line, number: Number, count: u64, found: &Found) -> Result<Vec<i64>> {
+        if !found.keeps_cells {
+            return self.pass(line, number, count).map(|()| Vec::new());
         }
+        let no_integers = || line.invalid("the numbers of cells are no integers");
+        integers(self.values(line, number, count)?).ok_or_else(no_integers)
     }
 
     /// Data of cells: what follows the points, so what is after it may be left alone.
@@ -465,6 +542,21 @@ impl<'a> Iterator for Words<'a> {
         self.at = start + length;
         Some((&word[..length], self.at))
     }
+}
+
+/// Cells from the layout of versions before 5: each begins with how many corners it has.
+fn counted_cells(kind: Option<i64>, mut numbers: &[i64], line: &Line) -> Result<CellList> {
+    let mut list = CellList { kind, ends: Vec::new(), corners: Vec::new() };
+    while let Some((&count, rest)) = numbers.split_first() {
+        let cell = usize::try_from(count).ok().and_then(|count| rest.split_at_checked(count));
+        let (cell, after) = cell.ok_or_else(|| {
+            line.invalid(&format!("a cell of {count} corners, and {} numbers remain", rest.len()))
+        })?;
+        list.corners.extend_from_slice(cell);
+        list.ends.push(list.corners.len() as i64);
+        numbers = after;
+    }
+    Ok(list)
 }
 
 fn check_data_set(line: &Line) -> Result<()> {

@@ -6,7 +6,8 @@
 //!     <Piece NumberOfPoints="64" ..>                                 again and again
 //!      <PointData> <DataArray type="Float32" Name="velocity" NumberOfComponents="3" format="appended" offset="0"/>
 //!      <Points>    <DataArray type="Float32" NumberOfComponents="3" format="ascii"> 0.5 0.25 1 .. </DataArray>
-//!      <Verts> ..                                                    passed over, like all other cells
+//!      <Verts> ..                                                    passed over, like all other cells, but for Polys, Strips and
+//!                                                                     Cells where a mesh is asked for
 //!    <AppendedData encoding="raw"> _.............................    bytes, which are no XML
 //!   </VTKFile>
 //! ```
@@ -38,7 +39,7 @@ use super::xml_arrays::{Appended, DataArray, Form};
 /// fit, [`Error::Unsupported`] for data sets that are no lists of points, [`Error::TooLarge`] beyond `limits`.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let (mut decoder, pieces, mut notes) = open(bytes, limits)?;
-    if pieces.iter().any(|piece| piece.poly_count != 0) {
+    if pieces.iter().any(|piece| piece.polys.count != 0) {
         notes.push(POLYGONS_NOTE.into());
     }
     let pieces: Vec<Piece> =
@@ -105,8 +106,31 @@ pub(super) struct Described<'a> {
     pub(super) point_count: usize,
     pub(super) points: Option<DataArray<'a>>,
     arrays: Vec<DataArray<'a>>,
-    pub(super) poly_count: usize,
-    pub(super) polys: Vec<DataArray<'a>>,
+    /// Polygons of a PolyData.
+    pub(super) polys: CellArrays<'a>,
+    /// Strips of triangles of a PolyData.
+    pub(super) strips: CellArrays<'a>,
+    /// Cells of an UnstructuredGrid.
+    pub(super) cells: CellArrays<'a>,
+}
+
+/// Cells of a piece, and the arrays that describe them.
+#[derive(Default)]
+pub(super) struct CellArrays<'a> {
+    pub(super) count: usize,
+    pub(super) arrays: Vec<DataArray<'a>>,
+}
+
+impl<'a> Described<'a> {
+    /// The cells of a section; `None` for the others.
+    fn cells_of(&mut self, section: Section) -> Option<&mut CellArrays<'a>> {
+        match section {
+            Section::Polys => Some(&mut self.polys),
+            Section::Strips => Some(&mut self.strips),
+            Section::Cells => Some(&mut self.cells),
+            Section::Points | Section::PointData | Section::Other => None,
+        }
+    }
 }
 
 /// The part of a piece that an array stands in.
@@ -115,6 +139,8 @@ enum Section {
     Points,
     PointData,
     Polys,
+    Strips,
+    Cells,
     Other,
 }
 
@@ -142,6 +168,8 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
                 ("Points", _) if !is_empty => section = Section::Points,
                 ("PointData", _) if !is_empty => section = Section::PointData,
                 ("Polys", _) if !is_empty => section = Section::Polys,
+                ("Strips", _) if !is_empty => section = Section::Strips,
+                ("Cells", _) if !is_empty => section = Section::Cells,
                 ("DataArray", Some(document)) if section != Section::Other => {
                     take_array(&tag, at, section, document, limits)?;
                     is_in_array = !is_empty;
@@ -155,7 +183,7 @@ fn document<'a>(text: &'a str, limits: &Limits) -> Result<Document<'a>> {
                 }
             }
             Event::End(tag) => match tag.local_name().as_ref() {
-                "Points" | "PointData" | "Polys" => section = Section::Other,
+                "Points" | "PointData" | "Polys" | "Strips" | "Cells" => section = Section::Other,
                 "DataArray" => is_in_array = false,
                 _ => {}
             },
@@ -224,11 +252,16 @@ fn described<'a>(tag: &BytesStart, at: u64, limits: &Limits) -> Result<Described
         checked_count(XML, count, limits)
     };
     let points = attribute(tag, "NumberOfPoints", at)?.unwrap_or_default();
-    // Only PolyData has polygons.
-    let polys = attribute(tag, "NumberOfPolys", at)?.unwrap_or_else(|| "0".to_owned());
+    // PolyData has polygons and strips, an UnstructuredGrid cells.
+    let cells = |name: &str, what: &str| -> Result<CellArrays<'a>> {
+        let text = attribute(tag, name, at)?.unwrap_or_else(|| "0".to_owned());
+        count(name, what, text).map(|count| CellArrays { count, arrays: Vec::new() })
+    };
     Ok(Described {
         point_count: count("NumberOfPoints", "points", points)?,
-        poly_count: count("NumberOfPolys", "polygons", polys)?,
+        polys: cells("NumberOfPolys", "polygons")?,
+        strips: cells("NumberOfStrips", "strips")?,
+        cells: cells("NumberOfCells", "cells")?,
         ..Described::default()
     })
 }
@@ -244,17 +277,20 @@ fn take_array<'a>(
         return Err(malformed(at, "an array of points outside any piece"));
     };
     document.array_count += 1;
-    if piece.arrays.len().max(piece.polys.len()) >= limits.attribute_count
-        || document.array_count > PART_COUNT_MAX
-    {
+    let known_count = piece.cells_of(section).map_or(0, |cells| cells.arrays.len()).max(piece.arrays.len());
+    if known_count >= limits.attribute_count || document.array_count > PART_COUNT_MAX {
         let what = format!("more arrays than the limit of {}", limits.attribute_count.min(PART_COUNT_MAX));
         return Err(Error::too_large(XML, what));
     }
     let array = data_array(tag, at)?;
     match section {
         Section::Points => piece.points = Some(array),
-        Section::Polys => piece.polys.push(array),
-        _ => piece.arrays.push(array),
+        Section::PointData => piece.arrays.push(array),
+        other => {
+            if let Some(cells) = piece.cells_of(other) {
+                cells.arrays.push(array);
+            }
+        }
     }
     Ok(())
 }
@@ -322,8 +358,8 @@ fn set_content<'a>(document: &mut Document<'a>, section: Section, text: &'a [u8]
     let Some(piece) = document.pieces.last_mut() else { return };
     let array = match section {
         Section::Points => piece.points.as_mut(),
-        Section::Polys => piece.polys.last_mut(),
-        _ => piece.arrays.last_mut(),
+        Section::PointData => piece.arrays.last_mut(),
+        other => piece.cells_of(other).and_then(|cells| cells.arrays.last_mut()),
     };
     if let Some(array) =
         array.filter(|array| array.content.is_empty()).filter(|_| !text.trim_ascii().is_empty())

@@ -1,14 +1,58 @@
 //! Known neighbourhoods, brute force, and what must not matter.
 
-use glam::{DMat3, DQuat};
+use glam::{DMat3, DQuat, DVec3};
 use rayon::ThreadPoolBuilder;
 
 use super::*;
 use crate::anisotropy::longest_bound;
 
+/// How all particles of a frame are shaped and moved.
+#[derive(Clone, Copy)]
+struct Config {
+    radius_world: f64,
+    max_stretch: f32,
+    position_smoothing: f64,
+    floor: f32,
+}
+
 /// Spacing 1, and no floor that would be met.
-const CONFIG: NeighborConfig =
-    NeighborConfig { radius_world: 2.6, max_stretch: 4.0, position_smoothing: 0.0, floor: 1e-3 };
+const CONFIG: Config = Config { radius_world: 2.6, max_stretch: 4.0, position_smoothing: 0.0, floor: 1e-3 };
+
+/// All particles of a frame; those without a place are where they were, and balls.
+#[derive(Debug, PartialEq)]
+struct Whole {
+    positions: Vec<DVec3>,
+    shapes: Vec<Ellipsoid>,
+    raised_count: usize,
+    ball_count: usize,
+}
+
+fn from_neighbors(particles: &Particles, scales: Option<&[f32]>, config: &Config) -> Whole {
+    shaped(particles, scales, config, Level::current())
+}
+
+fn shaped(particles: &Particles, scales: Option<&[f32]>, config: &Config, level: Level) -> Whole {
+    let &Config { radius_world, max_stretch, position_smoothing, floor } = config;
+    let stretch = Stretch { max_stretch, floor, lone: 1.0, lone_floor: floor };
+    let config = NeighborConfig { radius_world, stretch: Some(stretch) };
+    let found = by_neighbors(particles, |_| true, scales, &config, level);
+    // Means are the same where nothing else is wanted.
+    let means = by_neighbors(particles, |_| true, scales, &NeighborConfig { stretch: None, ..config }, level);
+    assert_eq!((&means.means, &means.indices), (&found.means, &found.indices));
+    let ball = |index| Ellipsoid::ball(scale_of(scales, index).max(floor));
+    let mut whole = Whole {
+        positions: (0..particles.len()).map(|index| particles.position(index)).collect(),
+        shapes: (0..particles.len()).map(ball).collect(),
+        raised_count: found.raised_count,
+        ball_count: found.ball_count,
+    };
+    for (place, &index) in found.indices.iter().enumerate() {
+        let mean = Vec3::from(found.means[place]).as_dvec3();
+        whole.positions[index as usize] += mean * position_smoothing * radius_world;
+        whole.shapes[index as usize] = found.shapes[place];
+    }
+    whole
+}
 
 struct Random(u32);
 
@@ -42,7 +86,7 @@ fn double(points: &[DVec3]) -> Particles {
     Particles::Double(points.iter().map(DVec3::to_array).collect())
 }
 
-fn shapes_of(points: &[DVec3], config: &NeighborConfig) -> Vec<Ellipsoid> {
+fn shapes_of(points: &[DVec3], config: &Config) -> Vec<Ellipsoid> {
     from_neighbors(&double(points), None, config).shapes
 }
 
@@ -100,12 +144,11 @@ fn shapes_are_those_of_the_weighted_covariance() {
     for (radius_world, around) in [(2.6, DVec3::ZERO), (3.3, DVec3::new(3e6, -2e5, 70.0))] {
         let mut points = lattice([4, 3, 2], 0.9);
         points.iter_mut().for_each(|point| *point = *point * DVec3::new(1.0, 0.8, 0.6) + around);
-        let config = NeighborConfig { radius_world, max_stretch: 1e3, position_smoothing: 1.0, ..CONFIG };
+        let config = Config { radius_world, max_stretch: 1e3, position_smoothing: 1.0, ..CONFIG };
         let shaped = from_neighbors(&double(&points), None, &config);
-        let Some(Particles::Double(moved)) = shaped.positions else { panic!("not moved in 64 bits") };
-        for ((&point, shape), moved) in points.iter().zip(&shaped.shapes).zip(moved) {
+        for ((&point, shape), moved) in points.iter().zip(&shaped.shapes).zip(shaped.positions) {
             let (mean, covariance) = expected_moments(&points, point, radius_world);
-            assert!((point + mean).distance(DVec3::from(moved)) < 2e-6, "{mean} from {point} to {moved:?}");
+            assert!((point + mean).distance(moved) < 2e-6, "{mean} from {point} to {moved:?}");
             // (T⁻¹)² is the covariance, but for a factor and what is added to each eigenvalue.
             let spread = covariance * (1.0 / radius_world.powi(2)) + DMat3::from_diagonal(DVec3::splat(1e-4));
             let inverse = matrix(shape).inverse();
@@ -156,7 +199,7 @@ fn inside_there_are_balls_and_a_plane_surface_is_flattened() {
     }
     // Half a ball full of weight: what spreads by √0.15 along the surface spreads by √0.047 outward.
     let fine: Vec<DVec3> = lattice([16, 16, 8], 0.0).iter().map(|point| point - DVec3::Z * 8.0).collect();
-    let shapes = shapes_of(&fine, &NeighborConfig { radius_world: 7.9, ..CONFIG });
+    let shapes = shapes_of(&fine, &Config { radius_world: 7.9, ..CONFIG });
     let middle = fine.iter().position(|&point| point == DVec3::ZERO).unwrap();
     let ([shortest, _, longest], direction) = half_axes(&shapes[middle]);
     assert!((shortest / longest - 0.558).abs() < 0.05, "{}", shortest / longest);
@@ -189,7 +232,7 @@ fn stretch_volume_and_length_are_kept() {
         })
         .collect();
     for max_stretch in [1.0, 2.0, 4.0, 30.0] {
-        let config = NeighborConfig { max_stretch, ..CONFIG };
+        let config = Config { max_stretch, ..CONFIG };
         let bound = longest_bound(max_stretch, config.floor);
         for shape in shapes_of(&points, &config) {
             let ([shortest, _, longest], _) = half_axes(&shape);
@@ -206,7 +249,7 @@ fn what_is_thinner_than_the_floor_is_raised_and_counted() {
     let points = lattice([6, 6, 0], 0.1);
     let mut scales = vec![1.0; points.len()];
     scales[0] = 9.0;
-    let config = NeighborConfig { floor: 0.7, ..CONFIG };
+    let config = Config { floor: 0.7, ..CONFIG };
     let shaped = from_neighbors(&double(&points), Some(&scales), &config);
     assert_eq!((shaped.raised_count, shaped.ball_count), (points.len() - 1, 0));
     for (index, shape) in shaped.shapes.iter().enumerate() {
@@ -242,7 +285,7 @@ fn few_neighbors_make_a_ball_and_more_change_it_little_by_little() {
 #[test]
 fn what_is_beyond_the_radius_does_not_matter() {
     let points = lattice([6, 6, 1], 0.8);
-    let config = NeighborConfig { position_smoothing: 0.5, ..CONFIG };
+    let config = Config { position_smoothing: 0.5, ..CONFIG };
     let alone = from_neighbors(&double(&points), None, &config);
     // All around one particle, and far away. They come first, so that every place and index changes.
     let mut random = Random(77);
@@ -260,10 +303,9 @@ fn what_is_beyond_the_radius_does_not_matter() {
         |point: &DVec3| more[..added].iter().any(|other| other.distance(*point) < CONFIG.radius_world);
     let untouched: Vec<usize> = (0..points.len()).filter(|&index| !is_near(&points[index])).collect();
     assert!(untouched.contains(&(points.len() / 2)));
-    let (Some(positions), Some(others)) = (alone.positions, with_more.positions) else { panic!("not moved") };
     for index in untouched {
         assert_eq!(alone.shapes[index], with_more.shapes[added + index]);
-        assert_eq!(positions.position(index), others.position(added + index));
+        assert_eq!(alone.positions[index], with_more.positions[added + index]);
     }
 }
 
@@ -272,7 +314,7 @@ fn threads_and_levels_give_the_same_bits() {
     let mut points = lattice([9, 9, 3], 0.9);
     points.extend(vec![DVec3::splat(0.5); 700]);
     let particles = Particles::Single(points.iter().map(|point| point.as_vec3().to_array()).collect());
-    let config = NeighborConfig { position_smoothing: 0.3, ..CONFIG };
+    let config = Config { position_smoothing: 0.3, ..CONFIG };
     let scales: Vec<f32> = (0..points.len()).map(|index| 1.0 + (index % 5) as f32).collect();
     let with = |threads: usize, level: Level| {
         let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -287,37 +329,48 @@ fn threads_and_levels_give_the_same_bits() {
 }
 
 #[test]
-fn positions_are_left_or_moved_in_their_precision() {
+fn particles_are_the_same_whichever_are_wanted() {
+    let particles = double(&lattice([8, 7, 6], 0.9));
+    let config = NeighborConfig {
+        radius_world: 2.6,
+        stretch: Some(Stretch { max_stretch: 4.0, floor: 1e-3, lone: 1.0, lone_floor: 1e-3 }),
+    };
+    let all = super::from_neighbors(&particles, |_| true, None, &config);
+    let is_wanted = |index: usize| index % 7 < 2 || index % 300 > 250;
+    let some = super::from_neighbors(&particles, is_wanted, None, &config);
+    let wanted = (0..all.indices.len()).filter(|&place| is_wanted(all.indices[place] as usize));
+    let expected = wanted.map(|place| (all.indices[place], all.means[place], all.shapes[place]));
+    let found =
+        (0..some.indices.len()).map(|place| (some.indices[place], some.means[place], some.shapes[place]));
+    assert!(some.indices.len() > 100);
+    assert_eq!(found.collect::<Vec<_>>(), expected.collect::<Vec<_>>());
+}
+
+#[test]
+fn corners_are_drawn_in() {
     let points = lattice([3, 3, 3], 0.5);
-    let singles = Particles::Single(points.iter().map(|point| point.as_vec3().to_array()).collect());
-    assert_eq!(from_neighbors(&singles, None, &CONFIG).positions, None);
-    let half = from_neighbors(&singles, None, &NeighborConfig { position_smoothing: 0.5, ..CONFIG });
-    let whole = from_neighbors(&singles, None, &NeighborConfig { position_smoothing: 1.0, ..CONFIG });
-    let (Some(half), Some(whole)) = (half.positions, whole.positions) else { panic!("not moved") };
-    assert!(matches!(half, Particles::Single(_)));
-    for index in 0..points.len() {
-        let between = (singles.position(index) + whole.position(index)) * 0.5;
-        assert!(half.position(index).distance(between) < 1e-5);
-    }
-    // A corner is drawn in.
-    assert!(whole.position(0).length() < singles.position(0).length() - 0.3);
+    let moved = from_neighbors(&double(&points), None, &Config { position_smoothing: 1.0, ..CONFIG });
+    assert!(moved.positions[0].length() < points[0].length() - 0.3);
 }
 
 #[test]
 fn hostile_particles_are_balls() {
-    let config = NeighborConfig { position_smoothing: 1.0, ..CONFIG };
+    let config = Config { position_smoothing: 1.0, ..CONFIG };
     for particles in [Particles::Single(Vec::new()), Particles::Double(Vec::new())] {
         let shaped = from_neighbors(&particles, None, &config);
-        assert_eq!((shaped.shapes.len(), shaped.positions, shaped.ball_count), (0, Some(particles), 0));
+        assert_eq!((shaped.shapes.len(), shaped.positions.len(), shaped.ball_count), (0, 0, 0));
     }
     let (nan, infinite) = (f64::NAN, f64::INFINITY);
     let positions = vec![[nan, 0.0, 0.0], [0.0, infinite, 0.0], [1e300, -1e300, 1e300], [4.0, 5.0, 6.0]];
     let scales = [1.0, 2.0, 1e-9, f32::NAN];
     let shaped = from_neighbors(&Particles::Double(positions.clone()), Some(&scales), &config);
     let expected = [1.0, 2.0, CONFIG.floor, CONFIG.floor].map(Ellipsoid::ball);
-    assert_eq!((shaped.shapes, shaped.ball_count, shaped.raised_count), (expected.to_vec(), 4, 2));
-    let Some(Particles::Double(moved)) = shaped.positions else { panic!("not moved") };
-    assert!(moved[0][0].is_nan() && moved[1..] == positions[1..]);
+    // Of these only the last has a place.
+    assert_eq!((shaped.shapes, shaped.ball_count, shaped.raised_count), (expected.to_vec(), 1, 1));
+    assert!(shaped.positions[0].is_nan());
+    for (found, expected) in shaped.positions.iter().zip(&positions).skip(1) {
+        assert_eq!(found.to_array(), *expected);
+    }
     // Nothing lies along any direction.
     let heap = Particles::Single(vec![[0.1, 0.7, -0.3]; 20_000]);
     let shaped = from_neighbors(&heap, None, &CONFIG);

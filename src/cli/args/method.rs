@@ -35,19 +35,35 @@ pub(in crate::cli) struct MethodArgs {
 /// What most people need, and no more.
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct FirstArgs {
-    /// A bundle of choices for what is skinned; options beside it override what it says
+    /// The defaults of the options below, for what the particles are; options beside it override it [default: fluid]
     #[arg(long, value_name = "NAME", ignore_case = true)]
     pub(in crate::cli) preset: Option<PresetChoice>,
 
-    /// Edge of a voxel h, in the particles' unit of length, positive; half the particle spacing by default
+    #[command(flatten)]
+    pub(in crate::cli) spacing: SpacingArgs,
+
+    /// Edge of a voxel h, in the particles' unit of length, positive; 0.4 particle spacings by default, and what another
+    /// preset says
     #[arg(long, value_name = "H", allow_negative_numbers = true)]
     pub(in crate::cli) voxel_size: Option<f64>,
 }
 
+/// Two ways to state one length.
+#[derive(Clone, Debug, Default, PartialEq, Args)]
+pub(in crate::cli) struct SpacingArgs {
+    /// Distance between neighbouring particles d, in the particles' unit of length, positive; measured by default
+    #[arg(long, value_name = "D", allow_negative_numbers = true)]
+    pub(in crate::cli) spacing: Option<f64>,
+
+    /// The same, as the radius of a particle in the simulation, positive: half the spacing
+    #[arg(long, value_name = "R", allow_negative_numbers = true, conflicts_with = "spacing")]
+    pub(in crate::cli) particle_radius: Option<f64>,
+}
+
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct SurfaceArgs {
-    /// Radius r_min around each particle that is always inside, in the particles' unit of length, positive; √3·h by
-    /// default
+    /// Radius r_min around each particle that is always inside, before neighbours flatten it, in the particles' unit of
+    /// length, positive; 1.15 particle spacings by default, √3·h at least
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) radius_min: Option<f64>,
 
@@ -56,16 +72,22 @@ pub(in crate::cli) struct SurfaceArgs {
     #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
     pub(in crate::cli) radius_ratio: Option<f64>,
 
-    /// Radius of the spheres that smoothing starts from, in the particles' unit of length, r_min to r_max;
-    /// (r_min + r_max) / 2 by default
+    /// Radius of the spheres that smoothing starts from, in the particles' unit of length, r_min to r_max; 1.26 r_min
+    /// by default
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) radius_init: Option<f64>,
+
+    /// Move the finished surface outward by this, or inward where negative, in the particles' unit of length, -r_min to
+    /// 2 h [default: 0]
+    #[arg(long, value_name = "D", allow_negative_numbers = true)]
+    pub(in crate::cli) offset: Option<f64>,
 
     /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(0, ISLAND_MAX))]
     pub(in crate::cli) drop_islands: Option<u32>,
 
-    /// Fill enclosed cavities of less volume than this, in units of h³, 0 to 1000000 [default: 0]
+    /// Fill enclosed cavities of less volume than this, in units of h³, 0 to 1000000; 25 cubes of the particle spacing by
+    /// default
     #[arg(long, value_name = "V", allow_negative_numbers = true)]
     pub(in crate::cli) fill_cavities: Option<f64>,
 
@@ -85,7 +107,7 @@ pub(in crate::cli) struct ParticleArgs {
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(in crate::cli) radius_scale: Option<f64>,
 
-    /// What stretches particles, so that sheets and jets are smooth [default: none]
+    /// What stretches particles, so that sheets and jets are thin and smooth [default: neighbors]
     #[arg(long, value_name = "BY", ignore_case = true)]
     pub(in crate::cli) anisotropy: Option<AnisotropyChoice>,
 
@@ -93,12 +115,22 @@ pub(in crate::cli) struct ParticleArgs {
     #[arg(long, value_name = "K", allow_negative_numbers = true)]
     pub(in crate::cli) max_stretch: Option<f64>,
 
+    /// The least half axis of particles that neighbours flatten, in the particles' unit of length, positive, from 0.9 h to
+    /// r_min, for --anisotropy neighbors: half the thickness of sheets; 0.36 particle spacings by default
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
+    pub(in crate::cli) thin_radius: Option<f64>,
+
+    /// r_min of a particle without neighbours, in the particles' unit of length, positive and at most r_min, for
+    /// --anisotropy neighbors: the radius of drops; 0.7 particle spacings by default
+    #[arg(long, value_name = "R", allow_negative_numbers = true)]
+    pub(in crate::cli) lone_radius: Option<f64>,
+
     /// How far neighbours count, in the particles' unit of length, positive and at most 200 h, for --anisotropy
-    /// neighbors; 3 r_min by default
+    /// neighbors and --position-smoothing; 2.6 particle spacings by default
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) neighbor_radius: Option<f64>,
 
-    /// Move particles so far to the mean of their neighbours, 0 to 1, for --anisotropy neighbors [default: 0]
+    /// Move particles near the surface toward the mean of their neighbours by this part of the way, 0 to 1 [default: 0.7]
     #[arg(long, value_name = "L", allow_negative_numbers = true)]
     pub(in crate::cli) position_smoothing: Option<f64>,
 
@@ -116,7 +148,7 @@ pub(in crate::cli) struct ParticleArgs {
 
 #[derive(Clone, Debug, Default, PartialEq, Args)]
 pub(in crate::cli) struct ObstacleArgs {
-    /// What the surface must not enter: .obj, .glb, .gltf, .ply, or a level set in .vdb; more than one if given again
+    /// What the surface must not enter: .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu, or a level set in .vdb; more than one if given again
     ///
     /// One file for all frames, or a numbered pattern such as body.####.obj, of which each frame takes the file with its
     /// own number.
@@ -160,15 +192,17 @@ pub(in crate::cli) struct SolverArgs {
     #[arg(long, value_name = "WHICH", ignore_case = true)]
     pub(in crate::cli) integrator: Option<IntegratorChoice>,
 
-    /// Laplacian steps before the biharmonic ones, 0 to 1000000; with 0 distances are restored instead [default: 15]
+    /// Laplacian steps before the biharmonic ones, 0 to 1000000; with 0 distances are restored instead; 10 by default,
+    /// and more on a finer grid
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(0, STEPS_MAX))]
     pub(in crate::cli) laplacian_steps: Option<u32>,
 
-    /// Biharmonic steps, 0 to 1000000 [default: 5; explicit, adaptive: 500]
+    /// Biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as take the same time]
     #[arg(long, value_name = "N", allow_negative_numbers = true, value_parser = count(0, STEPS_MAX))]
     pub(in crate::cli) steps: Option<u32>,
 
-    /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000 [default: 20; explicit, adaptive: 0.01]
+    /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000; 0.25 fourth powers of the particle spacing by default,
+    /// and 0.01 h⁴ for explicit and adaptive
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub(in crate::cli) step_size: Option<f64>,
 
@@ -183,17 +217,23 @@ pub(in crate::cli) struct SolverArgs {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(in crate::cli) enum PresetChoice {
-    /// Bodies of water: the defaults, and small cavities filled
-    Water,
-    /// Sheets, threads and drops: as water, and particles stretched along their neighbours
+    /// Water and other liquids: the default
+    Fluid,
+    /// Particles that lie at random, as those of FLIP and MPM do: smoothed more than fluid
+    Noisy,
+    /// Sheets, threads and drops: finer and thinner than fluid
     Splash,
     /// Sand, snow, grain: near the particles, and hardly smoothed
     Granular,
-    /// A quick look: the defaults, hardly smoothed
+    /// A quick look: voxels as large as the spacing
     Preview,
-    /// As near to the particles as granular, and smoothed as much as water
+    /// The parameters of the paper: lengths follow the voxel size
+    Paper,
+    /// Deprecated: as paper, with small cavities filled
+    Water,
+    /// Deprecated: as paper, nearer to the particles
     Faithful,
-    /// As smooth as can be
+    /// Deprecated: as paper, with more room and more steps
     Smooth,
 }
 
@@ -249,9 +289,21 @@ impl MethodArgs {
     }
 }
 
+impl SpacingArgs {
+    /// The spacing, where one was given.
+    pub(in crate::cli) fn spacing(&self) -> Option<f64> {
+        self.spacing.or(self.particle_radius.map(|radius| 2.0 * radius))
+    }
+}
+
 impl FirstArgs {
     fn over(&self, below: &FirstArgs) -> FirstArgs {
-        FirstArgs { preset: self.preset.or(below.preset), voxel_size: self.voxel_size.or(below.voxel_size) }
+        let given = if self.spacing.spacing().is_some() { &self.spacing } else { &below.spacing };
+        FirstArgs {
+            preset: self.preset.or(below.preset),
+            spacing: given.clone(),
+            voxel_size: self.voxel_size.or(below.voxel_size),
+        }
     }
 }
 
@@ -261,6 +313,7 @@ impl SurfaceArgs {
             radius_min: self.radius_min.or(below.radius_min),
             radius_ratio: self.radius_ratio.or(below.radius_ratio),
             radius_init: self.radius_init.or(below.radius_init),
+            offset: self.offset.or(below.offset),
             drop_islands: self.drop_islands.or(below.drop_islands),
             fill_cavities: self.fill_cavities.or(below.fill_cavities),
             clip: self.clip.or(below.clip),
@@ -275,6 +328,8 @@ impl ParticleArgs {
             radius_scale: self.radius_scale.or(below.radius_scale),
             anisotropy: self.anisotropy.or(below.anisotropy),
             max_stretch: self.max_stretch.or(below.max_stretch),
+            thin_radius: self.thin_radius.or(below.thin_radius),
+            lone_radius: self.lone_radius.or(below.lone_radius),
             neighbor_radius: self.neighbor_radius.or(below.neighbor_radius),
             position_smoothing: self.position_smoothing.or(below.position_smoothing),
             velocity_gain: self.velocity_gain.or(below.velocity_gain),

@@ -5,6 +5,7 @@
 
 mod ask;
 mod farm;
+mod flicker;
 mod formats;
 mod manual;
 mod method;
@@ -26,11 +27,12 @@ use farm::parse_shard;
 
 pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
+pub(super) use flicker::FlickerArgs;
 pub(super) use formats::{CompressionChoice, Format, FormatArgs, PreviewChoice, UpChoice};
 pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use method::{
     AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,
-    ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs,
+    ParticleArgs, PresetChoice, SolverArgs, SpacingArgs, SurfaceArgs,
 };
 pub(super) use render::{RenderArgs, RunArgs, ViewArgs};
 pub(super) use sequence::{FPS, SequenceArgs, ShotArgs};
@@ -61,6 +63,8 @@ pub(super) enum Command {
     ContactSheet(Box<ContactSheetArgs>),
     /// Show one frame under a grid of settings, and the command for each: to choose by eye.
     Tune(Box<TuneArgs>),
+    /// Score how much a sequence of surfaces flickers, beside the particles that it is made of.
+    Flicker(FlickerArgs),
     /// Tell what files hold: particles, meshes, level sets.
     Info(InfoArgs),
     /// Watch folders, and convert every frame as it lands.
@@ -206,25 +210,31 @@ fn parse_slack(text: &str) -> Result<f64, String> {
 }
 
 const CHOOSING: &str = "\
-Choosing the voxel size and the radii:
-  The voxel size h is the only number you may need. Without it, h is half the particle spacing,
-  measured on the first frame of the sequence that has enough particles, printed, and the same for
-  every frame. Half of h shows more detail and takes about four times the time and the memory.
+Choosing the spacing, the voxel size and the radii:
+  The particle spacing d is the only number you may need: --spacing, or --particle-radius, which is
+  half of it. Without either, d is measured on the first, middle and last frame of the sequence,
+  printed, and the same for every frame.
+
+  Lengths and times follow d. The voxel size h is 0.4 d: half of it shows more detail of the same
+  surface, and takes about four times the time and the memory. On a coarse grid radii are raised to
+  √3·h, the diagonal of a voxel, so that the grid catches every particle, wherever it lies.
 
   The surface is the smoothest one that keeps a sphere of radius r_min around every particle inside,
-  and leaves everything outside that is farther than r_max from all of them.
+  and leaves everything outside that is farther than r_max from all of them. Particles that lie in
+  a sheet or a thread are flattened (--thin-radius), and those that fly alone are smaller
+  (--lone-radius).
 
-  --radius-min    √3·h by default: the diagonal of a voxel, so that the grid catches every particle,
-                  wherever it lies between the voxels. With less, single particles may be lost.
-  --radius-ratio  r_max / r_min: how much room there is for smoothing. 2 is the paper's choice; more
-                  is smoother, less follows the particles more faithfully.
+  --radius-ratio  r_max / r_min: how much room there is for smoothing. More is smoother, less
+                  follows the particles more faithfully.
   --radius-init   where smoothing starts. The spheres of neighbouring particles must overlap, or the
                   surface begins with holes that smoothing cannot close: about 0.9 spacings or more.
+  --position-smoothing
+                  how far particles are moved to the mean of their neighbours first: more is calmer,
+                  0 keeps every particle inside the surface where it was given.
 
-  With the default h all of that is so. The radii grow and shrink with h; for an h smaller than half
-  the spacing, fix them in world units at what they are by default, or the spheres come apart. For
-  particles 0.05 apart, say, h = 0.025 needs nothing else, and h = 0.0125 needs
-    --voxel-size 0.0125 --radius-min 0.0433 --radius-init 0.065
+  With --preset paper the radii follow h, as in the paper: for an h smaller than half the spacing
+  fix them, or the spheres come apart: --voxel-size 0.0125 --radius-min 0.0433 --radius-init 0.065
+  for particles 0.05 apart.
 
 Exit status:
   0    every frame was converted, or was done already

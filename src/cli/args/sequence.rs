@@ -45,7 +45,7 @@ pub(in crate::cli) struct ShotArgs {
 /// Frames per second, unless others are asked for.
 pub(in crate::cli) const FPS: f64 = 24.0;
 
-fn parse_fps(text: &str) -> Result<f64, String> {
+pub(super) fn parse_fps(text: &str) -> Result<f64, String> {
     let fps = text.parse().ok().filter(|fps| (f64::MIN_POSITIVE..=1000.0).contains(fps));
     fps.ok_or_else(|| format!("`{text}` is no number of frames per second: more than 0, at most 1000"))
 }

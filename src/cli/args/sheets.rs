@@ -64,7 +64,7 @@ pub(in crate::cli) struct TuneArgs {
     #[arg(short, long, value_name = "FILE")]
     pub(in crate::cli) output: PathBuf,
 
-    /// What differs from cell to cell: one, two or all of ratio, time, h, with values or without, explained below
+    /// What differs from cell to cell: one, two or three of the names below, with values or without
     #[arg(long, value_name = "LIST", default_value = "ratio,time")]
     pub(in crate::cli) vary: Vary,
 
@@ -104,14 +104,29 @@ Exit status:
 
 const TUNING: &str = "\
 What to vary:
-  ratio   --radius-ratio, r_max / r_min: how much room there is for smoothing
-  time    --steps: how long it is smoothed
-  h       --voxel-size: how fine it is
+  ratio       --radius-ratio, r_max / r_min: how much room there is for smoothing
+  time        --steps: how long it is smoothed
+  h           --voxel-size: how fine it is
+  smoothing   --position-smoothing: how calm it is
+  min, init   --radius-min, --radius-init
+  thin, alone --thin-radius, --lone-radius: how thick sheets and drops are
+  stretch     --max-stretch
+  neighbors   --neighbor-radius
+  laplacian   --laplacian-steps
+  step        --step-size
+  redistance  --redistance-every
+  offset      --offset
   Values follow a = and are separated by commas: numbers as the option takes them, or, with an x
   behind them, multiples of what it is without: --vary ratio=1.5,2,3,h=0.5x,1x. Without values,
-  ratio is 1.25,2,3,4, time 0x,0.5x,1x,2x, and h 1.5x,1x,0.75x,0.5x; and what it is without is there.
+  ratio is 1.25,2,3,4, time 0x,0.5x,1x,2x, h 1.5x,1x,0.75x,0.5x, and so on; and what it is without is
+  there.
   The first differs from row to row, the second from column to column, the third from block to block.
-  For an h smaller than without, r_min is held at what it is without, or spheres would come apart.
+  With --preset paper and an h smaller than without, r_min is held at what it is without, or spheres
+  would come apart.
+
+What is shown:
+  Without --camera or --camera-from the part of the frame that has the most surface, 16 particle
+  spacings wide; with --camera zoom=1 the whole frame.
 
   All other options hold for every cell. The command of each cell is printed, with how long the cell
   took, and is on the sheet: it converts INPUT as the cell shows it.

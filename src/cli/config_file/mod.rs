@@ -19,7 +19,7 @@ use toml::de::DeTable;
 
 use super::args::{
     DaemonArgs, FirstArgs, FormatArgs, FrameArgs, MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs,
-    SolverArgs, SurfaceArgs,
+    SolverArgs, SpacingArgs, SurfaceArgs,
 };
 use super::quantities::{
     parse_bytes, parse_duration, parse_listen, parse_meters_per_unit, parse_picture_size, parse_poll,
@@ -104,11 +104,19 @@ fn watch_block(source: &Source<'_>, block: &Block<'_>) -> Result<WatchBlock> {
 
 fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
     Ok(MethodArgs {
-        first: FirstArgs { preset: block.choice("preset")?, voxel_size: block.number("voxel_size")? },
+        first: FirstArgs {
+            preset: block.choice("preset")?,
+            spacing: SpacingArgs {
+                spacing: block.number("spacing")?,
+                particle_radius: block.number("particle_radius")?,
+            },
+            voxel_size: block.number("voxel_size")?,
+        },
         surface: SurfaceArgs {
             radius_min: block.number("radius_min")?,
             radius_ratio: block.number("radius_ratio")?,
             radius_init: block.number("radius_init")?,
+            offset: block.number("offset")?,
             drop_islands: block.count("drop_islands", 0..=ISLAND_MAX)?,
             fill_cavities: block.number("fill_cavities")?,
             clip: block.as_typed("clip")?,
@@ -118,6 +126,8 @@ fn method_args(block: &Block<'_>) -> Result<MethodArgs> {
             radius_scale: block.number("radius_scale")?,
             anisotropy: block.choice("anisotropy")?,
             max_stretch: block.number("max_stretch")?,
+            thin_radius: block.number("thin_radius")?,
+            lone_radius: block.number("lone_radius")?,
             neighbor_radius: block.number("neighbor_radius")?,
             position_smoothing: block.number("position_smoothing")?,
             velocity_gain: block.number("velocity_gain")?,
@@ -176,7 +186,7 @@ fn keys_of(block: &str) -> &'static [&'static str] {
 
 const ROOT_KEYS: [&str; 2] = ["watch", "daemon"];
 
-const WATCH_KEYS: [&str; 42] = [
+const WATCH_KEYS: [&str; 47] = [
     "input",
     "output",
     "pattern",
@@ -184,10 +194,13 @@ const WATCH_KEYS: [&str; 42] = [
     "sentinel",
     "formats",
     "preset",
+    "spacing",
+    "particle_radius",
     "voxel_size",
     "radius_min",
     "radius_ratio",
     "radius_init",
+    "offset",
     "drop_islands",
     "fill_cavities",
     "clip",
@@ -195,6 +208,8 @@ const WATCH_KEYS: [&str; 42] = [
     "radius_scale",
     "anisotropy",
     "max_stretch",
+    "thin_radius",
+    "lone_radius",
     "neighbor_radius",
     "position_smoothing",
     "velocity_gain",

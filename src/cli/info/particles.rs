@@ -6,9 +6,11 @@ use meniscus_formats::{Attribute, ParticleFrame, Role, Values};
 use serde::Serialize;
 
 use crate::particles::Particles;
-use crate::pipeline::{VOXELS_PER_SPACING, particles};
-use crate::spacing::estimate_spacing;
+use crate::pipeline::particles;
+use crate::settings::Preset;
+use crate::spacing::{estimate_spacing, rounded};
 
+use super::super::wording::significant;
 use super::{Bounds, row, short};
 
 /// A frame of particles.
@@ -20,8 +22,10 @@ pub(super) struct ParticlesInfo {
     not_finite: usize,
     bounds: Option<Bounds>,
     attributes: Vec<AttributeInfo>,
-    /// Null where there are too few particles to measure it.
+    /// Null where fewer than two particles are in different places.
     spacing: Option<f64>,
+    /// From 0 to 1.
+    spacing_confidence: Option<f64>,
     suggested_voxel_size: Option<f64>,
 }
 
@@ -54,7 +58,7 @@ impl ParticlesInfo {
         let attributes = attributes_of(&frame.attributes);
         let particles = particles(frame.positions);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
-        let spacing = estimate_spacing(&particles);
+        let estimate = estimate_spacing(&particles);
         let bounds = Bounds::of(positions().map(|position| position.to_array()));
         ParticlesInfo {
             count: particles.len(),
@@ -68,8 +72,10 @@ impl ParticlesInfo {
                 Particles::Double(_) => bounds,
             },
             attributes,
-            spacing,
-            suggested_voxel_size: spacing.map(|spacing| spacing / VOXELS_PER_SPACING),
+            spacing: estimate.map(|estimate| estimate.spacing),
+            spacing_confidence: estimate.map(|estimate| estimate.confidence),
+            suggested_voxel_size: estimate
+                .map(|estimate| Preset::default().voxel_size(rounded(estimate.spacing))),
         }
     }
 }
@@ -159,12 +165,13 @@ impl fmt::Display for ParticlesInfo {
             row(f, "bounds", bounds)?;
         }
         fmt_attributes(&self.attributes, f)?;
-        match (self.spacing, self.suggested_voxel_size) {
-            (Some(spacing), Some(voxel_size)) => {
-                row(f, "spacing", spacing)?;
+        match (self.spacing, self.spacing_confidence, self.suggested_voxel_size) {
+            (Some(spacing), Some(confidence), Some(voxel_size)) => {
+                let percent = (100.0 * confidence).round();
+                row(f, "spacing", format_args!("{}, confidence {percent} %", significant(spacing)))?;
                 row(f, "suggested voxel size", voxel_size)
             }
-            _ => row(f, "spacing", "too few distinct particles to measure it"),
+            _ => row(f, "spacing", "unknown: there are no two particles in different places"),
         }
     }
 }

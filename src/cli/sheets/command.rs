@@ -25,9 +25,6 @@ impl CommandLine {
         inputs.iter().for_each(|input| line.add_path(input));
         line.add("--out");
         line.add_path(out);
-        if let Some(voxel_size) = method.first.voxel_size {
-            line.add_option("voxel_size", &voxel_size.to_string());
-        }
         for (name, value) in choices(method).to_pairs() {
             match name {
                 "quads" => line.add("--quads"),

@@ -23,14 +23,14 @@ use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
 use crate::cli::interrupt::clean_up_when_interrupted;
-use crate::cli::studio::{Studio, caught, picture_of_still};
+use crate::cli::studio::{Studio, caught, measured, picture_of_still};
 use crate::cli::wording::{counted, with_causes};
 use crate::pipeline::{
-    self, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
-    bounds_of_particles, gist, is_level_set, up_of,
+    self, CameraChoice, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
+    bounds_of_particles, close_up, gist, is_level_set, up_of,
 };
 use crate::preview::{Block, Cell, Picture, Sheet, Shown};
-use crate::settings::Settings;
+use crate::settings::{Measured, Settings};
 
 use super::command::CommandLine;
 use super::vary::{Axis, Value};
@@ -54,7 +54,7 @@ pub(in crate::cli) fn tune(args: &TuneArgs, console: &mut Console) -> Result<Ver
     studio.warn_of_ignored(&CONVERTED, console);
     file.prepare(&studio, &paths)?;
     let pool = thread_pool(args.run.threads)?;
-    let tuning = pool.install(|| Tuning::new(args, studio, &sequence, frame))?;
+    let tuning = pool.install(|| Tuning::new(args, studio, &sequence, frame, console))?;
     let grid = Grid::new(args, &tuning.without)?;
     if sequence.frames.len() > 1 {
         let frame_count = counted(sequence.frames.len(), "frame");
@@ -159,6 +159,8 @@ struct Tuning<'a> {
     args: &'a TuneArgs,
     studio: Studio<'a>,
     frame: StillFrame,
+    /// What was measured of its sequence.
+    measured: Option<Measured>,
     /// The settings without --vary.
     without: Settings,
     viewpoint: Viewpoint,
@@ -170,15 +172,23 @@ impl<'a> Tuning<'a> {
         studio: Studio<'a>,
         sequence: &Sequence,
         file: &FrameFile,
+        console: &Console,
     ) -> Result<Tuning<'a>> {
         let choices = choices(&args.method);
-        let voxel_size = studio.voxel_size(sequence, &choices)?;
-        let without = Settings::resolve(voxel_size, &choices).with_context(|| sequence.name.clone())?;
+        let measured = measured(sequence, &choices, console)?;
+        let without = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
         let frame = StillFrame::read((&file.path, file.number()), &without)?;
         let picture = studio.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(NOTHING);
-        let viewpoint = picture.camera.viewpoint(bounds, picture.aspect(), up_of(studio.outputs.up));
-        Ok(Tuning { args, studio, frame, without, viewpoint })
+        let viewpoint = |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(studio.outputs.up));
+        let whole = viewpoint(bounds);
+        let viewpoint = match picture.camera == CameraChoice::default() {
+            // Whoever says nothing of the camera wants to see how settings differ.
+            true => close_up(frame.particles(), without.spacing, whole.eye - whole.target)
+                .map_or(whole, |part| Viewpoint { ground: whole.ground, ..viewpoint(part) }),
+            false => whole,
+        };
+        Ok(Tuning { args, studio, frame, measured, without, viewpoint })
     }
 
     /// All cells, and the command of each that has a picture.
@@ -227,8 +237,7 @@ impl<'a> Tuning<'a> {
     }
 
     fn taken(&self, method: &MethodArgs) -> Result<(Still, Settings, Picture)> {
-        let voxel_size = method.first.voxel_size.unwrap_or(self.without.voxel_size);
-        let settings = Settings::resolve(voxel_size, &choices(method))?;
+        let settings = Settings::resolve(&choices(method), self.measured)?;
         let still = self.studio.skin(&self.frame, &settings)?;
         let seen = (&self.viewpoint, self.studio.outputs.picture.size);
         let picture = picture_of_still(&still, &settings, seen, false);

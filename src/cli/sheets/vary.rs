@@ -10,8 +10,9 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::cli::args::MethodArgs;
+use crate::cli::choices::choices;
 use crate::cli::wording::significant;
-use crate::settings::Settings;
+use crate::settings::{Anisotropy, Settings};
 
 /// What differs from cell to cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,16 +24,28 @@ pub(in crate::cli) struct Vary {
 #[derive(Clone, Debug, PartialEq)]
 struct Varied {
     axis: Axis,
-    /// None for those that users need most.
+    /// None for the axis' own.
     amounts: Option<Vec<Amount>>,
 }
 
-/// An option, by a short name.
+/// An option that can be varied: its place in [`PARAMETERS`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Axis {
-    Ratio,
-    Time,
-    VoxelSize,
+pub(super) struct Axis(usize);
+
+/// What is known of an option that can be varied.
+struct Parameter {
+    /// Its short name.
+    name: &'static str,
+    /// What it is, in a title.
+    meaning: &'static str,
+    /// What is counted, one and several, where its values are whole numbers.
+    counted: Option<[&'static str; 2]>,
+    /// The values beside that without, where none are given.
+    amounts: &'static [Amount],
+    /// Its value in settings.
+    get: fn(&Settings) -> f64,
+    /// Puts a value into options.
+    put: fn(&mut MethodArgs, f64),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,12 +58,143 @@ enum Amount {
 
 /// A value of an option.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Value {
-    Ratio(f64),
-    Steps(u32),
+pub(super) struct Value {
+    axis: Axis,
     /// `None` for what it is without.
-    VoxelSize(Option<f64>),
+    number: Option<f64>,
 }
+
+use Amount::{Of, Times};
+
+static PARAMETERS: [Parameter; 14] = [
+    // From the most faithful to the smoothest.
+    Parameter {
+        name: "ratio",
+        meaning: "r_max / r_min",
+        counted: None,
+        amounts: &[Of(1.25), Of(2.0), Of(3.0), Of(4.0)],
+        get: |settings| settings.radius_ratio,
+        put: |method, ratio| method.surface.radius_ratio = Some(ratio),
+    },
+    // None to twice as long.
+    Parameter {
+        name: "time",
+        meaning: "steps of smoothing",
+        counted: Some(["step", "steps"]),
+        amounts: &[Times(0.0), Times(0.5), Times(2.0)],
+        get: |settings| f64::from(settings.steps),
+        put: |method, steps| method.solver.steps = Some(steps as u32),
+    },
+    // A quick look to four times the work. The coarsest is first: it is the quickest.
+    Parameter {
+        name: "h",
+        meaning: "voxel size h",
+        counted: None,
+        amounts: &[Times(1.5), Times(0.75), Times(0.5)],
+        get: |settings| settings.voxel_size,
+        put: |method, voxel_size| method.first.voxel_size = Some(voxel_size),
+    },
+    Parameter {
+        name: "smoothing",
+        meaning: "position smoothing",
+        counted: None,
+        amounts: &[Of(0.0), Of(0.5), Of(0.7), Of(0.9)],
+        get: |settings| settings.position_smoothing,
+        put: |method, part| method.particles.position_smoothing = Some(part),
+    },
+    Parameter {
+        name: "min",
+        meaning: "r_min",
+        counted: None,
+        amounts: &[Times(0.75), Times(0.875), Times(1.25)],
+        get: |settings| settings.radius_min,
+        put: |method, radius| method.surface.radius_min = Some(radius),
+    },
+    Parameter {
+        name: "init",
+        meaning: "r_init",
+        counted: None,
+        amounts: &[Times(0.9), Times(1.1), Times(1.2)],
+        get: |settings| settings.radius_init,
+        put: |method, radius| method.surface.radius_init = Some(radius),
+    },
+    Parameter {
+        name: "thin",
+        meaning: "least half axis of flattened particles",
+        counted: None,
+        amounts: &[Times(1.5), Times(2.0), Times(3.0)],
+        get: |settings| match settings.anisotropy {
+            Anisotropy::Neighbors { thin_radius, .. } => thin_radius,
+            Anisotropy::None | Anisotropy::Velocity { .. } => settings.radius_min,
+        },
+        put: |method, radius| method.particles.thin_radius = Some(radius),
+    },
+    Parameter {
+        name: "alone",
+        meaning: "r_min of particles without neighbours",
+        counted: None,
+        amounts: &[Times(1.2), Times(1.4), Times(1.6)],
+        get: |settings| match settings.anisotropy {
+            Anisotropy::Neighbors { lone_radius, .. } => lone_radius,
+            Anisotropy::None | Anisotropy::Velocity { .. } => settings.radius_min,
+        },
+        put: |method, radius| method.particles.lone_radius = Some(radius),
+    },
+    Parameter {
+        name: "stretch",
+        meaning: "greatest stretch of particles",
+        counted: None,
+        amounts: &[Of(1.0), Of(2.0), Of(4.0), Of(8.0)],
+        get: |settings| match settings.anisotropy {
+            Anisotropy::None => 1.0,
+            Anisotropy::Neighbors { max_stretch, .. } | Anisotropy::Velocity { max_stretch, .. } => {
+                max_stretch
+            }
+        },
+        put: |method, stretch| method.particles.max_stretch = Some(stretch),
+    },
+    Parameter {
+        name: "neighbors",
+        meaning: "how far neighbours count",
+        counted: None,
+        amounts: &[Times(0.75), Times(1.25), Times(1.5)],
+        get: |settings| settings.neighbor_radius,
+        put: |method, radius| method.particles.neighbor_radius = Some(radius),
+    },
+    Parameter {
+        name: "laplacian",
+        meaning: "Laplacian steps",
+        counted: Some(["Laplacian step", "Laplacian steps"]),
+        amounts: &[Times(0.0), Times(0.5), Times(2.0), Times(4.0)],
+        get: |settings| f64::from(settings.laplacian_steps),
+        put: |method, steps| method.solver.laplacian_steps = Some(steps as u32),
+    },
+    Parameter {
+        name: "step",
+        meaning: "size of a step, h\u{2074}",
+        counted: None,
+        amounts: &[Times(0.25), Times(4.0), Times(16.0)],
+        get: |settings| settings.step_size,
+        put: |method, size| method.solver.step_size = Some(size),
+    },
+    Parameter {
+        name: "redistance",
+        meaning: "steps between redistancings",
+        counted: Some(["step between redistancings", "steps between redistancings"]),
+        amounts: &[Of(1.0), Of(2.0), Of(4.0)],
+        get: |settings| f64::from(settings.redistance_every),
+        put: |method, steps| method.solver.redistance_every = Some(steps as u32),
+    },
+    // A multiple of 0 is 0: values must be given.
+    Parameter {
+        name: "offset",
+        meaning: "offset",
+        counted: None,
+        amounts: &[],
+        get: |settings| settings.offset,
+        put: |method, offset| method.surface.offset = Some(offset),
+    },
+];
 
 impl Vary {
     /// The axes, and the values of each: one at least. `settings` are those without.
@@ -62,117 +206,80 @@ impl Vary {
 impl Varied {
     fn values(&self, settings: &Settings) -> Vec<Value> {
         let value = |amount: Amount| self.axis.value(amount, settings);
-        let Some(amounts) = &self.amounts else {
-            let without = value(Amount::Times(1.0));
-            let mut values: Vec<Value> = self.axis.default_amounts().iter().copied().map(value).collect();
-            values.push(without);
-            values.sort_by(|a, b| self.axis.number(*a, settings).total_cmp(&self.axis.number(*b, settings)));
-            values.dedup();
-            if self.axis == Axis::VoxelSize {
-                // The coarsest first: it is the quickest.
-                values.reverse();
-            }
-            return values;
-        };
-        amounts.iter().copied().map(value).collect()
+        if let Some(amounts) = &self.amounts {
+            return amounts.iter().copied().map(value).collect();
+        }
+        let mut values = vec![value(Times(1.0))];
+        values.extend(self.axis.parameter().amounts.iter().copied().map(value));
+        values.sort_by(|a, b| a.number(settings).total_cmp(&b.number(settings)));
+        values.dedup_by(|a, b| a.number(settings) == b.number(settings));
+        if self.axis.parameter().name == "h" {
+            values.reverse();
+        }
+        values
     }
 }
 
 impl Axis {
-    const ALL: [Axis; 3] = [Axis::Ratio, Axis::Time, Axis::VoxelSize];
+    fn named(name: &str) -> Option<Axis> {
+        PARAMETERS.iter().position(|parameter| parameter.name == name).map(Axis)
+    }
 
-    fn name(self) -> &'static str {
-        match self {
-            Axis::Ratio => "ratio",
-            Axis::Time => "time",
-            Axis::VoxelSize => "h",
-        }
+    fn parameter(self) -> &'static Parameter {
+        &PARAMETERS[self.0]
     }
 
     /// What it is, in a title.
     pub(super) fn meaning(self) -> &'static str {
-        match self {
-            Axis::Ratio => "r_max / r_min",
-            Axis::Time => "steps of smoothing",
-            Axis::VoxelSize => "voxel size h",
-        }
-    }
-
-    /// From the most faithful to the smoothest; none to twice as long; a quick look to four times the work.
-    fn default_amounts(self) -> &'static [Amount] {
-        use Amount::{Of, Times};
-        match self {
-            Axis::Ratio => &[Of(1.25), Of(2.0), Of(3.0), Of(4.0)],
-            Axis::Time => &[Times(0.0), Times(0.5), Times(2.0)],
-            Axis::VoxelSize => &[Times(1.5), Times(0.75), Times(0.5)],
-        }
+        self.parameter().meaning
     }
 
     fn value(self, amount: Amount, settings: &Settings) -> Value {
-        match (self, amount) {
-            (Axis::Ratio, Amount::Of(ratio)) => Value::Ratio(ratio),
-            (Axis::Ratio, Amount::Times(factor)) => Value::Ratio(short(factor * settings.radius_ratio)),
-            // What is checked before is whole, and no more than there can be.
-            (Axis::Time, Amount::Of(steps)) => Value::Steps(steps as u32),
-            (Axis::Time, Amount::Times(factor)) => {
-                let steps = (factor * f64::from(settings.steps)).round();
-                Value::Steps(if factor > 0.0 { (steps as u32).max(1) } else { 0 })
-            }
-            (Axis::VoxelSize, Amount::Of(voxel_size)) => Value::VoxelSize(Some(voxel_size)),
-            (Axis::VoxelSize, Amount::Times(1.0)) => Value::VoxelSize(None),
-            (Axis::VoxelSize, Amount::Times(factor)) => {
-                Value::VoxelSize(Some(short(factor * settings.voxel_size)))
-            }
-        }
-    }
-
-    fn number(self, value: Value, settings: &Settings) -> f64 {
-        match value {
-            Value::Ratio(ratio) => ratio,
-            Value::Steps(steps) => f64::from(steps),
-            Value::VoxelSize(voxel_size) => voxel_size.unwrap_or(settings.voxel_size),
-        }
+        let parameter = self.parameter();
+        let without = (parameter.get)(settings);
+        let number = match amount {
+            Times(1.0) => None,
+            Of(number) => Some(number),
+            Times(factor) if parameter.counted.is_none() => Some(short(factor * without)),
+            // Half of a step is one.
+            Times(factor) if factor > 0.0 => Some((factor * without).round().max(1.0)),
+            Times(_) => Some(0.0),
+        };
+        Value { axis: self, number }
     }
 }
 
 impl Value {
+    fn number(self, settings: &Settings) -> f64 {
+        self.number.unwrap_or_else(|| (self.axis.parameter().get)(settings))
+    }
+
     /// Puts it into options; `settings` are those without.
     pub(super) fn put(self, method: &mut MethodArgs, settings: &Settings) {
-        match self {
-            Value::Ratio(ratio) => method.surface.radius_ratio = Some(ratio),
-            Value::Steps(steps) => method.solver.steps = Some(steps),
-            Value::VoxelSize(None) => {}
-            Value::VoxelSize(Some(voxel_size)) => {
-                method.first.voxel_size = Some(voxel_size);
-                // In smaller voxels the spheres would shrink, too, and come apart. In larger ones they must grow.
-                if voxel_size < settings.voxel_size && method.surface.radius_min.is_none() {
-                    method.surface.radius_min = Some(short(settings.radius_min));
-                }
-            }
+        let Some(number) = self.number else { return };
+        let parameter = self.axis.parameter();
+        (parameter.put)(method, number);
+        // In smaller voxels the paper's spheres would shrink, too, and come apart. In larger ones they must grow.
+        let follows_voxel_size = choices(method).preset.unwrap_or_default().follows_voxel_size();
+        let is_finer = parameter.name == "h" && number < settings.voxel_size;
+        if follows_voxel_size && is_finer && method.surface.radius_min.is_none() {
+            method.surface.radius_min = Some(short(settings.radius_min));
         }
     }
 
     /// As it is written under a cell; `settings` are those without.
     pub(super) fn label(self, settings: &Settings) -> String {
-        match self {
-            Value::Ratio(ratio) => format!("ratio {ratio}"),
-            Value::Steps(1) => "1 step".to_owned(),
-            Value::Steps(steps) => format!("{steps} steps"),
-            Value::VoxelSize(voxel_size) => {
-                format!("h {}", significant(voxel_size.unwrap_or(settings.voxel_size)))
-            }
+        let (parameter, number) = (self.axis.parameter(), self.number(settings));
+        match parameter.counted {
+            Some([one, _]) if number == 1.0 => format!("1 {one}"),
+            Some([_, several]) => format!("{number} {several}"),
+            None => format!("{} {}", parameter.name, significant(number)),
         }
     }
 
     /// Whether it is what it is without.
     pub(super) fn is_without(self, settings: &Settings) -> bool {
-        match self {
-            Value::Ratio(ratio) => ratio == settings.radius_ratio,
-            Value::Steps(steps) => steps == settings.steps,
-            Value::VoxelSize(voxel_size) => {
-                voxel_size.is_none_or(|voxel_size| voxel_size == settings.voxel_size)
-            }
-        }
+        self.number(settings) == (self.axis.parameter().get)(settings)
     }
 }
 
@@ -196,8 +303,8 @@ impl FromStr for Vary {
                 None => (None, Some(item)),
             };
             if let Some(name) = name {
-                let axis = Axis::ALL.into_iter().find(|axis| axis.name() == name);
-                let axis = axis.ok_or_else(|| format!("there is no `{name}` to vary: expected {NAMES}"))?;
+                let axis = Axis::named(name)
+                    .ok_or_else(|| format!("there is no `{name}` to vary: expected {}", names()))?;
                 if varied.iter().any(|varied| varied.axis == axis) {
                     return Err(format!("{name} is there twice"));
                 }
@@ -205,9 +312,10 @@ impl FromStr for Vary {
             }
             if let Some(text) = first {
                 let last = varied.last_mut();
-                let last = last.ok_or_else(|| format!("`{text}` is a value of nothing: expected {NAMES}"))?;
+                let last =
+                    last.ok_or_else(|| format!("`{text}` is a value of nothing: expected {}", names()))?;
                 if name.is_none() && last.amounts.is_none() {
-                    let name = last.axis.name();
+                    let name = last.axis;
                     return Err(format!("`{text}`: values follow a =, such as {name}={text}"));
                 }
                 last.amounts.get_or_insert_default().push(amount(last.axis, text)?);
@@ -222,64 +330,89 @@ fn amount(axis: Axis, text: &str) -> Result<Amount, String> {
         Some(factor) => factor.parse().ok().filter(|factor: &f64| *factor >= 0.0).map(Amount::Times),
         None => text.parse().ok().map(Amount::Of),
     };
-    let is_sound = |amount: &Amount| match (axis, *amount) {
-        (Axis::Time, Amount::Of(steps)) => steps.fract() == 0.0 && (0.0..=STEPS_TYPED_MAX).contains(&steps),
-        (_, Amount::Of(number) | Amount::Times(number)) => number.is_finite(),
+    let is_counted = axis.parameter().counted.is_some();
+    let is_sound = |amount: &Amount| match (is_counted, *amount) {
+        (true, Of(steps)) => steps.fract() == 0.0 && (0.0..=STEPS_TYPED_MAX).contains(&steps),
+        (_, Of(number) | Times(number)) => number.is_finite(),
     };
-    let expected =
-        if axis == Axis::Time { "a whole number of steps, such as 5" } else { "a number, such as 2" };
+    let expected = if is_counted { "a whole number of steps, such as 5" } else { "a number, such as 2" };
     parsed.filter(is_sound).ok_or_else(|| {
-        format!(
-            "{}=`{text}`: expected {expected}, or a multiple of what it is without, such as 0.5x",
-            axis.name()
-        )
+        format!("{}=`{text}`: expected {expected}, or a multiple of what it is without, such as 0.5x", axis)
     })
 }
 
 impl fmt::Display for Axis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+        f.write_str(self.parameter().name)
     }
 }
 
-const NAMES: &str = "ratio, time, h, each with values or without, such as ratio=1.5,2,3,time";
+fn names() -> String {
+    let names: Vec<&str> = PARAMETERS.iter().map(|parameter| parameter.name).collect();
+    format!("{}, each with values or without, such as ratio=1.5,2,3,time", names.join(", "))
+}
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::args::PresetChoice;
     use crate::settings::{Choices, Preset};
 
     fn settings() -> Settings {
-        Settings::resolve(0.1, &Choices::default()).expect("sound")
+        Settings::paper(0.1, &Choices::default()).expect("sound")
     }
 
-    fn values(text: &str, settings: &Settings) -> Vec<Vec<Value>> {
+    fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
         let vary: Vary = text.parse().expect(text);
-        vary.values(settings).into_iter().map(|(_, values)| values).collect()
+        let numbers = |values: Vec<Value>| values.into_iter().map(|value| value.number).collect();
+        vary.values(settings).into_iter().map(|(_, values)| numbers(values)).collect()
     }
 
     #[test]
     fn values_are_those_that_were_given() {
-        use Value::{Ratio, Steps, VoxelSize};
         let given = values("ratio=1.5, 0.7x ,time=7,2x,0x,h=0.3,1x,0.3333333x", &settings());
-        assert_eq!(given[0], [Ratio(1.5), Ratio(1.4)]);
-        assert_eq!(given[1], [Steps(7), Steps(10), Steps(0)]);
-        assert_eq!(given[2], [VoxelSize(Some(0.3)), VoxelSize(None), VoxelSize(Some(0.03333))]);
+        assert_eq!(given[0], [Some(1.5), Some(1.4)]);
+        assert_eq!(given[1], [Some(7.0), Some(10.0), Some(0.0)]);
+        assert_eq!(given[2], [Some(0.3), None, Some(0.03333)]);
     }
 
     #[test]
     fn without_values_what_it_is_without_is_there() {
-        use Value::{Ratio, Steps, VoxelSize};
-        assert_eq!(values("time", &settings())[0], [0, 3, 5, 10].map(Steps));
-        assert_eq!(values("ratio", &settings())[0], [1.25, 2.0, 3.0, 4.0].map(Ratio));
-        let sizes = values("h", &settings());
-        assert_eq!(sizes[0], [Some(0.15), None, Some(0.075), Some(0.05)].map(VoxelSize));
+        assert_eq!(values("time", &settings())[0], [Some(0.0), Some(3.0), None, Some(10.0)]);
+        assert_eq!(values("ratio", &settings())[0], [Some(1.25), None, Some(3.0), Some(4.0)]);
+        assert_eq!(values("h", &settings())[0], [Some(0.15), None, Some(0.075), Some(0.05)]);
         let granular =
             Choices { preset: Some(Preset::Granular), radius_ratio: Some(1.4), ..Choices::default() };
-        let granular = Settings::resolve(0.1, &granular).expect("sound");
+        let granular = Settings::paper(0.1, &granular).expect("sound");
         // Half of a step is one.
-        assert_eq!(values("time", &granular)[0], [0, 1, 2].map(Steps));
-        assert_eq!(values("ratio", &granular)[0], [1.25, 1.4, 2.0, 3.0, 4.0].map(Ratio));
+        assert_eq!(values("time", &granular)[0], [Some(0.0), None, Some(2.0)]);
+        assert_eq!(values("ratio", &granular)[0], [Some(1.25), None, Some(2.0), Some(3.0), Some(4.0)]);
+    }
+
+    /// What is put into the options comes out of the settings.
+    #[test]
+    fn every_parameter_changes_the_settings() {
+        let with =
+            |method: &MethodArgs| Settings::resolve(&choices(method), Some(0.2.into())).expect("sound");
+        let without = with(&MethodArgs::default());
+        for axis in (0..PARAMETERS.len()).map(Axis) {
+            let usual = (axis.parameter().get)(&without);
+            let number = match axis.parameter().name {
+                "offset" => -0.01,
+                "redistance" => 2.0,
+                _ if axis.parameter().counted.is_some() => 2.0 * usual,
+                _ => short(1.01 * usual),
+            };
+            let mut method = MethodArgs::default();
+            let value = Value { axis, number: Some(number) };
+            value.put(&mut method, &without);
+            assert_eq!((axis.parameter().get)(&with(&method)), number, "{axis}");
+            assert!(value.is_without(&with(&method)) && !value.is_without(&without), "{axis}");
+        }
+    }
+
+    fn voxel_size_of(number: f64) -> Value {
+        Value { axis: Axis::named("h").expect("known"), number: Some(number) }
     }
 
     #[test]
@@ -287,12 +420,14 @@ mod tests {
         let settings = settings();
         for (voxel_size, radius_min) in [(0.05, Some(0.1732)), (0.1, None), (0.2, None)] {
             let mut method = MethodArgs::default();
-            Value::VoxelSize(Some(voxel_size)).put(&mut method, &settings);
+            method.first.preset = Some(PresetChoice::Paper);
+            voxel_size_of(voxel_size).put(&mut method, &settings);
             assert_eq!((method.first.voxel_size, method.surface.radius_min), (Some(voxel_size), radius_min));
         }
         let mut method = MethodArgs::default();
+        method.first.preset = Some(PresetChoice::Paper);
         method.surface.radius_min = Some(0.2);
-        Value::VoxelSize(Some(0.05)).put(&mut method, &settings);
+        voxel_size_of(0.05).put(&mut method, &settings);
         assert_eq!(method.surface.radius_min, Some(0.2));
     }
 

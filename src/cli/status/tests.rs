@@ -67,7 +67,6 @@ fn plan() -> PlanRecord {
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,
             picture: crate::pipeline::PictureOptions::default(),
         },
-        voxel_size: None,
         choices: Choices::default(),
         obstacles: Vec::new(),
     };

@@ -27,6 +27,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use twox_hash::XxHash3_64;
 
+use crate::pipeline::MeasuredSpacing;
 use crate::pipeline::{FileStamp, Framed, OutputState};
 
 use super::plan::WirePlan;
@@ -133,9 +134,12 @@ struct WireSequence {
     folder: WirePath,
     name: String,
     choices: String,
-    voxel_size: String,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     spacing: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    confidence: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    radius_median: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     measured_on: Option<WirePath>,
     /// The camera that was asked for, and where it is.
@@ -292,7 +296,7 @@ impl WireStanding {
 
 impl WireSequence {
     fn of(key: &SequenceKey, record: &SequenceRecord) -> WireSequence {
-        let framed = record.camera.as_ref();
+        let (measured, framed) = (record.measured.as_ref(), record.camera.as_ref());
         let around = framed.and_then(|camera| camera.framed.around);
         let around = around.map(|[least, greatest]| [least.to_array(), greatest.to_array()].concat());
         let earlier = framed.into_iter().flat_map(|camera| &camera.framed.earlier);
@@ -300,9 +304,12 @@ impl WireSequence {
             folder: WirePath::of(&key.folder),
             name: key.name.clone(),
             choices: key.choices.clone(),
-            voxel_size: record.voxel_size.to_string(),
-            spacing: record.spacing.map(|spacing| spacing.to_string()),
-            measured_on: record.measured_on.as_deref().map(WirePath::of),
+            spacing: measured.map(|measured| measured.spacing.to_string()),
+            confidence: measured.map(|measured| measured.confidence),
+            radius_median: measured
+                .and_then(|measured| measured.radius_median)
+                .map(|radius| radius.to_string()),
+            measured_on: measured.map(|measured| WirePath::of(&measured.measured_on)),
             camera: framed.map(|camera| [camera.asked.clone(), camera.framed.camera.to_string()]),
             camera_around: around.into_iter().flatten().map(|number| number.to_string()).collect(),
             earlier_cameras: earlier.map(|camera| camera.to_string()).collect(),
@@ -312,14 +319,21 @@ impl WireSequence {
     fn into_entry(self) -> Option<Entry> {
         let key = SequenceKey { folder: self.folder.into_path()?, name: self.name, choices: self.choices };
         let record = SequenceRecord {
-            voxel_size: self.voxel_size.parse().ok()?,
-            spacing: match self.spacing {
-                Some(spacing) => Some(spacing.parse().ok()?),
-                None => None,
-            },
-            measured_on: match self.measured_on {
-                Some(path) => Some(path.into_path()?),
-                None => None,
+            measured: match (self.spacing, self.measured_on) {
+                (Some(spacing), Some(path)) => {
+                    let radius_median = match self.radius_median {
+                        Some(radius) => Some(radius.parse().ok()?),
+                        None => None,
+                    };
+                    Some(MeasuredSpacing {
+                        spacing: spacing.parse().ok()?,
+                        confidence: self.confidence?,
+                        radius_median,
+                        measured_on: path.into_path()?,
+                        warnings: Vec::new(),
+                    })
+                }
+                _ => None,
             },
             camera: match self.camera {
                 Some([asked, camera]) => {
@@ -512,32 +526,33 @@ mod tests {
 
     #[test]
     fn sequences_come_back_to_the_last_bit() {
-        for voxel_size in [0.1, 1.0 / 3.0, 1e-300, f64::MIN_POSITIVE / 3.0, f64::MAX, 2.5e-8_f64.next_up()] {
+        for spacing in [0.1, 1.0 / 3.0, 1e-300, f64::MIN_POSITIVE / 3.0, f64::MAX, 2.5e-8_f64.next_up()] {
             let key = SequenceKey {
                 folder: "/sim".into(),
                 name: "dam.{}.bgeo".to_owned(),
                 choices: "fast".to_owned(),
             };
             let record = SequenceRecord {
-                voxel_size,
-                spacing: Some(voxel_size.next_down()),
-                measured_on: Some("/sim/dam.0001.bgeo".into()),
+                measured: Some(MeasuredSpacing {
+                    spacing,
+                    confidence: 0.1,
+                    radius_median: Some(spacing.next_down()),
+                    measured_on: "/sim/dam.0001.bgeo".into(),
+                    warnings: Vec::new(),
+                }),
                 camera: Some(SequenceCamera {
                     asked: "1280x720 auto".to_owned(),
                     framed: Framed {
                         camera: "eye=0.1:2:3,target=0:0:0,view=30,up=y,ground=none"
                             .parse()
                             .expect("a camera"),
-                        around: Some([DVec3::splat(-voxel_size), DVec3::new(0.1, 1.0 / 3.0, 1e9)]),
+                        around: Some([DVec3::splat(-spacing), DVec3::new(0.1, 1.0 / 3.0, 1e9)]),
                         earlier: vec!["eye=1:2:3,target=0:0:0".parse().expect("a camera")],
                     },
                 }),
             };
             comes_back(&Entry::Sequence(key.clone(), record));
-            comes_back(&Entry::Sequence(
-                key,
-                SequenceRecord { voxel_size, spacing: None, measured_on: None, camera: None },
-            ));
+            comes_back(&Entry::Sequence(key, SequenceRecord::default()));
         }
     }
 

@@ -35,8 +35,6 @@ struct WireWatch {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sentinel: Option<String>,
     outputs: WireOutputs,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    voxel_size: Option<String>,
     /// By name, as text: see [`Choices::to_pairs`].
     choices: BTreeMap<String, String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -112,14 +110,13 @@ impl WirePlan {
 
 impl WireWatch {
     fn of(watch: &Watch) -> WireWatch {
-        let Watch { input, pattern, recursive, sentinel, outputs, voxel_size, choices, obstacles } = watch;
+        let Watch { input, pattern, recursive, sentinel, outputs, choices, obstacles } = watch;
         WireWatch {
             input: WirePath::of(input),
             pattern: pattern.clone(),
             recursive: *recursive,
             sentinel: sentinel.clone(),
             outputs: WireOutputs::of(outputs),
-            voxel_size: text(*voxel_size),
             choices: choices.to_pairs().into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
             obstacles: obstacles.iter().map(|path| WirePath::of(path)).collect(),
         }
@@ -132,7 +129,6 @@ impl WireWatch {
             recursive: self.recursive,
             sentinel: self.sentinel,
             outputs: self.outputs.into_options()?,
-            voxel_size: number(self.voxel_size)?,
             choices: Choices::from_pairs(
                 self.choices.iter().map(|(name, value)| (name.as_str(), value.as_str())),
             )?,
@@ -229,7 +225,6 @@ mod tests {
                 vdb_compression: Compression::None,
                 picture: PictureOptions::default(),
             },
-            voxel_size: None,
             choices: Choices::default(),
             obstacles: Vec::new(),
         }
@@ -250,8 +245,8 @@ mod tests {
                 vdb_half: true,
                 ..bare().outputs
             },
-            voxel_size: Some(0.1_f64.next_up()),
             choices: Choices {
+                voxel_size: Some(0.1_f64.next_up()),
                 radius_min: Some(1.0 / 3.0),
                 radius_init: Some(f64::MIN_POSITIVE / 3.0),
                 radius_attribute: Some("p \"é\"".to_owned()),
@@ -279,11 +274,14 @@ mod tests {
     #[test]
     fn a_number_that_is_none_makes_no_plan() {
         let plan = PlanRecord {
-            watches: vec![Watch { voxel_size: Some(0.1), ..bare() }],
+            watches: vec![Watch {
+                choices: Choices { voxel_size: Some(0.1), ..Choices::default() },
+                ..bare()
+            }],
             patience: Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO },
         };
         let mut wire = WirePlan::of(&plan);
-        wire.watches[0].voxel_size = Some("wide".to_owned());
+        wire.watches[0].choices.insert("voxel_size".to_owned(), "wide".to_owned());
         assert_eq!(wire.into_record(), None);
     }
 }

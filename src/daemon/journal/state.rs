@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use crate::board::Figures;
 use crate::daemon::config::{Patience, Watch};
+use crate::pipeline::MeasuredSpacing;
 use crate::pipeline::{FileStamp, Framed, OutputState};
 
 /// All that is remembered.
@@ -126,15 +127,11 @@ pub struct SequenceKey {
     pub choices: String,
 }
 
-/// What the first frame of a sequence has fixed for all of them.
-#[derive(Clone, Debug, PartialEq)]
+/// What some frames of a sequence have fixed for all of them.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct SequenceRecord {
-    /// In units of the world.
-    pub voxel_size: f64,
-    /// Between particles, in units of the world, where the voxel size was made from it.
-    pub spacing: Option<f64>,
-    /// The frame it was measured on.
-    pub measured_on: Option<PathBuf>,
+    /// The particle spacing, where it was not given.
+    pub measured: Option<MeasuredSpacing>,
     /// Where its pictures are taken from, if any are.
     pub camera: Option<SequenceCamera>,
 }

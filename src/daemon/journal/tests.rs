@@ -1,5 +1,6 @@
 //! The journal as it is found after crashes, full disks, and by other programs.
 
+use crate::pipeline::MeasuredSpacing;
 use std::io::{Seek, SeekFrom};
 use std::time::Duration;
 
@@ -49,9 +50,13 @@ fn sequence() -> (SequenceKey, SequenceRecord) {
     let key =
         SequenceKey { folder: "/sim".into(), name: "dam.{}.bgeo".to_owned(), choices: "fast".to_owned() };
     let record = SequenceRecord {
-        voxel_size: 0.1,
-        spacing: Some(0.2),
-        measured_on: Some("/sim/dam.0001.bgeo".into()),
+        measured: Some(MeasuredSpacing {
+            spacing: 0.2,
+            confidence: 0.9,
+            radius_median: None,
+            measured_on: "/sim/dam.0001.bgeo".into(),
+            warnings: Vec::new(),
+        }),
         camera: None,
     };
     (key, record)

@@ -20,7 +20,7 @@ use crate::pipeline::obstacles::FoundObstacles;
 use crate::pipeline::provenance::is_done;
 use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged};
 use crate::pipeline::steps::{reading_bytes, step_of};
-use crate::settings::{Anisotropy, Settings};
+use crate::settings::Settings;
 
 use super::Conduct;
 use super::line::{Ended, Known, Label, Line, Noted, Parcel, Read, outcome_of};
@@ -177,7 +177,7 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
 
 /// Whether a frame needs nothing of its particles but their positions, and these not all at once.
 fn needs_positions_only(settings: &Settings) -> bool {
-    Wanted::by(settings).is_nothing() && settings.anisotropy == Anisotropy::None
+    Wanted::by(settings).is_nothing()
 }
 
 /// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.

@@ -256,7 +256,7 @@ fn live(folder: &Path) -> Daemon {
 /// deleted, or broken later: these are whole.
 fn assert_as_converted(folder: &Path) {
     let output = meniscus(folder)
-        .args(["convert", "in", "--out", "wanted", "--voxel-size", "0.05"])
+        .args(["convert", "in", "--out", "wanted", "--preset", "paper", "--voxel-size", "0.05"])
         .output()
         .expect("it starts");
     assert!(matches!(output.status.code(), Some(0 | 1)), "{}", String::from_utf8_lossy(&output.stderr));

@@ -85,7 +85,7 @@ pub(super) fn write_config(folder: &Path, settle: &str) {
     let text = format!(
         "[daemon]\nsettle = \"{settle}\"\nunproven = \"500ms\"\nstalled = \"2s\"\nrescan = \"5s\"\n\
          disk_floor = \"0\"\nmemory = \"512MiB\"\nlisten = \"127.0.0.1:0\"\n\
-         [[watch]]\ninput = \"in\"\noutput = \"out\"\nvoxel_size = 0.05\n"
+         [[watch]]\ninput = \"in\"\noutput = \"out\"\npreset = \"paper\"\nvoxel_size = 0.05\n"
     );
     fs::write(folder.join(CONFIG), text).expect("written");
 }

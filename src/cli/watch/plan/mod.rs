@@ -128,9 +128,9 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
     let choices = choices(&frames.method);
-    match frames.method.first.voxel_size {
-        Some(voxel_size) => warnings.extend(Settings::resolve(voxel_size, &choices)?.warnings()),
-        None => Settings::check(&choices)?,
+    match choices.needs_spacing() {
+        false => warnings.extend(Settings::resolve(&choices, None)?.warnings()),
+        true => Settings::check(&choices)?,
     }
     refuse_idle_quantize(frames.format.as_deref(), &frames.formats)?;
     refuse_file_name(output)?;
@@ -151,7 +151,6 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         recursive: frames.recursive,
         sentinel: frames.sentinel.clone(),
         outputs: output_options(folder, frames.format.as_deref(), &frames.formats),
-        voxel_size: frames.method.first.voxel_size,
         choices,
         obstacles: frames
             .method

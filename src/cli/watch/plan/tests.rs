@@ -58,7 +58,7 @@ fn defaults_are_filled_in() {
     let [watch] = &config.watches[..] else { panic!("one folder") };
     assert!(watch.input.is_absolute() && watch.input.ends_with("in") && watch.outputs.folder.is_absolute());
     assert_eq!(watch.outputs.formats, [OutputFormat::Glb, OutputFormat::Vdb]);
-    assert_eq!((watch.voxel_size, &watch.choices), (None, &Default::default()));
+    assert_eq!(watch.choices, Default::default());
     assert!(!watch.recursive && watch.pattern.is_none() && watch.sentinel.is_none());
 }
 
@@ -113,7 +113,7 @@ fn options_override_every_block() {
     assert_eq!((config.order, config.patience.settle.as_secs()), (Order::Natural, 3));
     assert_eq!(config.watches[1].pattern.as_deref(), Some("*.ply"));
     for watch in &config.watches {
-        assert_eq!((watch.voxel_size, watch.recursive), (Some(1.0), true));
+        assert_eq!((watch.choices.voxel_size, watch.recursive), (Some(1.0), true));
         assert_eq!(watch.outputs.formats, [OutputFormat::Ply]);
         assert!(
             watch.outputs.folder.ends_with("x") && !watch.outputs.folder.starts_with(bench.folder.path())
@@ -127,7 +127,7 @@ fn typed_folders_take_the_place_of_the_blocks() {
         Bench::new("[daemon]\nsettle = \"3s\"\n[[watch]]\ninput = \"a\"\noutput = \"o\"\nvoxel_size = 0.5\n");
     let config = bench.plan(&["c", "d", "c", "--out", "x"]).expect("a plan").config;
     assert_eq!((config.watches.len(), config.patience.settle.as_secs()), (2, 3));
-    assert!(config.watches.iter().all(|watch| watch.voxel_size.is_none()));
+    assert!(config.watches.iter().all(|watch| watch.choices.voxel_size.is_none()));
     bench.refused(&["c"], &["take the place of the [[watch]] blocks", "give --out"]);
 }
 
@@ -201,6 +201,7 @@ fn what_makes_no_sense_is_refused_before_the_first_frame() {
 #[test]
 fn warnings_are_told_once() {
     let options = ["a", "b", "--out", "o", "--cg-tolerance", "0.1", "--voxel-size", "1", "--radius-min", "1"];
+    let options = [&options[..], &["--preset", "paper"]].concat();
     let warnings = plan(&options).expect("a plan").warnings;
     assert_eq!(warnings.len(), 2, "{warnings:?}");
     assert!(warnings[0].contains("r_min is 1") && warnings[1].contains("--cg-tolerance is ignored"));

@@ -1,0 +1,86 @@
+//! What makes the surfaces.
+
+use std::fs;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use glam::DVec3;
+use meniscus::obstacle::{Obstacles, Solid};
+use meniscus::particles::{Cloud, Particles};
+use meniscus::settings::{Choices, Measured, Settings};
+use meniscus::skin::skin_cloud;
+use meniscus_formats::{Limits, MeshData, ply};
+
+use super::sets::{Frame, Set};
+use crate::Outcome;
+use crate::splashsurf::{Post, Splashsurf};
+use crate::surfaces::data;
+
+pub(super) enum Maker {
+    /// This program, with these settings.
+    Ours(Vec<(String, String)>),
+    /// splashsurf, with cells of so many spacings.
+    Splashsurf { peer: Box<Splashsurf>, post: Post, cell: f64 },
+    /// A program that has left a mesh for each frame in a folder.
+    Meshes(PathBuf),
+}
+
+/// A surface, and what it took.
+pub(super) struct Made {
+    pub(super) mesh: MeshData,
+    pub(super) solid: Solid,
+    /// Voxels times passes of the smoothing; `None` where another program made it.
+    pub(super) voxel_passes: Option<u64>,
+    /// Whether the certificate holds; `None` where another program made it.
+    pub(super) is_certified: Option<bool>,
+    pub(super) seconds: f64,
+}
+
+impl Maker {
+    /// The surface of a frame.
+    pub(super) fn made(&self, set: &Set, frame: &Frame) -> Outcome<Made> {
+        let start = Instant::now();
+        let (mut voxel_passes, mut is_certified) = (None, None);
+        let (mesh, seconds) = match self {
+            Maker::Ours(pairs) => {
+                let settings = settings_of(pairs, set.spacing)?;
+                let positions = Particles::Double(frame.points.iter().map(DVec3::to_array).collect());
+                let surface = skin_cloud(Cloud::from(positions), &settings, &Obstacles::default());
+                voxel_passes = Some(surface.report.moved_count);
+                is_certified = Some(surface.report.certificate.holds());
+                (data(&surface), start.elapsed().as_secs_f64())
+            }
+            Maker::Splashsurf { peer, post, cell } => {
+                let mesh = peer.reconstruct(&frame.points, set.spacing, cell * set.spacing, *post)?;
+                (mesh, start.elapsed().as_secs_f64())
+            }
+            Maker::Meshes(folder) => {
+                let path = folder.join(set.file_name(frame));
+                let bytes = fs::read(&path).map_err(|error| format!("{}: {error}", path.display()))?;
+                (ply::read_mesh(&bytes, &Limits::default())?, seconds_in(&bytes).unwrap_or(f64::NAN))
+            }
+        };
+        let solid = Solid::new(&mesh.positions, &mesh.triangles);
+        Ok(Made { mesh, solid, voxel_passes, is_certified, seconds })
+    }
+}
+
+/// Names that end in `/d` are lengths in spacings.
+fn settings_of(pairs: &[(String, String)], spacing: f64) -> Outcome<Settings> {
+    let mut texts = Vec::new();
+    for (name, value) in pairs {
+        match name.strip_suffix("/d") {
+            Some(name) => texts.push((name, (value.parse::<f64>()? * spacing).to_string())),
+            None => texts.push((name.as_str(), value.clone())),
+        }
+    }
+    let choices = Choices::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
+    let choices = choices.ok_or("a setting is unknown, or its value is invalid")?;
+    Ok(Settings::resolve(&choices, Some(Measured::from(spacing)))?)
+}
+
+/// What the line `comment seconds S` of the header says.
+fn seconds_in(ply: &[u8]) -> Option<f64> {
+    let head = String::from_utf8_lossy(&ply[..ply.len().min(1000)]);
+    head.lines().find_map(|line| line.strip_prefix("comment seconds "))?.trim().parse().ok()
+}

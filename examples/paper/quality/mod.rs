@@ -1,0 +1,141 @@
+//! How good surfaces are, in numbers, one line of JSON for each set of particles: what `benches/quality` asks.
+//!
+//! ```text
+//! cargo run --release --example paper -- quality preset=fluid               ours, on generated particles
+//! cargo run --release --example paper -- quality splashsurf=plain cell=0.25
+//! cargo run --release --example paper -- quality preset=fluid 'only=Enright 5000,jittered pool'   some of them
+//! cargo run --release --example paper -- quality preset=fluid only= frame=dam.ply:0.05   a file, with its spacing
+//! cargo run --release --example paper -- quality spacings                   estimated spacings over the true ones
+//!
+//! cargo run --release --example paper -- quality write=particles            for another program: writes .ply files
+//! cargo run --release --example paper -- quality meshes=surfaces            and reads .ply meshes of the same names
+//! ```
+//!
+//! Settings are `name=value` as in a file of settings; names that end in `/d` have lengths in particle spacings. All
+//! scores are in particle spacings d, so that they can be compared whatever the grid.
+
+mod heights;
+mod maker;
+mod scores;
+mod sets;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use meniscus::particles::Particles;
+use meniscus::spacing::{Estimate, combine_estimates, estimate_spacing};
+use meniscus_formats::{ParticleFrame, Positions, ply};
+use serde_json::{Map, Value, json};
+
+use crate::splashsurf::{Post, Splashsurf};
+use crate::{Outcome, told};
+use maker::Maker;
+use sets::{Set, Sets};
+
+/// Does what the words ask for.
+pub(crate) fn run(words: &[String]) -> Outcome<()> {
+    let Asked { task, sets } = Asked::new(words)?;
+    sets.visit(|set| {
+        let start = Instant::now();
+        let mut found = match &task {
+            Task::Score { maker, repeats } => scores::score(maker, *repeats, &set)?,
+            Task::Write(folder) => written(folder, &set)?,
+            Task::Spacings => spacing_found(&set),
+        };
+        found.insert("data".into(), set.name.into());
+        found.insert("seconds_in_all".into(), start.elapsed().as_secs_f64().round().into());
+        told(&Value::Object(found).to_string())
+    })
+}
+
+struct Asked {
+    task: Task,
+    sets: Sets,
+}
+
+enum Task {
+    /// Makes the surfaces and scores them. One frame alone is made several times, for the least of its seconds.
+    Score { maker: Maker, repeats: usize },
+    /// Writes the particles of each frame into a folder.
+    Write(PathBuf),
+    /// Estimates the particle spacings.
+    Spacings,
+}
+
+impl Asked {
+    fn new(words: &[String]) -> Outcome<Asked> {
+        let (mut settings, mut peer, mut cell, mut repeats) = (Vec::new(), None, 0.25, 1);
+        let (mut other_task, mut meshes) = (None, None);
+        let mut sets = Sets::default();
+        for word in words {
+            if word == "spacings" {
+                other_task = Some(Task::Spacings);
+                continue;
+            }
+            let (name, value) = word.split_once('=').ok_or_else(|| format!("{word}: not name=value"))?;
+            match name {
+                "write" => other_task = Some(Task::Write(value.into())),
+                "meshes" => meshes = Some(Maker::Meshes(value.into())),
+                "repeats" => repeats = value.parse()?,
+                "cell" => cell = value.parse()?,
+                "splashsurf" => {
+                    peer = Some(match value {
+                        "plain" => Post::Plain,
+                        "post" => Post::Processed,
+                        _ => return Err("splashsurf=plain or splashsurf=post".into()),
+                    });
+                }
+                _ if sets.takes(name, value)? => {}
+                _ => settings.push((name.to_owned(), value.to_owned())),
+            }
+        }
+        let maker = match (meshes, peer) {
+            (Some(meshes), _) => meshes,
+            (None, Some(post)) => Maker::Splashsurf { peer: Box::new(Splashsurf::find()?), post, cell },
+            (None, None) => Maker::Ours(settings),
+        };
+        Ok(Asked { task: other_task.unwrap_or(Task::Score { maker, repeats }), sets })
+    }
+}
+
+/// Writes each frame, in single precision as other programs read it; the spacing is in the file's header.
+fn written(folder: &PathBuf, set: &Set) -> Outcome<Map<String, Value>> {
+    std::fs::create_dir_all(folder)?;
+    for frame in &set.frames {
+        let positions = frame.points.iter().map(|point| point.as_vec3().to_array()).collect();
+        let particles = ParticleFrame { positions: Positions::F32(positions), ..ParticleFrame::default() };
+        let mut bytes = Vec::new();
+        ply::write_particles(&particles, &[("spacing".into(), set.spacing.to_string())], &mut bytes)?;
+        std::fs::write(folder.join(set.file_name(frame)), bytes)?;
+    }
+    Ok(map(json!({ "frames": set.frames.len() })))
+}
+
+/// The estimate by the first, the middle and the last frame, over the true spacing.
+fn spacing_found(set: &Set) -> Map<String, Value> {
+    let last = set.frames.len() - 1;
+    let mut indices = vec![0, last / 2, last];
+    indices.dedup();
+    let estimate = |index: usize| {
+        let points = set.frames[index].points.iter().map(|point| point.to_array()).collect();
+        estimate_spacing(&Particles::Double(points))
+    };
+    let estimates: Vec<Estimate> = indices.into_iter().filter_map(estimate).collect();
+    let found = combine_estimates(&estimates);
+    map(json!({
+        "spacing": found.map(|found| round(found.spacing / set.spacing)),
+        "confidence": found.map(|found| round(found.confidence)),
+    }))
+}
+
+fn map(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    }
+}
+
+/// Four digits behind the point.
+fn round(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}

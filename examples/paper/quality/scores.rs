@@ -1,0 +1,243 @@
+//! What the surfaces of a set of particles score. All lengths are in particle spacings.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use meniscus::flicker::{Carrier, FlickerFrame, MovingParticles, Summary, flicker};
+use meniscus::mesh::Mesh;
+use meniscus::obstacle::{MeshDistance, Solid};
+use meniscus::particles::Particles;
+use meniscus_formats::MeshData;
+use rayon::prelude::*;
+use serde_json::{Map, Value, json};
+
+use super::heights::Rays;
+use super::maker::{Made, Maker};
+use super::sets::{FRAMES, Frame, Kind, Set};
+use super::{map, round};
+use crate::Outcome;
+use crate::flicker::Flicker;
+use crate::flow::Flow;
+use crate::samples::on_mesh;
+
+/// The scores of a set, by name.
+pub(super) fn score(maker: &Maker, repeats: usize, set: &Set) -> Outcome<Map<String, Value>> {
+    let mut measures = Measures::default();
+    let mut of_kind = match &set.kind {
+        Kind::Still => still(maker, repeats, set, &mut measures)?,
+        Kind::Flow(flow) => in_flow(maker, set, *flow, &mut measures)?,
+        Kind::Moving { seconds } => moving(maker, set, *seconds, &mut measures)?,
+        Kind::Pool { rays } => pool(maker, set, rays, &mut measures)?,
+    };
+    of_kind.append(&mut measures.scores());
+    Ok(of_kind)
+}
+
+/// Points on a mesh that flicker is measured at.
+const POINTS: usize = 4000;
+
+/// Surfaces of a flow are measured at the multiples of this frame: where particles are outside takes longer than the surface.
+const MEASURED_EVERY: usize = 50;
+
+/// The flicker of a flow, as in the experiment `flows`.
+fn in_flow(maker: &Maker, set: &Set, flow: Flow, measures: &mut Measures) -> Outcome<Map<String, Value>> {
+    let mut carried = Vec::new();
+    let mut flicker = Flicker::default();
+    let time = |number: usize| flow.period() * number as f64 / FRAMES as f64;
+    let mut before = 0;
+    for frame in &set.frames {
+        for number in before..frame.number {
+            flow.carry(&mut carried, time(number), time(number + 1));
+        }
+        before = frame.number;
+        let made = maker.made(set, frame)?;
+        if frame.number == 0 {
+            carried = on_mesh(&made.mesh, POINTS);
+        }
+        flicker.add(frame.number, &made.solid, &carried)?;
+        measures.add_costs(&made);
+        if frame.number.is_multiple_of(MEASURED_EVERY) {
+            measures.add_shape(&made, frame, set.spacing);
+        }
+    }
+    let score = flicker.score(set.spacing)?;
+    Ok(map(json!({
+        "flicker": round(score.rms), "median": round(score.median), "most": round(score.most),
+        "max": round(score.max), "worst_part": round(score.worst),
+    })))
+}
+
+/// The flicker of a simulation, by the motion of its particles: docs/flicker.md.
+fn moving(maker: &Maker, set: &Set, seconds: f64, measures: &mut Measures) -> Outcome<Map<String, Value>> {
+    let mut frames = Vec::new();
+    for frame in &set.frames {
+        let made = maker.made(set, frame)?;
+        measures.add_costs(&made);
+        measures.add_shape(&made, frame, set.spacing);
+        let particles = MovingParticles {
+            positions: Particles::Double(frame.points.iter().map(DVec3::to_array).collect()),
+            ids: frame.motion.ids.clone(),
+            velocities: frame.motion.velocities.clone(),
+        };
+        let surface = MeshDistance::new(&made.mesh.positions, &made.mesh.triangles);
+        frames.push(FlickerFrame::new(particles, surface, set.spacing));
+    }
+    let carrier = match frames.iter().all(|frame| frame.has(Carrier::Ids)) {
+        true => Carrier::Ids,
+        false => Carrier::Velocities { seconds },
+    };
+    let points = frames.windows(3).flat_map(|three| match three {
+        [before, middle, after] => flicker([before, middle, after], carrier, set.spacing, POINTS).points,
+        _ => Vec::new(),
+    });
+    let score = Summary::of(points.map(|point| point.value));
+    Ok(map(json!({
+        "flicker": round(score.rms), "median": round(score.median), "most": round(score.percentile_99),
+        "max": round(score.max),
+    })))
+}
+
+/// A frame alone.
+fn still(maker: &Maker, repeats: usize, set: &Set, measures: &mut Measures) -> Outcome<Map<String, Value>> {
+    for frame in &set.frames {
+        let mut made = maker.made(set, frame)?;
+        for _ in 1..repeats {
+            made.seconds = made.seconds.min(maker.made(set, frame)?.seconds);
+        }
+        measures.add_costs(&made);
+        measures.add_shape(&made, frame, set.spacing);
+    }
+    Ok(Map::new())
+}
+
+/// The bumps of a pool's surface, how they change from frame to frame, and how far its level is off.
+fn pool(maker: &Maker, set: &Set, rays: &Rays, measures: &mut Measures) -> Outcome<Map<String, Value>> {
+    let mut before: Option<Vec<f64>> = None;
+    let (mut bumps, mut changes, mut level) = (Vec::new(), Vec::new(), 0.0);
+    for frame in &set.frames {
+        let made = maker.made(set, frame)?;
+        measures.add_costs(&made);
+        measures.add_shape(&made, frame, set.spacing);
+        let heights = rays.heights(&made.mesh);
+        let bumps_of_frame = rays.bumps(&heights);
+        if let Some(before) = &before {
+            changes.extend(bumps_of_frame.iter().zip(before).map(|(after, before)| after - before));
+        }
+        level += heights.iter().sum::<f64>() / heights.len() as f64 - rays.true_level(&frame.points);
+        bumps.extend_from_slice(&bumps_of_frame);
+        before = Some(bumps_of_frame);
+    }
+    // A ray that misses the surface has no bump.
+    let rms = |values: &[f64]| Summary::of(values.iter().copied().filter(|value| value.is_finite())).rms;
+    let level = level / set.frames.len() as f64;
+    let [bumps, changes, level] =
+        [rms(&bumps), rms(&changes), level].map(|length| round(length / set.spacing));
+    Ok(map(json!({ "bumps": bumps, "flicker": changes, "level_error": level })))
+}
+
+/// Measures of one surface or of several.
+#[derive(Default)]
+struct Measures {
+    bending_energies: Vec<f64>,
+    outer_bending_energies: Vec<f64>,
+    volumes: Vec<f64>,
+    component_counts: Vec<f64>,
+    handle_counts: Vec<f64>,
+    triangle_counts: Vec<f64>,
+    outside: f64,
+    deepest: f64,
+    voxel_passes: Vec<f64>,
+    seconds: Vec<f64>,
+    uncertified: usize,
+}
+
+impl Measures {
+    fn add_costs(&mut self, made: &Made) {
+        self.voxel_passes.extend(made.voxel_passes.map(|count| count as f64));
+        self.seconds.push(made.seconds);
+        self.uncertified += usize::from(made.is_certified == Some(false));
+    }
+
+    fn add_shape(&mut self, made: &Made, frame: &Frame, spacing: f64) {
+        let mesh = mesh_of(&made.mesh);
+        let whole = mesh.measure();
+        self.bending_energies.push(whole.bending_energy);
+        self.outer_bending_energies.push(outer_part(&mesh).measure().bending_energy);
+        self.volumes.push(whole.volume / (frame.points.len() as f64 * spacing.powi(3)));
+        self.component_counts.push(whole.component_count as f64);
+        // The genus of all pieces together.
+        self.handle_counts.push(whole.component_count as f64 - 0.5 * whole.euler_characteristic as f64);
+        self.triangle_counts.push(whole.triangle_count as f64);
+        let (outside, deepest) = left_outside(&made.solid, &frame.points, spacing);
+        self.outside = self.outside.max(outside);
+        self.deepest = self.deepest.max(deepest);
+    }
+
+    /// Means; of volumes the least and the greatest, of particles outside the greatest part.
+    fn scores(self) -> Map<String, Value> {
+        let mean = |values: &[f64]| match values {
+            [] => None,
+            _ => Some(round(values.iter().sum::<f64>() / values.len() as f64)),
+        };
+        let least = self.volumes.iter().copied().fold(f64::INFINITY, f64::min);
+        let greatest = self.volumes.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        map(json!({
+            "h2": mean(&self.bending_energies), "outer_h2": mean(&self.outer_bending_energies),
+            "volume": [round(least), round(greatest)],
+            "components": mean(&self.component_counts), "handles": mean(&self.handle_counts),
+            "triangles": mean(&self.triangle_counts),
+            "outside": round(self.outside), "deepest": round(self.deepest),
+            "voxel_passes": mean(&self.voxel_passes), "seconds": mean(&self.seconds),
+            "uncertified": self.uncertified,
+        }))
+    }
+}
+
+/// The part of the particles that is outside, and how deep the deepest is, in spacings.
+fn left_outside(solid: &Solid, points: &[DVec3], spacing: f64) -> (f64, f64) {
+    let depths: Vec<f64> =
+        points.par_iter().map(|point| solid.distance(*point).unwrap_or(f64::INFINITY) / spacing).collect();
+    let outside = depths.iter().filter(|depth| **depth > 0.0).count();
+    (outside as f64 / points.len().max(1) as f64, depths.iter().copied().fold(0.0, f64::max))
+}
+
+/// A mesh of ours, for its measures.
+fn mesh_of(data: &MeshData) -> Mesh {
+    let origin = data.positions.first().map_or(DVec3::ZERO, |at| DVec3::from(*at));
+    let positions = data.positions.iter().map(|at| (DVec3::from(*at) - origin).as_vec3()).collect();
+    Mesh { positions, normals: Vec::new(), triangles: data.triangles.clone(), origin }
+}
+
+/// The pieces that are around something, and not around a void in it.
+fn outer_part(mesh: &Mesh) -> Mesh {
+    let mut parent: Vec<usize> = (0..mesh.positions.len()).collect();
+    fn root(parent: &mut [usize], mut vertex: usize) -> usize {
+        while parent[vertex] != vertex {
+            parent[vertex] = parent[parent[vertex]];
+            vertex = parent[vertex];
+        }
+        vertex
+    }
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| root(&mut parent, vertex as usize));
+        let least = a.min(b).min(c);
+        [a, b, c].into_iter().for_each(|vertex| parent[vertex] = least);
+    }
+    let mut volume_of: BTreeMap<usize, f64> = BTreeMap::new();
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| mesh.positions[vertex as usize].as_dvec3());
+        *volume_of.entry(root(&mut parent, triangle[0] as usize)).or_default() += a.dot(b.cross(c)) / 6.0;
+    }
+    let triangles = match volume_of.values().all(|volume| *volume > 0.0) {
+        true => mesh.triangles.clone(),
+        false => {
+            let roots: Vec<usize> = (0..parent.len()).map(|vertex| root(&mut parent, vertex)).collect();
+            mesh.triangles
+                .iter()
+                .filter(|triangle| volume_of[&roots[triangle[0] as usize]] > 0.0)
+                .copied()
+                .collect()
+        }
+    };
+    Mesh { triangles, ..mesh.clone() }
+}

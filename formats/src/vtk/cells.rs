@@ -1,0 +1,94 @@
+//! Cells of VTK as triangles.
+//!
+//! ```text
+//!   connectivity   0 1 2   2 1 3 4   ..      the corners of all cells
+//!   offsets            3         7   ..      where each ends
+//!   types          5       9         ..      what each is; all of POLYGONS, Polys, TRIANGLE_STRIPS and Strips are alike
+//! ```
+
+use crate::data::Values;
+use crate::error::{Error, Place, Result};
+
+/// A filled polygon, as VTK numbers the types of cells.
+pub(super) const POLYGON: i64 = 7;
+
+/// A strip of triangles.
+pub(super) const TRIANGLE_STRIP: i64 = 6;
+
+/// Integers of any width; `None` where these are not integers.
+pub(super) fn integers(values: Values) -> Option<Vec<i64>> {
+    match values {
+        Values::U8(values) => Some(values.into_iter().map(i64::from).collect()),
+        Values::I32(values) => Some(values.into_iter().map(i64::from).collect()),
+        Values::I64(values) => Some(values),
+        Values::F32(_) | Values::F64(_) | Values::Strings { .. } => None,
+    }
+}
+
+/// The points that cells have as corners: `count` of them, the first of which is vertex `first` of the mesh.
+#[derive(Clone, Copy)]
+pub(super) struct Points {
+    pub(super) first: u64,
+    pub(super) count: u64,
+}
+
+/// Adds the cells that end at these offsets into `corners`. Polygons of more than three corners become fans; points and
+/// lines are skipped.
+///
+/// # Errors
+/// [`Error::Invalid`] for cells of points that are missing, [`Error::Unsupported`] for cells with a volume.
+pub(super) fn add_cells(
+    format: &'static str,
+    (ends, corners): (&[i64], &[i64]),
+    type_of: impl Fn(usize) -> i64,
+    points: Points,
+    triangles: &mut Vec<[u32; 3]>,
+) -> Result<()> {
+    let invalid = |what: String| Error::invalid(format, Place::File, what);
+    let vertex = |corner: i64| {
+        let corner = u64::try_from(corner).ok().filter(|&corner| corner < points.count);
+        corner.and_then(|corner| u32::try_from(points.first + corner).ok())
+    };
+    let mut start = 0;
+    for (index, &end) in ends.iter().enumerate() {
+        let cell = usize::try_from(end).ok().and_then(|end| Some((corners.get(start..end)?, end)));
+        let (cell, end) =
+            cell.ok_or_else(|| invalid(format!("a cell that ends at corner {end} of {}", corners.len())))?;
+        start = end;
+        let mut add = |triangle: [i64; 3]| {
+            let [Some(a), Some(b), Some(c)] = triangle.map(vertex) else {
+                return Err(invalid(format!("a cell with a point that is not among the {}", points.count)));
+            };
+            triangles.push([a, b, c]);
+            Ok(())
+        };
+        match (type_of(index), cell) {
+            // Points, lines, and nothing.
+            (0..=4 | 21, _) => {}
+            (5 | POLYGON | 9, &[first, ref rest @ ..]) => {
+                rest.windows(2).try_for_each(|pair| add([first, pair[0], pair[1]]))?;
+            }
+            (TRIANGLE_STRIP, strip) => {
+                for (index, three) in strip.windows(3).enumerate() {
+                    let [a, b] = if index % 2 == 0 { [three[0], three[1]] } else { [three[1], three[0]] };
+                    add([a, b, three[2]])?;
+                }
+            }
+            // A pixel has its corners row by row.
+            (8, &[a, b, c, d]) => [[a, b, d], [a, d, c]].into_iter().try_for_each(add)?,
+            (5 | POLYGON | 8 | 9, _) => {
+                return Err(invalid(format!(
+                    "a cell of type {} with {} corners",
+                    type_of(index),
+                    cell.len()
+                )));
+            }
+            (other, _) => {
+                let what =
+                    format!("a cell of type {other}, which is not a flat polygon: save the surface alone");
+                return Err(Error::unsupported(format, what));
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,78 @@
+//! The options of `flicker`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::sequence::parse_fps;
+use crate::cli::frame_selection::FrameSelection;
+
+#[derive(Debug, Args)]
+#[command(after_long_help = DEFINITION)]
+pub(in crate::cli) struct FlickerArgs {
+    /// The surfaces, from any program: meshes in .glb, .gltf, .obj, .ply, .stl, .vtk, .vtp or .vtu
+    ///
+    /// Files, globs, or a numbered pattern such as dam.####.glb, of one sequence.
+    #[arg(required = true, value_name = "MESHES")]
+    pub(in crate::cli) meshes: Vec<PathBuf>,
+
+    /// The particles of the same frames: a folder, a file, a glob, or a numbered pattern such as cache/dam.####.bgeo
+    #[arg(long, required = true, value_name = "PARTICLES")]
+    pub(in crate::cli) particles: Vec<PathBuf>,
+
+    /// Frames of particles per second; needed where particles have velocities and no ids
+    #[arg(long, value_name = "N", value_parser = parse_fps, conflicts_with = "dt")]
+    pub(in crate::cli) fps: Option<f64>,
+
+    /// Time from a frame of particles to the next, in the seconds of the velocities, instead of --fps
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = parse_positive)]
+    pub(in crate::cli) dt: Option<f64>,
+
+    /// Distance between particles, the unit of the scores, in world units [default: estimated from the first frame]
+    #[arg(long, value_name = "D", allow_negative_numbers = true, value_parser = parse_positive)]
+    pub(in crate::cli) spacing: Option<f64>,
+
+    /// Points on the surface of each frame
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(100..=10_000_000))]
+    pub(in crate::cli) samples: u32,
+
+    /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read all the same
+    #[arg(long, value_name = "NUMBERS")]
+    pub(in crate::cli) frames: Option<FrameSelection>,
+
+    /// Write the scores of each frame to this file
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) csv: Option<PathBuf>,
+
+    /// Write the 1000 points that flicker most to this file: frame, place, value
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) points: Option<PathBuf>,
+
+    /// Draw the scores over the frames, and where the worst frames flicker: a name that ends with .png
+    #[arg(long, value_name = "FILE")]
+    pub(in crate::cli) picture: Option<PathBuf>,
+
+    /// Number of threads, 1 to 1024 [default: all cores]; does not affect results
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(in crate::cli) threads: Option<u16>,
+}
+
+fn parse_positive(text: &str) -> Result<f64, String> {
+    let number = text.trim().parse().ok().filter(|number: &f64| number.is_normal() && *number > 0.0);
+    number.ok_or_else(|| format!("`{text}` is not a positive number"))
+}
+
+const DEFINITION: &str = "\
+What is scored:
+  Points on the surface of a frame, evenly by area, are carried to the frames before and after it by the
+  particles around them: by ids where all frames have them, else by velocities. A point's flicker is the
+  second difference of its signed distances to the three surfaces, in particle spacings. The score is
+  the root of its mean square: 0 for a surface that moves as its particles do.
+
+  A distance of more than 2 spacings counts as 2. Points with no particle within 3 spacings are
+  counted and left out. A frame is scored if the frames before and after it have a mesh and particles.
+
+Exit status:
+  0    every frame between two others is scored
+  1    some frames could not be read, and those beside them are not scored
+  2    the command cannot be carried out, or no frame is scored";

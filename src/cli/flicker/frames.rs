@@ -1,0 +1,216 @@
+//! Which mesh belongs to which particles, and which frames have both neighbours.
+//!
+//! ```text
+//!   meshes      1     3     5  6              7
+//!   particles   1  2  3  4  5     6  7        the frames that have both: 1, 3, 5, 6, 7
+//!                                             one step is their greatest common distance: 1
+//!                                             6 is scored, between 5 and 7
+//! ```
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail};
+
+use crate::cli::args::FlickerArgs;
+use crate::cli::console::Console;
+use crate::cli::frame_selection::FrameSelection;
+use crate::cli::inputs::find_inputs;
+use crate::pipeline::{FrameFile, Sequence, sequences, shown};
+
+/// The files of a frame.
+#[derive(Clone, Debug)]
+pub(super) struct FrameFiles {
+    pub(super) mesh: PathBuf,
+    pub(super) particles: PathBuf,
+    /// What the frame is called.
+    name: String,
+}
+
+/// The frames of a sequence.
+#[derive(Debug)]
+pub(super) struct Frames {
+    /// What to call the sequence of meshes.
+    pub(super) name: String,
+    /// Those that have both files, by number.
+    pub(super) files: BTreeMap<u64, FrameFiles>,
+    /// From a frame to the next.
+    pub(super) step: u64,
+    /// The same of all particles, whether they have meshes or not.
+    particle_step: u64,
+    /// The frames that have both neighbours, and were selected.
+    pub(super) scored: Vec<u64>,
+}
+
+impl Frames {
+    pub(super) fn name_of(&self, number: u64) -> String {
+        self.files.get(&number).map_or_else(|| number.to_string(), |files| files.name.clone())
+    }
+
+    /// How many frames of particles are between two of these.
+    pub(super) fn particle_steps(&self) -> f64 {
+        self.step as f64 / self.particle_step as f64
+    }
+}
+
+/// Numbers that are listed in a message; more are counted.
+const NUMBERS_NAMED: usize = 8;
+
+/// Finds the frames that the arguments name.
+///
+/// # Errors
+/// When no three frames follow each other.
+pub(super) fn find(args: &FlickerArgs, console: &mut Console) -> Result<Frames> {
+    if let Some(folder) = args.meshes.iter().find(|path| path.is_dir()) {
+        bail!(
+            "{}: this is a folder: name the meshes in it, such as {}",
+            folder.display(),
+            folder.join("dam.####.glb").display()
+        );
+    }
+    let meshes = one_sequence(&args.meshes, "meshes", console)?;
+    let particles = one_sequence(&args.particles, "particles", console)?;
+    let name = meshes.name.clone();
+    let (meshes, mut particles) = (by_number(meshes)?, by_number(particles)?);
+    let particle_numbers: Vec<u64> = particles.keys().copied().collect();
+    let (mut files, mut alone) = (BTreeMap::new(), Vec::new());
+    for (number, mesh) in meshes {
+        match particles.remove(&number) {
+            Some(particles) => {
+                let name = mesh.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                files.insert(number, FrameFiles { mesh: mesh.path, particles: particles.path, name });
+            }
+            None => alone.push(number),
+        }
+    }
+    if !alone.is_empty() {
+        console.warn(format_args!("warning: {name}: no particles for {}: not used", listed(&alone)));
+    }
+    let numbers: Vec<u64> = files.keys().copied().collect();
+    if numbers.len() < 3 {
+        bail!(
+            "{name}: {} both a mesh and particles, matched by their frame numbers, and three frames are needed",
+            if numbers.len() == 1 {
+                "1 frame has".to_owned()
+            } else {
+                format!("{} frames have", numbers.len())
+            }
+        );
+    }
+    let step = common_step(&numbers);
+    let has_both = |number: &u64| {
+        let neighbors = number.checked_sub(step).zip(number.checked_add(step));
+        neighbors.is_some_and(|(before, after)| files.contains_key(&before) && files.contains_key(&after))
+    };
+    let inner = &numbers[1..numbers.len() - 1];
+    let (scored, skipped): (Vec<u64>, Vec<u64>) = inner.iter().copied().partition(has_both);
+    if scored.is_empty() {
+        bail!(
+            "{name}: no three frames follow each other: {} both a mesh and particles",
+            listed_have(&numbers)
+        );
+    }
+    if !skipped.is_empty() {
+        console.warn(format_args!(
+            "warning: {name}: {} not scored: the mesh or the particles of a neighbour are missing",
+            listed_are(&skipped)
+        ));
+    }
+    let is_selected = |number: &u64| {
+        args.frames.as_ref().is_none_or(|selection: &FrameSelection| selection.contains(*number))
+    };
+    let scored: Vec<u64> = scored.into_iter().filter(is_selected).collect();
+    if scored.is_empty() {
+        bail!("--frames selects none of the frames that have both neighbours");
+    }
+    Ok(Frames { name, files, step, particle_step: common_step(&particle_numbers), scored })
+}
+
+fn one_sequence(inputs: &[PathBuf], what: &str, console: &mut Console) -> Result<Sequence> {
+    let found = find_inputs(inputs)?;
+    found.report(console);
+    let mut all = sequences(found.files);
+    let names: Vec<&str> = all.iter().map(|sequence| &*sequence.name).collect();
+    match names[..] {
+        [_] => {}
+        [] => bail!("no {what} were found"),
+        [one, other, ..] => bail!(
+            "the {what} are of {} sequences, such as {one} and {other}: name one of them by a pattern such as dam.####.ply",
+            names.len()
+        ),
+    }
+    all.pop().with_context(|| format!("no {what} were found"))
+}
+
+fn by_number(sequence: Sequence) -> Result<BTreeMap<u64, FrameFile>> {
+    let mut files: BTreeMap<u64, FrameFile> = BTreeMap::new();
+    for file in sequence.frames {
+        let Some(number) = file.number() else {
+            bail!("{}: the name has no frame number to match meshes and particles by", shown(&file.path));
+        };
+        if let Some(other) = files.get(&number) {
+            bail!(
+                "{} and {} are both frame {number}: subframes cannot be scored",
+                shown(&other.path),
+                shown(&file.path)
+            );
+        }
+        files.insert(number, file);
+    }
+    Ok(files)
+}
+
+/// The greatest number that divides all differences between these, which grow; 1 where there are none.
+fn common_step(numbers: &[u64]) -> u64 {
+    let greatest = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, |a, b| {
+        let (mut a, mut b) = (a, b);
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    });
+    greatest.max(1)
+}
+
+fn listed(numbers: &[u64]) -> String {
+    let distinct: BTreeSet<u64> = numbers.iter().copied().collect();
+    let mut names: Vec<String> = distinct.iter().take(NUMBERS_NAMED).map(u64::to_string).collect();
+    if distinct.len() > NUMBERS_NAMED {
+        names.push(format!("and {} more", distinct.len() - NUMBERS_NAMED));
+    }
+    format!("{} {}", if distinct.len() == 1 { "frame" } else { "frames" }, names.join(", "))
+}
+
+fn listed_have(numbers: &[u64]) -> String {
+    format!("{} {}", listed(numbers), if numbers.len() == 1 { "has" } else { "have" })
+}
+
+fn listed_are(numbers: &[u64]) -> String {
+    format!("{} {}", listed(numbers), if numbers.len() == 1 { "is" } else { "are" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn step_divides_all_differences() {
+        for (numbers, step) in [
+            (&[][..], 1),
+            (&[5], 1),
+            (&[0, 100, 300], 100),
+            (&[1, 3, 5], 2),
+            (&[1, 3, 6], 1),
+            (&[0, u64::MAX], u64::MAX),
+        ] {
+            assert_eq!(common_step(numbers), step, "{numbers:?}");
+        }
+    }
+
+    #[test]
+    fn long_lists_are_cut() {
+        assert_eq!(listed(&[7]), "frame 7");
+        assert_eq!(listed_are(&[7, 9]), "frames 7, 9 are");
+        assert_eq!(listed(&(1..=10).collect::<Vec<_>>()), "frames 1, 2, 3, 4, 5, 6, 7, 8, and 2 more");
+    }
+}

@@ -1,0 +1,285 @@
+//! `meniscus flicker`: how much a sequence of surfaces flickers, from any program.
+//!
+//! ```text
+//!   frames    which mesh belongs to which particles, and which frames have both neighbours
+//!   reading   a frame from its two files             tally    scores of all frames; the worst frames and points
+//!   tables    CSV                                    picture  the scores over the frames, and the worst frames
+//! ```
+
+mod frames;
+mod picture;
+mod reading;
+mod tables;
+mod tally;
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+
+use crate::flicker::{CARRY_REACH, Carrier, FlickerFrame, Summary, flicker};
+use crate::pipeline::{are_one_file, shown, write_whole};
+
+use super::Verdict;
+use super::args::FlickerArgs;
+use super::console::Console;
+use super::convert::thread_pool;
+use super::interrupt::clean_up_when_interrupted;
+use super::selecting::refuse_shut_folder;
+use super::studio::{caught, named_picture};
+use super::wording::{counted, significant, with_causes};
+
+use frames::Frames;
+use tally::{ScoredFrame, Tally};
+
+/// Above this part of points without particles, mesh and particles hardly belong together.
+const UNCARRIED_MOST: f64 = 0.5;
+
+/// Scores the frames that the arguments name.
+///
+/// # Errors
+/// When no frame can be scored.
+pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict> {
+    clean_up_when_interrupted();
+    let frames = frames::find(args, console)?;
+    refuse_outputs(args, &frames)?;
+    let pool = thread_pool(args.threads)?;
+    let spacing = match args.spacing {
+        Some(spacing) => spacing,
+        None => pool.install(|| reading::estimated_spacing(&frames))?,
+    };
+    console.show_bar(frames.scored.len());
+    let mut scoring = Scoring {
+        args,
+        frames: &frames,
+        spacing,
+        carrier: None,
+        ready: BTreeMap::new(),
+        failed_count: 0,
+        is_open_told: false,
+    };
+    let mut tally = Tally::new(args.picture.is_some());
+    for &number in &frames.scored {
+        if let Some(scored) = pool.install(|| scoring.score(number, console))? {
+            console.say(line_of(&scored));
+            tally.add(scored);
+        }
+        console.advance_bar();
+    }
+    console.hide_bar();
+    let (failed_count, carrier) = (scoring.failed_count, scoring.carrier);
+    let summary = tally.summary();
+    let (Some(carrier), true) = (carrier, summary.count > 0) else {
+        bail!(
+            "no frame is scored: none has a surface, particles that carry it, and two neighbours that were read"
+        );
+    };
+    report(&frames, &tally, &summary, (spacing, carrier), console);
+    if let Some(path) = &args.csv {
+        write(path, |out| tables::write_frames(&tally.frames, out))?;
+    }
+    if let Some(path) = &args.points {
+        write(path, |out| tables::write_points(&tally.worst_points, out))?;
+    }
+    if let Some(path) = &args.picture {
+        let bytes = pool.install(|| picture::encoded(&frames, &tally, &summary))?;
+        write(path, |out| out.write_all(&bytes))?;
+    }
+    Ok(if failed_count > 0 { Verdict::SomeFailed } else { Verdict::Done })
+}
+
+/// Frames that are read one after the other.
+struct Scoring<'a> {
+    args: &'a FlickerArgs,
+    frames: &'a Frames,
+    spacing: f64,
+    /// What carries points, once the first frame was read.
+    carrier: Option<Carrier>,
+    /// Frames that may be needed again; `None` of those that cannot be read.
+    ready: BTreeMap<u64, Option<FlickerFrame>>,
+    failed_count: usize,
+    /// Whether the first open mesh was reported.
+    is_open_told: bool,
+}
+
+impl Scoring<'_> {
+    /// The scores of a frame; `None` where it or a neighbour cannot be read.
+    ///
+    /// # Errors
+    /// When particles carry nothing.
+    fn score(&mut self, number: u64, console: &mut Console) -> Result<Option<ScoredFrame>> {
+        let numbers = [number - self.frames.step, number, number + self.frames.step];
+        self.ready.retain(|known, _| *known >= numbers[0]);
+        for number in numbers {
+            if !self.ready.contains_key(&number) {
+                let read = self.read(number, console)?;
+                self.ready.insert(number, read);
+            }
+        }
+        let found = numbers.map(|number| self.ready.get(&number).and_then(Option::as_ref));
+        let ([Some(before), Some(middle), Some(after)], Some(carrier)) = (found, self.carrier) else {
+            return Ok(None);
+        };
+        let name = self.frames.name_of(number);
+        if middle.surface().bounds().is_none() {
+            console.warn(format_args!("warning: {name}: the mesh is empty, so it has no points to score"));
+            return Ok(None);
+        }
+        let samples = usize::try_from(self.args.samples).unwrap_or(usize::MAX);
+        let found = flicker([before, middle, after], carrier, self.spacing, samples);
+        if found.uncarried_count as f64 > UNCARRIED_MOST * samples as f64 {
+            console.warn(format_args!(
+                "warning: {name}: {} of {samples} points on the surface have no particle within {CARRY_REACH} spacings ({}): check \
+                 --spacing, and that meshes and particles have the same unit and the same axes",
+                found.uncarried_count,
+                significant(CARRY_REACH * self.spacing)
+            ));
+        }
+        Ok(Some(ScoredFrame::new(number, name, found)))
+    }
+
+    /// A frame; `None` where it cannot be read, which is reported.
+    fn read(&mut self, number: u64, console: &mut Console) -> Result<Option<FlickerFrame>> {
+        let Some(files) = self.frames.files.get(&number) else { return Ok(None) };
+        let spacing = self.spacing;
+        let frame = match caught(&files.mesh, || reading::read_frame(files, spacing)) {
+            Ok(frame) => frame,
+            Err(error) => {
+                self.failed_count += 1;
+                console.warn(format_args!("error: {}", with_causes(&error)));
+                return Ok(None);
+            }
+        };
+        if frame.surface().open_edge_count() > 0 && !std::mem::replace(&mut self.is_open_told, true) {
+            console.warn(format_args!(
+                "warning: {}: the mesh is open at {}: a point that moves beyond its rim counts by its distance to the rim",
+                shown(&files.mesh),
+                counted(frame.surface().open_edge_count(), "edge")
+            ));
+        }
+        let carrier = match self.carrier {
+            Some(carrier) => carrier,
+            // It decides nothing, and carries nothing.
+            None if !frame.has_particles() => return Ok(Some(frame)),
+            None => {
+                let carrier = self.carrier_of(&frame, &files.particles)?;
+                *self.carrier.insert(carrier)
+            }
+        };
+        if frame.has(carrier) {
+            return Ok(Some(frame));
+        }
+        self.failed_count += 1;
+        let lacking = match carrier {
+            Carrier::Ids => "no ids, or share most of them",
+            Carrier::Velocities { .. } => "no velocities",
+        };
+        console.warn(format_args!(
+            "error: {}: the particles have {lacking}, unlike those of the first frame",
+            shown(&files.particles)
+        ));
+        Ok(None)
+    }
+
+    /// What carries points: ids, or else velocities.
+    fn carrier_of(&self, frame: &FlickerFrame, particles: &Path) -> Result<Carrier> {
+        let seconds = self.args.dt.or_else(|| self.args.fps.map(f64::recip));
+        // In the time of a step of the meshes the particles may take several.
+        let seconds = seconds.map(|seconds| seconds * self.frames.particle_steps());
+        let velocities = Carrier::Velocities { seconds: seconds.unwrap_or(1.0) };
+        if frame.has(Carrier::Ids) {
+            Ok(Carrier::Ids)
+        } else if !frame.has(velocities) {
+            bail!(
+                "{}: the particles have neither velocities nor ids of their own, and one of them is needed to follow their motion: \
+                 write `id` or `velocity` with the particles",
+                shown(particles)
+            )
+        } else if seconds.is_none() {
+            bail!(
+                "{}: the particles have velocities and no ids, so the time between frames is needed: give --fps or --dt",
+                shown(particles)
+            )
+        } else {
+            Ok(velocities)
+        }
+    }
+}
+
+fn line_of(frame: &ScoredFrame) -> String {
+    let ScoredFrame { name, summary, uncarried_count, left_count, .. } = frame;
+    if summary.count == 0 {
+        return format!("{name}: not scored: no point on the surface is carried by particles");
+    }
+    let mut line = format!("{name}: {}", numbers_of(summary));
+    if *left_count > 0 {
+        line += &format!(", {left_count} of {} points left the surface", summary.count);
+    }
+    if *uncarried_count > 0 {
+        line += &format!(", {uncarried_count} without particles");
+    }
+    line
+}
+
+fn numbers_of(summary: &Summary) -> String {
+    let Summary { rms, median, percentile_99, max, .. } = *summary;
+    format!("flicker {rms:.4} (median {median:.4}, 99 % {percentile_99:.4}, max {max:.4})")
+}
+
+fn report(
+    frames: &Frames,
+    tally: &Tally,
+    summary: &Summary,
+    (spacing, carrier): (f64, Carrier),
+    console: &mut Console,
+) {
+    let count = counted(tally.frames.iter().filter(|frame| frame.summary.count > 0).count(), "frame");
+    console.say(format_args!("{}: {} spacings, {count}", frames.name, numbers_of(summary)));
+    let carrier = match carrier {
+        Carrier::Ids => "ids".to_owned(),
+        Carrier::Velocities { seconds } => format!("velocities, {} s between frames", significant(seconds)),
+    };
+    console.say(format_args!("spacing {}; points are carried by {carrier}", significant(spacing)));
+    if let Some(worst) = tally.worst_points.first() {
+        let [x, y, z] = worst.position.map(significant);
+        let value = worst.value;
+        console.say(format_args!(
+            "worst point: {value:.4} at ({x}, {y}, {z}) in {}",
+            frames.name_of(worst.frame)
+        ));
+    }
+}
+
+/// Refuses files that cannot be written, or would replace an input or each other.
+fn refuse_outputs(args: &FlickerArgs, frames: &Frames) -> Result<()> {
+    let outputs = [("--csv", &args.csv), ("--points", &args.points), ("--picture", &args.picture)];
+    let mut paths: Vec<&Path> = Vec::new();
+    for (option, path) in outputs {
+        let Some(path) = path else { continue };
+        if option == "--picture" {
+            named_picture(path, &["png"])?;
+        }
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+            bail!("{option} {}: the folder {} does not exist", path.display(), folder.display());
+        }
+        if path.is_dir() {
+            bail!("{option} {}: this is a folder", path.display());
+        }
+        let inputs = frames.files.values().flat_map(|files| [&files.mesh, &files.particles]);
+        if let Some(input) = inputs.into_iter().find(|input| are_one_file(input, path)) {
+            bail!("{option} {}: would replace the input {}", path.display(), input.display());
+        }
+        if paths.iter().any(|other| are_one_file(other, path)) {
+            bail!("{option} {}: another option names the same file", path.display());
+        }
+        refuse_shut_folder(option, path)?;
+        paths.push(path);
+    }
+    Ok(())
+}
+
+fn write(path: &Path, content: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
+    write_whole(path, |out| Ok(content(out)?)).with_context(|| format!("{}: cannot write", path.display()))
+}

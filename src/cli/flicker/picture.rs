@@ -1,0 +1,170 @@
+//! The scores over the frames, and where the worst frames flicker.
+
+use anyhow::Result;
+use glam::DVec3;
+
+use crate::flicker::{ScoredPoint, Summary};
+use crate::pipeline::{CameraChoice, PictureFormat, SheetPart, encode_picture, sheet_provenance};
+use crate::preview::{Block, Cell, Line, Mark, Picture, Plot, Sheet, Shown, Up, render_marks, stacked};
+
+use super::frames::Frames;
+use super::numbers_of;
+use super::tally::{ScoredFrame, Tally};
+
+/// Pixels of a frame's picture.
+const PLACE: [usize; 2] = [480, 320];
+
+const COLUMNS: usize = 3;
+
+/// Between the cells of a sheet, pixels: the plot is as wide as a row of them.
+const GAP: usize = 10;
+
+const PLOT: [usize; 2] = [COLUMNS * (PLACE[0] + GAP) - GAP, 280];
+
+/// Flicker in spacings, and the linear colour of what flickers so much; what lies between two is mixed.
+const COLORS: [(f64, [f32; 3]); 4] =
+    [(0.0, [0.3, 0.32, 0.35]), (0.1, [0.58, 0.42, 0.03]), (0.5, [0.5, 0.05, 0.02]), (2.0, [0.16, 0.0, 0.2])];
+
+const LEGEND: &str = "Colours: grey does not flicker; yellow 0.1 spacings, red 0.5, dark violet 2 and more.";
+
+/// The bytes of the picture.
+///
+/// # Errors
+/// When the format has no place for it.
+pub(super) fn encoded(frames: &Frames, tally: &Tally, summary: &Summary) -> Result<Vec<u8>> {
+    let plot = plot(frames, tally).picture();
+    let head = Sheet {
+        title: format!("{}: {} spacings", frames.name, numbers_of(summary)),
+        place: PLOT,
+        blocks: vec![Block {
+            title: "Flicker of each frame, in particle spacings".to_owned(),
+            cells: vec![Cell { shown: Shown::Picture(plot), lines: Vec::new() }],
+            columns: 1,
+        }],
+        foot: Vec::new(),
+    };
+    let worst: Vec<&ScoredFrame> =
+        tally.worst_frames().into_iter().map(|index| &tally.frames[index]).collect();
+    let camera = bounds(&worst).map(|bounds| {
+        let aspect = PLACE[0] as f64 / PLACE[1] as f64;
+        CameraChoice::default().viewpoint(bounds, aspect, Up::Y).view(PLACE)
+    });
+    let cell = |frame: &&ScoredFrame| Cell {
+        shown: match &camera {
+            Some(view) => {
+                Shown::Picture(render_marks(&marks(frame.points()), mark_radius(frame.points()), view))
+            }
+            None => Shown::Words("no points".to_owned()),
+        },
+        lines: vec![
+            frame.name.clone(),
+            format!("rms {:.4}, max {:.3}", frame.summary.rms, frame.summary.max),
+        ],
+    };
+    let body = Sheet {
+        title: String::new(),
+        place: PLACE,
+        blocks: vec![Block {
+            title: format!("The frames that flicker most. {LEGEND}"),
+            cells: worst.iter().map(cell).collect(),
+            columns: COLUMNS,
+        }],
+        foot: Vec::new(),
+    };
+    let picture: Picture = stacked(&[head.picture(), body.picture()]);
+    let part = SheetPart {
+        name: frames.name.clone(),
+        hash: None,
+        what: format!("flicker of {} frames", tally.frames.len()),
+        settings: None,
+        options: None,
+    };
+    Ok(encode_picture(&picture, None, PictureFormat::Png, &sheet_provenance("flicker", &[part]))?)
+}
+
+fn plot(frames: &Frames, tally: &Tally) -> Plot {
+    let line = |name: &str, color: [f32; 3], value: fn(&Summary) -> f64| Line {
+        name: name.to_owned(),
+        color,
+        points: tally
+            .frames
+            .iter()
+            .filter(|frame| frame.summary.count > 0)
+            .map(|frame| [frame.number as f64, value(&frame.summary)])
+            .collect(),
+    };
+    Plot {
+        size: PLOT,
+        step: frames.step as f64,
+        lines: vec![
+            line("max", [0.55, 0.5, 0.5], |summary| summary.max),
+            line("99 %", [0.8, 0.4, 0.05], |summary| summary.percentile_99),
+            line("median", [0.1, 0.45, 0.15], |summary| summary.median),
+            line("rms", [0.02, 0.1, 0.6], |summary| summary.rms),
+        ],
+    }
+}
+
+/// The box around all points of these frames.
+fn bounds(frames: &[&ScoredFrame]) -> Option<[DVec3; 2]> {
+    let positions = frames.iter().flat_map(|frame| frame.points()).map(|point| point.position);
+    positions.fold(None, |bounds: Option<[DVec3; 2]>, at| {
+        Some(bounds.map_or([at, at], |[least, greatest]| [least.min(at), greatest.max(at)]))
+    })
+}
+
+fn marks(points: &[ScoredPoint]) -> Vec<Mark> {
+    let mark = |&ScoredPoint { position, normal, value }: &ScoredPoint| Mark {
+        position,
+        normal,
+        color: color(value.abs()),
+    };
+    points.iter().map(mark).collect()
+}
+
+fn color(size: f64) -> [f32; 3] {
+    let above = COLORS.iter().position(|&(value, _)| size < value).unwrap_or(COLORS.len() - 1).max(1);
+    let [(low, from), (high, to)] = [COLORS[above - 1], COLORS[above]];
+    let part = ((size - low) / (high - low)).clamp(0.0, 1.0) as f32;
+    [0, 1, 2].map(|channel| from[channel] + part * (to[channel] - from[channel]))
+}
+
+/// A radius in world units at which marks hide the marks behind them: a multiple of the mean distance to the nearest mark.
+fn mark_radius(points: &[ScoredPoint]) -> f64 {
+    let every = points.len().div_ceil(MEASURED).max(1);
+    let nearest = |point: &ScoredPoint| {
+        let others = points.iter().map(|other| other.position.distance_squared(point.position));
+        others.filter(|&distance| distance > 0.0).fold(f64::INFINITY, f64::min).sqrt()
+    };
+    let distances: Vec<f64> =
+        points.iter().step_by(every).map(nearest).filter(|distance| distance.is_finite()).collect();
+    // Points at random are half as far from the nearest as points on a grid.
+    let mean = distances.iter().sum::<f64>() / distances.len().max(1) as f64;
+    MARK_RADIUS * mean.max(f64::MIN_POSITIVE)
+}
+
+/// Marks whose nearest others are looked for.
+const MEASURED: usize = 64;
+
+/// In mean distances to the nearest.
+const MARK_RADIUS: f64 = 1.8;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colors_are_those_of_the_legend() {
+        for (value, color_there) in COLORS {
+            assert_eq!(color(value), color_there);
+        }
+        assert_eq!(color(100.0), COLORS[3].1);
+        assert!(LEGEND.contains("0.1 spacings, red 0.5, dark violet 2"));
+        let between = color(0.05);
+        assert!(
+            (0..3).all(|channel| (between[channel] - (COLORS[0].1[channel] + COLORS[1].1[channel]) / 2.0)
+                .abs()
+                < 1e-6)
+        );
+    }
+}

@@ -1,0 +1,62 @@
+//! A frame from its two files.
+
+use anyhow::{Context, Result};
+use meniscus_formats::{Attribute, Limits, ParticleFrame, Role, Values, read_particles};
+use std::path::Path;
+
+use crate::flicker::{FlickerFrame, MovingParticles};
+use crate::obstacle::MeshDistance;
+use crate::pipeline::{file_of, measure_spacing, particles, read_file, read_mesh_file, shown};
+
+use super::frames::{FrameFiles, Frames};
+
+/// Reads the mesh and the particles of a frame.
+pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFrame> {
+    let mesh = read_mesh_file(&files.mesh)?;
+    let surface = MeshDistance::new(&mesh.positions, &mesh.triangles);
+    Ok(FlickerFrame::new(read_moving(&files.particles)?, surface, spacing))
+}
+
+/// The spacing of the particles of all frames.
+pub(super) fn estimated_spacing(frames: &Frames) -> Result<f64> {
+    Ok(measure_spacing(frames.files.values().map(|files| &*files.particles), None)?.spacing)
+}
+
+fn read_moving(path: &Path) -> Result<MovingParticles> {
+    let bytes = read_file(path)?;
+    let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
+    let ParticleFrame { positions, attributes, .. } =
+        read_particles(&bytes, &name, &Limits::default()).with_context(|| shown(path).to_string())?;
+    let of_role = |role: Role, arity: usize| {
+        attributes.iter().find(move |attribute| attribute.role == Some(role) && attribute.arity == arity)
+    };
+    let ids = of_role(Role::Id, 1).and_then(integers);
+    let velocities = of_role(Role::Velocity, 3).and_then(vectors);
+    Ok(MovingParticles { positions: particles(positions), ids, velocities })
+}
+
+/// The values of an attribute as integers. Reals are integers where they have no fraction and fit.
+fn integers(attribute: &Attribute) -> Option<Vec<i64>> {
+    const EXACT: f64 = 9_007_199_254_740_992.0; // 2⁵³
+    let whole = |value: f64| (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
+    match &attribute.values {
+        Values::U8(values) => Some(values.iter().map(|&value| value.into()).collect()),
+        Values::I32(values) => Some(values.iter().map(|&value| value.into()).collect()),
+        Values::I64(values) => Some(values.clone()),
+        Values::F32(values) => values.iter().map(|&value| whole(value.into())).collect(),
+        Values::F64(values) => values.iter().map(|&value| whole(value)).collect(),
+        Values::Strings { .. } => None,
+    }
+}
+
+fn vectors(attribute: &Attribute) -> Option<Vec<[f32; 3]>> {
+    let numbers: Vec<f32> = match &attribute.values {
+        Values::F32(values) => values.clone(),
+        Values::F64(values) => values.iter().map(|&value| value as f32).collect(),
+        Values::U8(values) => values.iter().map(|&value| value.into()).collect(),
+        Values::I32(values) => values.iter().map(|&value| value as f32).collect(),
+        Values::I64(values) => values.iter().map(|&value| value as f32).collect(),
+        Values::Strings { .. } => return None,
+    };
+    Some(numbers.as_chunks::<3>().0.to_vec())
+}

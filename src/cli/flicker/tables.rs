@@ -1,0 +1,35 @@
+//! Scores as CSV.
+
+use std::io::{Result, Write};
+
+use crate::flicker::Summary;
+
+use super::tally::{ScoredFrame, WorstPoint};
+
+/// A row for each frame. Lengths are in particle spacings but for places, which are in world units; a frame without carried
+/// points has no numbers.
+pub(super) fn write_frames(frames: &[ScoredFrame], out: &mut dyn Write) -> Result<()> {
+    writeln!(out, "frame,points,uncarried,left,rms,median,p99,max,max_x,max_y,max_z")?;
+    for frame in frames {
+        let ScoredFrame { number, summary, uncarried_count, left_count, worst, .. } = frame;
+        let Summary { count, rms, median, percentile_99, max } = summary;
+        write!(out, "{number},{count},{uncarried_count},{left_count}")?;
+        match worst {
+            Some(worst) => {
+                let [x, y, z] = worst.position.to_array();
+                writeln!(out, ",{rms},{median},{percentile_99},{max},{x},{y},{z}")?;
+            }
+            None => writeln!(out, ",,,,,,,")?,
+        }
+    }
+    Ok(())
+}
+
+/// A row for each point, the worst first.
+pub(super) fn write_points(points: &[WorstPoint], out: &mut dyn Write) -> Result<()> {
+    writeln!(out, "frame,x,y,z,flicker")?;
+    for WorstPoint { frame, position: [x, y, z], value } in points {
+        writeln!(out, "{frame},{x},{y},{z},{value}")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,117 @@
+//! Where particles carry a point to.
+//!
+//! ```text
+//!     ∙   ∙   ∙
+//!      ∙  ●──────▶ ○      the mean displacement of the particles around the point, weighted by (1 − r²/R²)³:
+//!     ∙   ∙   ∙           R is the distance of the nearest one and a spacing
+//! ```
+//!
+//! With ids the displacement of a particle is known. With velocities it is by the trapezoidal rule, with one correction:
+//! the mean of the velocities here and there, exact for a constant acceleration. With the velocity here alone a drop in
+//! free fall would flicker by g dt².
+
+use glam::{DVec3, Vec3};
+
+use super::{Carrier, FlickerFrame};
+
+/// A point is carried by particles if one is nearer to it than this, in spacings: surfaces that smooth much are as far
+/// from their particles.
+pub const CARRY_REACH: f64 = 3.0;
+
+/// Particles are weighted up to this much beyond the nearest one, in spacings.
+const BEYOND_NEAREST: f64 = 1.0;
+
+/// All of them are within this, in spacings. So far a first guess of where particles are may be off.
+pub(super) const SEARCHED: f64 = CARRY_REACH + BEYOND_NEAREST;
+
+/// Where a point of `from` is in the frame `to`, which comes after it (`direction` 1) or before it (−1). `None` where no
+/// particle within reach carries it.
+pub(super) fn carried(
+    from: &FlickerFrame,
+    to: &FlickerFrame,
+    carrier: Carrier,
+    direction: f64,
+    point: DVec3,
+    spacing: f64,
+) -> Option<DVec3> {
+    let limit = CARRY_REACH * spacing;
+    let displacement = match carrier {
+        Carrier::Ids => {
+            let ids = from.particles.ids.as_deref()?;
+            let displacement = |index: usize| {
+                let id = ids.get(index)?;
+                // An id that several particles share is in no table.
+                let (other, own) = (*to.index_of.get(id)?, *from.index_of.get(id)?);
+                let position =
+                    |frame: &FlickerFrame, index: u32| frame.particles.positions.position(index as usize);
+                Some(position(to, other) - position(from, own))
+            };
+            mean(from, point, (limit, spacing), displacement)?.vector
+        }
+        Carrier::Velocities { seconds } => {
+            let step = direction * seconds;
+            // Looked up among the particles, and not at the surface: there are more of them around.
+            let Mean { vector: here, place } = mean(from, point, (limit, spacing), velocity_in(from))?;
+            let there =
+                |place: DVec3| Some(mean(to, place, (SEARCHED * spacing, spacing), velocity_in(to))?.vector);
+            let first = there(place + step * here)?;
+            let second = there(place + step * 0.5 * (here + first))?;
+            step * 0.5 * (here + second)
+        }
+    };
+    Some(point + displacement).filter(|place| place.is_finite())
+}
+
+fn velocity_in(frame: &FlickerFrame) -> impl Fn(usize) -> Option<DVec3> {
+    let velocities = frame.particles.velocities.as_deref().unwrap_or_default();
+    |index| velocities.get(index).map(|&velocity| Vec3::from(velocity).as_dvec3())
+}
+
+/// The weighted means of particles.
+struct Mean {
+    /// Of a vector of theirs.
+    vector: DVec3,
+    /// Of where they are, world units.
+    place: DVec3,
+}
+
+/// The means over the particles around a point that have this vector. `None` where the nearest of them is farther than
+/// `limit`, in world units.
+fn mean(
+    frame: &FlickerFrame,
+    point: DVec3,
+    (limit, spacing): (f64, f64),
+    vector_of: impl Fn(usize) -> Option<DVec3>,
+) -> Option<Mean> {
+    let near = &frame.near;
+    let (cell, local) = near.locate(point)?;
+    let [x, y, z] = near.locals();
+    let edge = near.edge_world();
+    let mut found: Vec<(f64, DVec3, DVec3)> = Vec::new();
+    for run in near.runs(cell) {
+        let corner = run.step.as_vec3() - local;
+        for place in run.places {
+            // In edges of the cells, within which all particles are found.
+            let apart = (corner + Vec3::new(x[place], y[place], z[place])).as_dvec3();
+            if apart.length_squared() <= 1.0
+                && let Some(vector) = vector_of(near.indices()[place] as usize).filter(|v| v.is_finite())
+            {
+                found.push((apart.length() * edge, apart * edge, vector));
+            }
+        }
+    }
+    let nearest = found.iter().map(|&(distance, ..)| distance).fold(f64::INFINITY, f64::min);
+    if nearest > limit {
+        return None;
+    }
+    let radius = nearest + BEYOND_NEAREST * spacing;
+    let (mut vectors, mut offsets, mut weights) = (DVec3::ZERO, DVec3::ZERO, 0.0);
+    for (distance, offset, vector) in found {
+        let part = (1.0 - (distance / radius).powi(2)).max(0.0);
+        let weight = part * part * part;
+        vectors += weight * vector;
+        offsets += weight * offset;
+        weights += weight;
+    }
+    Some(Mean { vector: vectors / weights, place: point + offsets / weights })
+}

@@ -1,0 +1,163 @@
+//! Signed distances of points to the triangles of a mesh as they are, closed or open.
+//!
+//! ```text
+//!        \ n₁  │ Σ  / n₂        the point nearest to ● is on an edge: its side is that of the sum of the normals there,
+//!         ╲    │   ╱            each weighted by the angle that its triangle has around that point
+//!          ╲___●__╱
+//!              q
+//! ```
+//!
+//! For a closed mesh that is exact. Beyond the rim of an open mesh the triangles at the rim decide.
+//!
+//! Jakob Andreas Bærentzen, Henrik Aanæs. Signed distance computation using the angle weighted pseudonormal. 2005
+
+use std::f64::consts::{PI, TAU};
+
+use glam::DVec3;
+
+use super::surface::{open_edge_count, sound_triangles};
+use super::tree::Tree;
+
+/// A mesh that points have signed distances to. Unlike for a [`Solid`](super::Solid) no triangle is turned: which side is
+/// outside is as in the mesh.
+pub struct MeshDistance {
+    tree: Tree,
+    /// Nearer than this, a place is on an edge or at a corner, in world units.
+    touch: f64,
+    open_edge_count: usize,
+}
+
+/// A coordinate is off by this part of the greatest of all after a few operations.
+const ROUNDING: f64 = 1e-12;
+
+impl MeshDistance {
+    /// The triangles with an area and finite corners, in world units, counter-clockwise seen from outside.
+    pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> MeshDistance {
+        let tree = Tree::new(sound_triangles(positions, triangles));
+        let farthest = tree.root().map_or(0.0, |node| node.min.abs().max(node.max.abs()).max_element());
+        MeshDistance {
+            tree,
+            touch: ROUNDING * farthest,
+            open_edge_count: open_edge_count(positions, triangles),
+        }
+    }
+
+    /// The triangles that count, in an order of the mesh alone.
+    pub fn triangles(&self) -> &[[DVec3; 3]] {
+        self.tree.triangles()
+    }
+
+    /// Edges at which the mesh ends; vertices at one place count as one.
+    pub fn open_edge_count(&self) -> usize {
+        self.open_edge_count
+    }
+
+    /// The least and the greatest corner of the box around it, in world units; `None` without triangles.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        self.tree.root().map(|node| [node.min, node.max])
+    }
+
+    /// The signed distance of a finite point, in world units: negative inside. `None` without triangles.
+    pub fn distance(&self, point: DVec3) -> Option<f64> {
+        let nearest = self.tree.nearest(point, f64::INFINITY)?;
+        let distance = nearest.distance(point);
+        let is_inside = self.normal_at(nearest).dot(point - nearest) < 0.0;
+        Some(if is_inside { -distance } else { distance })
+    }
+
+    /// The sum of the normals of the triangles at a place on the surface, weighted by their angles there.
+    fn normal_at(&self, place: DVec3) -> DVec3 {
+        let mut normal = DVec3::ZERO;
+        self.tree.leaves_near(place, 0.0, self.touch, f64::INFINITY, |triangles| {
+            for triangle in triangles {
+                if let Some(angle) = self.angle_at(triangle, place) {
+                    let [a, b, c] = triangle;
+                    normal += (b - a).cross(c - a).normalize_or_zero() * angle;
+                }
+            }
+        });
+        normal
+    }
+
+    /// The angle that a triangle has around a place: that of a corner, or half a turn on an edge, or a whole one within.
+    /// `None` where it does not touch the place.
+    fn angle_at(&self, triangle: &[DVec3; 3], place: DVec3) -> Option<f64> {
+        let is_near = |other: DVec3| other.distance_squared(place) <= self.touch * self.touch;
+        if !is_near(super::tree::nearest_point(triangle, place)) {
+            return None;
+        }
+        let [a, b, c] = *triangle;
+        for [corner, left, right] in [[a, b, c], [b, c, a], [c, a, b]] {
+            if is_near(corner) {
+                return Some((left - corner).angle_between(right - corner));
+            }
+        }
+        let is_on = |[from, to]: [DVec3; 2]| {
+            let along = to - from;
+            is_near(from + along * ((place - from).dot(along) / along.length_squared()).clamp(0.0, 1.0))
+        };
+        Some(if [[a, b], [b, c], [c, a]].into_iter().any(is_on) { PI } else { TAU })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A box, its corners shared or not.
+    fn cuboid(least: DVec3, greatest: DVec3, is_shared: bool) -> (Vec<[f64; 3]>, Vec<[u32; 3]>) {
+        let corner = |index: u32| {
+            let pick = |axis: usize| if index >> axis & 1 == 0 { least[axis] } else { greatest[axis] };
+            [pick(0), pick(1), pick(2)]
+        };
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]);
+        if is_shared {
+            return ((0..8).map(corner).collect(), triangles.collect());
+        }
+        let positions: Vec<[f64; 3]> = triangles.flatten().map(corner).collect();
+        let triangles =
+            (0..positions.len() as u32 / 3).map(|index| [0, 1, 2].map(|c| 3 * index + c)).collect();
+        (positions, triangles)
+    }
+
+    /// Of a box, in closed form.
+    fn exact(point: DVec3, least: DVec3, greatest: DVec3) -> f64 {
+        let beyond = (least - point).max(point - greatest);
+        beyond.max(DVec3::ZERO).length() + beyond.max_element().min(0.0)
+    }
+
+    #[test]
+    fn distances_to_a_box_are_those_of_its_formula_also_far_from_the_origin() {
+        for (shift, tolerance) in [(0.0, 1e-14), (1e5, 1e-10)] {
+            let [least, greatest] =
+                [DVec3::new(-1.0, 0.0, 2.0), DVec3::new(0.5, 0.25, 4.0)].map(|at| at + shift);
+            for is_shared in [true, false] {
+                let (positions, triangles) = cuboid(least, greatest, is_shared);
+                let mesh = MeshDistance::new(&positions, &triangles);
+                assert_eq!(mesh.open_edge_count(), 0);
+                // Multiples of a quarter: many of them are straight off a corner, an edge or a face.
+                for index in 0..17 * 13 * 19 {
+                    let place =
+                        [index % 17, index / 17 % 13, index / 221].map(|along| 0.25 * f64::from(along));
+                    let point = DVec3::from(place) + DVec3::new(-2.0, -1.0, 1.0) + shift;
+                    let (found, exact) =
+                        (mesh.distance(point).expect("a box"), exact(point, least, greatest));
+                    assert!((found - exact).abs() < tolerance, "{point}: {found} instead of {exact}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn open_sheet_has_two_sides() {
+        let positions = [[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]];
+        let mesh = MeshDistance::new(&positions, &[[0, 1, 2], [0, 2, 3]]);
+        assert_eq!(mesh.open_edge_count(), 4);
+        for (z, x) in [(0.25, 0.5), (-0.25, 0.5), (0.25, 0.3), (-0.25, 0.3)] {
+            assert_eq!(mesh.distance(DVec3::new(x, 0.5, z)), Some(z));
+        }
+        assert_eq!(MeshDistance::new(&positions, &[[0, 0, 1], [0, 1, 7]]).distance(DVec3::ZERO), None);
+        assert_eq!(MeshDistance::new(&[], &[]).bounds(), None);
+    }
+}

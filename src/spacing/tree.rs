@@ -1,0 +1,114 @@
+//! A k-d tree with a tight box at every node, for exact nearest neighbours.
+//!
+//! A tree and not a grid of cells: one particle far away, or one dense cluster, makes cells of any
+//! one size useless, and does not slow a tree down.
+
+use glam::DVec3;
+
+/// Points in a leaf of the tree: few enough that scanning them is cheaper than another box.
+const LEAF_COUNT: usize = 16;
+
+/// Subtrees of fewer points are built on the current thread.
+const PARALLEL_COUNT: usize = 1 << 14;
+
+/// A node of the tree: the box of its points, and the two halves of them.
+pub(super) struct Node<'a> {
+    lower: DVec3,
+    upper: DVec3,
+    points: &'a [DVec3],
+    /// `None` for a leaf: few points, or one position however often repeated.
+    halves: Option<Box<[Node<'a>; 2]>>,
+}
+
+impl<'a> Node<'a> {
+    /// Sorts the points into a tree. Halving by count bounds the depth on any data.
+    pub(super) fn build(points: &'a mut [DVec3]) -> Node<'a> {
+        let lower = points.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+        let upper = points.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+        if points.len() <= LEAF_COUNT || lower == upper {
+            return Node { lower, upper, points, halves: None };
+        }
+        let axis = (upper - lower).max_position();
+        let middle = points.len() / 2;
+        points.select_nth_unstable_by(middle, |a, b| a[axis].total_cmp(&b[axis]));
+        let parallel = points.len() > PARALLEL_COUNT;
+        let (left, right) = points.split_at_mut(middle);
+        let (left, right) = if parallel {
+            rayon::join(|| Node::build(left), || Node::build(right))
+        } else {
+            (Node::build(left), Node::build(right))
+        };
+        Node { lower, upper, points: &[], halves: Some(Box::new([left, right])) }
+    }
+
+    /// Up to `count` nearest distinct positions other than `from` itself, as offsets from it, the
+    /// nearest first. Equally near ones are in the order of their coordinates: the order of the
+    /// points does not matter.
+    pub(super) fn neighbors(&self, from: DVec3, count: usize) -> Vec<DVec3> {
+        let mut nearest = Nearest { from, count, found: Vec::with_capacity(count + 1) };
+        self.search(&mut nearest);
+        nearest.found.into_iter().map(|(_, point)| point - from).collect()
+    }
+
+    fn search(&self, nearest: &mut Nearest) {
+        match &self.halves {
+            None if self.lower == self.upper => nearest.offer(self.lower),
+            None => self.points.iter().for_each(|&point| nearest.offer(point)),
+            Some(halves) => {
+                let [left, right] = &**halves;
+                let distances = [left, right].map(|half| half.distance_squared(nearest.from));
+                let order = if distances[0] <= distances[1] { [0, 1] } else { [1, 0] };
+                for index in order {
+                    // Of equally near ones, coordinates decide: also a box at the limit counts.
+                    if distances[index] <= nearest.limit() {
+                        halves[index].search(nearest);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The squared distance from a point to the node's box.
+    fn distance_squared(&self, from: DVec3) -> f64 {
+        from.distance_squared(from.clamp(self.lower, self.upper))
+    }
+}
+
+/// The nearest distinct positions found so far, nearest first.
+struct Nearest {
+    from: DVec3,
+    count: usize,
+    found: Vec<(f64, DVec3)>,
+}
+
+impl Nearest {
+    /// What a further neighbour must not be farther than.
+    fn limit(&self) -> f64 {
+        if self.found.len() < self.count { f64::INFINITY } else { self.found[self.count - 1].0 }
+    }
+
+    fn offer(&mut self, point: DVec3) {
+        let distance_squared = self.from.distance_squared(point);
+        if distance_squared > self.limit() || point == self.from {
+            return;
+        }
+        let key = (distance_squared, point);
+        match self.found.binary_search_by(|other| compare(other, &key)) {
+            Ok(_) => {}
+            Err(place) => {
+                self.found.insert(place, key);
+                self.found.truncate(self.count);
+            }
+        }
+    }
+}
+
+/// By distance, and then by coordinates.
+fn compare((a_distance, a): &(f64, DVec3), (b_distance, b): &(f64, DVec3)) -> std::cmp::Ordering {
+    let by_axis = |axis: usize| a[axis].total_cmp(&b[axis]);
+    a_distance
+        .total_cmp(b_distance)
+        .then_with(|| by_axis(0))
+        .then_with(|| by_axis(1))
+        .then_with(|| by_axis(2))
+}
