@@ -65,11 +65,10 @@ def measured(command):
     return Run(*figures)
 
 
-def meniscus(frames, voxel_size, out, *options, threads=THREADS):
-    """The command that skins one frame, or the frames of a pattern."""
+def meniscus(frames, voxel_size, out, *options, threads=THREADS, preset="paper"):
+    """The command that converts one frame, or the frames of a pattern."""
     ours = [PROGRAM, "convert", frames, "--out", out, "--format", "glb", "--voxel-size", repr(voxel_size)]
-    ours += ["--preset", "paper"]
-    return [*ours, "--threads", threads, *options]
+    return [*ours, "--preset", preset, "--threads", threads, *options]
 
 
 def solid(count):

@@ -84,13 +84,14 @@ impl Kernel for LeafParticles<'_> {
 
     #[inline(always)]
     fn run<V: Lanes>(self) -> Unsettled {
-        let inside = match self.part.cells.is_leaking(self.origin) {
-            true => LeafMask::EMPTY,
+        let [known, with_unstored] = match self.part.cells.is_leaking(self.origin) {
+            true => [LeafMask::EMPTY; 2],
             false => self.inside_cells(),
         };
         let exempt = self.part.exempt;
         let mut unsettled = Unsettled { origin: self.origin, particles: Vec::new(), exempt_count: 0 };
-        for &particle in self.part.bins.in_leaf(self.leaf) {
+        let Part { bins, radii, .. } = self.part;
+        for (index, &particle) in bins.range(self.leaf).zip(bins.in_leaf(self.leaf)) {
             // What was taken away is not looked for: where nothing is stored any more, nobody knows what was.
             if !exempt.is_nothing() && exempt.particle(self.origin, particle) {
                 unsettled.exempt_count += 1;
@@ -98,8 +99,10 @@ impl Kernel for LeafParticles<'_> {
             }
             let cell = particle.floor().as_ivec3();
             // Rounding may have put a particle on the leaf's far side, into a cell of the next one.
-            let is_settled = cell.max_element() < LEAF_EDGE && inside.contains(offset_in_leaf(cell));
-            if !is_settled {
+            let is_in =
+                |mask: &LeafMask| cell.max_element() < LEAF_EDGE && mask.contains(offset_in_leaf(cell));
+            let is_sure = || radii.init * bins.shapes.held(index) > SURE_RADIUS;
+            if !(is_in(&known) || is_in(&with_unstored) && is_sure()) {
                 unsettled.particles.push(particle);
             }
         }
@@ -107,27 +110,31 @@ impl Kernel for LeafParticles<'_> {
     }
 }
 
-/// Unstored voxels are inside if a particle is nearer than r_init. With a larger one they are at all corners of a
-/// particle's cell, the diagonal of which is √3.
+/// Unstored voxels are inside if they are in a particle. Those at the corners of the cell of one that holds a larger ball are in
+/// that: the diagonal of a cell is √3.
 const SURE_RADIUS: f32 = 1.75;
 
 impl LeafParticles<'_> {
-    /// The leaf's cells that have all corners inside, and that no triangle passes through.
+    /// The leaf's cells that no triangle passes through, and that have all corners inside: as far as that is known, and where voxels
+    /// that are not stored are.
     #[inline(always)]
-    fn inside_cells(&self) -> LeafMask {
-        let Part { radii, band, cells, .. } = self.part;
-        let beyond = if radii.init * radii.shortest > SURE_RADIUS { LeafMask::FULL } else { LeafMask::EMPTY };
-        let mut masks = [beyond; 8];
-        for (place, mask) in masks.iter_mut().enumerate() {
-            if let Some(leaf) = band.topology.find(self.origin + corner(place) * LEAF_EDGE) {
-                *mask = cells.signs[leaf];
+    fn inside_cells(&self) -> [LeafMask; 2] {
+        let Part { band, cells, bins, .. } = self.part;
+        [LeafMask::EMPTY, LeafMask::FULL].map(|unstored| {
+            let masks = std::array::from_fn(|place| {
+                let origin = self.origin + corner(place) * LEAF_EDGE;
+                match band.topology.find(origin) {
+                    Some(leaf) => cells.signs[leaf],
+                    None if bins.is_deep(origin) => LeafMask::FULL,
+                    None => unstored,
+                }
+            });
+            let mut inside = with_all_corners(masks);
+            if let Some(leaf) = band.topology.find(self.origin) {
+                inside.remove_all(cells.of_leaf(leaf));
             }
-        }
-        let mut inside = with_all_corners(masks);
-        if let Some(leaf) = band.topology.find(self.origin) {
-            inside.remove_all(cells.of_leaf(leaf));
-        }
-        inside
+            inside
+        })
     }
 }
 
@@ -138,5 +145,6 @@ pub(super) fn is_voxel_inside(part: &Part, bodies: Option<&Bodies>, voxel: IVec3
         return part.cells.signs[leaf].contains(offset_in_leaf(local));
     }
     let local = voxel & IVec3::splat(LEAF_EDGE - 1);
-    is_inside_one(part.bins, bodies, voxel - local, local.as_vec3(), part.radii.init)
+    part.bins.is_deep(voxel - local)
+        || is_inside_one(part.bins, bodies, voxel - local, local.as_vec3(), part.radii.init)
 }

@@ -8,8 +8,8 @@ use anyhow::{Context, Result};
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
-    frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
+    self, DERIVED_SPACING, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions,
+    Sequence, frame_name, frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
 use crate::settings::{Choices, Measured, Settings};
 
@@ -76,9 +76,7 @@ pub(super) fn measured_spacing(
         (Err(none), Some(_)) => {
             // Why a frame cannot be read is told when it is converted.
             if none.sparse_count > 0 {
-                warn(
-                    &"the particle spacing cannot be measured and is derived from the voxel size: give --spacing",
-                );
+                warn(&DERIVED_SPACING);
             }
             Ok(None)
         }

@@ -39,6 +39,15 @@ impl Shapes {
         }
     }
 
+    /// A ball of this radius around the centre of particle `index` is inside it, in units of the settings' radii.
+    pub fn held(&self, index: usize) -> f32 {
+        match self {
+            Shapes::Balls => 1.0,
+            Shapes::Scaled(scales) => scales[index],
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].held(),
+        }
+    }
+
     /// Those of the particles in a range.
     pub fn in_range(&self, range: Range<usize>) -> Shapes {
         match self {
@@ -93,6 +102,17 @@ impl Ellipsoid {
         Ellipsoid { to_ball, longest: half_axes.into_iter().fold(0.0, f32::max) }
     }
 
+    /// The shortest half axis, or a little less, in units of its radius. The greatest eigenvalue of T is at most m + √2 s, with
+    /// the mean m and the standard deviation s of the eigenvalues (Wolkowicz and Styan 1980, Theorem 2.1).
+    pub fn held(&self) -> f32 {
+        let [xx, yy, zz, xy, xz, yz] = self.to_ball;
+        let mean = (xx + yy + zz) / 3.0;
+        let diagonal = Vec3::new(xx - mean, yy - mean, zz - mean).length_squared();
+        let variance = (diagonal + 2.0 * Vec3::new(xy, xz, yz).length_squared()) / 3.0;
+        // What 32 bits round is far less.
+        0.9999 / (mean + (2.0 * variance).sqrt())
+    }
+
     /// How far it reaches from its centre along x, y and z, in units of its radius: the lengths of the rows of T⁻¹.
     pub fn extents(&self) -> Vec3 {
         let [xx, yy, zz, xy, xz, yz] = self.to_ball;
@@ -140,6 +160,8 @@ mod tests {
         };
         let expected = Vec3::new(reach(Vec3::X), reach(Vec3::Y), reach(Vec3::Z));
         assert!((ellipsoid.extents() - expected).length() < 1e-5, "{expected}");
+        assert!((0.4..0.5).contains(&ellipsoid.held()), "{}", ellipsoid.held());
+        assert!((1.999..2.0).contains(&Ellipsoid::ball(2.0).held()));
         assert_eq!(Ellipsoid::ball(2.0).apply(Vec3::new(2.0, -4.0, 1.0)), Vec3::new(1.0, -2.0, 0.5));
     }
 }

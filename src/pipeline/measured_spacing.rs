@@ -28,6 +28,10 @@ use super::frame_particles::{FileParticles, FrameParticles};
 use super::reading::{InputFile, ReadFrame, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
 
+/// Why a spacing is doubtful that follows from the voxel size that was chosen.
+pub(crate) const DERIVED_SPACING: &str =
+    "the particle spacing cannot be measured and is derived from the voxel size: give --spacing";
+
 /// Frames that are read for the middle one, and for the last one, where others cannot be measured.
 const TRIES_MAX: usize = 8;
 
@@ -100,7 +104,7 @@ pub fn measure_spacing<'a>(
     let mut none = NoSpacing { sparse_count: 0, unreadable_count: 0, unreadable: None };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
-        Attempt::Sparse => none.sparse_count += 1,
+        Attempt::Sparse { .. } => none.sparse_count += 1,
         Attempt::Unreadable(error) => {
             none.unreadable_count += 1;
             none.unreadable.get_or_insert(error);
@@ -114,8 +118,8 @@ pub fn measure_spacing<'a>(
 pub(crate) enum Attempt {
     /// It counts.
     Measured,
-    /// It has fewer than two particles in different places.
-    Sparse,
+    /// It has fewer than two particles in different places; or, if it is empty, none at all.
+    Sparse { is_empty: bool },
     /// It cannot be read.
     Unreadable(FrameError),
 }
@@ -134,8 +138,8 @@ pub(crate) fn measure_sequence(
                 continue;
             }
             let (attempt, frame) = match measured(files[index], own_radii) {
-                Ok(Some(frame)) => (Attempt::Measured, Some((index, frame))),
-                Ok(None) => (Attempt::Sparse, None),
+                Ok(Ok(frame)) => (Attempt::Measured, Some((index, frame))),
+                Ok(Err(TooFew { is_empty })) => (Attempt::Sparse { is_empty }, None),
                 Err(error) => (Attempt::Unreadable(error), None),
             };
             note(files[index], attempt);
@@ -164,8 +168,14 @@ struct Measured {
     radius_median: Option<f64>,
 }
 
-/// Measures a frame; `None` where it has too few particles.
-fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<Measured>, FrameError> {
+/// A frame has no two particles in different places.
+#[derive(Debug)]
+struct TooFew {
+    is_empty: bool,
+}
+
+/// Measures a frame.
+fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Result<Measured, TooFew>, FrameError> {
     let measure = || {
         if own_radii.is_none()
             && let Some(particles) = large_file(path)?
@@ -176,11 +186,12 @@ fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<Measured
             let estimate = sample.estimate(&particles).map_err(failed)?;
             let of_estimate =
                 |estimate| Measured { path: path.to_owned(), estimate, doubted: None, radius_median: None };
-            return Ok(estimate.map(of_estimate));
+            return Ok(estimate.map(of_estimate).ok_or(TooFew { is_empty: particles.is_empty() }));
         }
         let bytes = read_file(path)?;
         let read = parse_particles(path, &bytes, &Wanted::radii(own_radii).and_radius())?;
-        Ok(measured_of(path, &read, own_radii))
+        let is_empty = read.cloud.positions.is_empty();
+        Ok(measured_of(path, &read, own_radii).ok_or(TooFew { is_empty }))
     };
     FrameError::catch(path, Stage::Read, measure).flatten()
 }

@@ -17,6 +17,7 @@ use std::ops::Range;
 
 use glam::{DVec3, IVec3, Vec3};
 use rayon::prelude::*;
+use rustc_hash::FxHashSet;
 
 use super::batch::LeafBatch;
 use super::need::Need;
@@ -40,6 +41,9 @@ pub struct ParticleBins {
     positions: Vec<Vec3>,
     /// What they are, in the same order.
     pub shapes: Shapes,
+    /// Leaves of which every voxel is inside the initial surface, and so are those next to it, whatever particles of theirs are here.
+    /// Empty where all particles are alike: then each tells of the voxels around it.
+    deep: FxHashSet<IVec3>,
     /// All particles of the source that were not dropped, whether they are here or not.
     pub particle_count: usize,
     /// Particles left out: positions that are not finite, outside the grid's range of indices, or too far from the others.
@@ -82,12 +86,18 @@ impl ParticleBins {
         let shapes = gather_shapes(&batches, &leaves, &starts);
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
         let stray = occupancy.stray();
-        Ok(ParticleBins { topology, starts, positions, shapes, particle_count, dropped_count, stray })
+        let deep = if occupancy.has_shapes { need.deep_leaves().collect() } else { FxHashSet::default() };
+        Ok(ParticleBins { topology, starts, positions, shapes, deep, particle_count, dropped_count, stray })
     }
 
     /// The particles of a leaf, relative to its origin, in voxels.
     pub fn in_leaf(&self, leaf: usize) -> &[Vec3] {
         &self.positions[self.starts[leaf]..self.starts[leaf + 1]]
+    }
+
+    /// Whether a leaf is known to be deep inside the initial surface, where particles have shapes of their own.
+    pub fn is_deep(&self, origin: IVec3) -> bool {
+        self.deep.contains(&origin)
     }
 
     /// Which of the particles that are here lie in a leaf.

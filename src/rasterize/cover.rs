@@ -50,6 +50,11 @@ impl Ball {
         rows_of_width.truncate(width_count);
         Ball { rows_of_width }
     }
+
+    /// Whether no octant is as a whole within the radius of a voxel.
+    pub(super) fn is_empty(&self) -> bool {
+        self.rows_of_width.is_empty()
+    }
 }
 
 /// Finds the voxels of a leaf that surely have a particle within each of these radii.

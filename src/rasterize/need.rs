@@ -33,14 +33,14 @@
 //! Where the surface is moved inward by b once it is smooth, a vertex x may be within S_min. Then some point of the surface before is
 //! b away from x, and all that is said of x holds of that point if voxels within ρ + b + 3/2·√3 of p are looked at.
 //!
-//! Where particles have shapes of their own, all of this is said of the balls that each holds for certain: what is
-//! deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
+//! Where particles have shapes of their own, all of this is said of the balls that each holds for certain, and
+//! [round](ROUND) ones hold larger ones than flat ones: what is deep for these is deep. Of the particles, those are kept that reach a leaf where distances may be needed: a long one
 //! may be the nearest to what is far away.
 //!
 //! Where an obstacle's surface passes through what is deep, that is a surface of the fluid, too: these leaves are near.
 //!
 //! The certificate asks of particles what is around them where φ is not stored. With r_init above √3 each tells
-//! that by itself; below that, none is left out.
+//! that by itself; below that, none is left out. Where particles have shapes of their own, the deep leaves are kept for it, too.
 
 use std::borrow::Cow;
 
@@ -49,7 +49,7 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::cover::{Ball, Cover};
-use super::occupancy::{Occupancy, Octants};
+use super::occupancy::{Occupancy, Octants, ROUND};
 use super::region::Regions;
 use super::{Radii, Scene};
 use crate::grid::{LEAF_EDGE, LeafMask, NO_LEAF, Topology, leaf_steps_within};
@@ -93,11 +93,10 @@ impl<'a> Need<'a> {
     pub(super) fn new(occupancy: &'a Occupancy, scene: &Scene, regions: &Regions) -> Need<'a> {
         let radii = scene.radii;
         let occupied = populated(&occupancy.topology, &regions.populated);
-        // Whatever its shape, a particle holds a ball of this many radii.
         let inward = (-radii.offset).max(0.0);
-        let rho = (radii.min * radii.shortest).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward);
-        let sure = radii.init * radii.shortest;
-        let covers = covers(occupancy, &occupied, [&Ball::new(sure), &Ball::new(rho)]);
+        let rho = |held: f32| (radii.min * held).min(RHO_MAX).min(AROUND_MAX - CELL_MARGIN - inward);
+        let balls = |held: f32| [Ball::new(radii.init * held), Ball::new(rho(held))];
+        let covers = covers(occupancy, &occupied, radii, balls);
         let inside = surrounded(&occupied, &covers, |[init, _]| init);
         let settled = surrounded(&occupied, &covers, |[_, min]| min);
         let near = near_leaves(occupancy, &occupied, &inside, scene, &regions.measured);
@@ -108,7 +107,7 @@ impl<'a> Need<'a> {
         } else if occupancy.has_shapes {
             need.kept_leaves(occupancy, radii, regions)
         } else {
-            need.kept_cells(&covers, radii, rho + inward, regions)
+            need.kept_cells(&covers, radii, rho(1.0) + inward, regions)
         };
         need
     }
@@ -116,6 +115,12 @@ impl<'a> Need<'a> {
     /// Whether every voxel of a leaf is inside S_0, and so are those next to it.
     pub(super) fn is_deep(&self, origin: IVec3) -> bool {
         self.occupied.find(origin).is_some_and(|leaf| self.inside[leaf] == LeafMask::FULL)
+    }
+
+    /// The origins of the leaves that are deep, in order.
+    pub(super) fn deep_leaves(&self) -> impl Iterator<Item = IVec3> {
+        let leaves = self.occupied.origins().iter().zip(&self.inside);
+        leaves.filter(|(_, inside)| **inside == LeafMask::FULL).map(|(&origin, _)| origin)
     }
 
     /// The voxels of a leaf that are in S_min, and whose exact distance nobody asks for.
@@ -195,11 +200,32 @@ fn populated<'a>(topology: &'a Topology, region: &CoordBox) -> Cow<'a, Topology>
     Cow::Owned(Topology::new(topology.origins().par_iter().filter(is_in).copied().collect()))
 }
 
-/// The voxels of each leaf that surely have a particle within the radii of the balls.
-fn covers(occupancy: &Occupancy, leaves: &Topology, balls: [&Ball; 2]) -> Vec<Covers> {
+/// The voxels of each leaf that are surely in a particle. `balls` are those that a particle holds, for a ball of so many radii in
+/// it: any particle holds one, and round ones a larger one.
+fn covers(
+    occupancy: &Occupancy,
+    leaves: &Topology,
+    radii: Radii,
+    balls: impl Fn(f32) -> [Ball; 2],
+) -> Vec<Covers> {
+    let of_any = balls(radii.shortest);
+    let of_round = balls(ROUND.max(radii.shortest));
+    let is_any_empty = of_any.iter().all(Ball::is_empty);
+    let around = |origin: IVec3, octants: fn(&Occupancy, IVec3) -> Option<&Octants>| {
+        cube(|step| octants(occupancy, origin + step).unwrap_or(&Octants::EMPTY))
+    };
     let cover = |&origin: &IVec3| {
-        let around = cube(|step| occupancy.octants_of(origin + step).unwrap_or(&Octants::EMPTY));
-        simd::dispatch(Cover { around, balls })
+        let mut covers = [LeafMask::EMPTY; 2];
+        if !is_any_empty {
+            let around = around(origin, Occupancy::octants_of);
+            covers = simd::dispatch(Cover { around, balls: of_any.each_ref() });
+        }
+        if occupancy.has_shapes && radii.shortest < ROUND {
+            let around = around(origin, Occupancy::round_octants_of);
+            let by_round = simd::dispatch(Cover { around, balls: of_round.each_ref() });
+            covers = [0, 1].map(|ball| covers[ball].or(&by_round[ball]));
+        }
+        covers
     };
     leaves.origins().par_iter().map(cover).collect()
 }

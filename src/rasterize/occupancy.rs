@@ -41,6 +41,8 @@ pub struct Occupancy {
 /// What is known of a leaf that holds particles.
 struct Occupied {
     octants: Box<Octants>,
+    /// Those of its [round](ROUND) particles, where particles have shapes of their own.
+    round: Option<Box<Octants>>,
     /// The longest half axis of any of its particles, in units of the radii.
     longest: f32,
     /// How many particles it holds.
@@ -48,6 +50,10 @@ struct Occupied {
     /// The first batch that has any of them.
     first_batch: usize,
 }
+
+/// A particle is round if it holds a ball of so many of the settings' radii. Inside a fluid particles are: what is deep can be
+/// told from them, however flat the particles of sheets are.
+pub(super) const ROUND: f32 = 0.9;
 
 /// What is remembered of a batch, so that it need not be looked at where it is of no use.
 #[derive(Clone, Copy)]
@@ -108,12 +114,18 @@ impl Occupancy {
                     origin,
                     || Occupied {
                         octants: Box::new(Octants::EMPTY),
+                        round: has_shapes.then(|| Box::new(Octants::EMPTY)),
                         longest: 0.0,
                         count: 0,
                         first_batch: batch_index,
                     },
                     |leaf| {
                         locals.iter().for_each(|&local| leaf.octants.insert(local));
+                        if let Some(round) = &mut leaf.round {
+                            let is_round = |place: u32| shapes.held(place as usize) >= ROUND;
+                            let particles = locals.iter().zip(places).filter(|(_, place)| is_round(**place));
+                            particles.for_each(|(&local, _)| round.insert(local));
+                        }
                         leaf.longest = leaf.longest.max(longest);
                         leaf.count += locals.len();
                         leaf.first_batch = leaf.first_batch.min(batch_index);
@@ -153,6 +165,11 @@ impl Occupancy {
     /// The octants of the leaf with this origin.
     pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
         self.occupied.get(origin).map(|leaf| &*leaf.octants)
+    }
+
+    /// The octants with round particles of the leaf with this origin; `None` where all particles are alike.
+    pub(super) fn round_octants_of(&self, origin: IVec3) -> Option<&Octants> {
+        self.occupied.get(origin)?.round.as_deref()
     }
 
     /// The longest half axis of any particle in the leaf with this origin, in units of the radii.

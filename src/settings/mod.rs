@@ -552,6 +552,9 @@ fn anisotropy(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<Aniso
     within("greatest stretch", max_stretch, 1.0, MAX_STRETCH_MAX)?;
     match choices.anisotropy_kind() {
         AnisotropyKind::None => Ok(Anisotropy::None),
+        AnisotropyKind::Neighbors if has_no_room_to_flatten(choices, radius_min, scale) => {
+            Ok(Anisotropy::None)
+        }
         AnisotropyKind::Neighbors => {
             let [thin_radius, lone_radius] = flattened_radii(choices, radius_min, scale)?;
             Ok(Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius })
@@ -561,6 +564,14 @@ fn anisotropy(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<Aniso
             Ok(Anisotropy::Velocity { gain, max_stretch })
         }
     }
+}
+
+/// Whether the preset alone asks for flat particles, on a grid so coarse that none could be thinner than a ball.
+fn has_no_room_to_flatten(choices: &Choices, radius_min: f64, scale: &Scale) -> bool {
+    let Choices { anisotropy, max_stretch, thin_radius, lone_radius, .. } = choices;
+    let is_chosen = anisotropy.is_some()
+        || [max_stretch, thin_radius, lone_radius].into_iter().any(|choice| choice.is_some());
+    !is_chosen && radius_min <= 3f64.sqrt() * scale.voxel_size * (1.0 + 1e-9)
 }
 
 /// The least half axis of flattened particles, and r_min of those without neighbours.

@@ -82,17 +82,22 @@ fn a_finer_grid_has_the_same_surface_to_show() {
                 assert!((finer / usual - 1.0).abs() <= slack, "{voxels}: {finer} and not {usual}");
             }
         }
-        let thin = |voxels: f64| {
+        let anisotropy = |voxels: f64, kind| {
+            let voxel_size = Some(spacing / voxels);
             let choices =
-                Choices { voxel_size: Some(spacing / voxels), spacing: Some(spacing), ..Choices::default() };
-            match Settings::resolve(&choices, None).expect("sound").anisotropy {
-                Anisotropy::Neighbors { thin_radius, .. } => thin_radius / spacing,
-                other => panic!("{other:?}"),
-            }
+                Choices { voxel_size, spacing: Some(spacing), anisotropy: kind, ..Choices::default() };
+            Settings::resolve(&choices, None).expect("sound").anisotropy
+        };
+        let thin = |voxels: f64| match anisotropy(voxels, None) {
+            Anisotropy::Neighbors { thin_radius, .. } => thin_radius / spacing,
+            other => panic!("{other:?}"),
         };
         // Particles are flat where the grid is fine enough.
         assert!((thin(2.5) - 0.36).abs() < 1e-9 && (thin(6.0) - 0.36).abs() < 1e-9);
         assert!((thin(2.0) - 3f64.sqrt() / 2.0).abs() < 1e-9);
+        // Where r_min is √3 h, particles are balls unless somebody asks for others.
+        assert_eq!(anisotropy(1.0, None), Anisotropy::None);
+        assert!(matches!(anisotropy(1.0, Some(AnisotropyKind::Neighbors)), Anisotropy::Neighbors { .. }));
         // On coarse voxels r_min is raised, and the other radii with it.
         let coarse = resolved(1.0);
         assert!((coarse[0] - 3f64.sqrt()).abs() < 1e-9);

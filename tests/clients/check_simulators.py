@@ -4,7 +4,8 @@ SPlisHSPlasH and Taichi write frames as they always do, in place and as fast as 
 folder that `meniscus watch` watches. Of every frame there is a .glb and a .vdb; each is whole from
 the moment its name is there; and the last of them is there less than the time its frame took to
 skin and one second after the simulator ended. Asked to end, the daemon ends well and leaves nothing
-but the surfaces and its journal. `meniscus convert` makes the same bytes of the same frames.
+but the surfaces and its journal. `meniscus convert` makes the same bytes of the same frames with the
+spacing that the daemon measured on the first of them.
 """
 
 import hashlib
@@ -52,7 +53,7 @@ def main():
             observer.wait_for(outputs(paths))
             check.line(f"{name}: daemon", *ended_well(daemon, surfaces, outputs(paths)))
             check.line(f"{name}: surfaces", *in_time(paths, end, observer, daemon))
-        check.line(f"{name}: bytes", *same_as_converted(paths, folder, observer))
+        check.line(f"{name}: bytes", *same_as_converted(paths, folder, observer, daemon))
     check.end()
 
 
@@ -109,10 +110,11 @@ def in_time(paths, end, observer, daemon):
     ), faults
 
 
-def same_as_converted(paths, folder, observer):
+def same_as_converted(paths, folder, observer, daemon):
     """Every output was, when its name appeared, and is now what `convert` makes of the frame."""
     again = folder / "converted"
-    status, said, _ = convert(paths, again, "--format", ",".join(FORMATS))
+    options = ["--format", ",".join(FORMATS), "--spacing", daemon.spacing()]
+    status, said, _ = convert(paths, again, *options)
     if status:
         return f"convert: exit status {status}", [said.strip()]
     faults = []
@@ -155,13 +157,21 @@ class Daemon:
     def skinning_seconds(self):
         """How long each frame took, all stages together, by its stem."""
         seconds = {}
-        for line in self.log.read_text().splitlines():
-            entry = json.loads(line)
-            fields = {**entry, **entry.get("fields", {})}
+        for fields in self.entries():
             stages = [value for name, value in fields.items() if name.endswith("_s")]
             if "frame" in fields and stages:
                 seconds[Path(fields["frame"]).stem] = sum(stages)
         return seconds
+
+    def spacing(self):
+        """The particle spacing that it measured."""
+        return next(fields["spacing"] for fields in self.entries() if "spacing" in fields)
+
+    def entries(self):
+        """What it logged, a dictionary for each line."""
+        for line in self.log.read_text().splitlines():
+            entry = json.loads(line)
+            yield {**entry, **entry.get("fields", {})}
 
 
 class Observer:
