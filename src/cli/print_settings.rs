@@ -18,8 +18,8 @@ use super::choices::{choices, output_options};
 use super::console::Console;
 use super::resolving::measured_spacing;
 
-/// Prints the settings of each sequence; where there is none, those of any, with lengths in units of the voxel size
-/// unless that was given.
+/// Prints the settings of each sequence; where there is none, those of any, with lengths in units of the particle spacing
+/// unless that, or a voxel size, was given.
 ///
 /// # Errors
 /// When the options make no sense, or no voxel size can be found.
@@ -49,6 +49,10 @@ pub(super) fn print_settings(
         }
         if needs_spacing {
             console.say(format_args!("# these follow the particle spacing, here 1:"));
+        } else if choices.needs_spacing() {
+            console.say(format_args!(
+                "# the particle spacing, which would be measured, is taken from the voxel size:"
+            ));
         }
         let settings = Settings::resolve(&choices, needs_spacing.then(|| Measured::from(1.0)))?;
         print(&keys(&settings, args, !needs_spacing)?, console);
@@ -80,6 +84,11 @@ fn keys(settings: &Settings, args: &ConvertArgs, has_spacing: bool) -> Result<Ve
     let formats = outputs.formats.iter().filter(|format| format.picture().is_none());
     let formats = formats.map(|format| format.extension().to_owned());
     let mut keys = vec![key("formats", list(formats.collect()))];
+    if !has_spacing {
+        // By it lengths follow the spacing that will be measured.
+        let preset = choices(&args.method).preset.unwrap_or_default();
+        keys.push(key("preset", quoted(preset.name().to_owned())));
+    }
     if !obstacles.is_empty() {
         keys.push(key("obstacles", list(obstacles.clone())));
     }

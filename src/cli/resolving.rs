@@ -8,8 +8,8 @@ use anyhow::{Context, Result};
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, DERIVED_SPACING, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions,
-    Sequence, frame_name, frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
+    self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
+    frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
 use crate::settings::{Choices, Measured, Settings};
 
@@ -76,7 +76,9 @@ pub(super) fn measured_spacing(
         (Err(none), Some(_)) => {
             // Why a frame cannot be read is told when it is converted.
             if none.sparse_count > 0 {
-                warn(&DERIVED_SPACING);
+                warn(
+                    &"the particle spacing cannot be measured and is derived from the voxel size: give --spacing",
+                );
             }
             Ok(None)
         }
@@ -103,7 +105,7 @@ fn outputs_of(
         return Ok(outputs.clone());
     }
     let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-    let bounds = sequence_bounds(&paths, settings.radius_min)?;
+    let bounds = sequence_bounds(&paths, settings.resting_height())?;
     Ok(outputs.with_camera_around(bounds.unwrap_or(NOTHING)))
 }
 

@@ -136,7 +136,7 @@ impl<'a> Studio<'a> {
         let bounds = match camera.needs_bounds() {
             true => {
                 let paths: Vec<&Path> = sequence.frames.iter().map(|file| &*file.path).collect();
-                sequence_bounds(&paths, settings.map_or(0.0, |settings| settings.radius_min))?
+                sequence_bounds(&paths, settings.map_or(0.0, Settings::resting_height))?
             }
             false => None,
         };

@@ -85,15 +85,7 @@ impl Daemon<'_> {
             self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key).cloned();
         let given = (!watch.choices.needs_spacing()).then(SequenceRecord::default);
         let (own_radii, known) = (own_radii.clone(), given.or(remembered));
-        let are_all = self.config.once;
-        (!files.is_empty()).then_some(MeasureOrder {
-            sequence: index,
-            files,
-            are_all,
-            own_radii,
-            known,
-            watch,
-        })
+        (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
 
     /// A sequence was measured, or could not be.

@@ -534,4 +534,4 @@ fn start_watcher(roots: &mut [Root<'_>]) -> (Option<Watcher>, Receiver<Hint>) {
 
 /// Why a frame has no settings when all is said and done; convert says the same.
 const TOO_SPARSE: &str = "no frame of its sequence has two particles in different places to measure \
-                          their spacing on: give --spacing or --voxel-size";
+                          their spacing on: give --spacing";

@@ -1,7 +1,7 @@
 //! The settings of each sequence: fixed once, and kept.
 //!
 //! ```text
-//!   voxel size given ────────────────────────────────┐
+//!   spacing given ───────────────────────────────────┐
 //!   in the journal, from an earlier run ─────────────┼──▶ fixed: every frame has the same
 //!   measured on the first, middle and last of the ───┘
 //!   frames that are complete by then
@@ -20,9 +20,8 @@ use glam::DVec3;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    Attempt, DERIVED_SPACING, FileStamp, FrameError, FrameFile, Framed, Framing, MeasuredSpacing,
-    ObstacleFiles, ObstacleStamps, OutputOptions, PictureOptions, file_of, have_fallen_apart,
-    measure_sequence, sequence_bounds, settings_fingerprint,
+    Attempt, FileStamp, FrameError, FrameFile, Framed, Framing, ObstacleFiles, ObstacleStamps, OutputOptions,
+    PictureOptions, file_of, have_fallen_apart, measure_sequence, sequence_bounds, settings_fingerprint,
 };
 use crate::settings::{self, OwnRadii, Settings};
 
@@ -260,8 +259,6 @@ pub(super) struct MeasureOrder {
     pub(super) sequence: usize,
     /// Its complete frames, in natural order, and what they were when they were found complete.
     pub(super) files: Vec<(PathBuf, FileStamp)>,
-    /// Whether no frames will come after these.
-    pub(super) are_all: bool,
     /// Where its particles have radii of their own.
     pub(super) own_radii: Option<OwnRadii>,
     /// What is known already: the particle spacing, where only the camera is not.
@@ -301,14 +298,8 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
         Some(record) => Some(record.clone()),
         None => {
             let paths: Vec<&Path> = order.files.iter().map(|(path, _)| path.as_path()).collect();
-            let mut may_derive = order.are_all;
-            let note = |path: &Path, attempt: Attempt| {
-                may_derive |= matches!(attempt, Attempt::Sparse { is_empty: false });
-                measured.note(path, attempt, &order);
-            };
+            let note = |path: &Path, attempt: Attempt| measured.note(path, attempt, &order);
             let found = measure_sequence(&paths, order.own_radii.as_ref(), note);
-            // Frames without a particle wait for later ones.
-            let found = found.or_else(|| if may_derive { derived(&order) } else { None });
             found.map(|found| {
                 measured.warnings.clone_from(&found.warnings);
                 SequenceRecord { measured: Some(found), camera: None }
@@ -323,19 +314,6 @@ pub(super) fn measure(order: MeasureOrder) -> Measured {
     measured
 }
 
-/// The particle spacing that follows from the voxel size, where one was chosen.
-fn derived(order: &MeasureOrder) -> Option<MeasuredSpacing> {
-    order.watch.choices.voxel_size?;
-    let settings = Settings::resolve(&order.watch.choices, None).ok()?;
-    Some(MeasuredSpacing {
-        spacing: settings.spacing,
-        confidence: 0.0,
-        radius_median: None,
-        measured_on: order.files.first()?.0.clone(),
-        warnings: vec![DERIVED_SPACING.to_owned()],
-    })
-}
-
 impl Measured {
     /// Notes what came of a frame, unless it has changed since it was found complete.
     fn note(&mut self, path: &Path, attempt: Attempt, order: &MeasureOrder) {
@@ -347,7 +325,7 @@ impl Measured {
         }
         match attempt {
             Attempt::Measured => {}
-            Attempt::Sparse { .. } => self.sparse.push((path.to_owned(), stamp)),
+            Attempt::Sparse => self.sparse.push((path.to_owned(), stamp)),
             Attempt::Unreadable(error) => self.unreadable.push((path.to_owned(), stamp, error)),
         }
     }
@@ -364,14 +342,14 @@ fn with_camera(
     // Settings that make no sense end the sequence in another place.
     let spacing = record.measured.as_ref().map(settings::Measured::from);
     let settings = Settings::resolve(&order.watch.choices, spacing);
-    let radius = settings.map_or(0.0, |settings| settings.radius_min);
+    let radius = settings.map_or(0.0, |settings| settings.resting_height());
     let measured_on = record.measured.as_ref().map(|measured| &measured.measured_on);
     let measured_here = measured_on.filter(|_| order.known.is_none());
     let is_before = |path: &PathBuf| measured_here.is_some_and(|first| path != first);
     for (path, _) in order.files.iter().skip_while(|(path, _)| is_before(path)) {
         let (attempt, bounds) = match sequence_bounds(&[path.as_path()], radius) {
             Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
-            Ok(None) => (Attempt::Sparse { is_empty: true }, None),
+            Ok(None) => (Attempt::Sparse, None),
             Err(error) => (Attempt::Unreadable(error), None),
         };
         measured.note(path, attempt, order);

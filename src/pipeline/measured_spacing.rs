@@ -28,10 +28,6 @@ use super::frame_particles::{FileParticles, FrameParticles};
 use super::reading::{InputFile, ReadFrame, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
 
-/// Why a spacing is doubtful that follows from the voxel size that was chosen.
-pub(crate) const DERIVED_SPACING: &str =
-    "the particle spacing cannot be measured and is derived from the voxel size: give --spacing";
-
 /// Frames that are read for the middle one, and for the last one, where others cannot be measured.
 const TRIES_MAX: usize = 8;
 
@@ -104,7 +100,7 @@ pub fn measure_spacing<'a>(
     let mut none = NoSpacing { sparse_count: 0, unreadable_count: 0, unreadable: None };
     let note = |_: &Path, attempt: Attempt| match attempt {
         Attempt::Measured => {}
-        Attempt::Sparse { .. } => none.sparse_count += 1,
+        Attempt::Sparse => none.sparse_count += 1,
         Attempt::Unreadable(error) => {
             none.unreadable_count += 1;
             none.unreadable.get_or_insert(error);
@@ -118,8 +114,8 @@ pub fn measure_spacing<'a>(
 pub(crate) enum Attempt {
     /// It counts.
     Measured,
-    /// It has fewer than two particles in different places; or, if it is empty, none at all.
-    Sparse { is_empty: bool },
+    /// It has fewer than two particles in different places.
+    Sparse,
     /// It cannot be read.
     Unreadable(FrameError),
 }
@@ -138,8 +134,8 @@ pub(crate) fn measure_sequence(
                 continue;
             }
             let (attempt, frame) = match measured(files[index], own_radii) {
-                Ok(Ok(frame)) => (Attempt::Measured, Some((index, frame))),
-                Ok(Err(TooFew { is_empty })) => (Attempt::Sparse { is_empty }, None),
+                Ok(Some(frame)) => (Attempt::Measured, Some((index, frame))),
+                Ok(None) => (Attempt::Sparse, None),
                 Err(error) => (Attempt::Unreadable(error), None),
             };
             note(files[index], attempt);
@@ -168,14 +164,8 @@ struct Measured {
     radius_median: Option<f64>,
 }
 
-/// A frame has no two particles in different places.
-#[derive(Debug)]
-struct TooFew {
-    is_empty: bool,
-}
-
-/// Measures a frame.
-fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Result<Measured, TooFew>, FrameError> {
+/// Measures a frame; `None` where it has too few particles.
+fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<Measured>, FrameError> {
     let measure = || {
         if own_radii.is_none()
             && let Some(particles) = large_file(path)?
@@ -186,12 +176,11 @@ fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Result<Measured
             let estimate = sample.estimate(&particles).map_err(failed)?;
             let of_estimate =
                 |estimate| Measured { path: path.to_owned(), estimate, doubted: None, radius_median: None };
-            return Ok(estimate.map(of_estimate).ok_or(TooFew { is_empty: particles.is_empty() }));
+            return Ok(estimate.map(of_estimate));
         }
         let bytes = read_file(path)?;
         let read = parse_particles(path, &bytes, &Wanted::radii(own_radii).and_radius())?;
-        let is_empty = read.cloud.positions.is_empty();
-        Ok(measured_of(path, &read, own_radii).ok_or(TooFew { is_empty }))
+        Ok(measured_of(path, &read, own_radii))
     };
     FrameError::catch(path, Stage::Read, measure).flatten()
 }
@@ -219,15 +208,15 @@ fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> O
         None => read.cloud.attributes.iter().find(|attribute| attribute.meaning == Meaning::Radius),
     };
     let by_radius = radius.and_then(|radius| Some((radius.name.clone(), 2.0 * median(positive(radius))?)));
-    let of_radius =
-        |spacing| Estimate { spacing, confidence: 1.0, particle_count: read.cloud.positions.len() };
+    let of_radius = |spacing| Estimate { spacing, confidence: 1.0 };
     let (estimate, doubted) = match (by_positions, by_radius) {
         (Some(estimate), Some((name, spacing))) => {
             let ratio = spacing / estimate.spacing;
             let fits = (1.0 / RADIUS_FACTOR_MAX..=RADIUS_FACTOR_MAX).contains(&ratio);
-            match fits || estimate.confidence < CONFIDENCE_MIN {
-                true => (of_radius(spacing), None),
-                false => (estimate, Some((name, spacing))),
+            match (fits, estimate.confidence < CONFIDENCE_MIN) {
+                (true, _) => (of_radius(spacing), None),
+                (false, true) => (Estimate { spacing, ..estimate }, None),
+                (false, false) => (estimate, Some((name, spacing))),
             }
         }
         (Some(estimate), None) => (estimate, None),

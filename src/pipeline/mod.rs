@@ -120,7 +120,7 @@ pub use frame_particles::FrameParticles;
 pub use framing::{Framed, Framing};
 pub use inspection::{FrameState, Inspection, inspect};
 pub use level_set_file::LevelSetFile;
-pub(crate) use measured_spacing::{Attempt, DERIVED_SPACING, measure_sequence};
+pub(crate) use measured_spacing::{Attempt, measure_sequence};
 pub use measured_spacing::{MeasuredSpacing, NoSpacing, measure_spacing};
 pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use mesh_file::read_mesh_file;

@@ -128,8 +128,8 @@ impl Vicinity {
         };
         let mut blocks: Vec<Block> = Vec::new();
         let mut count = usize::MAX;
-        // What is around a leaf takes kilobytes.
-        for near in near.chunks(LEAVES_AT_ONCE) {
+        let across = (2 * margin.max(0) as usize).div_ceil(LEAF_EDGE as usize) + 2;
+        for near in near.chunks((LISTED_MAX / across.pow(3)).max(1)) {
             let all_around: Vec<Vec<IVec3>> = near.par_iter().map(around).collect();
             for (&leaf, around) in near.iter().zip(all_around) {
                 if count >= particles_max {
@@ -204,8 +204,8 @@ fn in_world(positions: &Positions, place: u32) -> [f64; 3] {
     position.to_array()
 }
 
-/// Leaves whose surroundings are listed at a time.
-const LEAVES_AT_ONCE: usize = 1 << 14;
+/// Leaves that are listed at a time, of the surroundings of all: 25 megabytes.
+const LISTED_MAX: usize = 1 << 21;
 
 /// Voxels by which what is deep shrinks at a time: what is around a cell is within a leaf of it.
 const STEP_MAX: i32 = 7;

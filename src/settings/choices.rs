@@ -25,7 +25,7 @@ pub struct Choices {
     pub preset: Option<Preset>,
     /// Distance d between neighbouring particles, world units; measured by default.
     pub spacing: Option<f64>,
-    /// Edge length h of a voxel, world units; half the spacing with most presets.
+    /// Edge length h of a voxel, world units; 0.4 spacings by default.
     pub voxel_size: Option<f64>,
     /// Radius of the inner spheres r_min, world units.
     pub radius_min: Option<f64>,

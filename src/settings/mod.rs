@@ -298,6 +298,15 @@ impl Settings {
         self.own_radii.is_some() || self.anisotropy != Anisotropy::None
     }
 
+    /// About how far the surface of fluid at rest is from its outermost particles, world units: where neighbours flatten these it lies where the
+    /// fluid ends, and else at r_min or beyond. A camera's ground is there.
+    pub fn resting_height(&self) -> f64 {
+        match self.anisotropy {
+            Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),
+            Anisotropy::None | Anisotropy::Velocity { .. } => self.radius_min,
+        }
+    }
+
     /// Whether a particle's place or shape depends on its neighbours.
     pub fn uses_neighbors(&self) -> bool {
         self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
@@ -397,7 +406,10 @@ impl Settings {
         let offset = choices.offset.filter(|offset| !offset.is_finite());
         let [thin_radius, lone_radius] =
             [choices.thin_radius, choices.lone_radius].map(|radius| radius.filter(|radius| !sound(radius)));
-        let choices = Choices { offset, thin_radius, lone_radius, ..choices.clone() };
+        // A neighbourhood can be compared with a voxel size that is given; without one it fits some spacing.
+        let is_too_wide = |radius: &f64| !sound(radius) || choices.voxel_size.is_some();
+        let neighbor_radius = choices.neighbor_radius.filter(is_too_wide);
+        let choices = Choices { offset, thin_radius, lone_radius, neighbor_radius, ..choices.clone() };
         Settings::resolve(&choices, Some(Measured::from(spacing))).map(|_| ())
     }
 

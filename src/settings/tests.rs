@@ -193,6 +193,8 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
         Choices { offset: Some(7.0), ..choices(Some(0.1), None, None) },
         Choices { offset: Some(-0.1), ..choices(Some(0.1), None, None) },
         Choices { offset: Some(-7.0), ..Choices::default() },
+        // Particles may be this far apart.
+        Choices { neighbor_radius: Some(201.0), ..Choices::default() },
     ] {
         assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
     }
@@ -209,9 +211,15 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
         (Choices { max_stretch: Some(0.5), ..Choices::default() }, "stretch"),
         (Choices { position_smoothing: Some(1.1), ..Choices::default() }, "positions"),
         (
-            Choices { position_smoothing: Some(0.5), neighbor_radius: Some(201.0), ..Choices::default() },
+            Choices {
+                voxel_size: Some(1.0),
+                position_smoothing: Some(0.5),
+                neighbor_radius: Some(201.0),
+                ..Choices::default()
+            },
             "neighbours",
         ),
+        (Choices { neighbor_radius: Some(-1.0), ..Choices::default() }, "neighbours"),
         (Choices { void_threshold: Some(-1.0), ..Choices::default() }, "void"),
         (Choices { offset: Some(f64::NAN), ..Choices::default() }, "offset is NaN"),
         (Choices { offset: Some(-0.11), ..choices(Some(0.1), None, None) }, "from -r_min = -0.1 on"),

@@ -141,9 +141,18 @@ pub(super) fn mesh_bytes(settings: &Settings) -> f64 {
 }
 
 /// Memory for a leaf that holds particles: while it is found out which of them matter, and of that what is kept of a
-/// frame in tiles.
-const SORTED_LEAF_BYTES: f64 = 1000.0;
-const OCCUPIED_LEAF_BYTES: f64 = 680.0;
+/// frame in tiles. Where particles have shapes of their own, it is known of each leaf where the round ones are, too.
+fn sorted_leaf_bytes(settings: &Settings) -> f64 {
+    1000.0 + round_octants_bytes(settings)
+}
+
+fn occupied_leaf_bytes(settings: &Settings) -> f64 {
+    680.0 + round_octants_bytes(settings)
+}
+
+fn round_octants_bytes(settings: &Settings) -> f64 {
+    if settings.has_shapes() { 512.0 } else { 0.0 }
+}
 
 /// Memory for a particle that matters, and for one while it is sorted.
 const KEPT_PARTICLE_BYTES: f64 = 12.0;
@@ -182,7 +191,7 @@ fn neighbors_bytes(footprint: &Footprint, settings: &Settings) -> f64 {
         return 0.0;
     }
     let [collected, _] = shape::changes_bytes(settings);
-    (SORTED_LEAF_BYTES + VICINITY_LEAF_BYTES) * footprint.occupied_count as f64
+    (sorted_leaf_bytes(settings) + VICINITY_LEAF_BYTES) * footprint.occupied_count as f64
         + shape::gathered_bytes(footprint.particle_count)
         + collected * footprint.shaped_particle_count as f64
 }
@@ -239,7 +248,7 @@ const LISTED_LEAF_BYTES: f64 = 64.0;
 fn whole_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64) -> u64 {
     let [surface, area, occupied, particles] = counts(footprint, settings);
     let stages = [
-        FIELD_BYTES * rasterizing_fields(settings) * surface + SORTED_LEAF_BYTES * occupied,
+        FIELD_BYTES * rasterizing_fields(settings) * surface + sorted_leaf_bytes(settings) * occupied,
         FIELD_BYTES * smoothing_fields(settings) * surface,
         edit_bytes(footprint, settings),
         offset_bytes(settings, surface),
@@ -261,8 +270,8 @@ fn tiled_bytes(footprint: &Footprint, settings: &Settings, attribute_bytes: f64,
     // The particles that matter in a tile are near its surface.
     let part = (2.0 * rasterized / surface).min(1.0);
     let particles = SORTED_PARTICLE_BYTES * particles * part;
-    let kept = OCCUPIED_LEAF_BYTES * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
-    let sorting = (SORTED_LEAF_BYTES - OCCUPIED_LEAF_BYTES) * occupied * part + particles;
+    let kept = occupied_leaf_bytes(settings) * occupied + TOPOLOGY_LEAF_BYTES as f64 * 2.0 * surface;
+    let sorting = (sorted_leaf_bytes(settings) - occupied_leaf_bytes(settings)) * occupied * part + particles;
     let stages = [
         FIELD_BYTES * rasterizing_fields(settings) * rasterized + sorting,
         FIELD_BYTES * smoothing_fields(settings) * smoothed,

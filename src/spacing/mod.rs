@@ -68,8 +68,6 @@ pub struct Estimate {
     /// From 0 to 1: the share of the measured particles around which the spacing differs by no more than a quarter from
     /// this one, times 1 − 1/√n for n measured particles.
     pub confidence: f64,
-    /// How many finite particles there are, repeated ones included.
-    pub particle_count: usize,
 }
 
 /// The spacing of particles, measured on up to 2000 of them.
@@ -78,7 +76,6 @@ pub struct Estimate {
 /// spacing has no place in the range of a 64-bit real.
 pub fn estimate_spacing(particles: &Particles) -> Option<Estimate> {
     let mut points = finite_positions(particles);
-    let particle_count = points.len();
     let sample = sample(&points, SAMPLE_COUNT);
     let tree = Node::build(&mut points);
     let measure = |&point: &DVec3| Local::among(&tree.neighbors(point, NEIGHBOR_COUNT));
@@ -88,7 +85,7 @@ pub fn estimate_spacing(particles: &Particles) -> Option<Estimate> {
     let agrees = |local: &&Local| (local.spacing() - spacing).abs() <= AGREEMENT * spacing;
     let count = locals.len() as f64;
     let share = locals.iter().filter(agrees).count() as f64 / count;
-    Some(Estimate { spacing, confidence: share * (1.0 - 1.0 / count.sqrt()), particle_count })
+    Some(Estimate { spacing, confidence: share * (1.0 - 1.0 / count.sqrt()) })
 }
 
 /// The spacing of the particles of a sequence.

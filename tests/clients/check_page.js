@@ -400,7 +400,7 @@ async function manyFrames() {
     fs.writeFileSync(path.join(folder, "in", manyName(number)), Buffer.concat([Buffer.from(head), particle]));
   }
   const began = Date.now();
-  const options = ["--format", "glb", "--voxel-size", "0.1", "--preview", "png", "--preview-size", "64x36", "--camera", "view=40"];
+  const options = ["--format", "glb", "--voxel-size", "0.1", "--spacing", "0.25", "--preview", "png", "--preview-size", "64x36", "--camera", "view=40"];
   const watching = await Watching.start(PROGRAM, folder, options);
   await watching.untilCount("done", MANY, 1_200_000);
   console.log(`         ${MANY} frames in ${((Date.now() - began) / 1000).toFixed(0)} s`);

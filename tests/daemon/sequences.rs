@@ -91,27 +91,6 @@ fn frames_of_one_particle_wait_for_one_with_more() {
     assert!(none.log.iter().any(|line| line.message.contains("--spacing")));
 }
 
-/// With a voxel size it follows from that, as for `convert`; only frames without any particle wait.
-#[test]
-fn frames_of_one_particle_do_not_wait_where_a_voxel_size_is_given() {
-    let scene = Scene::new();
-    let options = [&FORMATS[..], &["--voxel-size", "0.05"]].concat();
-    let daemon = scene.watch(&[&QUICK[..], &NO_SCANS, &options].concat());
-    scene.put("in/dam.0.ply", ply(&[]));
-    scene.put("in/dam.1.ply", ply(&block(1, 0.1, 0.0)));
-    daemon.await_lines(2, "both are converted", Line::is_converted);
-    let complaints = daemon.lines(Line::is_complaint);
-    let is_told = |line: &Line| line.message.contains("derived from the voxel size");
-    assert!(complaints.iter().any(is_told), "{}", daemon.told());
-    daemon.finish();
-    scene.assert_as_converted(&options);
-    // Where no frame has a particle, and no other will come.
-    let scene = Scene::new();
-    scene.put("in/dam.0.ply", ply(&[]));
-    scene.once(&[&QUICK[..], &options].concat()).assert_status(0);
-    scene.assert_as_converted(&options);
-}
-
 /// The outputs do not depend on which frame is converted first.
 #[test]
 fn the_latest_first_gives_the_same() {

@@ -28,12 +28,12 @@ pub(in crate::cli) struct FlickerArgs {
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = parse_positive)]
     pub(in crate::cli) dt: Option<f64>,
 
-    /// Distance between particles, the unit of the scores, in world units [default: estimated from the first frame]
+    /// Distance between particles, the unit of the scores, in world units [default: measured as by convert]
     #[arg(long, value_name = "D", allow_negative_numbers = true, value_parser = parse_positive)]
     pub(in crate::cli) spacing: Option<f64>,
 
     /// Points on the surface of each frame
-    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(100..=10_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
     pub(in crate::cli) samples: u32,
 
     /// Score only frames with these numbers, such as 1-240 or 1-10,20; their neighbours are read all the same

@@ -47,7 +47,11 @@ pub(super) fn score(args: &FlickerArgs, console: &mut Console) -> Result<Verdict
     let pool = thread_pool(args.threads)?;
     let spacing = match args.spacing {
         Some(spacing) => spacing,
-        None => pool.install(|| reading::estimated_spacing(&frames))?,
+        None => {
+            let (spacing, warnings) = pool.install(|| reading::estimated_spacing(&frames))?;
+            warnings.iter().for_each(|warning| console.warn(format_args!("warning: {warning}")));
+            spacing
+        }
     };
     console.show_bar(frames.scored.len());
     let mut scoring = Scoring {

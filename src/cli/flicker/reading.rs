@@ -17,9 +17,10 @@ pub(super) fn read_frame(files: &FrameFiles, spacing: f64) -> Result<FlickerFram
     Ok(FlickerFrame::new(read_moving(&files.particles)?, surface, spacing))
 }
 
-/// The spacing of the particles of all frames.
-pub(super) fn estimated_spacing(frames: &Frames) -> Result<f64> {
-    Ok(measure_spacing(frames.files.values().map(|files| &*files.particles), None)?.spacing)
+/// The spacing of the particles of all frames, and what should make a user check it.
+pub(super) fn estimated_spacing(frames: &Frames) -> Result<(f64, Vec<String>)> {
+    let measured = measure_spacing(frames.files.values().map(|files| &*files.particles), None)?;
+    Ok((measured.spacing, measured.warnings))
 }
 
 fn read_moving(path: &Path) -> Result<MovingParticles> {

@@ -110,7 +110,7 @@ struct Grid {
 
 impl Grid {
     fn new(args: &TuneArgs, without: &Settings) -> Result<Grid> {
-        let varied = args.vary.values(without);
+        let varied = args.vary.values(without).map_err(anyhow::Error::msg)?;
         let axes = varied.iter().map(|(axis, _)| *axis).collect();
         let mut values = varied.into_iter().map(|(_, values)| values);
         let (rows, columns, blocks) = (values.next().unwrap_or_default(), values.next(), values.next());

@@ -198,25 +198,43 @@ static PARAMETERS: [Parameter; 14] = [
 
 impl Vary {
     /// The axes, and the values of each: one at least. `settings` are those without.
-    pub(super) fn values(&self, settings: &Settings) -> Vec<(Axis, Vec<Value>)> {
-        self.varied.iter().map(|varied| (varied.axis, varied.values(settings))).collect()
+    ///
+    /// # Errors
+    /// When an axis has no values, or changes nothing with these settings.
+    pub(super) fn values(&self, settings: &Settings) -> Result<Vec<(Axis, Vec<Value>)>, String> {
+        self.varied.iter().map(|varied| Ok((varied.axis, varied.values(settings)?))).collect()
     }
 }
 
 impl Varied {
-    fn values(&self, settings: &Settings) -> Vec<Value> {
+    fn values(&self, settings: &Settings) -> Result<Vec<Value>, String> {
+        let Parameter { name, amounts, .. } = self.axis.parameter();
+        let has_effect = match *name {
+            "thin" | "alone" => matches!(settings.anisotropy, Anisotropy::Neighbors { .. }),
+            "stretch" => settings.anisotropy != Anisotropy::None,
+            "neighbors" => settings.uses_neighbors(),
+            _ => true,
+        };
+        if !has_effect {
+            return Err(format!(
+                "--vary {name} changes nothing where neighbours do not shape particles: add --anisotropy neighbors"
+            ));
+        }
         let value = |amount: Amount| self.axis.value(amount, settings);
         if let Some(amounts) = &self.amounts {
-            return amounts.iter().copied().map(value).collect();
+            return Ok(amounts.iter().copied().map(value).collect());
+        }
+        if amounts.is_empty() {
+            return Err(format!("--vary {name} has no values: write {name}=VALUE,VALUE"));
         }
         let mut values = vec![value(Times(1.0))];
-        values.extend(self.axis.parameter().amounts.iter().copied().map(value));
+        values.extend(amounts.iter().copied().map(value));
         values.sort_by(|a, b| a.number(settings).total_cmp(&b.number(settings)));
         values.dedup_by(|a, b| a.number(settings) == b.number(settings));
-        if self.axis.parameter().name == "h" {
+        if *name == "h" {
             values.reverse();
         }
-        values
+        Ok(values)
     }
 }
 
@@ -306,14 +324,15 @@ impl FromStr for Vary {
                 let axis = Axis::named(name)
                     .ok_or_else(|| format!("there is no `{name}` to vary: expected {}", names()))?;
                 if varied.iter().any(|varied| varied.axis == axis) {
-                    return Err(format!("{name} is there twice"));
+                    return Err(format!("parameter {name} is given twice"));
                 }
                 varied.push(Varied { axis, amounts: None });
             }
             if let Some(text) = first {
                 let last = varied.last_mut();
-                let last =
-                    last.ok_or_else(|| format!("`{text}` is a value of nothing: expected {}", names()))?;
+                let last = last.ok_or_else(|| {
+                    format!("value `{text}` has no parameter: write NAME={text}, with one of {}", names())
+                })?;
                 if name.is_none() && last.amounts.is_none() {
                     let name = last.axis;
                     return Err(format!("`{text}`: values follow a =, such as {name}={text}"));
@@ -365,7 +384,7 @@ mod tests {
     fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
         let vary: Vary = text.parse().expect(text);
         let numbers = |values: Vec<Value>| values.into_iter().map(|value| value.number).collect();
-        vary.values(settings).into_iter().map(|(_, values)| numbers(values)).collect()
+        vary.values(settings).expect(text).into_iter().map(|(_, values)| numbers(values)).collect()
     }
 
     #[test]
@@ -387,6 +406,19 @@ mod tests {
         // Half of a step is one.
         assert_eq!(values("time", &granular)[0], [Some(0.0), None, Some(2.0)]);
         assert_eq!(values("ratio", &granular)[0], [Some(1.25), None, Some(2.0), Some(3.0), Some(4.0)]);
+    }
+
+    #[test]
+    fn axes_without_effect_or_values_are_refused() {
+        let refused = |text: &str| {
+            let vary: Vary = text.parse().expect(text);
+            vary.values(&settings()).err().unwrap_or_default()
+        };
+        for name in ["thin", "alone", "stretch", "neighbors=1,2"] {
+            assert!(refused(name).contains("changes nothing"), "{name}: {}", refused(name));
+        }
+        assert_eq!(refused("offset"), "--vary offset has no values: write offset=VALUE,VALUE");
+        assert_eq!(refused("offset=0,0.1"), "");
     }
 
     /// What is put into the options comes out of the settings.
@@ -434,11 +466,11 @@ mod tests {
     #[test]
     fn what_is_wrong_is_named_with_what_was_expected() {
         for (text, told) in [
-            ("", "`` is a value of nothing"),
-            ("2,3", "`2` is a value of nothing"),
+            ("", "value `` has no parameter"),
+            ("2,3", "value `2` has no parameter: write NAME=2"),
             ("size", "no `size` to vary: expected ratio, time, h"),
             ("ratio,2", "such as ratio=2"),
-            ("ratio,time,ratio", "ratio is there twice"),
+            ("ratio,time,ratio", "parameter ratio is given twice"),
             ("ratio=", "ratio=``: expected a number"),
             ("ratio=wide", "ratio=`wide`: expected a number"),
             ("time=2.5", "time=`2.5`: expected a whole number"),
