@@ -63,7 +63,7 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
     }
     // Six digits are as many as anybody reads.
     let shown: f64 = format!("{voxel_size:.5e}").parse().unwrap_or(voxel_size);
-    let remedy = "half their spacing is taken without --voxel-size";
+    let remedy = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
     let piece_count = report.mesh.component_count;
     if 2 * piece_count > *particle_count {
         return Some(format!(
@@ -73,8 +73,8 @@ fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
     }
     if let Some(torn) = torn(mesh, report) {
         return Some(format!(
-            "{torn} where voxels of {shown}, or the radii, are small beside what is between particles; by default voxels \
-             are half of that, and the radii follow; with smaller ones give --radius-min 0.87 times as much as is between particles"
+            "{torn} where voxels of {shown}, or the radii, are small beside what is between particles; check --spacing and \
+             --voxel-size, or leave them out; with --preset paper give --radius-min 0.87 times as much as is between particles, too"
         ));
     }
     is_blob(mesh, report, voxel_size).then(|| {

@@ -1,6 +1,7 @@
 //! What a user should know of a frame though it was converted: `convert` prints it, and the daemon logs it.
 
 use super::frame::FrameReport;
+use crate::certify::ParticlesOutside;
 use crate::report::{Shaping, SkinReport, TransferReport};
 use crate::words::{counted, rounded_down, significant};
 
@@ -39,9 +40,26 @@ pub fn notes(report: &FrameReport) -> Vec<String> {
             significant(skin.certificate.position_rounding)
         ));
     }
+    notes.extend(outside(skin));
     notes.extend(broken(skin));
     notes
 }
+
+/// How many of the particles are outside the surface, where an offset or smoothed positions leave more than a few there.
+fn outside(report: &SkinReport) -> Option<String> {
+    let certificate = &report.certificate;
+    let of_offset = certificate.may_leave_particles_outside.then_some(certificate.particles_outside);
+    let ParticlesOutside { count, .. } = certificate.given_outside.or(of_offset)?;
+    (count as f64 > OUTSIDE_TOLD * report.particle_count as f64).then(|| {
+        format!(
+            "{count} of {} are outside the surface: an offset moved it inward, or their positions were smoothed",
+            counted(report.particle_count, "particle")
+        )
+    })
+}
+
+/// A larger part of the particles outside is worth a note.
+const OUTSIDE_TOLD: f64 = 0.02;
 
 /// What of this frame is not as it should be, whatever it was converted with: particles that were left out, and guarantees
 /// that are broken.

@@ -478,7 +478,7 @@ fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
 fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f64 {
     match is_explicit(integrator) {
         true => EXPLICIT_STEP_SIZE,
-        false => (recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
+        false => tidy(recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
     }
 }
 
@@ -491,7 +491,7 @@ fn laplacian_steps(recipe: &Recipe, voxels: f64) -> u32 {
 
 /// The volume below which cavities are filled, unless another is asked for, in units of h³.
 fn cavities(recipe: &Recipe, voxels: f64) -> f64 {
-    (recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
+    tidy(recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
 }
 
 /// r_init, unless another is asked for, for r_min and r_max = `ratio` · r_min.
@@ -591,9 +591,7 @@ fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<
     let (recipe, h) = (choices.recipe(), scale.voxel_size);
     let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
     let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
-    // A grid that is too coarse for flat particles has none.
-    let thin = recipe.thin_radius.map(length).filter(|radius| *radius >= least * (1.0 - 1e-9));
-    let thin = thin.map_or(held, |radius| radius.min(most));
+    let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
     let thin = positive("least half axis of flattened particles", choices.thin_radius.unwrap_or(thin))?;
     // Numbers as typed may miss computed ones by a rounding.
     let slack = 1e-9 * most;
@@ -612,7 +610,7 @@ fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<
             significant(radius_min)
         )
     })?;
-    Ok([thin, lone.min(radius_min)])
+    Ok([thin, lone.max(held).min(radius_min)])
 }
 
 fn neighbor_radius(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {

@@ -116,7 +116,7 @@ pub(in crate::cli) struct ParticleArgs {
     pub(in crate::cli) max_stretch: Option<f64>,
 
     /// The least half axis of particles that neighbours flatten, in the particles' unit of length, positive, from 0.9 h to
-    /// r_min, for --anisotropy neighbors: half the thickness of sheets; 0.36 particle spacings by default
+    /// r_min, for --anisotropy neighbors: smaller makes thinner sheets; 0.36 particle spacings by default
     #[arg(long, value_name = "R", allow_negative_numbers = true)]
     pub(in crate::cli) thin_radius: Option<f64>,
 

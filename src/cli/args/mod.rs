@@ -167,7 +167,7 @@ pub(super) struct ConvertArgs {
 
     /// Print the settings that these options and a --preset stand for, as keys of a file, and convert nothing
     ///
-    /// Without INPUT and --voxel-size, lengths are in units of h.
+    /// Without INPUT, --spacing and --voxel-size, lengths are in units of the particle spacing.
     #[arg(long, help_heading = "Run")]
     pub(super) print_settings: bool,
 

@@ -65,7 +65,7 @@ pub(in crate::cli) struct TuneArgs {
     pub(in crate::cli) output: PathBuf,
 
     /// What differs from cell to cell: one, two or three of the names below, with values or without
-    #[arg(long, value_name = "LIST", default_value = "ratio,time")]
+    #[arg(long, value_name = "LIST", default_value = "smoothing,min")]
     pub(in crate::cli) vary: Vary,
 
     /// The frame with this number; of several, such as 100-200, the one in the middle

@@ -135,7 +135,7 @@ impl Scoring<'_> {
         if found.uncarried_count as f64 > UNCARRIED_MOST * samples as f64 {
             console.warn(format_args!(
                 "warning: {name}: {} of {samples} points on the surface have no particle within {CARRY_REACH} spacings ({}): check \
-                 --spacing, and that meshes and particles have the same unit and the same axes",
+                 --spacing, --fps or --dt, and that meshes and particles have the same unit and the same axes",
                 found.uncarried_count,
                 significant(CARRY_REACH * self.spacing)
             ));

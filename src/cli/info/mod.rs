@@ -22,7 +22,9 @@ use meniscus_formats::{
 };
 use serde::Serialize;
 
-use crate::pipeline::{FrameError, file_of, frames_in, frames_in_unless, read_file, read_regular, step_of};
+use crate::pipeline::{
+    FrameError, file_of, frames_in, frames_in_unless, measure_spacing, read_file, read_regular, step_of,
+};
 
 use super::Verdict;
 use super::args::InfoArgs;
@@ -210,7 +212,8 @@ impl FileInfo {
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;
                 self.notes.clone_from(&frame.notes);
-                self.particles = Some(ParticlesInfo::of(frame));
+                let measured = measure_spacing([path], None).ok();
+                self.particles = Some(ParticlesInfo::of(frame, measured.as_ref()));
             }
         }
         Ok(())

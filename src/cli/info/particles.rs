@@ -6,9 +6,8 @@ use meniscus_formats::{Attribute, ParticleFrame, Role, Values};
 use serde::Serialize;
 
 use crate::particles::Particles;
-use crate::pipeline::particles;
+use crate::pipeline::{MeasuredSpacing, particles};
 use crate::settings::Preset;
-use crate::spacing::{estimate_spacing, rounded};
 
 use super::super::wording::significant;
 use super::{Bounds, row, short};
@@ -54,11 +53,11 @@ enum Number {
 }
 
 impl ParticlesInfo {
-    pub(super) fn of(frame: ParticleFrame) -> ParticlesInfo {
+    /// `measured` is the spacing that `convert` would measure on this frame alone.
+    pub(super) fn of(frame: ParticleFrame, measured: Option<&MeasuredSpacing>) -> ParticlesInfo {
         let attributes = attributes_of(&frame.attributes);
         let particles = particles(frame.positions);
         let positions = || (0..particles.len()).map(|index| particles.position(index));
-        let estimate = estimate_spacing(&particles);
         let bounds = Bounds::of(positions().map(|position| position.to_array()));
         ParticlesInfo {
             count: particles.len(),
@@ -72,10 +71,9 @@ impl ParticlesInfo {
                 Particles::Double(_) => bounds,
             },
             attributes,
-            spacing: estimate.map(|estimate| estimate.spacing),
-            spacing_confidence: estimate.map(|estimate| estimate.confidence),
-            suggested_voxel_size: estimate
-                .map(|estimate| Preset::default().voxel_size(rounded(estimate.spacing))),
+            spacing: measured.map(|measured| measured.spacing),
+            spacing_confidence: measured.map(|measured| measured.confidence),
+            suggested_voxel_size: measured.map(|measured| Preset::default().voxel_size(measured.spacing)),
         }
     }
 }

@@ -197,7 +197,9 @@ impl<'a> Tuning<'a> {
         let mut cells = Vec::new();
         for (index, values) in grid.settings.iter().enumerate() {
             let (number, method) = (index + 1, self.method(values));
-            let label = self.label(number, values);
+            // Some values follow from others: a label tells those of the cell.
+            let settings = Settings::resolve(&choices(&method), self.measured);
+            let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
             let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
                 Ok((still, settings, picture)) => {
@@ -244,8 +246,8 @@ impl<'a> Tuning<'a> {
         Ok((still, settings, picture))
     }
 
-    fn label(&self, number: usize, values: &[Value]) -> String {
-        let labels: Vec<String> = values.iter().map(|value| value.label(&self.without)).collect();
+    fn label(&self, number: usize, values: &[Value], settings: &Settings) -> String {
+        let labels: Vec<String> = values.iter().map(|value| value.label(settings)).collect();
         let is_without = values.iter().all(|value| value.is_without(&self.without));
         let without = match (is_without, self.args.method == MethodArgs::default()) {
             (false, _) => "",

@@ -285,7 +285,7 @@ impl Value {
         }
     }
 
-    /// As it is written under a cell; `settings` are those without.
+    /// As it is written under a cell with these settings.
     pub(super) fn label(self, settings: &Settings) -> String {
         let (parameter, number) = (self.axis.parameter(), self.number(settings));
         match parameter.counted {
@@ -306,6 +306,9 @@ fn short(number: f64) -> f64 {
     format!("{number:.3e}").parse().unwrap_or(number)
 }
 
+/// Rows, columns and blocks.
+const AXES_MAX: usize = 3;
+
 /// More are no whole number of steps.
 const STEPS_TYPED_MAX: f64 = u32::MAX as f64;
 
@@ -325,6 +328,11 @@ impl FromStr for Vary {
                     .ok_or_else(|| format!("there is no `{name}` to vary: expected {}", names()))?;
                 if varied.iter().any(|varied| varied.axis == axis) {
                     return Err(format!("parameter {name} is given twice"));
+                }
+                if varied.len() == AXES_MAX {
+                    return Err(format!(
+                        "{name} is one parameter too many: a sheet has rows, columns and blocks"
+                    ));
                 }
                 varied.push(Varied { axis, amounts: None });
             }
@@ -471,6 +479,7 @@ mod tests {
             ("size", "no `size` to vary: expected ratio, time, h"),
             ("ratio,2", "such as ratio=2"),
             ("ratio,time,ratio", "parameter ratio is given twice"),
+            ("ratio,time,h,min", "min is one parameter too many"),
             ("ratio=", "ratio=``: expected a number"),
             ("ratio=wide", "ratio=`wide`: expected a number"),
             ("time=2.5", "time=`2.5`: expected a whole number"),
