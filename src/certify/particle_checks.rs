@@ -117,7 +117,7 @@ mod tests {
     use super::*;
     use crate::certify::NothingExempt;
     use crate::contour::{Contouring, contour};
-    use crate::particles::Particles;
+    use crate::particles::{Cloud, Particles, Shapes};
     use crate::rasterize::{Rasterized, Scene, rasterize};
 
     /// Particles in a wavy sheet and a few beside it.
@@ -158,5 +158,39 @@ mod tests {
             assert!(checks.iter().all(|checks| checks.vertex_distance_max > 0.0));
             assert_eq!(checks.into_iter().fold(ParticleChecks::NOTHING, ParticleChecks::and), whole);
         }
+    }
+
+    /// So deep inside a body nothing is stored, and small particles do not reach the corners of their cells: that they are
+    /// inside is known from the large ones, some of which were left out.
+    #[test]
+    fn small_particles_deep_in_a_body_are_inside() {
+        let along = |index: usize| 2.0 * index as f64 - 64.0;
+        let indices = (0..65).flat_map(|x| (0..65).flat_map(move |y| (0..65).map(move |z| [x, y, z])));
+        let place = |[x, y, z]: [usize; 3]| {
+            let shift = |salt: usize| ((x * 7 + y * 13 + z * 29 + salt * 5) % 11) as f64 / 11.0 - 0.5;
+            [along(x) + shift(0), along(y) + shift(1), along(z) + shift(2)]
+        };
+        let length = |[x, y, z]: [f64; 3]| (x * x + y * y + z * z).sqrt();
+        let positions: Vec<[f64; 3]> = indices.map(place).filter(|&place| length(place) < 64.0).collect();
+        // In the upper quarter of every leaf.
+        let scale = |place: &[f64; 3]| match place[2].rem_euclid(8.0) > 6.0 && length(*place) < 52.0 {
+            true => 0.3,
+            false => 1.0,
+        };
+        let shapes = Shapes::Scaled(positions.iter().map(scale).collect());
+        let cloud = Cloud { shapes, ..Cloud::from(Particles::Double(positions)) };
+        let lattice = Lattice { voxel_size: 1.0 };
+        let radii = Radii { shortest: 0.3, ..Radii::of_balls(3.0, 4.0, 5.0) };
+        let Ok(Rasterized { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+        assert!(bins.len() < bins.particle_count, "none was left out");
+        let has_small = |leaf: usize| bins.range(leaf).any(|index| bins.shapes.held(index) < 0.5);
+        let mut leaves = bins.topology.origins().iter().enumerate();
+        assert!(leaves.any(|(leaf, &origin)| bins.is_deep(origin) && has_small(leaf)));
+        let mesh = &contour(&band, &lattice, Contouring::Dual);
+        let cells = &MeshCells::new(mesh, &band, &lattice);
+        let (owned, exempt, lattice) = (CoordBox::ALL, &NothingExempt, &lattice);
+        let part =
+            Part { bins: &bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt };
+        assert_eq!(check(&part).0.particles_outside, 0);
     }
 }

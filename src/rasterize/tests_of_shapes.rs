@@ -49,44 +49,6 @@ fn flat_among_round(count: usize, thickness: f32) -> Shapes {
     Shapes::Ellipsoids(shapes)
 }
 
-/// So deep inside a body nothing is stored, and small particles do not reach the corners of their cells: that they are inside is
-/// known from the large ones, some of which were left out.
-#[test]
-fn small_particles_deep_in_a_body_are_inside() {
-    use crate::certify::{MeshCells, NothingExempt, Part, check};
-    use crate::contour::{Contouring, contour};
-    use crate::space::CoordBox;
-    let positions = jittered(64, 2.0, |place| place.length() < 64.0);
-    // In the upper quarter of every leaf.
-    let is_small = |place: &[f32; 3]| place[2].rem_euclid(8.0) > 6.0 && Vec3::from(*place).length() < 52.0;
-    let shapes =
-        Shapes::Scaled(positions.iter().map(|place| if is_small(place) { 0.3 } else { 1.0 }).collect());
-    let radii = Radii { shortest: 0.3, ..Radii::of_balls(3.0, 4.0, 5.0) };
-    let Ok(Rasterized { bins, band, .. }) =
-        rasterize(&cloud(&positions, shapes), &Scene::open(LATTICE, radii));
-    assert!(bins.len() < positions.len(), "none was left out");
-    let is_small_in_deep = |(leaf, origin): (usize, &IVec3)| {
-        bins.is_deep(*origin) && bins.range(leaf).any(|index| bins.shapes.held(index) < 0.5)
-    };
-    assert!(bins.topology.origins().iter().enumerate().any(is_small_in_deep));
-    let mesh = &contour(&band, &LATTICE, Contouring::Dual);
-    let cells = &MeshCells::new(mesh, &band, &LATTICE);
-    let (owned, exempt) = (CoordBox::ALL, &NothingExempt);
-    let part = Part {
-        bins: &bins,
-        radii,
-        band: &band,
-        mesh,
-        cells,
-        rounding: 0.0,
-        lattice: &LATTICE,
-        owned,
-        exempt,
-    };
-    let (checks, _) = check(&part);
-    assert_eq!(checks.particles_outside, 0, "{checks:?}");
-}
-
 #[test]
 fn balls_of_scale_one_are_balls() {
     for (name, positions) in scenes() {

@@ -239,7 +239,9 @@ fn voxels_are_small_enough_for_the_radii_that_are_told() {
     assert!(ran.err.contains("--voxel-size 0.0173 would hold them all"), "{}", ran.err);
     // The size that is named does; the daemon measures the same.
     let ran = meniscus(folder, &[&typed[..], &["--voxel-size", "0.0173"]].concat());
-    assert_eq!((ran.status, &*ran.err), (0, ""));
+    assert_eq!(ran.status, 0);
+    // Positions are moved by more than such small balls reach.
+    assert!(ran.err.lines().all(|line| line.contains("are outside the surface")), "{}", ran.err);
     fs::create_dir(folder.join("in")).expect("made");
     fs::rename(folder.join("f.bgeo"), folder.join("in/f.bgeo")).expect("moved");
     let watched = ["watch", "in", "--out", "w", "--once", "--radius-attribute", "pscale", "--log", "json"];
