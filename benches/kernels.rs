@@ -31,10 +31,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::{IVec3, Vec3};
-use meniscus::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
-use meniscus::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
-use meniscus::smooth::{Act, Config, Integrator, Memory, Work};
+use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, voxel_in_leaf};
+use meniscus::surface::level_set::{Bounds, NarrowBand, Sweeps, UNREACHED, extend};
+use meniscus::surface::simd::{self, Kernel, LEVEL_VARIABLE, Lanes, Level};
+use meniscus::surface::smooth::{Act, Config, Integrator, Memory, Work};
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Radii of the shells, in voxels. Their passes stream 1, 14 and 200 MB: about a core's own cache, the cache that

@@ -22,8 +22,8 @@ use meniscus::pipeline::{
     Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, Wanted,
     encode_level_set, mesh_view, parse_particles, read_file, run, write_whole,
 };
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::skin;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::skin::skin;
 use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
 use rayon::ThreadPool;
 

@@ -28,12 +28,12 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use glam::Vec3;
-use meniscus::anisotropy::{NeighborConfig, Stretch, from_neighbors};
-use meniscus::neighbors::Neighbors;
-use meniscus::particles::Particles;
-use meniscus::report::SkinReport;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::skin;
+use meniscus::surface::anisotropy::{NeighborConfig, Stretch, from_neighbors};
+use meniscus::surface::neighbors::Neighbors;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::report::SkinReport;
+use meniscus::surface::skin::skin;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 

@@ -24,8 +24,8 @@ use std::thread;
 use std::time::Instant;
 
 use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Surface, skin};
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::skin::{Surface, skin};
 use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
 use rayon::ThreadPoolBuilder;
 

@@ -16,69 +16,46 @@
 //!
 //! # In another program
 //!
-//! [`skin::skin`] is a frame without files: particles in, a mesh and a level set out. What was measured on the way, and what
+//! [`surface::skin::skin`] is a frame without files: particles in, a mesh and a level set out. What was measured on the way, and what
 //! was checked of the result, is in its report.
 //!
 //! ```
-//! use meniscus::particles::Particles;
-//! use meniscus::settings::{Choices, Settings};
-//! use meniscus::skin::skin;
+//! use meniscus::surface::particles::Particles;
+//! use meniscus::surface::options::{Choices, Settings};
+//! use meniscus::surface::skin::skin;
 //!
 //! let block = (0..125).map(|i| [i % 5, i / 5 % 5, i / 25].map(|place| 0.1 * place as f32));
 //! let settings = Settings::paper(0.05, &Choices::default())?;
 //! let surface = skin(&Particles::Single(block.collect()), &settings);
 //! assert!(surface.report.certificate.holds());
 //! assert!(surface.mesh.measure().is_closed_manifold());
-//! # Ok::<(), meniscus::settings::SettingsError>(())
+//! # Ok::<(), meniscus::surface::options::SettingsError>(())
 //! ```
 //!
 //! [`pipeline`] is frames from files to files, several at once, as the command has them. `examples/library` has both,
 //! with the files: a frame to a .glb, and a folder to a folder. A program that is to follow a simulation runs
-//! [`daemon::run`], as `examples/dam_break` does. `default-features = false` leaves out the command line, and the ten crates
+//! [`watch::run`], as `examples/dam_break` does. `default-features = false` leaves out the command line, and the ten crates
 //! that only it needs.
 //!
 //! Bytes become particles, and meshes bytes, in a crate of its own, `meniscus-formats`. Nothing starts threads but what says
 //! so: loops run in the rayon pool that the caller is in.
 
-#[cfg(feature = "cli")]
-pub mod cli;
+pub mod surface;
 
-pub mod daemon;
-pub mod farm;
-pub mod window;
+#[cfg(feature = "render")]
+pub mod render;
 
-pub mod board;
-
+#[cfg(feature = "pipeline")]
 pub mod pipeline;
 
-pub mod skin;
+#[cfg(feature = "pipeline")]
+pub mod farm;
 
-pub mod report;
-pub mod settings;
+#[cfg(feature = "watch")]
+pub mod watch;
 
-pub mod certify;
+#[cfg(feature = "http")]
+pub mod http;
 
-pub mod anisotropy;
-pub mod contour;
-pub mod flicker;
-pub mod preview;
-pub mod rasterize;
-pub mod smooth;
-pub mod spacing;
-pub mod transfer;
-pub mod trim;
-
-pub mod obstacle;
-
-pub mod level_set;
-
-pub mod grid;
-pub mod neighbors;
-
-pub mod mesh;
-pub mod particles;
-pub mod space;
-
-pub mod simd;
-
-mod words;
+#[cfg(feature = "cli")]
+pub mod cli;

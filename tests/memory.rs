@@ -12,7 +12,7 @@ use std::sync::Arc;
 use meniscus::pipeline::{
     Conduct, Frame, LevelSetSkinning, ObstacleFiles, Outcome, OutputFormat, OutputOptions, run,
 };
-use meniscus::settings::{Choices, ClipBox, Settings};
+use meniscus::surface::options::{Choices, ClipBox, Settings};
 use meniscus_formats::{ParticleFrame, Positions, bgeo};
 use tempfile::tempdir;
 

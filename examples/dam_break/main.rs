@@ -24,9 +24,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel;
-use meniscus::daemon::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
 use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
-use meniscus::settings::Choices;
+use meniscus::surface::options::Choices;
+use meniscus::watch::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
 use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo};
 
 use water::Water;
@@ -51,7 +51,7 @@ fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Resul
     let config = config(&std::path::absolute(cache)?, &std::path::absolute(surfaces)?);
     let (commands, heard) = channel::unbounded();
     let (simulated, end, watched) = thread::scope(|scope| {
-        let watching = scope.spawn(|| daemon::run(&config, None, &heard, &mut |_| ()));
+        let watching = scope.spawn(|| watch::run(&config, None, &heard, &mut |_| ()));
         let simulated = simulate(cache, frame_count);
         let end = Instant::now();
         // A daemon that has ended already hears nothing, and its thread tells why.
@@ -61,7 +61,7 @@ fn simulate_and_skin(cache: &Path, frame_count: usize, surfaces: &Path) -> Resul
     simulated?;
     watched.map_err(|_| "the daemon panicked")??;
     // What had not begun by then: a daemon goes on where another has ended.
-    let summary = daemon::run(&Config { once: true, ..config }, None, &heard, &mut |_| ())?;
+    let summary = watch::run(&Config { once: true, ..config }, None, &heard, &mut |_| ())?;
     tell(&summary, end.elapsed())
 }
 

@@ -17,9 +17,9 @@ use std::sync::Arc;
 use meniscus::pipeline::{
     self, Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions,
 };
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::skin;
-use meniscus::spacing::{estimate_spacing, rounded};
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::skin::skin;
+use meniscus::surface::spacing::{estimate_spacing, rounded};
 use meniscus_formats::{Limits, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
 

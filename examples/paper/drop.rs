@@ -12,10 +12,10 @@ use std::collections::HashSet;
 use std::path::Path;
 
 use glam::{DVec3, IVec3};
-use meniscus::obstacle::Solid;
-use meniscus::preview::{Layers, Picture, Placement, View, render};
-use meniscus::smooth::Integrator;
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::surface::obstacle::Solid;
+use meniscus::surface::smooth::Integrator;
+use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
 use crate::output::Page;

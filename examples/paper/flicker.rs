@@ -11,7 +11,7 @@
 //! row are there now and then.
 
 use glam::DVec3;
-use meniscus::obstacle::Solid;
+use meniscus::surface::obstacle::Solid;
 use rayon::prelude::*;
 
 use crate::Outcome;

@@ -12,11 +12,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::level_set::NarrowBand;
-use meniscus::obstacle::Solid;
-use meniscus::preview::{Layers, Picture, Placement, View, render};
-use meniscus::smooth::Integrator;
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::obstacle::Solid;
+use meniscus::surface::smooth::Integrator;
+use meniscus::surface::space::Lattice;
 
 use crate::flicker::{Flicker, Score};
 use crate::flow::Flow;

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 use glam::DVec3;
-use meniscus::particles::Particles;
-use meniscus::preview::{Layers, Picture, Placement, View, render};
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Surface, skin};
-use meniscus::smooth::Integrator;
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::skin::{Surface, skin};
+use meniscus::surface::smooth::Integrator;
+use meniscus::surface::space::Lattice;
 use meniscus_formats::{Limits, Positions, read_particles};
 
 use crate::Outcome;

@@ -6,7 +6,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use meniscus::preview::{Block, Cell, Picture, Sheet, Shown};
+use meniscus::render::{Block, Cell, Picture, Sheet, Shown};
 use meniscus_formats::{PictureView, png};
 use plotters::prelude::*;
 

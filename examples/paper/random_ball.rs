@@ -4,10 +4,10 @@ use std::f64::consts::PI;
 use std::path::Path;
 
 use glam::DVec3;
-use meniscus::mesh::Mesh;
-use meniscus::preview::{Layers, Placement, View, render};
-use meniscus::smooth::Integrator;
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Placement, View, render};
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::smooth::Integrator;
+use meniscus::surface::space::Lattice;
 use meniscus_formats::MeshData;
 
 use crate::Outcome;

@@ -5,12 +5,12 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DMat3, DQuat, DVec3, EulerRot};
-use meniscus::obstacle::{Obstacle, Obstacles, Shape, Solid};
-use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::preview::{Layers, Picture, Placement, View, render, render_particles};
-use meniscus::settings::{AnisotropyKind, Choices, Settings};
-use meniscus::skin::{Surface, skin_cloud};
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Picture, Placement, View, render, render_particles};
+use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::surface::options::{AnisotropyKind, Choices, Settings};
+use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+use meniscus::surface::skin::{Surface, skin_cloud};
+use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
 use crate::output::Page;

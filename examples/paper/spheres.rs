@@ -11,14 +11,14 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
-use meniscus::contour::contour;
-use meniscus::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand};
-use meniscus::mesh::MeshMeasures;
-use meniscus::preview::{Layers, Picture, Placement, View, render};
-use meniscus::settings::Contouring;
-use meniscus::smooth::{Act, Config, Integrator, Memory, Work, acts, smooth, smooth_laplacian_only};
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Picture, Placement, View, render};
+use meniscus::surface::contour::contour;
+use meniscus::surface::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
+use meniscus::surface::level_set::{Bounds, NarrowBand};
+use meniscus::surface::mesh::MeshMeasures;
+use meniscus::surface::options::Contouring;
+use meniscus::surface::smooth::{Act, Config, Integrator, Memory, Work, acts, smooth, smooth_laplacian_only};
+use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
 use crate::output::{Page, Plot};

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use meniscus::obstacle::{Obstacle, Obstacles, Shape, Solid};
-use meniscus::particles::{Cloud, Particles};
-use meniscus::preview::{Layers, Placement, View, render};
-use meniscus::settings::Choices;
-use meniscus::skin::Surface;
-use meniscus::space::Lattice;
+use meniscus::render::{Layers, Placement, View, render};
+use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::surface::options::Choices;
+use meniscus::surface::particles::{Cloud, Particles};
+use meniscus::surface::skin::Surface;
+use meniscus::surface::space::Lattice;
 
 use crate::Outcome;
 use crate::frame::{self, VOXEL_SIZE};

@@ -4,14 +4,14 @@ use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3};
-use meniscus::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::NarrowBand;
-use meniscus::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
-use meniscus::particles::Particles;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Surface, skin};
-use meniscus::smooth::Integrator;
-use meniscus::space::Lattice;
+use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::skin::{Surface, skin};
+use meniscus::surface::smooth::Integrator;
+use meniscus::surface::space::Lattice;
 use meniscus_formats::MeshData;
 use rayon::prelude::*;
 

@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use meniscus_formats::{gltf, vdb};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat, OutputOptions, PictureOptions};
-use crate::settings::{AnisotropyKind, Choices, Contouring, Integrator, Preset, Settings};
+use crate::surface::options::{AnisotropyKind, Choices, Contouring, Integrator, Preset, Settings};
 
 use super::args::{
     AnisotropyChoice, CompressionChoice, ContourChoice, FirstArgs, Format, FormatArgs, IntegratorChoice,

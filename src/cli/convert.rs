@@ -13,7 +13,7 @@ use crate::pipeline::{
     Conduct, Frame, FrameState, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
     check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
-use crate::simd::level_warning;
+use crate::surface::simd::level_warning;
 
 use super::Verdict;
 use super::args::{ConvertArgs, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs};

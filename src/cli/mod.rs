@@ -1,7 +1,7 @@
 //! The command line: what was typed becomes settings and a list of frames, and what came of them
 //! becomes lines and an exit status.
 //!
-//! Flags end here: the layers below see [`crate::settings::Settings`] and frames only.
+//! Flags end here: the layers below see [`crate::surface::options::Settings`] and frames only.
 
 mod allocator;
 mod args;

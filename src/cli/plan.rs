@@ -7,7 +7,7 @@ use anyhow::{Context, Result, anyhow, bail};
 
 use crate::farm::{Plan, PlannedFrame, PlannedSequence, deal};
 use crate::pipeline::{FrameFile, file_of, size_bytes};
-use crate::simd::level_warning;
+use crate::surface::simd::level_warning;
 
 use super::Verdict;
 use super::args::PlanArgs;

@@ -10,7 +10,7 @@ use rayon::ThreadPool;
 use toml::Value;
 
 use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, Sequence, compression_name, up_name};
-use crate::settings::{Measured, Settings};
+use crate::surface::options::{Measured, Settings};
 
 use super::Verdict;
 use super::args::{ConvertArgs, MethodArgs};

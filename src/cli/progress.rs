@@ -8,8 +8,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use indicatif::ProgressBar;
 
 use crate::pipeline::{Frame, FrameReport, Observer, Stage, shown};
-use crate::settings::{Integrator, Settings};
-use crate::skin::Plan;
+use crate::surface::options::{Integrator, Settings};
+use crate::surface::skin::Plan;
 
 use super::console::print_error;
 
@@ -208,7 +208,7 @@ mod tests {
     use std::sync::Arc;
 
     use crate::pipeline::{FrameFile, OutputFormat, OutputOptions};
-    use crate::settings::Choices;
+    use crate::surface::options::Choices;
 
     fn frame(name: &str) -> Frame {
         let settings = Settings::paper(0.1, &Choices::default()).expect("settings");

@@ -6,8 +6,8 @@ use std::time::Duration;
 use anyhow::bail;
 use bytesize::ByteSize;
 
-use crate::daemon::Poll;
 use crate::pipeline::{METERS_PER_UNIT, default_memory_bytes};
+use crate::watch::Poll;
 
 /// Nobody waits longer; and a moment so far away can still be computed.
 const DURATION_MAX: Duration = Duration::from_secs(30 * 24 * 3600);

@@ -14,7 +14,7 @@ use crate::pipeline::{
     self, CameraChoice, FrameFile, OutputFormat, PictureFormat, PictureOptions, Sequence, Viewpoint,
     check_outputs, encode_picture, is_level_set, output_path, write_whole,
 };
-use crate::settings::Settings;
+use crate::surface::options::Settings;
 
 use super::Verdict;
 use super::args::{PreviewChoice, RenderArgs};

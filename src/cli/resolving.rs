@@ -11,7 +11,7 @@ use crate::pipeline::{
     self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
     frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
-use crate::settings::{Choices, Measured, Settings};
+use crate::surface::options::{Choices, Measured, Settings};
 
 use super::args::MethodArgs;
 use super::choices::choices;

@@ -6,8 +6,8 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{BandToSurface, FrameReport, is_level_set, resurface_all};
-use crate::settings::{Choices, Preset, Settings};
-use crate::simd::level_warning;
+use crate::surface::options::{Choices, Preset, Settings};
+use crate::surface::simd::level_warning;
 
 use super::Verdict;
 use super::args::{

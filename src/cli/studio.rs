@@ -16,9 +16,9 @@ use crate::pipeline::{
     Scene, Sequence, Stage, Still, StillFrame, Viewpoint, files_in, is_level_set, picture_provenance,
     sequence_bounds, up_of, velocities,
 };
-use crate::preview::{Picture, render_particles, side_by_side};
-use crate::settings::{AttributeSelection, Choices, Measured, Settings};
-use crate::space::Lattice;
+use crate::render::{Picture, render_particles, side_by_side};
+use crate::surface::options::{AttributeSelection, Choices, Measured, Settings};
+use crate::surface::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, RunArgs, ViewArgs};
 use super::camera_file::camera_of_file;

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::daemon::explain::{
+use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
+use crate::watch::explain::{
     Change, Explanation, FileFacts, Question, Verdict as Fate, explain, remembered_fingerprint,
 };
-use crate::daemon::journal::{FrameRecord, PlanRecord, Standing, State, now_ms};
-use crate::daemon::place::{below, known_path};
-use crate::daemon::selection::{Content, Selection};
-use crate::daemon::{Config, Patience, Watch};
-use crate::pipeline::{file_of, frames_in, is_missing_step, step_of};
+use crate::watch::journal::{FrameRecord, PlanRecord, Standing, State, now_ms};
+use crate::watch::place::{below, known_path};
+use crate::watch::selection::{Content, Selection};
+use crate::watch::{Config, Patience, Watch};
 
 use super::Verdict;
 use super::args::{WatchArgs, WhyArgs};

@@ -1,7 +1,7 @@
 //! Numbers and measurements in words.
 
 use crate::pipeline::FrameReport;
-pub(in crate::cli) use crate::words::{counted, significant};
+pub(in crate::cli) use crate::surface::words::{counted, significant};
 
 /// What was said before more frames than this has scrolled away.
 pub(super) const FRAMES_IN_VIEW: usize = 20;

@@ -8,7 +8,7 @@ use crate::pipeline::{
     Frame, MeasuredSpacing, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry, file_of,
     output_path,
 };
-use crate::settings::Settings;
+use crate::surface::options::Settings;
 
 /// All that a shard needs to know.
 #[derive(Clone, Debug)]

@@ -22,7 +22,7 @@ use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
     PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
 };
-use crate::settings::{Choices, Settings};
+use crate::surface::options::{Choices, Settings};
 
 use super::dealing::SHARDS_MAX;
 use super::plan::{Plan, PlannedFrame, PlannedSequence};

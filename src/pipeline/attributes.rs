@@ -5,8 +5,8 @@ use std::sync::Arc;
 use meniscus_formats::names::aliases;
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
-use crate::particles::{Attribute, AttributeValues, Cloud, Meaning, attribute_of};
-use crate::settings::{Anisotropy, AttributeSelection, OwnRadii, Settings};
+use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};
+use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, attribute_of};
 
 /// What a frame needs of the attributes in its file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -209,7 +209,7 @@ fn attribute(attribute: FileAttribute) -> Attribute {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settings::Choices;
+    use crate::surface::options::Choices;
 
     fn file_attribute(name: &str, role: Option<Role>, arity: usize, values: Values) -> FileAttribute {
         FileAttribute { name: name.to_owned(), arity, role, values }

@@ -13,9 +13,9 @@ use super::frame::{FrameError, Stage};
 use super::level_set_file::LevelSetFile;
 use super::picture::Scene;
 use super::reading::{parse_particles, read_file};
-use crate::grid::{LeafMask, negative_masks};
-use crate::particles::Particles;
-use crate::space::{CoordBox, box_of, joined};
+use crate::surface::grid::{LeafMask, negative_masks};
+use crate::surface::particles::Particles;
+use crate::surface::space::{CoordBox, box_of, joined};
 
 /// What is looked at where there is nothing to see.
 pub const NOTHING: [DVec3; 2] = [DVec3::NEG_ONE, DVec3::ONE];

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::report::SkinReport;
+use crate::surface::report::SkinReport;
 
 use super::names::name_of_text;
 use super::provenance::GENERATOR_AND_VERSION;

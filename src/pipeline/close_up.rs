@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
-use crate::grid::FACE_STEPS;
-use crate::particles::Particles;
+use crate::surface::grid::FACE_STEPS;
+use crate::surface::particles::Particles;
 
 /// Edge of a cell, in particle spacings: so wide that the cells of a body have no gaps.
 const CELL_SPACINGS: f64 = 2.0;

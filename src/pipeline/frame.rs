@@ -7,9 +7,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::report::SkinReport;
-use crate::settings::Settings;
-use crate::skin::{TooFine, TooLarge};
+use crate::surface::options::Settings;
+use crate::surface::report::SkinReport;
+use crate::surface::skin::{TooFine, TooLarge};
 
 use super::framing::Framing;
 use super::obstacles::ObstacleFiles;
@@ -313,7 +313,7 @@ impl std::error::Error for FrameError {
 mod tests {
     use super::*;
     use crate::pipeline::OutputFormat;
-    use crate::settings::Choices;
+    use crate::surface::options::Choices;
 
     /// Whoever waits for room looks at the folder of the path.
     #[test]

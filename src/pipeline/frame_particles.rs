@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, Positions};
 
-use crate::particles::{self, Cloud, ParticleSource, Shapes};
+use crate::surface::particles::{self, Cloud, ParticleSource, Shapes};
 
-use crate::report::Shaping;
-use crate::settings::Settings;
-use crate::skin::{self, ShapedSource};
+use crate::surface::options::Settings;
+use crate::surface::report::Shaping;
+use crate::surface::skin::{self, ShapedSource};
 
 use super::attributes::own_radii_min;
 use super::frame::Cause;

@@ -14,8 +14,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use glam::DVec3;
 
-use crate::preview::Up;
-use crate::space::joined;
+use crate::render::Up;
+use crate::surface::space::joined;
 
 use super::outputs::OutputOptions;
 use super::viewpoint::CameraChoice;

@@ -8,9 +8,11 @@ use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
 use meniscus_formats::{Error, Limits};
 use twox_hash::XxHash3_128;
 
-use crate::grid::{Field, LEAF_EDGE, Leaf, Topology};
-use crate::level_set::{NarrowBand, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt};
-use crate::space::{INDEX_LIMIT, Lattice};
+use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology};
+use crate::surface::level_set::{
+    NarrowBand, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
+};
+use crate::surface::space::{INDEX_LIMIT, Lattice};
 
 use super::frame::{FrameError, Stage};
 use super::memory::default_memory_bytes;

@@ -15,12 +15,12 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use crate::particles::{Attribute, Meaning};
-use crate::settings::{self, OwnRadii};
-use crate::spacing::{
+use crate::surface::options::{self, OwnRadii};
+use crate::surface::particles::{Attribute, Meaning};
+use crate::surface::spacing::{
     CONFIDENCE_MIN, Estimate, Sample, SequenceEstimate, combine_estimates, estimate_spacing, median, rounded,
 };
-use crate::words::significant;
+use crate::surface::words::significant;
 
 use super::attributes::{Wanted, own_radii_min};
 use super::frame::{FrameError, Stage};
@@ -46,9 +46,9 @@ pub struct MeasuredSpacing {
     pub warnings: Vec<String>,
 }
 
-impl From<&MeasuredSpacing> for settings::Measured {
-    fn from(measured: &MeasuredSpacing) -> settings::Measured {
-        settings::Measured { spacing: measured.spacing, radius_median: measured.radius_median }
+impl From<&MeasuredSpacing> for options::Measured {
+    fn from(measured: &MeasuredSpacing) -> options::Measured {
+        options::Measured { spacing: measured.spacing, radius_median: measured.radius_median }
     }
 }
 
@@ -290,7 +290,7 @@ fn warnings(frames: &[Measured], estimate: &SequenceEstimate) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::particles::{AttributeValues, Cloud, Particles};
+    use crate::surface::particles::{AttributeValues, Cloud, Particles};
 
     #[test]
     fn radii_of_the_particles_own_have_a_median() {

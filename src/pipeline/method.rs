@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io;
 use std::path::Path;
 
-use crate::settings::Settings;
-use crate::skin::tiled::{self, TiledError, TiledFrame};
-use crate::skin::{
+use crate::surface::options::Settings;
+use crate::surface::skin::tiled::{self, TiledError, TiledFrame};
+use crate::surface::skin::{
     self, Plan, SHELF_COUNT, ShapedSource, Storage, Surface, Surroundings, Targets, TooLarge, Unfit,
 };
 

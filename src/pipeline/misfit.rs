@@ -10,10 +10,10 @@
 
 use glam::Vec3;
 
-use crate::mesh::Mesh;
-use crate::report::SkinReport;
-use crate::settings::Settings;
-use crate::words::{counted, significant};
+use crate::surface::mesh::Mesh;
+use crate::surface::options::Settings;
+use crate::surface::report::SkinReport;
+use crate::surface::words::{counted, significant};
 
 /// What a user should know of a surface that is empty, in pieces, full of holes, or one blob.
 pub(super) fn misfit_notes(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<String> {

@@ -41,7 +41,7 @@
 //! use meniscus::pipeline::{
 //!     Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
-//! use meniscus::settings::{Choices, Settings};
+//! use meniscus::surface::options::{Choices, Settings};
 //!
 //! # let folder = tempfile::tempdir()?;
 //! # let path = folder.path().join("block.csv");

@@ -1,9 +1,9 @@
 //! What a user should know of a frame though it was converted: `convert` prints it, and the daemon logs it.
 
 use super::frame::FrameReport;
-use crate::certify::ParticlesOutside;
-use crate::report::{Shaping, SkinReport, TransferReport};
-use crate::words::{counted, rounded_down, significant};
+use crate::surface::report::{Shaping, SkinReport, TransferReport};
+use crate::surface::validation::ParticlesOutside;
+use crate::surface::words::{counted, rounded_down, significant};
 
 /// What a user should know of a frame though it was converted, and of the frames after it as a rule.
 pub fn standing_notes(report: &FrameReport) -> Vec<String> {

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::skin::Plan;
+use crate::surface::skin::Plan;
 
 use super::frame::{Frame, Stage};
 

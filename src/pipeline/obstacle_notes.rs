@@ -13,9 +13,9 @@ use std::path::Path;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::obstacle::Shape;
-use crate::particles::{ParticleSource, Positions};
-use crate::settings::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
+use crate::surface::obstacle::Shape;
+use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
+use crate::surface::particles::{ParticleSource, Positions};
 
 use super::frame::Cause;
 use super::frame_particles::FrameParticles;

@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use meniscus_formats::{gltf, vdb};
 
-use crate::preview::Up;
+use crate::render::Up;
 
 use super::names::name_of_text;
 use super::obstacles::ObstacleFiles;

@@ -8,13 +8,13 @@
 use glam::DVec3;
 use meniscus_formats::{PictureLayer, PictureView, Provenance, Samples, exr, png};
 
-use crate::grid::Field;
-use crate::level_set::NarrowBand;
-use crate::particles::Meaning;
-use crate::preview::{self, Layers, Picture, Up};
-use crate::skin::Surface;
-use crate::space::Lattice;
-use crate::transfer::BandAttribute;
+use crate::render::{self, Layers, Picture, Up};
+use crate::surface::attributes::BandAttribute;
+use crate::surface::grid::Field;
+use crate::surface::level_set::NarrowBand;
+use crate::surface::particles::Meaning;
+use crate::surface::skin::Surface;
+use crate::surface::space::Lattice;
 
 use super::viewpoint::{CameraChoice, Viewpoint};
 
@@ -67,12 +67,11 @@ impl Scene<'_> {
     pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
         let view = viewpoint.moved(-self.origin).view(size);
         let mut picture =
-            preview::render(self.band, &self.lattice, &view, Layers { data, velocity: self.velocity });
+            render::render(self.band, &self.lattice, &view, Layers { data, velocity: self.velocity });
         if self.origin != DVec3::ZERO
             && let Some(data) = &mut picture.data
         {
-            let there =
-                data.positions.iter_mut().zip(&data.depth).filter(|(_, depth)| **depth < preview::FAR);
+            let there = data.positions.iter_mut().zip(&data.depth).filter(|(_, depth)| **depth < render::FAR);
             there.for_each(|(position, _)| {
                 *position = (DVec3::from(position.map(f64::from)) + self.origin).as_vec3().to_array();
             });
@@ -87,7 +86,7 @@ pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {
         |attribute: &&BandAttribute| attribute.meaning == Meaning::Velocity && attribute.arity == 3;
     let attribute = surface.attributes.band.iter().find(is_velocity)?;
     let mut fields: [Field; 3] = std::array::from_fn(|_| Field::splat(surface.band.topology.len(), 0.0));
-    let mut voxels = [0.0; 3 * crate::grid::LEAF_VOXELS];
+    let mut voxels = [0.0; 3 * crate::surface::grid::LEAF_VOXELS];
     for leaf in 0..surface.band.topology.len() {
         attribute.fill(leaf, &mut voxels);
         for (axis, field) in fields.iter_mut().enumerate() {

@@ -6,7 +6,7 @@ use std::path::Path;
 use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::{ColorPicture, png};
 
-use crate::preview::Picture;
+use crate::render::Picture;
 
 use super::frame::{FrameError, Stage};
 use super::open::open_regular;

@@ -12,7 +12,7 @@ use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
 use twox_hash::XxHash3_64;
 
-use crate::settings::{Pairs, Settings};
+use crate::surface::options::{Pairs, Settings};
 
 use super::certificate_file::hash_text;
 use super::frame::Frame;

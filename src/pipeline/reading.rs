@@ -10,7 +10,7 @@ use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, Role, read_part
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
-use crate::particles::{Cloud, Particles, Shapes};
+use crate::surface::particles::{Cloud, Particles, Shapes};
 
 use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};

@@ -10,9 +10,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::certify::Certificate;
-use crate::report::{EditReport, ParticlesOutside, Shaping, SkinReport, TransferCounts, TransferReport};
-use crate::settings::{Settings, contouring_name, integrator_name};
+use crate::surface::options::{Settings, contouring_name, integrator_name};
+use crate::surface::report::{
+    EditReport, ParticlesOutside, Shaping, SkinReport, TransferCounts, TransferReport,
+};
+use crate::surface::validation::Certificate;
 
 use super::frame::{Frame, FrameReport, Outcome};
 use super::measured_spacing::MeasuredSpacing;
@@ -436,7 +438,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         edits: edits_record(&report.skin.edits),
         obstacles: obstacles_record(report),
         leaves: report.skin.leaf_count,
-        voxels: report.skin.leaf_count * crate::grid::LEAF_VOXELS,
+        voxels: report.skin.leaf_count * crate::surface::grid::LEAF_VOXELS,
         free_voxels: report.skin.free_voxel_count,
         passes: report.skin.pass_count,
         voxel_passes: report.skin.moved_count,

@@ -13,8 +13,8 @@ use glam::DVec3;
 use meniscus_formats::{Error, Limits, vdb};
 use twox_hash::XxHash3_128;
 
-use crate::settings::{Choices, Settings};
-use crate::skin::{resurface, resurfacing_bytes};
+use crate::surface::options::{Choices, Settings};
+use crate::surface::skin::{resurface, resurfacing_bytes};
 
 use super::crew::{Crew, Tasks};
 use super::frame::{Frame, FrameError, FrameReport, Outcome, ReadInput, Stage};

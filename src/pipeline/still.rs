@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use twox_hash::XxHash3_128;
 
-use crate::particles::{Cloud, Particles};
-use crate::settings::Settings;
-use crate::skin::Surface;
+use crate::surface::options::Settings;
+use crate::surface::particles::{Cloud, Particles};
+use crate::surface::skin::Surface;
 
 use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};

@@ -3,8 +3,8 @@
 use glam::Vec3;
 use meniscus_formats::{gltf, stl};
 
-use crate::mesh::Mesh;
-use crate::skin::Stored;
+use crate::surface::mesh::Mesh;
+use crate::surface::skin::Stored;
 
 use super::outputs::{OutputFormat, OutputOptions};
 use super::writing::mesh_view;

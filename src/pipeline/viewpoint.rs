@@ -17,7 +17,7 @@ use std::str::FromStr;
 use glam::DVec3;
 use meniscus_formats::PictureCamera;
 
-use crate::preview::{Camera, Placement, Up, View};
+use crate::render::{Camera, Placement, Up, View};
 
 /// Where to take pictures from, as it was asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -10,14 +10,14 @@ use meniscus_formats::{
     ply, stl, usda, vdb, vtk,
 };
 
-use crate::level_set::NarrowBand;
-use crate::mesh::Mesh;
-use crate::particles::{Attribute, AttributeValues, Meaning};
-use crate::report::SkinReport;
-use crate::settings::Settings;
-use crate::skin::Surface;
-use crate::space::Lattice;
-use crate::transfer::BandAttribute;
+use crate::surface::attributes::BandAttribute;
+use crate::surface::level_set::NarrowBand;
+use crate::surface::mesh::Mesh;
+use crate::surface::options::Settings;
+use crate::surface::particles::{Attribute, AttributeValues, Meaning};
+use crate::surface::report::SkinReport;
+use crate::surface::skin::Surface;
+use crate::surface::space::Lattice;
 
 use super::bounds::NOTHING;
 use super::certificate_file::{certificate_path, write_certificate};

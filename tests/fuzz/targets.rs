@@ -14,9 +14,9 @@ use std::net::{Shutdown, SocketAddr, TcpStream};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use meniscus::board::Board;
-use meniscus::daemon::journal::Journal;
-use meniscus::window::{Listen, Window};
+use meniscus::http::{Listen, Window};
+use meniscus::watch::board::Board;
+use meniscus::watch::journal::Journal;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
     Kind, Limits, ParticleBatch, ParticleBatches, ParticleFrame, Result, Values, atoms, bgeo, completeness,

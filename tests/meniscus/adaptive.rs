@@ -1,6 +1,6 @@
 //! Explicit steps as large as may be (paper, §3.5): the same time, and so the same surface, in fewer steps.
 
-use meniscus::smooth::{Config, Integrator, smooth};
+use meniscus::surface::smooth::{Config, Integrator, smooth};
 
 use crate::shapes::{ball_with_finger, bending_energy, default_config, rasterized, sheet_and_drops, voxels};
 

@@ -7,12 +7,12 @@ use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
 use glam::{DVec3, Vec3};
-use meniscus::mesh::Mesh;
-use meniscus::obstacle::Obstacles;
-use meniscus::particles::Particles;
-use meniscus::report::Shaping;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Stored, Surface, contour, rasterize, skin, smooth};
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::obstacle::Obstacles;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::report::Shaping;
+use meniscus::surface::skin::{Stored, Surface, contour, rasterize, skin, smooth};
 use serde_json::Value;
 use tempfile::tempdir;
 

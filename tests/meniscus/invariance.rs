@@ -3,13 +3,13 @@
 #![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
 
 use glam::{DVec3, IVec3};
-use meniscus::level_set::NarrowBand;
-use meniscus::particles::Particles;
-use meniscus::rasterize::{Rasterized, Scene, rasterize};
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::skin;
-use meniscus::smooth::{Integrator, smooth};
-use meniscus::space::Lattice;
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::rasterize::{Rasterized, Scene, rasterize};
+use meniscus::surface::skin::skin;
+use meniscus::surface::smooth::{Integrator, smooth};
+use meniscus::surface::space::Lattice;
 
 use crate::shapes::{
     Random, ball_with_finger, default_config, default_radii, interpolated, jittered_lattice, same_bits,

@@ -7,11 +7,11 @@ use std::path::Path;
 use std::sync::Arc;
 
 use glam::{DQuat, DVec3, EulerRot};
-use meniscus::grid::voxel_in_leaf;
-use meniscus::obstacle::{Obstacle, Obstacles, Shape, Solid};
-use meniscus::particles::{Cloud, Particles, Shapes};
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Surface, skin_cloud};
+use meniscus::surface::grid::voxel_in_leaf;
+use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::{Cloud, Particles, Shapes};
+use meniscus::surface::skin::{Surface, skin_cloud};
 use serde_json::Value;
 use tempfile::tempdir;
 

@@ -3,10 +3,10 @@
 use std::fs;
 
 use glam::{DVec3, Vec3};
-use meniscus::obstacle::Obstacles;
-use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::settings::{AnisotropyKind, AttributeSelection, Choices, Settings};
-use meniscus::skin::{Surface, skin, skin_cloud};
+use meniscus::surface::obstacle::Obstacles;
+use meniscus::surface::options::{AnisotropyKind, AttributeSelection, Choices, Settings};
+use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+use meniscus::surface::skin::{Surface, skin, skin_cloud};
 use serde_json::Value;
 use tempfile::tempdir;
 
@@ -97,13 +97,13 @@ fn level_set_holds_distances_after_the_offset() {
         assert_eq!(band.half_width, plain.half_width);
         let phi = |voxel| {
             let (leaf, local) = band.topology.find_voxel(voxel)?;
-            Some(f64::from(band.phi.leaves[leaf].values[meniscus::grid::offset_in_leaf(local)]))
+            Some(f64::from(band.phi.leaves[leaf].values[meniscus::surface::grid::offset_in_leaf(local)]))
         };
         let (mut count, mut straight_count) = (0, 0);
         for (leaf, &origin) in band.phi.leaves.iter().zip(band.topology.origins()) {
             for (index, value) in leaf.values.iter().enumerate() {
                 assert!(value.abs() <= band.half_width && value.abs() >= 1.0 / 128.0, "{value}");
-                let voxel = origin + meniscus::grid::voxel_in_leaf(index);
+                let voxel = origin + meniscus::surface::grid::voxel_in_leaf(index);
                 let along = |axis: usize| {
                     let step = glam::IVec3::AXES[axis];
                     Some(0.5 * (phi(voxel + step)? - phi(voxel - step)?))

@@ -3,11 +3,11 @@
 #![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
 
 use glam::{DVec3, Vec3};
-use meniscus::obstacle::Obstacles;
-use meniscus::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
-use meniscus::settings::{AnisotropyKind, Choices, Preset, Settings};
-use meniscus::skin::{Surface, skin_cloud};
-use meniscus::smooth::Integrator;
+use meniscus::surface::obstacle::Obstacles;
+use meniscus::surface::options::{AnisotropyKind, Choices, Preset, Settings};
+use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+use meniscus::surface::skin::{Surface, skin_cloud};
+use meniscus::surface::smooth::Integrator;
 
 use crate::shapes::{Random, same_bits};
 

@@ -9,11 +9,11 @@ use exr::prelude::{
     AnyChannels, FlatSamples, Layer, ReadChannels, ReadLayers, read, read_all_flat_layers_from_file,
 };
 use glam::{DVec3, IVec3};
-use meniscus::grid::{Field, Topology, voxel_in_leaf};
-use meniscus::level_set::NarrowBand;
 use meniscus::pipeline::{CameraChoice, PictureFormat, Scene, Viewpoint, encode_picture};
-use meniscus::preview::{FAR, Picture, Up};
-use meniscus::space::Lattice;
+use meniscus::render::{FAR, Picture, Up};
+use meniscus::surface::grid::{Field, Topology, voxel_in_leaf};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::space::Lattice;
 use meniscus_formats::provenance::{Kind, read_provenance};
 use rayon::ThreadPoolBuilder;
 use tempfile::tempdir;

@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
-use meniscus::grid::{Field, Topology};
-use meniscus::level_set::NarrowBand;
-use meniscus::mesh::Mesh;
 use meniscus::pipeline::{
     Cause, Conduct, FileStamp, Frame, FrameObstacles, FrameParticles, LevelSetSkinning, Method, OnError,
     Outcome, OutputFormat, OutputOptions, PictureOptions, Stage, StepsFoundBy, run,
 };
-use meniscus::report::SkinReport;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Plan, Surface, SurfaceAttributes};
+use meniscus::surface::grid::{Field, Topology};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::report::SkinReport;
+use meniscus::surface::skin::{Plan, Surface, SurfaceAttributes};
 use meniscus_formats::{gltf, vdb};
 use rayon::ThreadPool;
 use tempfile::{TempDir, tempdir};

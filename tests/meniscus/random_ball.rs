@@ -4,9 +4,9 @@
 
 use std::f64::consts::PI;
 
-use meniscus::particles::Particles;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::skin;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::skin::skin;
 
 use crate::shapes::{Random, crossings};
 

@@ -17,10 +17,10 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 use glam::{IVec3, Vec3};
-use meniscus::particles::Particles;
 use meniscus::pipeline::encode_level_set;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::skin;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::skin::skin;
 use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, vdb};
 use tempfile::{TempDir, tempdir};
 

@@ -3,12 +3,12 @@
 //! Shapes are made in units of voxels: particles about two voxels apart, as the method wants them.
 
 use glam::{DMat3, DVec3, IVec3, Vec3};
-use meniscus::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand};
-use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
-use meniscus::smooth::{Config, Integrator, SmoothReport, smooth};
-use meniscus::space::Lattice;
+use meniscus::surface::grid::{LEAF_VOXELS, offset_in_leaf, voxel_in_leaf};
+use meniscus::surface::level_set::{Bounds, NarrowBand};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::rasterize::{Radii, Rasterized, Scene, rasterize};
+use meniscus::surface::smooth::{Config, Integrator, SmoothReport, smooth};
+use meniscus::surface::space::Lattice;
 
 /// Distance between neighbouring particles, in voxels.
 pub(crate) const SPACING: f64 = 2.0;

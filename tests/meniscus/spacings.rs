@@ -5,9 +5,9 @@ use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use meniscus::particles::Particles;
 use meniscus::pipeline::particles;
-use meniscus::spacing::{Estimate, combine_estimates, estimate_spacing};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::spacing::{Estimate, combine_estimates, estimate_spacing};
 use meniscus_formats::{Limits, read_particles};
 use serde_json::Value;
 use tempfile::tempdir;

@@ -13,9 +13,9 @@ use std::f64::consts::PI;
 use std::sync::Arc;
 
 use glam::IVec3;
-use meniscus::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::{Bounds, NarrowBand};
-use meniscus::smooth::{Config, Integrator, smooth, smooth_laplacian_only};
+use meniscus::surface::grid::{Field, LEAF_VOXELS, Leaf, Topology, voxel_in_leaf};
+use meniscus::surface::level_set::{Bounds, NarrowBand};
+use meniscus::surface::smooth::{Config, Integrator, smooth, smooth_laplacian_only};
 
 use crate::shapes::{Random, bending_energy, volume};
 

@@ -13,8 +13,8 @@ use meniscus::pipeline::{
     Cause, Conduct, Frame, FrameError, FrameObstacles, FrameParticles, Method, Outcome, OutputOptions, Stage,
     default_in_flight, is_own_output, run, stream,
 };
-use meniscus::settings::Settings;
-use meniscus::skin::{Plan, Surface};
+use meniscus::surface::options::Settings;
+use meniscus::surface::skin::{Plan, Surface};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 

@@ -3,10 +3,10 @@
 #![expect(clippy::print_stdout, reason = "tests tell what they measured to those who ask with --nocapture")]
 
 use glam::{DVec3, IVec3};
-use meniscus::particles::Particles;
-use meniscus::rasterize::{Radii, Rasterized, Scene, rasterize};
-use meniscus::smooth::{Integrator, smooth};
-use meniscus::space::{INDEX_LIMIT, Lattice};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::rasterize::{Radii, Rasterized, Scene, rasterize};
+use meniscus::surface::smooth::{Integrator, smooth};
+use meniscus::surface::space::{INDEX_LIMIT, Lattice};
 
 use crate::shapes::{Random, default_config, default_radii, rasterized, same_bits, value_at, voxels};
 
@@ -22,7 +22,7 @@ fn assert_exact_outside(positions: &[DVec3]) -> usize {
     let radii = default_radii();
     let mut checked = 0;
     for (radius, phi) in [(radii.init, &band.phi), (radii.max, &bounds.lower), (radii.min, &bounds.upper)] {
-        let band = meniscus::level_set::NarrowBand { phi: phi.clone(), ..band.clone() };
+        let band = meniscus::surface::level_set::NarrowBand { phi: phi.clone(), ..band.clone() };
         for (voxel, phi) in voxels(&band) {
             let exact = outside_distance(positions, voxel, f64::from(radius));
             assert_eq!(phi < 0.0, exact < 0.0, "the sign at {voxel}");

@@ -5,10 +5,10 @@ use std::f64::consts::TAU;
 use std::fs;
 use std::path::Path;
 
-use meniscus::obstacle::Obstacles;
-use meniscus::particles::Particles;
-use meniscus::settings::{Choices, Settings};
-use meniscus::skin::{Limit, Plan, Surroundings, Unfit, plan, skin};
+use meniscus::surface::obstacle::Obstacles;
+use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::skin::{Limit, Plan, Surroundings, Unfit, plan, skin};
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply};

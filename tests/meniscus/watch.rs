@@ -4,10 +4,10 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use meniscus::daemon::Watch;
-use meniscus::daemon::journal::{FrameRecord, Journal, OutputRecord, Standing};
-use meniscus::daemon::lock::OutputLock;
 use meniscus::pipeline::FileStamp;
+use meniscus::watch::Watch;
+use meniscus::watch::journal::{FrameRecord, Journal, OutputRecord, Standing};
+use meniscus::watch::lock::OutputLock;
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, write_ply, write_sequence};

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use glam::IVec3;
-use meniscus::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
-use meniscus::level_set::NarrowBand;
+use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
+use meniscus::surface::level_set::NarrowBand;
 
 /// Half width of the bands in voxels.
 const HALF_WIDTH: f32 = 6.0;
@@ -33,7 +33,7 @@ pub(crate) fn block_band(min: IVec3, extent: IVec3, values: &[f32]) -> NarrowBan
         let (plane, row) = (extent.y * extent.z, extent.z);
         let voxel = min + IVec3::new(index / plane, index / row % extent.y, index % row);
         let (leaf, local) = topology.find_voxel(voxel).expect("the block is stored");
-        phi.leaves[leaf].values[meniscus::grid::offset_in_leaf(local)] = value;
+        phi.leaves[leaf].values[meniscus::surface::grid::offset_in_leaf(local)] = value;
     }
     NarrowBand { topology: Arc::new(topology), phi, half_width: HALF_WIDTH }
 }

@@ -3,9 +3,9 @@
 use std::collections::HashSet;
 
 use glam::{DVec3, IVec3, Vec3};
-use meniscus::contour::{Contouring, contour};
-use meniscus::mesh::{DecimateReport, Mesh, MeshMeasures, decimate};
-use meniscus::trim::{ClipBox, clip};
+use meniscus::surface::contour::{Contouring, contour};
+use meniscus::surface::edits::{ClipBox, clip};
+use meniscus::surface::mesh::{DecimateReport, Mesh, MeshMeasures, decimate};
 
 use super::bands::{band, block_band, sphere, torus};
 use super::{BOTH, Random, UNIT, sound};

@@ -12,10 +12,10 @@ use std::f64::consts::PI;
 
 use bands::{band, block_band, moved, sphere, torus};
 use glam::{DVec3, IVec3, Vec3};
-use meniscus::contour::{Contouring, bending_energy, contour};
-use meniscus::level_set::NarrowBand;
-use meniscus::mesh::{Mesh, MeshMeasures};
-use meniscus::space::Lattice;
+use meniscus::surface::contour::{Contouring, bending_energy, contour};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::mesh::{Mesh, MeshMeasures};
+use meniscus::surface::space::Lattice;
 
 const UNIT: Lattice = Lattice { voxel_size: 1.0 };
 const BOTH: [Contouring; 2] = [Contouring::Dual, Contouring::Tetrahedra];

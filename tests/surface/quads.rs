@@ -1,7 +1,7 @@
 //! Which triangles of a mesh are halves of quads.
 
 use glam::IVec3;
-use meniscus::contour::Contouring;
+use meniscus::surface::contour::Contouring;
 
 use super::bands::{band, block_band, sphere};
 use super::{Random, UNIT, sound};

@@ -3,11 +3,11 @@
 use std::f64::consts::PI;
 
 use glam::{DVec3, IVec3, Vec3};
-use meniscus::contour::Contouring;
-use meniscus::grid::{LEAF_EDGE, offset_in_leaf, voxel_in_leaf};
-use meniscus::level_set::NarrowBand;
-use meniscus::space::Lattice;
-use meniscus::trim::{ClipBox, Clipped, clip, drop_islands, fill_cavities};
+use meniscus::surface::contour::Contouring;
+use meniscus::surface::edits::{ClipBox, Clipped, clip, drop_islands, fill_cavities};
+use meniscus::surface::grid::{LEAF_EDGE, offset_in_leaf, voxel_in_leaf};
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::space::Lattice;
 
 use super::bands::{band, block_band, sphere};
 use super::{BOTH, Random, UNIT, sound};

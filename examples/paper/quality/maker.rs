@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use glam::DVec3;
-use meniscus::obstacle::{Obstacles, Solid};
-use meniscus::particles::{Cloud, Particles};
-use meniscus::settings::{Choices, Measured, Settings};
-use meniscus::skin::skin_cloud;
+use meniscus::surface::obstacle::{Obstacles, Solid};
+use meniscus::surface::options::{Choices, Measured, Settings};
+use meniscus::surface::particles::{Cloud, Particles};
+use meniscus::surface::skin::skin_cloud;
 use meniscus_formats::{Limits, MeshData, ply};
 
 use super::sets::{Frame, Set};

@@ -22,8 +22,8 @@ mod sets;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use meniscus::particles::Particles;
-use meniscus::spacing::{Estimate, combine_estimates, estimate_spacing};
+use meniscus::surface::particles::Particles;
+use meniscus::surface::spacing::{Estimate, combine_estimates, estimate_spacing};
 use meniscus_formats::{ParticleFrame, Positions, ply};
 use serde_json::{Map, Value, json};
 

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use meniscus::flicker::{Carrier, FlickerFrame, MovingParticles, Summary, flicker};
-use meniscus::mesh::Mesh;
-use meniscus::obstacle::{MeshDistance, Solid};
-use meniscus::particles::Particles;
+use meniscus::surface::flicker::{Carrier, FlickerFrame, MovingParticles, Summary, flicker};
+use meniscus::surface::mesh::Mesh;
+use meniscus::surface::obstacle::{MeshDistance, Solid};
+use meniscus::surface::particles::Particles;
 use meniscus_formats::MeshData;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};

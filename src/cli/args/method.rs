@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use clap::builder::RangedI64ValueParser;
 use clap::{Args, ValueEnum};
 
-use crate::settings::{AttributeSelection, ClipBox, ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
+use crate::surface::options::{AttributeSelection, ClipBox, ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 /// All of them, by heading.
 #[derive(Clone, Debug, Default, PartialEq, Args)]

@@ -18,7 +18,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
-use crate::skin::SLACK_MAX_VOXELS;
+use crate::surface::skin::SLACK_MAX_VOXELS;
 
 use super::frame_selection::FrameSelection;
 use super::quantities::parse_bytes;

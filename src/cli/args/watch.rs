@@ -12,7 +12,7 @@ use clap::{Args, ValueEnum};
 use super::formats::{Format, FormatArgs};
 use super::method::MethodArgs;
 use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll, parse_rescan};
-use crate::daemon::Poll;
+use crate::watch::Poll;
 
 #[derive(Clone, Debug, Default, Args)]
 #[command(after_long_help = WATCHING)]

@@ -26,7 +26,7 @@ use super::quantities::{
     parse_rescan,
 };
 use crate::pipeline::read_regular_text;
-use crate::settings::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
+use crate::surface::options::{ISLAND_MAX, ROUNDS_MAX, STEPS_MAX};
 
 use block::{Block, Source};
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::cli::args::{ContourChoice, Format, FormatArgs, LogChoice, OrderChoice, UpChoice};
-use crate::daemon::Poll;
+use crate::watch::Poll;
 use std::time::Duration;
 use toml::de::DeValue;
 

@@ -18,8 +18,8 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 
-use crate::flicker::{CARRY_REACH, Carrier, FlickerFrame, Summary, flicker};
 use crate::pipeline::{are_one_file, shown, write_whole};
+use crate::surface::flicker::{CARRY_REACH, Carrier, FlickerFrame, Summary, flicker};
 
 use super::Verdict;
 use super::args::FlickerArgs;

@@ -3,9 +3,9 @@
 use anyhow::Result;
 use glam::DVec3;
 
-use crate::flicker::{ScoredPoint, Summary};
 use crate::pipeline::{CameraChoice, PictureFormat, SheetPart, encode_picture, sheet_provenance};
-use crate::preview::{Block, Cell, Line, Mark, Picture, Plot, Sheet, Shown, Up, render_marks, stacked};
+use crate::render::{Block, Cell, Line, Mark, Picture, Plot, Sheet, Shown, Up, render_marks, stacked};
+use crate::surface::flicker::{ScoredPoint, Summary};
 
 use super::frames::Frames;
 use super::numbers_of;

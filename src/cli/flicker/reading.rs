@@ -4,9 +4,9 @@ use anyhow::{Context, Result};
 use meniscus_formats::{Attribute, Limits, ParticleFrame, Role, Values, read_particles};
 use std::path::Path;
 
-use crate::flicker::{FlickerFrame, MovingParticles};
-use crate::obstacle::MeshDistance;
 use crate::pipeline::{file_of, measure_spacing, particles, read_file, read_mesh_file, shown};
+use crate::surface::flicker::{FlickerFrame, MovingParticles};
+use crate::surface::obstacle::MeshDistance;
 
 use super::frames::{FrameFiles, Frames};
 

@@ -2,7 +2,7 @@
 
 use std::io::{Result, Write};
 
-use crate::flicker::Summary;
+use crate::surface::flicker::Summary;
 
 use super::tally::{ScoredFrame, WorstPoint};
 

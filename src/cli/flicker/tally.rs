@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use crate::flicker::{FrameFlicker, ScoredPoint, Summary};
+use crate::surface::flicker::{FrameFlicker, ScoredPoint, Summary};
 
 /// The scores of a frame.
 #[derive(Clone, Debug)]

@@ -5,9 +5,9 @@ use std::fmt;
 use meniscus_formats::{Attribute, ParticleFrame, Role, Values};
 use serde::Serialize;
 
-use crate::particles::Particles;
 use crate::pipeline::{MeasuredSpacing, particles};
-use crate::settings::Preset;
+use crate::surface::options::Preset;
+use crate::surface::particles::Particles;
 
 use super::super::wording::significant;
 use super::{Bounds, row, short};

@@ -14,8 +14,8 @@ use crate::cli::interrupt::clean_up_when_interrupted;
 use crate::cli::studio::{Studio, Subject, caught};
 use crate::cli::wording::{counted, significant, with_causes};
 use crate::pipeline::{FrameFile, OutputFormat, PictureOptions, SheetPart, Viewpoint, read_picture};
-use crate::preview::{Block, Cell, Picture, Sheet, Shown};
-use crate::settings::Settings;
+use crate::render::{Block, Cell, Picture, Sheet, Shown};
+use crate::surface::options::Settings;
 
 use super::sources::{Kind, Sources, Strip, find_sources, without_extension};
 use super::{SheetFile, Tally, even_columns, fixed, reason, refuse_large};

@@ -21,7 +21,7 @@ use crate::pipeline::{
     CameraChoice, OutputFormat, PictureFormat, PictureOptions, SheetPart, Viewpoint, check_outputs,
     encode_picture, output_path, sheet_provenance, write_whole,
 };
-use crate::preview::Sheet;
+use crate::render::Sheet;
 
 use super::Verdict;
 use super::out_folder::OutFolder;

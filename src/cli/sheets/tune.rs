@@ -29,8 +29,8 @@ use crate::pipeline::{
     self, CameraChoice, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
     bounds_of_particles, close_up, gist, is_level_set, up_of,
 };
-use crate::preview::{Block, Cell, Picture, Sheet, Shown};
-use crate::settings::{Measured, Settings};
+use crate::render::{Block, Cell, Picture, Sheet, Shown};
+use crate::surface::options::{Measured, Settings};
 
 use super::command::CommandLine;
 use super::vary::{Axis, Value};

@@ -12,7 +12,7 @@ use std::str::FromStr;
 use crate::cli::args::MethodArgs;
 use crate::cli::choices::choices;
 use crate::cli::wording::significant;
-use crate::settings::{Anisotropy, Settings};
+use crate::surface::options::{Anisotropy, Settings};
 
 /// What differs from cell to cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -383,7 +383,7 @@ fn names() -> String {
 mod tests {
     use super::*;
     use crate::cli::args::PresetChoice;
-    use crate::settings::{Choices, Preset};
+    use crate::surface::options::{Choices, Preset};
 
     fn settings() -> Settings {
         Settings::paper(0.1, &Choices::default()).expect("sound")

@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use serde::{Serialize, Serializer};
 
-use crate::daemon::Watch;
-use crate::daemon::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
-use crate::daemon::lock::{LockError, OutputLock};
-use crate::daemon::waiting::{Waiting, waiting};
 use crate::pipeline::{FileStamp, file_of, is_absent, is_missing_step, natural_order};
+use crate::watch::Watch;
+use crate::watch::journal::{DaemonState, FrameRecord, Journal, STATE_FOLDER, Standing, State, now_ms};
+use crate::watch::lock::{LockError, OutputLock};
+use crate::watch::waiting::{Waiting, waiting};
 
 use super::Verdict;
 use super::args::StatusArgs;

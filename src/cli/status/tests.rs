@@ -1,8 +1,8 @@
 use super::*;
-use crate::daemon::Patience;
-use crate::daemon::journal::{DaemonRecord, OutputRecord, PlanRecord};
 use crate::pipeline::{FileStamp, OutputFormat, OutputOptions};
-use crate::settings::Choices;
+use crate::surface::options::Choices;
+use crate::watch::Patience;
+use crate::watch::journal::{DaemonRecord, OutputRecord, PlanRecord};
 
 use std::time::Duration;
 

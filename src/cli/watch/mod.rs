@@ -23,11 +23,11 @@ use anyhow::{Context, Result, bail};
 use crossbeam::channel::{Sender, bounded};
 use tracing::{error, info, warn};
 
-use crate::board::Board;
-use crate::daemon::{self, Command, Ended, FailedFrame, Notice, Summary, Watch};
+use crate::http::{Listen, Window};
 use crate::pipeline::stop_writing;
-use crate::simd::level_warning;
-use crate::window::{Listen, Window};
+use crate::surface::simd::level_warning;
+use crate::watch::board::Board;
+use crate::watch::{self, Command, Ended, FailedFrame, Notice, Summary, Watch};
 
 use super::Verdict;
 use super::args::{LogChoice, WatchArgs};
@@ -67,7 +67,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
             Notice::Overdue => give_up_what_is_under_way(args.once),
             notice => service.tell(&notice),
         };
-        let summary = match daemon::run(&plan.config, board.as_deref(), &commands, &mut notices) {
+        let summary = match watch::run(&plan.config, board.as_deref(), &commands, &mut notices) {
             Ok(summary) => summary,
             // What could be read again may still be impossible: somebody else has the new output.
             Err(error) => match previous.take() {

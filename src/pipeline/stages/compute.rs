@@ -6,8 +6,8 @@ use crossbeam::channel::{Receiver, Sender};
 
 use crate::pipeline::frame::{Cause, FrameError, Stage};
 use crate::pipeline::method::Method;
-use crate::settings::Settings;
-use crate::skin::Surface;
+use crate::surface::options::Settings;
+use crate::surface::skin::Surface;
 
 use super::line::{Ended, Known, Label, Line, Parcel, Read, outcome_of};
 

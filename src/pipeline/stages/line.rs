@@ -17,7 +17,7 @@ use crate::pipeline::frame::{Cause, Frame, FrameError, Outcome, ReadInput, Stage
 use crate::pipeline::frame_particles::FrameParticles;
 use crate::pipeline::obstacles::FrameObstacles;
 use crate::pipeline::seats::{Seat, Seats};
-use crate::skin::Plan;
+use crate::surface::skin::Plan;
 
 use super::{Conduct, OnError};
 

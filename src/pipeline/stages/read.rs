@@ -20,7 +20,7 @@ use crate::pipeline::obstacles::FoundObstacles;
 use crate::pipeline::provenance::is_done;
 use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged};
 use crate::pipeline::steps::{reading_bytes, step_of};
-use crate::settings::Settings;
+use crate::surface::options::Settings;
 
 use super::Conduct;
 use super::line::{Ended, Known, Label, Line, Noted, Parcel, Read, outcome_of};

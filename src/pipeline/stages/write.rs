@@ -16,8 +16,8 @@ use crate::pipeline::open::require_no_links;
 use crate::pipeline::outputs::OutputFormat;
 use crate::pipeline::picture::Scene;
 use crate::pipeline::writing::{Written, surface_notes, write_files, write_surface};
-use crate::skin::Surface;
-use crate::space::Lattice;
+use crate::surface::skin::Surface;
+use crate::surface::space::Lattice;
 
 use super::line::{Ended, Known, Label, Line, Parcel};
 

@@ -2,7 +2,7 @@
 //! state.
 
 use glam::DVec3;
-use meniscus::rasterize::Radii;
+use meniscus::surface::rasterize::Radii;
 
 use super::dense::Grid;
 

@@ -10,8 +10,8 @@ mod flow;
 use std::path::PathBuf;
 
 use glam::{DVec3, Vec3};
-use meniscus::level_set::NarrowBand;
-use meniscus::smooth::Integrator;
+use meniscus::surface::level_set::NarrowBand;
+use meniscus::surface::smooth::Integrator;
 use meniscus_formats::{Limits, Positions};
 
 use crate::shapes::{

@@ -24,12 +24,12 @@ use crate::cli::choices::{
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::quantities::memory_bytes;
-use crate::daemon::place::known_path;
-use crate::daemon::selection::Selection;
-use crate::daemon::{Config, Order, Patience, Poll, Watch};
+use crate::http::{Listen, Token};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
-use crate::settings::Settings;
-use crate::window::{Listen, Token};
+use crate::surface::options::Settings;
+use crate::watch::place::known_path;
+use crate::watch::selection::Selection;
+use crate::watch::{Config, Order, Patience, Poll, Watch};
 
 /// What to do, and what to say of it before.
 #[derive(Clone, Debug)]

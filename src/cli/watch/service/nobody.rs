@@ -1,6 +1,6 @@
 //! A system without a service manager that listens.
 
-use crate::daemon::Notice;
+use crate::watch::Notice;
 
 pub(in crate::cli::watch) struct Service;
 

@@ -14,7 +14,7 @@ use meniscus_formats::escaped;
 use sd_notify::NotifyState;
 use tracing::warn;
 
-use crate::daemon::Notice;
+use crate::watch::Notice;
 
 /// The service manager, for the loop.
 pub(in crate::cli::watch) struct Service {

@@ -1,0 +1,227 @@
+//! Changes as they come: server-sent events.
+//!
+//! Nothing is kept for anybody. Whoever follows has a place in the log of the board, and is told from there what
+//! has changed, as fast as the other side takes it. Who falls behind the end of the log is told to look at
+//! everything again.
+//!
+//! All who follow look at the board at the same moments. Those who keep up are then at the same place, and what comes
+//! after it is put into words once for all of them.
+
+use std::fmt::Write as _;
+use std::io;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use hyper::body::Bytes;
+use hyper::{Request, StatusCode};
+use serde_json::json;
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep_until};
+
+use crate::watch::board::{Board, Changes, FrameSummary};
+
+use super::Shared;
+use super::answer::{Answer, Content, answer, text};
+use super::query::value_of;
+
+/// Those who follow.
+#[derive(Debug)]
+pub(super) struct Followers {
+    count: AtomicUsize,
+    /// From here on the moments are counted at which they look.
+    since: Instant,
+    last: Mutex<Option<Told>>,
+}
+
+/// What was told to the last of them, in words.
+#[derive(Clone, Debug)]
+struct Told {
+    /// What has happened after this version.
+    after: u64,
+    /// That of the board when it was put into words.
+    board_version: u64,
+    /// What happens after this version is not in it.
+    next: u64,
+    text: Bytes,
+}
+
+/// One of them, until it is dropped.
+struct Follower(Arc<Shared>);
+
+/// More than this are asked to come again.
+const FOLLOWERS_MAX: usize = 256;
+
+/// How soon a change is told.
+const EVERY: Duration = Duration::from_millis(100);
+
+/// Something is said so often, to find out who is gone.
+const PULSE: Duration = Duration::from_secs(15);
+
+/// As many changes are told in one event.
+const CHANGES_MAX: usize = 256;
+
+/// The changes after those that the request has seen, by `Last-Event-ID` or `?after=`; without either, those from now
+/// on.
+pub(super) fn follow<B>(shared: &Arc<Shared>, request: &Request<B>) -> Answer {
+    let Some(follower) = Follower::new(shared) else {
+        return text(StatusCode::SERVICE_UNAVAILABLE, "too many follow already");
+    };
+    let header = request.headers().get("last-event-id").and_then(|id| id.to_str().ok().map(str::to_owned));
+    let seen = header.or_else(|| value_of(request.uri().query(), "after"));
+    let (sender, pieces) = mpsc::channel(1);
+    if request.method() == hyper::Method::GET {
+        tokio::spawn(tell(follower, seen, sender));
+    }
+    answer(StatusCode::OK, "text/event-stream", Content::Pieces(pieces, None))
+}
+
+/// Tells until nobody listens, or the window closes.
+async fn tell(follower: Follower, seen: Option<String>, sender: mpsc::Sender<io::Result<Bytes>>) {
+    let Shared { board, closing, followers, .. } = &*follower.0;
+    let mut version = match seen.as_deref() {
+        // So that whoever loses the connection at once has something to go on from.
+        None => board.version(),
+        // An id of another run is no place in this one: it is beyond the end.
+        Some(id) => place(id, board.run()).unwrap_or(u64::MAX),
+    };
+    let hello = format!("retry: 1000\nid: {}-{version}\nevent: hello\ndata: {{}}\n\n", board.run());
+    if version != u64::MAX && sender.send(Ok(hello.into())).await.is_err() {
+        return;
+    }
+    let mut told_at = Instant::now();
+    while !*closing.borrow() {
+        let text = match version == board.version() {
+            true if told_at.elapsed() < PULSE => Bytes::new(),
+            true => Bytes::from_static(b":\n\n"),
+            false => {
+                let told = followers.event_after(board, version);
+                version = told.next;
+                told.text
+            }
+        };
+        if !text.is_empty() {
+            told_at = Instant::now();
+            if sender.send(Ok(text)).await.is_err() {
+                return;
+            }
+        }
+        // Who does not listen any more is found out with the next word.
+        if sender.is_closed() {
+            return;
+        }
+        if version == board.version() {
+            sleep_until(followers.next_look()).await;
+        }
+    }
+}
+
+/// What happened after a version, and the version after that.
+fn event(board: &Board, version: u64) -> (u64, String) {
+    let (version, kind, data) = match board.changes_since(version, CHANGES_MAX) {
+        Changes::Lost(version) => (version, "resync", json!({})),
+        Changes::Known { version, frames, removed, status, settings } => {
+            let summaries: Vec<&FrameSummary> = frames.iter().map(|frame| &frame.summary).collect();
+            let data = json!({
+                "frames": summaries,
+                "removed": removed,
+                "status": status,
+                "settings": settings,
+                "counts": board.status().1,
+            });
+            (version, "change", data)
+        }
+    };
+    let mut text = String::new();
+    // Strings take everything; JSON has no line breaks.
+    let _ = write!(text, "id: {}-{version}\nevent: {kind}\ndata: {data}\n\n", board.run());
+    (version, text)
+}
+
+/// The version in an id of this run.
+fn place(id: &str, run: u64) -> Option<u64> {
+    let (of_run, version) = id.split_once('-')?;
+    version.parse().ok().filter(|_| of_run.parse() == Ok(run))
+}
+
+impl Default for Followers {
+    fn default() -> Followers {
+        Followers { count: AtomicUsize::new(0), since: Instant::now(), last: Mutex::new(None) }
+    }
+}
+
+impl Followers {
+    /// When all look at the board again.
+    fn next_look(&self) -> Instant {
+        let looks = self.since.elapsed().as_millis() / EVERY.as_millis() + 1;
+        self.since + EVERY.saturating_mul(u32::try_from(looks).unwrap_or(u32::MAX))
+    }
+
+    /// What happened after a version; in the words of the last who asked, where these are still true.
+    fn event_after(&self, board: &Board, version: u64) -> Told {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let board_version = board.version();
+        if let Some(told) = &*last
+            && (told.after, told.board_version) == (version, board_version)
+        {
+            return told.clone();
+        }
+        let (next, text) = event(board, version);
+        let told = Told { after: version, board_version, next, text: text.into() };
+        last.insert(told).clone()
+    }
+}
+
+impl Follower {
+    fn new(shared: &Arc<Shared>) -> Option<Follower> {
+        let followers = &shared.followers.count;
+        // Dropping it takes it back, also where it is one too many.
+        let follower = Follower(Arc::clone(shared));
+        (followers.fetch_add(1, Ordering::Relaxed) < FOLLOWERS_MAX).then_some(follower)
+    }
+}
+
+impl Drop for Follower {
+    fn drop(&mut self) {
+        self.0.followers.count.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::watch::board::Status;
+
+    #[test]
+    fn places_are_of_one_run() {
+        assert_eq!(place("7-12", 7), Some(12));
+        for wrong in ["8-12", "12", "7-", "7-x", "", "-"] {
+            assert_eq!(place(wrong, 7), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn who_is_too_late_is_told_to_look_again() {
+        let board = Board::new();
+        board.begin(json!({}));
+        let (version, text) = event(&board, u64::MAX);
+        assert_eq!(version, board.version());
+        assert!(text.contains("event: resync\n") && text.ends_with("\n\n"), "{text}");
+    }
+    #[test]
+    fn those_at_the_same_place_are_told_the_same_words() {
+        let board = Board::new();
+        board.begin(json!({}));
+        board.tell(Status { stopping: true, ..Status::default() });
+        let followers = Followers::default();
+        let [first, second] = [1, 1].map(|version| followers.event_after(&board, version));
+        assert_eq!(first.text.as_ptr(), second.text.as_ptr(), "the same bytes, and not equal ones");
+        assert!(first.text.starts_with(b"id: ") && first.next == board.version(), "{first:?}");
+        let other = followers.event_after(&board, 0);
+        assert_ne!(other.text, first.text, "that is another place");
+        board.tell(Status::default());
+        let later = followers.event_after(&board, 1);
+        assert_eq!((later.after, later.next), (1, board.version()));
+        assert_ne!(later.text, first.text, "more has happened");
+    }
+}

@@ -1,0 +1,198 @@
+//! Outputs, by their names on the board.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::time::UNIX_EPOCH;
+
+use hyper::body::Bytes;
+use hyper::header::{
+    ACCEPT_RANGES, CACHE_CONTROL, CONTENT_LENGTH, CONTENT_RANGE, ETAG, HeaderName, HeaderValue,
+    IF_NONE_MATCH, IF_RANGE, RANGE,
+};
+use hyper::{Method, Request, StatusCode};
+use tokio::sync::mpsc;
+use tokio::task::spawn_blocking;
+
+use crate::pipeline::open_itself;
+use crate::watch::board::Board;
+
+use super::answer::{Answer, Content, answer, not_found, text};
+
+/// So much of a file is in memory for each who reads one, twice.
+const PIECE_BYTES: usize = 64 << 10;
+
+/// A file that is there.
+struct Opened {
+    file: File,
+    size_bytes: u64,
+    /// Changes when the file does.
+    tag: String,
+}
+
+/// The output of this name, or the part of it that was asked for.
+pub(super) async fn file<B>(board: &Board, request: &Request<B>, name: &str) -> Answer {
+    let Some(path) = board.file(name) else { return not_found() };
+    let content_type = content_type(&path);
+    let opened = match spawn_blocking(move || open(&path)).await {
+        Ok(Ok(opened)) => opened,
+        Ok(Err(error)) if error.kind() == io::ErrorKind::NotFound => return not_found(),
+        _ => return text(StatusCode::INTERNAL_SERVER_ERROR, "the file cannot be read"),
+    };
+    let header = |name: HeaderName| request.headers().get(name).and_then(|value| value.to_str().ok());
+    if header(IF_NONE_MATCH) == Some(&opened.tag) {
+        return kept(answer(StatusCode::NOT_MODIFIED, content_type, Content::Whole(None)), &opened);
+    }
+    let is_same = header(IF_RANGE).is_none_or(|tag| tag == opened.tag);
+    let range = header(RANGE).filter(|_| is_same).and_then(|range| parse_range(range, opened.size_bytes));
+    match range {
+        Some(Range::Beyond) => {
+            let beyond = text(StatusCode::RANGE_NOT_SATISFIABLE, "the file is shorter");
+            with(beyond, CONTENT_RANGE, &format!("bytes */{}", opened.size_bytes))
+        }
+        Some(Range::Part { first, last }) => {
+            let whole = format!("bytes {first}-{last}/{}", opened.size_bytes);
+            let part =
+                part(request, opened, (first, last + 1 - first), StatusCode::PARTIAL_CONTENT, content_type);
+            with(part, CONTENT_RANGE, &whole)
+        }
+        None => {
+            let size_bytes = opened.size_bytes;
+            part(request, opened, (0, size_bytes), StatusCode::OK, content_type)
+        }
+    }
+}
+
+/// Opens what the board names, if it is a file.
+fn open(path: &Path) -> io::Result<Opened> {
+    // What a link in its place leads to is not ours to show.
+    let file = open_itself(path, File::options().read(true)).map_err(|error| match error.kind() {
+        io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory => io::ErrorKind::NotFound.into(),
+        _ => error,
+    })?;
+    // Of what is open, not of what is there by now.
+    let metadata = file.metadata()?;
+    let since = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let tag = format!("\"{}-{}\"", metadata.len(), since.unwrap_or_default().as_nanos());
+    Ok(Opened { file, size_bytes: metadata.len(), tag })
+}
+
+fn part<B>(
+    request: &Request<B>,
+    opened: Opened,
+    (first, count): (u64, u64),
+    status: StatusCode,
+    content_type: &'static str,
+) -> Answer {
+    let (sender, pieces) = mpsc::channel(1);
+    let content = match *request.method() == Method::HEAD {
+        true => Content::Whole(None),
+        false => Content::Pieces(pieces, Some(count)),
+    };
+    let part = kept(answer(status, content_type, content), &opened);
+    if request.method() == Method::GET {
+        tokio::spawn(send(opened.file, first, count, sender));
+    }
+    with(with(part, ACCEPT_RANGES, "bytes"), CONTENT_LENGTH, &count.to_string())
+}
+
+/// Sends so many bytes of a file as they are taken.
+async fn send(mut file: File, first: u64, count: u64, sender: mpsc::Sender<io::Result<Bytes>>) {
+    if let Err(error) = file.seek(SeekFrom::Start(first)) {
+        let _ = sender.send(Err(error)).await;
+        return;
+    }
+    let mut left_bytes = count;
+    while left_bytes > 0 {
+        let wanted_bytes = left_bytes.min(PIECE_BYTES as u64);
+        let read = spawn_blocking(move || {
+            let mut piece = Vec::with_capacity(PIECE_BYTES);
+            let read = (&file).take(wanted_bytes).read_to_end(&mut piece).map(|_| piece);
+            (file, read)
+        });
+        let Ok((same, read)) = read.await else { return };
+        file = same;
+        let piece = match read {
+            // A file that has become shorter cannot be sent as it was announced: the connection ends.
+            Ok(piece) if piece.is_empty() => Err(io::ErrorKind::UnexpectedEof.into()),
+            other => other,
+        };
+        left_bytes -= piece.as_ref().map_or(left_bytes, |piece| piece.len() as u64);
+        if sender.send(piece.map(Bytes::from)).await.is_err() {
+            return;
+        }
+    }
+}
+
+/// A browser may keep it, and asks each time whether it is still the same.
+fn kept(answer: Answer, opened: &Opened) -> Answer {
+    with(with(answer, CACHE_CONTROL, "private, no-cache"), ETAG, &opened.tag)
+}
+
+fn with(mut answer: Answer, name: HeaderName, value: &str) -> Answer {
+    // All that is put here is made of digits and a few signs.
+    if let Ok(value) = HeaderValue::from_str(value) {
+        answer.headers_mut().insert(name, value);
+    }
+    answer
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Range {
+    /// These bytes, the last included.
+    Part { first: u64, last: u64 },
+    /// Bytes that are not there.
+    Beyond,
+}
+
+/// What `Range` asks for; `None` where that is not one range of bytes: then all of it is sent.
+fn parse_range(text: &str, size_bytes: u64) -> Option<Range> {
+    let (first, last) = text.strip_prefix("bytes=")?.split_once('-')?;
+    let (first, last) = match (first, last) {
+        ("", count) => (size_bytes.saturating_sub(count.parse().ok()?), u64::MAX),
+        (first, "") => (first.parse().ok()?, u64::MAX),
+        (first, last) => (first.parse().ok()?, last.parse().ok()?),
+    };
+    if last < first {
+        return None;
+    }
+    let last = last.min(size_bytes.saturating_sub(1));
+    Some(if first < size_bytes { Range::Part { first, last } } else { Range::Beyond })
+}
+
+fn content_type(path: &Path) -> &'static str {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("glb") => "model/gltf-binary",
+        Some("gltf") => "model/gltf+json",
+        Some("png") => "image/png",
+        Some("obj") => "model/obj",
+        _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_within_the_file() {
+        let part = |first, last| Some(Range::Part { first, last });
+        for (text, expected) in [
+            ("bytes=0-0", part(0, 0)),
+            ("bytes=5-", part(5, 9)),
+            ("bytes=5-100", part(5, 9)),
+            ("bytes=-3", part(7, 9)),
+            ("bytes=-300", part(0, 9)),
+            ("bytes=10-", Some(Range::Beyond)),
+            ("bytes=-0", Some(Range::Beyond)),
+            ("bytes=5-4", None),
+            ("bytes=0-1,3-4", None),
+            ("bytes=a-", None),
+            ("lines=0-1", None),
+            ("bytes=99999999999999999999-", None),
+        ] {
+            assert_eq!(parse_range(text, 10), expected, "{text}");
+        }
+        assert_eq!(parse_range("bytes=0-", 0), Some(Range::Beyond));
+    }
+}

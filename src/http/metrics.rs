@@ -1,0 +1,171 @@
+//! What Prometheus asks for, in its text format.
+//!
+//! It is written by hand: a dozen names do not need a registry.
+
+use std::fmt::{Display, Write as _};
+
+use hyper::StatusCode;
+
+use crate::watch::board::{BUCKETS_S, Board, Counters, Counts, Histogram, STAGES};
+
+use super::answer::{Answer, Content, answer};
+
+/// All that is counted and measured.
+pub(super) fn metrics(board: &Board) -> Answer {
+    let content = Content::Whole(Some(exposition(board).into()));
+    answer(StatusCode::OK, "text/plain; version=0.0.4; charset=utf-8", content)
+}
+
+fn exposition(board: &Board) -> String {
+    let (status, counts) = board.status();
+    let counters = board.counters();
+    let mut text = Text(String::new());
+    text.head("meniscus_build_info", "gauge", "The version that runs; always 1.");
+    text.value("meniscus_build_info", &format!("version=\"{}\"", env!("CARGO_PKG_VERSION")), 1);
+    text.frames(&counts);
+    text.gauge("meniscus_queue_depth", "Frames that wait for their turn.", counts.queued);
+    text.gauge(
+        "meniscus_paused",
+        "1 while no frame is begun for want of room.",
+        u8::from(status.paused.is_some()),
+    );
+    text.gauge(
+        "meniscus_unavailable_folders",
+        "Watched folders that are not there.",
+        status.unavailable.len(),
+    );
+    if let Some(bytes) = status.disk_free_bytes {
+        text.gauge("meniscus_disk_free_bytes", "The least free room among the disks of the outputs.", bytes);
+    }
+    if let Some(bytes) = status.memory_bytes {
+        text.gauge("meniscus_resident_memory_bytes", "Memory that the process holds.", bytes);
+    }
+    text.counters(&counters);
+    text.stages(&counters.stages);
+    text.0
+}
+
+struct Text(String);
+
+impl Text {
+    fn head(&mut self, name: &str, kind: &str, help: &str) {
+        // Strings take everything.
+        let _ = write!(self.0, "# HELP {name} {help}\n# TYPE {name} {kind}\n");
+    }
+
+    fn value(&mut self, name: &str, labels: &str, value: impl Display) {
+        let _ = match labels {
+            "" => writeln!(self.0, "{name} {value}"),
+            labels => writeln!(self.0, "{name}{{{labels}}} {value}"),
+        };
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: impl Display) {
+        self.head(name, "gauge", help);
+        self.value(name, "", value);
+    }
+
+    fn frames(&mut self, counts: &Counts) {
+        self.head("meniscus_frames", "gauge", "Frames by state.");
+        let Counts { waiting, queued, working, retrying, done, failed } = *counts;
+        for (state, count) in [
+            ("waiting", waiting),
+            ("queued", queued),
+            ("working", working),
+            ("retrying", retrying),
+            ("done", done),
+            ("failed", failed),
+        ] {
+            self.value("meniscus_frames", &format!("state=\"{state}\""), count);
+        }
+    }
+
+    fn counters(&mut self, counters: &Counters) {
+        for (name, help, value) in [
+            ("meniscus_frames_converted_total", "Frames that were converted.", counters.converted),
+            (
+                "meniscus_frames_found_done_total",
+                "Frames that were read and found done.",
+                counters.found_done,
+            ),
+            (
+                "meniscus_failures_total",
+                "How often a frame failed and was not to be tried again.",
+                counters.failures,
+            ),
+            (
+                "meniscus_retries_total",
+                "How often a frame failed and was to be tried again.",
+                counters.retries,
+            ),
+            ("meniscus_scans_total", "How often a folder was looked at as a whole.", counters.scans),
+            ("meniscus_rescans_total", "How often that was since events were lost.", counters.rescans),
+            ("meniscus_input_bytes_total", "Bytes of the files that were converted.", counters.input_bytes),
+            ("meniscus_output_bytes_total", "Bytes that were written.", counters.output_bytes),
+        ] {
+            self.head(name, "counter", help);
+            self.value(name, "", value);
+        }
+    }
+
+    fn stages(&mut self, stages: &[Histogram]) {
+        const NAME: &str = "meniscus_stage_duration_seconds";
+        self.head(NAME, "histogram", "Seconds that a converted frame was in a stage.");
+        for (stage, histogram) in STAGES.iter().zip(stages) {
+            let mut count = 0;
+            let ends = BUCKETS_S.iter().map(f64::to_string).chain(["+Inf".to_owned()]);
+            for (end, in_bucket) in ends.zip(histogram.counts) {
+                count += in_bucket;
+                self.value(&format!("{NAME}_bucket"), &format!("stage=\"{stage}\",le=\"{end}\""), count);
+            }
+            self.value(&format!("{NAME}_sum"), &format!("stage=\"{stage}\""), histogram.sum);
+            self.value(&format!("{NAME}_count"), &format!("stage=\"{stage}\""), count);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::watch::board::Figures;
+
+    #[test]
+    fn buckets_hold_those_before_them() {
+        let board = Board::new();
+        let mut figures = Figures::default();
+        for seconds in [0.002, 2.0, 500.0] {
+            figures.seconds.smooth = seconds;
+            board.count(|counters| counters.add_converted(&figures, 10, 20));
+        }
+        let text = exposition(&board);
+        for line in [
+            "meniscus_frames{state=\"done\"} 0",
+            "meniscus_frames_converted_total 3",
+            "meniscus_output_bytes_total 60",
+            "meniscus_stage_duration_seconds_bucket{stage=\"smooth\",le=\"0.003\"} 1",
+            "meniscus_stage_duration_seconds_bucket{stage=\"smooth\",le=\"3\"} 2",
+            "meniscus_stage_duration_seconds_bucket{stage=\"smooth\",le=\"+Inf\"} 3",
+            "meniscus_stage_duration_seconds_sum{stage=\"smooth\"} 502.002",
+            "meniscus_stage_duration_seconds_count{stage=\"read\"} 3",
+        ] {
+            assert!(text.lines().any(|other| other == line), "no {line} in\n{text}");
+        }
+    }
+
+    #[test]
+    fn every_name_has_its_help_and_type_before_it() {
+        let text = exposition(&Board::new());
+        let mut known = Vec::new();
+        for line in text.lines() {
+            match line.strip_prefix("# TYPE ") {
+                Some(head) => known.push(head.split(' ').next().unwrap_or_default().to_owned()),
+                None if line.starts_with("# HELP ") => {}
+                None => {
+                    let name = line.split(['{', ' ']).next().unwrap_or_default();
+                    assert!(known.last().is_some_and(|head| name.starts_with(&**head)), "{line}");
+                }
+            }
+        }
+        assert!(text.ends_with('\n') && known.len() > 10);
+    }
+}

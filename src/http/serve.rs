@@ -1,0 +1,311 @@
+//! From sockets to requests: how many at once, how large, and how slow they may be.
+//!
+//! Whoever takes an answer too slowly would hold a place for good. So each has some time that it may hold us up, which
+//! runs while it takes nothing and comes back with what it takes. When all places are taken, the connection that is
+//! idle for longest makes room; and while nearly all are busy, only health checks are answered.
+
+use std::convert::Infallible;
+use std::future::{Future, poll_fn};
+use std::io;
+use std::net::TcpListener;
+use std::pin::{Pin, pin};
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::TcpStream;
+use tokio::time::{Instant, Sleep, sleep, timeout};
+
+use super::Shared;
+use super::connections::{BusyContent, Connection, Connections};
+use super::routes::{answer_in_a_crowd, answer_to};
+
+/// What connections may take together and each.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    /// For more, idle ones are closed.
+    connections_max: usize,
+    /// How long a request may take to arrive, and a connection be without one.
+    head_patience: Duration,
+}
+
+const LIMITS: Limits = Limits { connections_max: 512, head_patience: Duration::from_secs(10) };
+
+/// While all but this many are busy, only health checks are answered.
+const PLACES_FOR_HEALTH: usize = 16;
+
+/// What a request may say before its body, and in how many lines.
+const HEAD_BYTES_MAX: usize = 16 << 10;
+const HEAD_LINES_MAX: usize = 64;
+
+/// How long the other side may take nothing of an answer.
+const STALL_PATIENCE: Duration = Duration::from_secs(30);
+
+/// Whoever takes less than this while there is more has that long in all.
+const TAKEN_BYTES_PER_S_MIN: f64 = 10e3;
+
+/// How long what is being answered may go on when the window closes.
+const CLOSING_PATIENCE: Duration = Duration::from_millis(300);
+
+/// Where the system refuses a connection, it is asked again after so long.
+const REFUSED_WAIT: Duration = Duration::from_millis(100);
+
+/// The answer while the clock is before 1970.
+const CLOCK_IS_WRONG: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\ncontent-type: text/plain\r\n\
+    connection: close\r\n\r\nthe clock of this machine is before 1970: set it\n";
+
+/// Serves all who come, until the window closes.
+pub(super) async fn serve(listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
+    serve_within(LIMITS, listener, shared).await
+}
+
+async fn serve_within(limits: Limits, listener: TcpListener, shared: Arc<Shared>) -> io::Result<()> {
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    let Limits { connections_max, head_patience } = limits;
+    let busy_max = connections_max.saturating_sub(PLACES_FOR_HEALTH);
+    let connections = Arc::new(Connections::new(connections_max, busy_max));
+    let shared_by_all = Arc::clone(&shared);
+    let accepting =
+        tokio::spawn(accept_all(listener, Arc::clone(&connections), shared_by_all, head_patience));
+    let mut closing = shared.closing.clone();
+    // It fails when whoever could close the window is gone: then it is closed.
+    let _ = closing.wait_for(|&is_closing| is_closing).await;
+    accepting.abort();
+    // What does not end in time is cut off.
+    let _ = timeout(CLOSING_PATIENCE, connections.all_ended()).await;
+    Ok(())
+}
+
+async fn accept_all(
+    listener: tokio::net::TcpListener,
+    connections: Arc<Connections>,
+    shared: Arc<Shared>,
+    head_patience: Duration,
+) {
+    loop {
+        match listener.accept().await {
+            Ok((stream, _)) => {
+                let connection = Arc::new(connections.add().await);
+                let (connections, shared) = (Arc::clone(&connections), Arc::clone(&shared));
+                tokio::spawn(answer_all(stream, connection, connections, shared, head_patience));
+            }
+            // The system is short of something, or the other side is gone already.
+            Err(_) => sleep(REFUSED_WAIT).await,
+        }
+    }
+}
+
+/// Answers the requests of one connection.
+async fn answer_all(
+    stream: TcpStream,
+    connection: Arc<Connection>,
+    connections: Arc<Connections>,
+    shared: Arc<Shared>,
+    head_patience: Duration,
+) {
+    let Ok(local) = stream.local_addr() else { return };
+    if SystemTime::now() < UNIX_EPOCH {
+        // hyper cannot write the date of an answer. A new socket is not known to be writable before it was waited for.
+        if let Ok(Ok(())) = timeout(CLOSING_PATIENCE, stream.writable()).await {
+            let _ = stream.try_write(CLOCK_IS_WRONG);
+        }
+        return;
+    }
+    // Events are small, and nobody wants to wait for them.
+    let _ = stream.set_nodelay(true);
+    let service = service_fn(|request| {
+        let (shared, answering) = (Arc::clone(&shared), connection.begin());
+        let is_crowded = connections.is_crowded();
+        async move {
+            let answer = match is_crowded {
+                true => answer_in_a_crowd(&shared, &request, local).await,
+                false => answer_to(&shared, &request, local).await,
+            };
+            Ok::<_, Infallible>(answer.map(|content| BusyContent { content, _answering: answering }))
+        }
+    });
+    let mut served = pin!(
+        http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(head_patience)
+            .max_buf_size(HEAD_BYTES_MAX)
+            .max_headers(HEAD_LINES_MAX)
+            .serve_connection(TokioIo::new(Guarded::new(stream, Arc::clone(&connection))), service)
+    );
+    let mut is_to_close = pin!(connection.is_to_close());
+    let ended = poll_fn(|context| match is_to_close.as_mut().poll(context) {
+        // It makes room for another: dropping it closes the socket.
+        Poll::Ready(()) => Poll::Ready(Ok(())),
+        Poll::Pending => served.as_mut().poll(context),
+    });
+    if let Err(error) = ended.await {
+        tracing::debug!("a connection of the window has ended: {error}");
+    }
+}
+
+/// A socket that gives up on a side that takes nothing, or too little.
+struct Guarded {
+    stream: TcpStream,
+    /// How long the other side may still hold us up.
+    patience: Duration,
+    /// Since when it does, and when that is enough; `None` while it takes what it is sent.
+    held: Option<(Instant, Pin<Box<Sleep>>)>,
+    connection: Arc<Connection>,
+}
+
+impl Guarded {
+    fn new(stream: TcpStream, connection: Arc<Connection>) -> Guarded {
+        Guarded { stream, patience: STALL_PATIENCE, held: None, connection }
+    }
+
+    /// The other side has taken so many bytes.
+    fn taken(&mut self, count: usize) {
+        let held = self.held.take().map_or(Duration::ZERO, |(since, _)| since.elapsed());
+        self.patience = patience_after(self.patience, held, count);
+    }
+
+    /// The other side takes nothing; whether it has had its time.
+    fn is_over(&mut self, context: &mut Context<'_>) -> bool {
+        let patience = self.patience;
+        let (_, end) = self.held.get_or_insert_with(|| (Instant::now(), Box::pin(sleep(patience))));
+        end.as_mut().poll(context).is_ready()
+    }
+}
+
+/// How much patience there is with a side that has held us up for so long, and has then taken so many bytes.
+fn patience_after(before: Duration, held: Duration, taken_bytes: usize) -> Duration {
+    let earned = Duration::from_secs_f64(taken_bytes as f64 / TAKEN_BYTES_PER_S_MIN);
+    (before.saturating_sub(held) + earned).min(STALL_PATIENCE)
+}
+
+impl AsyncRead for Guarded {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().stream).poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for Guarded {
+    fn poll_write(self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        let this = self.get_mut();
+        match Pin::new(&mut this.stream).poll_write(context, bytes) {
+            Poll::Ready(Ok(count)) => {
+                this.taken(count);
+                Poll::Ready(Ok(count))
+            }
+            Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
+            Poll::Pending if this.is_over(context) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        // A socket has nothing to flush: what is written is with the system. Its caller flushes after the last byte.
+        let this = self.get_mut();
+        this.connection.flushed();
+        Pin::new(&mut this.stream).poll_flush(context)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.get_mut().stream).poll_shutdown(context)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use std::io::{Read, Write};
+    use std::net::TcpStream as Client;
+    use std::thread;
+
+    use tokio::runtime;
+    use tokio::sync::watch;
+
+    use super::super::events::Followers;
+    use crate::watch::board::Board;
+
+    /// How many pieces of 20 kB are taken by a side that takes one in so many seconds.
+    fn pieces_taken(every_s: u64) -> usize {
+        let every = Duration::from_secs(every_s);
+        let mut patience = STALL_PATIENCE;
+        let is_patient = |_: &usize| {
+            let is_in_time = every < patience;
+            patience = patience_after(patience, every, 20_000);
+            is_in_time
+        };
+        (0..1000).take_while(is_patient).count()
+    }
+
+    #[test]
+    fn who_takes_too_little_is_cut_off() {
+        assert_eq!(pieces_taken(1), 1000, "twice what must be");
+        assert_eq!(pieces_taken(2), 1000, "just enough");
+        // Five seconds for what should take two: three of the thirty are lost each time.
+        assert_eq!(pieces_taken(5), 9);
+        assert_eq!(pieces_taken(30), 0);
+    }
+
+    #[test]
+    fn connection_that_is_idle_for_longest_is_closed_for_a_new_one() {
+        // No connection ends by itself while this test runs.
+        let limits = Limits { connections_max: 20, head_patience: Duration::from_secs(3600) };
+        let (closing, is_closing) = watch::channel(false);
+        let shared = Arc::new(Shared {
+            board: Arc::new(Board::new()),
+            token: None,
+            closing: is_closing,
+            followers: Followers::default(),
+        });
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        listener.set_nonblocking(true).expect("set");
+        let address = listener.local_addr().expect("an address");
+        let serving = thread::spawn(move || {
+            let runtime = runtime::Builder::new_current_thread().enable_io().enable_time().build()?;
+            runtime.block_on(serve_within(limits, listener, shared))
+        });
+        let connect = || {
+            let stream = Client::connect(address).expect("connected");
+            stream.set_read_timeout(Some(Duration::from_secs(600))).expect("set");
+            stream
+        };
+        // Half of them say nothing, the others half a request.
+        let idle: Vec<Client> = (0..limits.connections_max)
+            .map(|number| {
+                let mut stream = connect();
+                if number % 2 == 1 {
+                    write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\n").expect("sent");
+                }
+                stream
+            })
+            .collect();
+        let mut another = connect();
+        let request = format!("GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        another.write_all(request.as_bytes()).expect("sent");
+        let mut answer = String::new();
+        another.read_to_string(&mut answer).expect("an answer");
+        assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+        let end = (&idle[0]).read(&mut [0]);
+        let is_reset = |error: &io::Error| error.kind() == io::ErrorKind::ConnectionReset;
+        assert!(matches!(end, Ok(0)) || end.as_ref().is_err_and(is_reset), "{end:?}");
+        for stream in &idle[1..] {
+            stream.set_nonblocking(true).expect("set");
+            let still_open = (&*stream).read(&mut [0]).expect_err("nothing to read, and no end");
+            assert_eq!(still_open.kind(), io::ErrorKind::WouldBlock);
+        }
+        closing.send(true).expect("served");
+        serving.join().expect("no panic").expect("served");
+    }
+
+    #[test]
+    fn patience_does_not_pile_up() {
+        assert_eq!(patience_after(STALL_PATIENCE, Duration::ZERO, usize::MAX >> 16), STALL_PATIENCE);
+    }
+}

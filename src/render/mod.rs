@@ -1,0 +1,178 @@
+//! A picture of a level set, straight from φ: no mesh is made.
+//!
+//! ```text
+//!   camera ──ray──▶ surface, ground or nothing ──▶ light that arrives there ──▶ colour
+//!     every pixel         the cubic in a cell         every fourth pixel          edges: eight rays more
+//! ```
+//!
+//! What is smooth is looked at seldom: light is followed for one pixel of sixteen and interpolated among places that
+//! lie in one plane. What is sharp is looked at often: where neighbouring pixels show different things, a pixel is the
+//! mean of eight rays. Each pixel depends on the frame and the view alone, not on threads.
+//!
+//! The inside of the surface is orange. Nobody ever sees it, unless φ has a wrong sign or a hole.
+
+mod camera;
+mod light;
+mod plot;
+mod sheet;
+mod shrink;
+mod sky;
+mod splats;
+mod surface;
+mod tile;
+mod walk;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+pub use camera::{Camera, Placement, Up};
+pub use plot::{Line, Plot};
+pub use sheet::{Block, Cell, Sheet, Shown, side_by_side, stacked};
+
+use crate::surface::grid::Field;
+use crate::surface::level_set::NarrowBand;
+use crate::surface::particles::Particles;
+use crate::surface::space::Lattice;
+use light::Lighting;
+use sky::Sky;
+use surface::Surface;
+use tile::{Eyes, Finished, TILE_EDGE, Tile};
+
+/// What is seen, and from where.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Where from.
+    pub camera: Camera,
+    /// Which way is up.
+    pub up: Up,
+    /// How high the ground is, world units; `None` for no ground.
+    pub ground: Option<f64>,
+}
+
+/// A picture: values of its pixels, row by row from the top left.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Picture {
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Linear colour with the primaries of sRGB; 1 is white.
+    pub color: Vec<[f32; 3]>,
+    /// The part of each pixel that the surface covers.
+    pub coverage: Vec<f32>,
+    /// What the middle of each pixel shows; empty if it was not asked for.
+    pub data: Option<PictureData>,
+}
+
+/// What the middle of each pixel shows.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PictureData {
+    /// How far along the camera's axis, world units; [`FAR`] where there is no surface.
+    pub depth: Vec<f32>,
+    /// Outward, of length 1, in world space; 0 where there is no surface.
+    pub normals: Vec<[f32; 3]>,
+    /// World units; 0 where there is no surface.
+    pub positions: Vec<[f32; 3]>,
+    /// World units per second; `None` if the frame has none.
+    pub velocities: Option<Vec<[f32; 3]>>,
+    /// Mean curvature, per world unit; positive where the fluid bulges.
+    pub curvatures: Vec<f32>,
+}
+
+/// The depth of what is not there.
+pub const FAR: f32 = 1e10;
+
+/// What a picture is made with beside its colours.
+#[derive(Clone, Copy, Debug)]
+pub struct Layers<'a> {
+    /// Whether data are wanted.
+    pub data: bool,
+    /// Velocities at the voxels of the band, x, y and z, world units per second.
+    pub velocity: Option<&'a [Field; 3]>,
+}
+
+/// A picture of a level set.
+pub fn render(band: &NarrowBand, lattice: &Lattice, view: &View, layers: Layers) -> Picture {
+    let (surface, sky) = rayon::join(|| Surface::new(band), || Sky::new(band));
+    let eyes = Eyes::new(&surface, lattice, view);
+    let lighting = Lighting::new(&sky, view);
+    assemble(view.size, |place| Tile::new(&eyes, &lighting, place).finish(layers))
+}
+
+/// A picture of particles as balls of this radius, in world units, in the same light.
+pub fn render_particles(particles: &Particles, radius: f64, view: &View) -> Picture {
+    splats::render(particles, radius, view)
+}
+
+/// A place on a surface, in a colour of its own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mark {
+    /// World units.
+    pub position: DVec3,
+    /// Unit vector out of the surface.
+    pub normal: DVec3,
+    /// Linear, with the primaries of sRGB.
+    pub color: [f32; 3],
+}
+
+/// A picture of marks as balls of this radius, in world units, on the ground's background.
+pub fn render_marks(marks: &[Mark], radius: f64, view: &View) -> Picture {
+    splats::render_marks(marks, radius, view)
+}
+
+/// The tiles of a picture, put together.
+fn assemble(size: [usize; 2], tile: impl Fn([usize; 2]) -> Finished + Sync) -> Picture {
+    let [width, height] = size;
+    let (columns, rows) = (width.div_ceil(TILE_EDGE), height.div_ceil(TILE_EDGE));
+    let place = |index: usize| [index % columns * TILE_EDGE, index / columns * TILE_EDGE];
+    let tiles: Vec<Finished> = (0..columns * rows).into_par_iter().map(|index| tile(place(index))).collect();
+    let gather = Gather { size, columns };
+    let of_data = |pick: &dyn Fn(&PictureData) -> &[[f32; 3]]| {
+        gather.rows(&tiles, |tile| tile.data.as_ref().map_or(&[][..], pick))
+    };
+    let numbers = |pick: &dyn Fn(&PictureData) -> &[f32]| {
+        gather.rows(&tiles, |tile| tile.data.as_ref().map_or(&[][..], pick))
+    };
+    let has =
+        |test: &dyn Fn(&PictureData) -> bool| tiles.iter().any(|tile| tile.data.as_ref().is_some_and(test));
+    let data = has(&|_| true).then(|| PictureData {
+        depth: numbers(&|data| &data.depth),
+        normals: of_data(&|data| &data.normals),
+        positions: of_data(&|data| &data.positions),
+        velocities: has(&|data| data.velocities.is_some())
+            .then(|| of_data(&|data| data.velocities.as_deref().unwrap_or_default())),
+        curvatures: numbers(&|data| &data.curvatures),
+    });
+    Picture {
+        size,
+        color: gather.rows(&tiles, |tile| &tile.color),
+        coverage: gather.rows(&tiles, |tile| &tile.coverage),
+        data,
+    }
+}
+
+/// How tiles lie in a picture.
+struct Gather {
+    size: [usize; 2],
+    columns: usize,
+}
+
+impl Gather {
+    fn rows<'t, T: Copy + 't>(
+        &self,
+        tiles: &'t [Finished],
+        values: impl Fn(&'t Finished) -> &'t [T],
+    ) -> Vec<T> {
+        let [width, height] = self.size;
+        let mut all = Vec::with_capacity(width * height);
+        for y in 0..height {
+            for column in 0..self.columns {
+                let of_tile = values(&tiles[y / TILE_EDGE * self.columns + column]);
+                let first = y % TILE_EDGE * TILE_EDGE;
+                let count = TILE_EDGE.min(width - column * TILE_EDGE);
+                all.extend_from_slice(&of_tile[first..first + count]);
+            }
+        }
+        all
+    }
+}

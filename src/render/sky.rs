@@ -1,0 +1,276 @@
+//! How much of the light from a direction arrives: the fluid as a fog of coarse cells, and of coarser ones, in which a
+//! cone is followed with as few looks as its width allows.
+//!
+//! ```text
+//!     ·  ╱           Each cell knows what part of it is inside. Twice as far away,
+//!      ╱───╮         cells of twice the edge are looked at: a cone takes a handful of looks,
+//!    ╱──╮  │         and what it finds is soft, without noise.
+//!   •───┴──┴──
+//! ```
+//!
+//! This work is based on:
+//! Cyril Crassin and others. Interactive indirect illumination using voxel cone tracing. 2011
+
+use glam::{DVec3, I64Vec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::surface::grid::{LEAF_EDGE, negative_masks};
+use crate::surface::level_set::NarrowBand;
+use crate::surface::space::box_of;
+
+/// What stands between a place and the light.
+pub(super) struct Sky {
+    /// The first voxel of the first cell.
+    origin: DVec3,
+    levels: Vec<Level>,
+    /// The edge of the finest cells, in voxels.
+    edge: f32,
+}
+
+/// Cells of one size.
+struct Level {
+    size: IVec3,
+    /// The part of each that is inside; z changes fastest.
+    density: Vec<f32>,
+}
+
+/// The finest cells, in voxels: half a leaf.
+const FINEST_EDGE: i32 = 4;
+
+/// No more of the finest cells than this: a large frame has larger ones.
+const CELLS_MAX: f64 = (1 << 20) as f64;
+
+impl Sky {
+    /// Nothing stands in its way.
+    pub(super) fn empty() -> Sky {
+        Sky { origin: DVec3::ZERO, levels: Vec::new(), edge: FINEST_EDGE as f32 }
+    }
+
+    pub(super) fn new(band: &NarrowBand) -> Sky {
+        let origins = band.topology.origins();
+        let leaf_at = |index: usize| [origins[index].as_dvec3(), (origins[index] + LEAF_EDGE).as_dvec3()];
+        let Some([least, greatest]) = box_of(origins.len(), leaf_at) else { return Sky::empty() };
+        let (least, extent) = (least.as_ivec3(), (greatest - least).as_i64vec3());
+        let mut edge = i64::from(FINEST_EDGE);
+        let size = |edge: i64| (extent + (edge - 1)) / edge;
+        while size(edge).as_dvec3().element_product() > CELLS_MAX {
+            edge *= 2;
+        }
+        let count = size(edge).element_product() as usize;
+        let mut finest = Level { size: size(edge).as_ivec3(), density: vec![0.0; count] };
+        fill(&mut finest, band, least, edge);
+        let mut levels = vec![finest];
+        while let Some(level) = levels.last().filter(|level| level.size.max_element() > 1) {
+            let coarser = level.coarser();
+            levels.push(coarser);
+        }
+        Sky { origin: least.as_dvec3(), levels, edge: edge as f32 }
+    }
+
+    /// The part of the light that comes through a cone: from a place, in voxels, around a direction, as wide as the
+    /// tangent of half its angle says.
+    pub(super) fn through(&self, place: DVec3, direction: Vec3, tangent: f32) -> f32 {
+        let Some(coarsest) = self.levels.last() else { return 1.0 };
+        let extent = self.edge * (1 << (self.levels.len() - 1)) as f32;
+        let reach = 1.8 * extent * coarsest.size.max_element() as f32;
+        let start = (place - self.origin).as_vec3() / self.edge;
+        let (mut t, mut clear) = (1.2f32, 1f32);
+        let reach = reach / self.edge;
+        while t < reach && clear > 0.02 {
+            let width = (2.0 * t * tangent).max(1.0);
+            clear *= 1.0 - self.density(start + direction * t, width.log2());
+            t += width;
+        }
+        clear
+    }
+
+    /// The part that is inside around a place, in finest cells, where cells have an edge of 2 to this power.
+    fn density(&self, place: Vec3, power: f32) -> f32 {
+        let power = power.clamp(0.0, (self.levels.len() - 1) as f32);
+        let finer = power.floor();
+        let at = |level: usize| self.levels[level].at(place / (1 << level) as f32);
+        let one = at(finer as usize);
+        let part = power - finer;
+        if part < 0.05 { one } else { one + (at(finer as usize + 1) - one) * part }
+    }
+}
+
+impl Level {
+    /// Trilinear, in cells; nothing is inside beyond them.
+    fn at(&self, place: Vec3) -> f32 {
+        let place = place - 0.5;
+        let is_near = place.cmpge(Vec3::NEG_ONE).all() && place.cmple(self.size.as_vec3()).all();
+        if !is_near {
+            return 0.0;
+        }
+        let first = floor(place);
+        let part = place - first.as_vec3();
+        let value = |x: i32, y: i32, z: i32| {
+            let cell = first + IVec3::new(x, y, z);
+            let is_in = cell.cmpge(IVec3::ZERO).all() && cell.cmplt(self.size).all();
+            if is_in { self.density[self.place(cell)] } else { 0.0 }
+        };
+        let mix = |one: f32, other: f32, part: f32| one + (other - one) * part;
+        let along_z = |x, y| mix(value(x, y, 0), value(x, y, 1), part.z);
+        let along_y = |x| mix(along_z(x, 0), along_z(x, 1), part.y);
+        mix(along_y(0), along_y(1), part.x)
+    }
+
+    fn place(&self, cell: IVec3) -> usize {
+        ((i64::from(cell.x) * i64::from(self.size.y) + i64::from(cell.y)) * i64::from(self.size.z)
+            + i64::from(cell.z)) as usize
+    }
+
+    /// Eight cells to one.
+    fn coarser(&self) -> Level {
+        let size = (self.size + 1) / 2;
+        let count = size.as_i64vec3().element_product() as usize;
+        let mean = |place: usize| {
+            let (z, rest) = (place % size.z as usize, place / size.z as usize);
+            let first =
+                2 * IVec3::new((rest / size.y as usize) as i32, (rest % size.y as usize) as i32, z as i32);
+            let mut sum = 0.0;
+            for corner in 0..8 {
+                let cell = first + IVec3::new(corner >> 2, corner >> 1 & 1, corner & 1);
+                if cell.cmplt(self.size).all() {
+                    sum += self.density[self.place(cell)];
+                }
+            }
+            sum / 8.0
+        };
+        Level { size, density: (0..count).into_par_iter().map(mean).collect() }
+    }
+}
+
+/// The whole numbers not above these, without a call for each.
+fn floor(place: Vec3) -> IVec3 {
+    let toward_zero = place.as_ivec3();
+    let above = place.cmplt(toward_zero.as_vec3());
+    toward_zero - IVec3::select(above, IVec3::ONE, IVec3::ZERO)
+}
+
+/// Tells each cell what part of it is inside; what strayed beyond all cells is in none.
+fn fill(level: &mut Level, band: &NarrowBand, least: IVec3, edge: i64) {
+    let per_voxel = (1.0 / edge as f32).powi(3);
+    let negative = negative_masks(&band.phi);
+    let extent = level.size.as_i64vec3() * edge;
+    let from_least = |origin: IVec3| origin.as_i64vec3() - least.as_i64vec3();
+    let mut columns: Vec<(I64Vec3, usize)> = (band.topology.origins().iter().enumerate())
+        .map(|(leaf, &origin)| (from_least(origin), leaf))
+        .filter(|(first, _)| first.cmpge(I64Vec3::ZERO).all() && first.cmplt(extent).all())
+        .collect();
+    columns.sort_unstable_by_key(|(first, _)| first.to_array());
+    let half = LEAF_EDGE / 2;
+    for (index, &(first, leaf)) in columns.iter().enumerate() {
+        for octant in 0..8 {
+            let aside = half * IVec3::new(octant >> 2, octant >> 1 & 1, octant & 1);
+            let count: u32 = (0..half * half)
+                .map(|row| {
+                    let (x, y) = (aside.x + row / half, aside.y + row % half);
+                    ((negative[leaf].row((x * 8 + y) as usize) >> aside.z) & 0xf).count_ones()
+                })
+                .sum();
+            let place = level.place(((first + aside.as_i64vec3()) / edge).as_ivec3());
+            level.density[place] += count as f32 * per_voxel;
+        }
+        // What is between two leaves of a column and not stored is inside where the first of them ends inside.
+        let Some(&(next, _)) = columns.get(index + 1) else { continue };
+        let is_column = next.truncate() == first.truncate();
+        let ends_inside = negative[leaf].rows_with(0x80).count_ones() > 32;
+        if is_column && ends_inside {
+            let (begin, end) = (first.z + i64::from(LEAF_EDGE), next.z);
+            for z in begin / edge..=(end - 1) / edge {
+                let count = end.min((z + 1) * edge) - begin.max(z * edge);
+                for quarter in 0..4 {
+                    let aside = i64::from(half) * I64Vec3::new(quarter >> 1, quarter & 1, 0);
+                    let cell = ((first + aside) / edge).with_z(z).as_ivec3();
+                    let place = level.place(cell);
+                    level.density[place] += (count * i64::from(half * half)) as f32 * per_voxel;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::grid::{Field, Topology, voxel_in_leaf};
+    use std::sync::Arc;
+
+    /// A ball of this radius, in voxels, around the origin.
+    fn ball(radius: f32) -> NarrowBand {
+        let reach = (radius as i32 + 8) / 8 * 8;
+        let mut origins = Vec::new();
+        for x in (-reach..=reach).step_by(8) {
+            for y in (-reach..=reach).step_by(8) {
+                for z in (-reach..=reach).step_by(8) {
+                    let distance = (IVec3::new(x, y, z) + 4).as_vec3().length() - radius;
+                    if distance.abs() < 14.0 {
+                        origins.push(IVec3::new(x, y, z));
+                    }
+                }
+            }
+        }
+        let topology = Topology::new(origins);
+        let mut phi = Field::splat(topology.len(), 0.0);
+        for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
+            for (offset, value) in leaf.values.iter_mut().enumerate() {
+                *value = (origin + voxel_in_leaf(offset)).as_vec3().length() - radius;
+            }
+        }
+        NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 }
+    }
+
+    #[test]
+    fn all_that_is_inside_is_in_some_cell() {
+        for radius in [10.0f32, 30.0] {
+            let sky = Sky::new(&ball(radius));
+            let volume = sky.levels[0].density.iter().sum::<f32>() * sky.edge.powi(3);
+            let expected = 4.0 / 3.0 * std::f32::consts::PI * radius.powi(3);
+            assert!((volume / expected - 1.0).abs() < 0.02, "{volume} of {expected}");
+            assert!(sky.levels[0].density.iter().all(|&density| (0.0..=1.0).contains(&density)));
+        }
+    }
+
+    #[test]
+    fn a_ball_is_in_the_way_of_what_is_behind_it() {
+        let sky = Sky::new(&ball(20.0));
+        let below = DVec3::new(0.0, -30.0, 0.0);
+        assert!(sky.through(below, Vec3::Y, 0.1) < 0.05);
+        assert!(sky.through(below, Vec3::NEG_Y, 0.1) > 0.99);
+        assert!(sky.through(DVec3::new(60.0, 0.0, 0.0), Vec3::Y, 0.1) > 0.99);
+        let half = sky.through(DVec3::new(20.0, -30.0, 0.0), Vec3::Y, 0.3);
+        assert!((0.1..0.9).contains(&half), "{half} past the edge");
+    }
+
+    #[test]
+    fn what_strayed_leaves_the_light_alone() {
+        let near = ball(30.0);
+        let place = DVec3::new(0.0, -40.0, 0.0);
+        for stray in [IVec3::splat(110_000 * 8), IVec3::splat(-(1 << 30)), IVec3::new(0, 0, (1 << 30) - 8)] {
+            let mut origins = near.topology.origins().to_vec();
+            origins.push(stray);
+            let topology = Topology::new(origins);
+            let mut phi = Field::splat(topology.len(), -1.0);
+            for (leaf, origin) in phi.leaves.iter_mut().zip(topology.origins()) {
+                if let Some(known) = near.topology.find(*origin) {
+                    leaf.values = near.phi.leaves[known].values;
+                }
+            }
+            let band = NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 };
+            let [with, without] = [&band, &near].map(|band| Sky::new(band).through(place, Vec3::X, 0.5));
+            assert!((with - without).abs() < 1e-3, "{with} with a stray at {stray}, {without} without");
+        }
+    }
+
+    /// Two halves of what there is, as far from each other as can be: neither has strayed.
+    #[test]
+    fn the_ends_of_the_world_are_one_sky() {
+        let origins = [IVec3::splat(-(1 << 30)), IVec3::splat((1 << 30) - 8)];
+        let topology = Topology::new(origins.to_vec());
+        let phi = Field::splat(2, -1.0);
+        let sky = Sky::new(&NarrowBand { topology: Arc::new(topology), phi, half_width: 8.0 });
+        assert!(sky.through(DVec3::ZERO, Vec3::X, 0.5) > 0.99);
+    }
+}

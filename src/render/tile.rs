@@ -1,0 +1,343 @@
+//! A tile of a picture, with the pixels around it that its own are compared with.
+
+use glam::{DVec2, DVec3, Vec3};
+
+use super::light::{Light, Lighting};
+use super::surface::{Around, Surface};
+use super::walk::Ray;
+use super::{FAR, Layers, PictureData, View};
+use crate::surface::space::Lattice;
+
+/// Pixels along the edge of a tile.
+pub(super) const TILE_EDGE: usize = 64;
+
+/// Pixels around it: as far as the next places where light is followed.
+const BORDER: usize = 4;
+
+const SEEN_EDGE: usize = TILE_EDGE + 2 * BORDER;
+
+/// Light is followed at every so many pixels.
+const LIGHT_STEP: usize = 4;
+
+const LIGHT_EDGE: usize = SEEN_EDGE / LIGHT_STEP;
+
+/// What looks: rays through pixels, in voxels.
+pub(super) struct Eyes<'a> {
+    surface: &'a Surface<'a>,
+    view: &'a View,
+    voxel_size: f64,
+    /// The camera's place, in voxels.
+    eye: DVec3,
+}
+
+/// What a ray has found.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    what: What,
+    /// In voxels from the eye.
+    t: f64,
+    /// In voxels.
+    position: DVec3,
+    normal: Vec3,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum What {
+    Nothing,
+    Ground,
+    Outside,
+    Inside,
+}
+
+impl<'a> Eyes<'a> {
+    pub(super) fn new(surface: &'a Surface<'a>, lattice: &Lattice, view: &'a View) -> Eyes<'a> {
+        let voxel_size = lattice.voxel_size;
+        Eyes { surface, view, voxel_size, eye: view.camera.eye / voxel_size }
+    }
+
+    /// The ray through a place of the picture, in pixels from its upper left corner.
+    fn ray(&self, place: DVec2) -> Ray {
+        let [width, height] = self.view.size.map(|size| size as f64);
+        let direction = DVec2::new(2.0 * place.x - width, height - 2.0 * place.y) / height;
+        Ray::new(self.eye, self.view.camera.direction(direction))
+    }
+
+    /// The edge of a pixel so far away, in voxels.
+    fn pixel_edge(&self, t: f64) -> f64 {
+        2.0 * self.view.camera.tan_half_view * t / self.view.size[1] as f64
+    }
+
+    fn look(&self, place: DVec2) -> (Seen, Option<Around>) {
+        let ray = self.ray(place);
+        // The ground is there for shadows, and hides nothing: fluid may be below it, and rests on it without a gap.
+        if let Some(hit) = self.surface.meet(&ray, [0.0, f64::INFINITY]) {
+            let around = self.surface.around(&ray, &hit);
+            let outward = around.gradient().normalize_or(-ray.direction.as_vec3());
+            let (what, normal) =
+                if hit.is_front { (What::Outside, outward) } else { (What::Inside, -outward) };
+            return (Seen { what, t: hit.t, position: ray.at(hit.t), normal }, Some(around));
+        }
+        let up = self.view.up.direction().as_vec3();
+        let seen = match self.ground_at(&ray) {
+            Some(t) => Seen { what: What::Ground, t, position: ray.at(t), normal: up },
+            None => Seen { what: What::Nothing, t: f64::INFINITY, position: DVec3::INFINITY, normal: up },
+        };
+        (seen, None)
+    }
+
+    /// Where a ray meets the ground from above.
+    fn ground_at(&self, ray: &Ray) -> Option<f64> {
+        let up = self.view.up.direction();
+        let above = ray.origin.dot(up) - self.view.ground? / self.voxel_size;
+        let sinking = -ray.direction.dot(up);
+        (above > 0.0 && sinking > 1e-6).then(|| above / sinking)
+    }
+}
+
+/// What a tile's pixels and those around it show.
+pub(super) struct Tile<'a> {
+    eyes: &'a Eyes<'a>,
+    lighting: &'a Lighting<'a>,
+    /// The first pixel; with the border, it may be before the picture's first.
+    first: [isize; 2],
+    seen: Vec<Seen>,
+    arounds: Vec<Option<Around>>,
+    /// Where light was followed, if anything is there.
+    lights: Vec<Option<Light>>,
+}
+
+/// A finished tile: values of its pixels, row by row.
+pub(super) struct Finished {
+    pub(super) color: Vec<[f32; 3]>,
+    pub(super) coverage: Vec<f32>,
+    pub(super) data: Option<PictureData>,
+}
+
+impl<'a> Tile<'a> {
+    /// The tile whose first pixel is at `place`.
+    pub(super) fn new(eyes: &'a Eyes<'a>, lighting: &'a Lighting<'a>, place: [usize; 2]) -> Tile<'a> {
+        let first = place.map(|along| along as isize - BORDER as isize);
+        let mut tile =
+            Tile { eyes, lighting, first, seen: Vec::new(), arounds: Vec::new(), lights: Vec::new() };
+        for y in 0..SEEN_EDGE {
+            for x in 0..SEEN_EDGE {
+                let (seen, around) = eyes.look(tile.place(x, y) + 0.5);
+                tile.seen.push(seen);
+                tile.arounds.push(around);
+            }
+        }
+        for y in 0..LIGHT_EDGE {
+            for x in 0..LIGHT_EDGE {
+                let [x, y] = [x, y].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
+                let light = tile.follow(x, y);
+                tile.lights.push(light);
+            }
+        }
+        tile
+    }
+
+    /// A pixel's upper left corner in the picture.
+    fn place(&self, x: usize, y: usize) -> DVec2 {
+        DVec2::new((self.first[0] + x as isize) as f64, (self.first[1] + y as isize) as f64)
+    }
+
+    fn follow(&self, x: usize, y: usize) -> Option<Light> {
+        let seen = &self.seen[y * SEEN_EDGE + x];
+        (seen.what != What::Nothing).then(|| self.lighting.arriving(seen.position, seen.normal))
+    }
+
+    /// The colours of the tile's own pixels.
+    pub(super) fn finish(&self, layers: Layers) -> Finished {
+        let own = BORDER..BORDER + TILE_EDGE;
+        let lit: Vec<Light> = (0..SEEN_EDGE * SEEN_EDGE)
+            .map(|index| {
+                let (x, y) = (index % SEEN_EDGE, index / SEEN_EDGE);
+                let is_near_own = |along: usize| (BORDER - 1..BORDER + TILE_EDGE + 1).contains(&along);
+                if is_near_own(x) && is_near_own(y) { self.light_at(x, y) } else { Light::NONE }
+            })
+            .collect();
+        let pixels = || own.clone().flat_map(|y| own.clone().map(move |x| (x, y)));
+        let mut finished = Finished { color: Vec::new(), coverage: Vec::new(), data: None };
+        for (x, y) in pixels() {
+            let (color, coverage) =
+                if self.is_edge(x, y) { self.mean(&lit, x, y) } else { self.single(&lit, x, y) };
+            finished.color.push(color.to_array());
+            finished.coverage.push(coverage);
+        }
+        if layers.data {
+            let mut data =
+                PictureData { velocities: layers.velocity.map(|_| Vec::new()), ..PictureData::default() };
+            pixels().for_each(|(x, y)| self.push_data(&mut data, layers, x, y));
+            finished.data = Some(data);
+        }
+        finished
+    }
+
+    /// The light at a pixel: that at the four places around it, as far as these lie in its plane.
+    fn light_at(&self, x: usize, y: usize) -> Light {
+        let seen = self.seen[y * SEEN_EDGE + x];
+        if seen.what == What::Nothing {
+            return Light::NONE;
+        }
+        let [(x_light, x_part), (y_light, y_part)] = [x, y].map(|along| {
+            let along = (along as f32 - (LIGHT_STEP / 2) as f32) / LIGHT_STEP as f32;
+            (along.floor() as usize, along.fract())
+        });
+        let position = seen.position;
+        let tolerance = (PLANE_TOLERANCE * LIGHT_STEP as f64 * self.eyes.pixel_edge(seen.t)) as f32;
+        let contact = CONTACT_VOXELS.max(CONTACT_PIXELS * self.eyes.pixel_edge(seen.t));
+        let (mut sum, mut weights) = (Light::NONE, 0.0);
+        for corner in 0..4 {
+            let (right, down) = (corner & 1, corner >> 1);
+            let (x_light, y_light) = (x_light + right, y_light + down);
+            if x_light >= LIGHT_EDGE || y_light >= LIGHT_EDGE {
+                continue;
+            }
+            let Some(light) = self.lights[y_light * LIGHT_EDGE + x_light] else { continue };
+            let [x_seen, y_seen] = [x_light, y_light].map(|along| along * LIGHT_STEP + LIGHT_STEP / 2);
+            let other = self.seen[y_seen * SEEN_EDGE + x_seen];
+            let is_contact = seen.what == What::Ground
+                && matches!(other.what, What::Outside | What::Inside)
+                && other.position.distance(position) < contact;
+            if is_contact {
+                return self.lighting.arriving(position, seen.normal);
+            }
+            let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
+            let alike = other.normal.dot(seen.normal).max(0.0).powi(8) * (1.0 - apart / tolerance).max(0.0);
+            if other.what != seen.what || alike <= 0.0 {
+                continue;
+            }
+            let across = if right == 1 { x_part } else { 1.0 - x_part };
+            let along = if down == 1 { y_part } else { 1.0 - y_part };
+            let weight = across * along * alike;
+            (sum, weights) = (sum.plus(light, weight), weights + weight);
+        }
+        if weights < LEAST_WEIGHT {
+            self.lighting.arriving(position, seen.normal)
+        } else {
+            sum.times(1.0 / weights)
+        }
+    }
+
+    /// Whether a pixel beside this one shows something else.
+    fn is_edge(&self, x: usize, y: usize) -> bool {
+        let seen = self.seen[y * SEEN_EDGE + x];
+        let position = seen.position;
+        [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].into_iter().any(|(x, y)| {
+            let other = self.seen[y * SEEN_EDGE + x];
+            // Ground and background have one colour.
+            let is_fluid = |what: What| matches!(what, What::Outside | What::Inside);
+            if other.what != seen.what {
+                return is_fluid(other.what) || is_fluid(seen.what);
+            }
+            if !is_fluid(seen.what) {
+                return false;
+            }
+            let apart = (other.position - position).as_vec3().dot(seen.normal).abs();
+            let is_step = apart > (EDGE_STEP * self.eyes.pixel_edge(seen.t)) as f32;
+            other.normal.dot(seen.normal) < EDGE_COSINE || is_step
+        })
+    }
+
+    fn single(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
+        let index = y * SEEN_EDGE + x;
+        let toward = -self.eyes.ray(self.place(x, y) + 0.5).direction.as_vec3();
+        self.shade(&self.seen[index], lit[index], toward)
+    }
+
+    /// The mean of eight rays through a pixel.
+    fn mean(&self, lit: &[Light], x: usize, y: usize) -> (Vec3, f32) {
+        let (mut color, mut coverage) = (Vec3::ZERO, 0.0);
+        for offset in OFFSETS {
+            let place = self.place(x, y) + offset;
+            let (seen, _) = self.eyes.look(place);
+            let toward = -self.eyes.ray(place).direction.as_vec3();
+            let light = self.light_of(&seen, lit, x, y);
+            let (one, covers) = self.shade(&seen, light, toward);
+            // What glints must not outshine the rest of the pixel.
+            color += one.min(Vec3::splat(2.0)) / OFFSETS.len() as f32;
+            coverage += covers / OFFSETS.len() as f32;
+        }
+        (color, coverage)
+    }
+
+    /// The light on what a ray within a pixel shows: that of the pixel, or one beside it, that shows the same.
+    fn light_of(&self, seen: &Seen, lit: &[Light], x: usize, y: usize) -> Light {
+        if seen.what == What::Nothing {
+            return Light::NONE;
+        }
+        let position = seen.position;
+        let within = (2.5 * self.eyes.pixel_edge(seen.t)).powi(2);
+        let beside = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+        let alike = beside.into_iter().find(|&(x, y)| {
+            let other = self.seen[y * SEEN_EDGE + x];
+            other.what == seen.what
+                && other.normal.dot(seen.normal) > EDGE_COSINE
+                && (seen.what == What::Ground || other.position.distance_squared(position) < within)
+        });
+        match alike {
+            Some((x, y)) => lit[y * SEEN_EDGE + x],
+            None => self.lighting.arriving(position, seen.normal),
+        }
+    }
+
+    fn shade(&self, seen: &Seen, light: Light, toward: Vec3) -> (Vec3, f32) {
+        match seen.what {
+            What::Nothing => (self.lighting.background(), 0.0),
+            What::Ground => (self.lighting.ground(light), 0.0),
+            What::Outside => (self.lighting.water(light, seen.normal, toward, true), 1.0),
+            What::Inside => (self.lighting.water(light, seen.normal, toward, false), 1.0),
+        }
+    }
+
+    fn push_data(&self, data: &mut PictureData, layers: Layers, x: usize, y: usize) {
+        let index = y * SEEN_EDGE + x;
+        let voxel_size = self.eyes.voxel_size;
+        let camera = &self.eyes.view.camera;
+        let Some(around) = &self.arounds[index] else {
+            data.depth.push(FAR);
+            data.normals.push([0.0; 3]);
+            data.positions.push([0.0; 3]);
+            data.curvatures.push(0.0);
+            if let Some(velocities) = &mut data.velocities {
+                velocities.push([0.0; 3]);
+            }
+            return;
+        };
+        let position = self.seen[index].position * voxel_size;
+        data.depth.push((position - camera.eye).dot(camera.forward) as f32);
+        data.normals.push(around.gradient().normalize_or_zero().to_array());
+        data.positions.push(position.as_vec3().to_array());
+        data.curvatures.push((f64::from(around.mean_curvature()) / voxel_size) as f32);
+        if let (Some(velocities), Some(fields)) = (&mut data.velocities, layers.velocity) {
+            velocities
+                .push(fields.each_ref().map(|field| self.eyes.surface.interpolate(&field.leaves, around)));
+        }
+    }
+}
+
+/// Places whose light is taken for a pixel's lie in its plane but for this part of the way between them.
+const PLANE_TOLERANCE: f64 = 0.7;
+
+/// Ground that is nearer to fluid has light of its own: where they touch, it fades within a voxel.
+const CONTACT_VOXELS: f64 = 6.0;
+const CONTACT_PIXELS: f64 = 3.0 * LIGHT_STEP as f64;
+
+/// With less of them its light is followed by itself.
+const LEAST_WEIGHT: f32 = 0.3;
+
+/// Neighbours with a step of so many pixels between them are an edge, and those whose normals are farther apart.
+const EDGE_STEP: f64 = 1.5;
+const EDGE_COSINE: f32 = 0.94;
+
+/// Eight places in a pixel, no two in a row or a column of eight.
+const OFFSETS: [DVec2; 8] = [
+    DVec2::new(0.0625, 0.4375),
+    DVec2::new(0.1875, 0.8125),
+    DVec2::new(0.3125, 0.1875),
+    DVec2::new(0.4375, 0.6875),
+    DVec2::new(0.5625, 0.3125),
+    DVec2::new(0.6875, 0.9375),
+    DVec2::new(0.8125, 0.0625),
+    DVec2::new(0.9375, 0.5625),
+];

@@ -1,0 +1,223 @@
+//! From moments to ellipsoids, eight particles at a time.
+//!
+//! ```text
+//!   moments ──▶ covariance ──▶ eigenvalues λ ──▶ √λ ──▶ limit ──▶ volume ──▶ blend ──▶ scale ──▶ floor ──▶ ellipsoid
+//! ```
+//!
+//! - **√λ**: half axes are as the square roots of the eigenvalues, that is as how far the neighbours spread along each
+//!   direction: a particle has the shape of its neighbourhood. (Yu and Turk, Eq. 16, take the eigenvalues
+//!   themselves, which is twice the stretch on a logarithmic scale.)
+//! - **Limit**: none is shorter than the longest divided by `max_stretch` (their k_r, Eq. 15).
+//! - **Volume**: all are divided by the cube root of their product (in place of their k_s).
+//! - **Blend**: where neighbours are few, by the sum of their weights, the ellipsoid passes into a ball. (In place of their
+//!   N_ε, a number of neighbours at which shapes would jump from one frame to the next.)
+//!
+//! ```text
+//!   part of the ellipsoid
+//!     1 │       ╱▔▔▔▔▔▔
+//!       │     ╱                  1: a pair has no shape of its own, wherever it is
+//!     0 │▁▁▁▁╱▁▁▁▁▁▁▁▁▁ weight   4: a tenth of a full neighbourhood, as 25 are of Yu and Turk's 270 or so
+//!            1   4
+//! ```
+
+use super::RAISED_BELOW;
+use super::eigen::{Eigen, eigen};
+use super::moments::MOMENT_COUNT;
+use super::neighborhoods::Stretch;
+use crate::surface::particles::Ellipsoid;
+use crate::surface::simd::Lanes;
+
+/// Weights of neighbours up to which a particle is a ball.
+const WEIGHT_NONE: f32 = 1.0;
+
+/// Weights of neighbours from which on it is all ellipsoid. At a radius of 2.6 spacings a particle has 36 inside, 24
+/// at a plane surface, 12 in a sheet, 7 at the edge of a sheet and 3 in a line.
+const WEIGHT_FULL: f32 = 4.0;
+
+/// Added to each eigenvalue, in units of the squared radius. So a heap of particles in one place is a ball, and not of the
+/// shape of what was lost in rounding. No half axis is then more than about 50 times another.
+const SPREAD_MIN: f32 = 1e-4;
+
+/// Eight particles.
+pub(super) struct Eights {
+    pub(super) shapes: [Ellipsoid; 8],
+    /// Those of which a half axis was raised, as bits.
+    pub(super) raised: u8,
+    /// Those that are balls, for want of neighbours.
+    pub(super) balls: u8,
+}
+
+/// The shapes of eight particles, from their moments and their scales.
+#[inline(always)]
+pub(super) fn shapes<V: Lanes>(
+    moments: &[[f32; 8]; MOMENT_COUNT],
+    scales: &[f32; 8],
+    limits: Stretch,
+) -> Eights {
+    let covariance = covariance::<V>(moments);
+    let Eigen { values, vectors } = eigen(covariance);
+    // Each particle is among those around it, with a weight of 1.
+    let neighbors = V::load(&moments[0]).sub(V::splat(1.0 + WEIGHT_NONE));
+    let part = neighbors.mul(V::splat(1.0 / (WEIGHT_FULL - WEIGHT_NONE)));
+    let part = part.max(V::splat(0.0)).min(V::splat(1.0));
+    let half_axes = blended(limited(values, limits.max_stretch), part);
+    let (half_axes, is_raised) = scaled(half_axes, part, V::load(scales), limits);
+    let is_ball = V::not(V::splat(0.0).lt(part));
+    Eights {
+        shapes: ellipsoids(half_axes, vectors, V::bits(is_ball)),
+        raised: V::bits(is_raised),
+        balls: V::bits(is_ball),
+    }
+}
+
+/// The mean of what is around each of eight particles, relative to it, in units of the radius: x, y and z. Of the
+/// moments the first four are taken.
+#[inline(always)]
+pub(super) fn means<V: Lanes>(moments: &[[f32; 8]]) -> [[f32; 8]; 3] {
+    let (mean, _) = mean_and_weight::<V>(moments);
+    let mut means = [[0.0; 8]; 3];
+    for (row, along) in means.iter_mut().zip(mean) {
+        along.store(row);
+    }
+    means
+}
+
+/// The mean (Yu and Turk, Eq. 10), and what a sum is multiplied by to be a mean.
+#[inline(always)]
+fn mean_and_weight<V: Lanes>(moments: &[[f32; 8]]) -> ([V; 3], V) {
+    // A particle weighs 1 by itself. Only where some stand for all it may not be there.
+    let by_weight = V::splat(1.0).div(V::load(&moments[0]).max(V::splat(1.0)));
+    let mut means = [V::splat(0.0); 3];
+    for (mean, moment) in means.iter_mut().zip(&moments[1..4]) {
+        *mean = V::load(moment).mul(by_weight);
+    }
+    (means, by_weight)
+}
+
+/// The covariance (Yu and Turk, Eq. 9): xx, yy, zz, xy, xz and yz.
+#[inline(always)]
+fn covariance<V: Lanes>(moments: &[[f32; 8]; MOMENT_COUNT]) -> [V; 6] {
+    let ([x, y, z], by_weight) = mean_and_weight::<V>(moments);
+    let products = [x.mul(x), y.mul(y), z.mul(z), x.mul(y), x.mul(z), y.mul(z)];
+    let mut covariance = [V::splat(0.0); 6];
+    for (entry, (moment, product)) in covariance.iter_mut().zip(moments[4..].iter().zip(products)) {
+        *entry = V::load(moment).mul(by_weight).sub(product);
+    }
+    for diagonal in &mut covariance[..3] {
+        *diagonal = diagonal.add(V::splat(SPREAD_MIN));
+    }
+    covariance
+}
+
+/// Half axes of product 1, none of them more than `max_stretch` times another.
+#[inline(always)]
+fn limited<V: Lanes>(eigenvalues: [V; 3], max_stretch: f32) -> [V; 3] {
+    let mut half_axes = eigenvalues;
+    for half_axis in &mut half_axes {
+        *half_axis = half_axis.max(V::splat(SPREAD_MIN)).sqrt();
+    }
+    let [a, b, c] = half_axes;
+    let least = a.max(b).max(c).mul(V::splat(1.0 / max_stretch));
+    of_volume_one([a.max(least), b.max(least), c.max(least)])
+}
+
+/// Half axes of product 1 between a ball's and these. Their stretch is between 1 and that of these.
+#[inline(always)]
+fn blended<V: Lanes>(half_axes: [V; 3], part: V) -> [V; 3] {
+    let one = V::splat(1.0);
+    let [a, b, c] = half_axes;
+    of_volume_one([
+        one.add(part.mul(a.sub(one))),
+        one.add(part.mul(b.sub(one))),
+        one.add(part.mul(c.sub(one))),
+    ])
+}
+
+#[inline(always)]
+fn of_volume_one<V: Lanes>(half_axes: [V; 3]) -> [V; 3] {
+    let [a, b, c] = half_axes;
+    let mut row = [0.0; 8];
+    a.mul(b).mul(c).store(&mut row);
+    for value in &mut row {
+        *value = cube_root(*value);
+    }
+    let root = V::load(&row);
+    [a.div(root), b.div(root), c.div(root)]
+}
+
+/// The half axes times the scale, but none below the floor; and where one had to be raised. The fewer neighbours there are,
+/// the more scale and floor are those of lone particles.
+#[inline(always)]
+fn scaled<V: Lanes>(half_axes: [V; 3], part: V, scale: V, limits: Stretch) -> ([V; 3], V::Mask) {
+    let is_ball = V::not(V::splat(0.0).lt(part));
+    let between = |lone: f32, usual: f32| V::splat(lone).add(part.mul(V::splat(usual - lone)));
+    let floor = between(limits.lone_floor, limits.floor);
+    let scale = scale.mul(between(limits.lone, 1.0));
+    let [mut a, mut b, mut c] = half_axes;
+    for half_axis in [&mut a, &mut b, &mut c] {
+        // Not to rounding, for a ball.
+        *half_axis = V::select(is_ball, scale, half_axis.mul(scale));
+    }
+    let is_raised = a.min(b).min(c).lt(floor.mul(V::splat(RAISED_BELOW)));
+    ([a.max(floor), b.max(floor), c.max(floor)], is_raised)
+}
+
+#[inline(always)]
+fn ellipsoids<V: Lanes>(half_axes: [V; 3], vectors: [[V; 3]; 3], balls: u8) -> [Ellipsoid; 8] {
+    let mut to_ball = [V::splat(0.0); 6];
+    for (half_axis, [x, y, z]) in half_axes.into_iter().zip(vectors) {
+        let inverse = V::splat(1.0).div(half_axis);
+        let (of_x, of_y, of_z) = (x.mul(inverse), y.mul(inverse), z.mul(inverse));
+        let products = [of_x.mul(x), of_y.mul(y), of_z.mul(z), of_x.mul(y), of_x.mul(z), of_y.mul(z)];
+        for (entry, product) in to_ball.iter_mut().zip(products) {
+            *entry = entry.add(product);
+        }
+    }
+    let [a, b, c] = half_axes;
+    let mut longest = [0.0; 8];
+    a.max(b).max(c).store(&mut longest);
+    let mut rows = [[0.0; 8]; 6];
+    for (row, entry) in rows.iter_mut().zip(to_ball) {
+        entry.store(row);
+    }
+    let mut shapes = [Ellipsoid { to_ball: [0.0; 6], longest: 0.0 }; 8];
+    for (lane, shape) in shapes.iter_mut().enumerate() {
+        shape.longest = longest[lane];
+        for (entry, row) in shape.to_ball.iter_mut().zip(&rows) {
+            *entry = row[lane];
+        }
+        if balls >> lane & 1 == 1 {
+            *shape = Ellipsoid::ball(longest[lane]);
+        }
+    }
+    shapes
+}
+
+/// The cube root of a positive number that is not tiny, to the last bit or two: a guess from the exponent, and two steps
+/// of Halley's, each of which makes three digits of one. The same on all processors, which of the one in libraries
+/// nobody says.
+#[inline(always)]
+pub(super) fn cube_root(value: f32) -> f32 {
+    let mut root = f32::from_bits(value.to_bits() / 3 + 0x2a51_19f2);
+    for _ in 0..2 {
+        let cube = root * root * root;
+        root *= (cube + 2.0 * value) / (2.0 * cube + value);
+    }
+    root
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cube_roots_are_right_to_the_last_bits() {
+        let mut value = 1e-12f32;
+        while value < 1e12 {
+            let expected = f64::from(value).cbrt();
+            let error = f64::from(cube_root(value)) / expected - 1.0;
+            assert!(error.abs() < 3e-7, "{error} for {value}");
+            value *= 1.003;
+        }
+    }
+}

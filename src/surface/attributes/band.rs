@@ -1,0 +1,184 @@
+//! Attributes in the band around the surface, voxel by voxel as they are asked for.
+
+use std::sync::Arc;
+
+use glam::IVec3;
+
+use super::nodes::{NODE_EDGE, needed_nodes, node_places};
+use super::source::Source;
+use super::{Reach, TransferCounts, at_places};
+use crate::surface::grid::{LEAF_VOXELS, NO_LEAF, Topology};
+use crate::surface::level_set::NarrowBand;
+use crate::surface::particles::{Attribute, AttributeValues, Meaning, Particles};
+use crate::surface::simd::{Kernel, Lanes, dispatch};
+use crate::surface::space::Lattice;
+
+/// An attribute at the voxels of a band.
+#[derive(Clone, Debug)]
+pub struct BandAttribute {
+    /// Its name in the file of particles.
+    pub name: String,
+    /// What it is known to mean.
+    pub meaning: Meaning,
+    /// Numbers per voxel.
+    pub arity: usize,
+    nodes: Arc<Nodes>,
+    /// `arity` numbers for each node, node by node.
+    values: Vec<f32>,
+}
+
+/// Which nodes of a band have values.
+#[derive(Debug)]
+struct Nodes {
+    topology: Arc<Topology>,
+    /// Those of each leaf.
+    needed: Vec<u64>,
+    /// How many there are in all leaves before.
+    starts: Vec<usize>,
+}
+
+/// Those attributes of the particles that are numbers, where |φ| is less than the half width.
+///
+/// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
+pub fn to_band(
+    particles: &Particles,
+    attributes: &[&Attribute],
+    (band, lattice): (&NarrowBand, &Lattice),
+    half_width_voxels: f32,
+    reach: Reach,
+) -> (Vec<BandAttribute>, TransferCounts) {
+    let is_numbers = |attribute: &&&Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
+    let attributes: Vec<&Attribute> = attributes.iter().filter(is_numbers).copied().collect();
+    let needed = needed_nodes(band, half_width_voxels);
+    let places = node_places(band, lattice, &needed);
+    let place_of = |place: usize| places[place];
+    // Some places do not come as near to the surface as they should.
+    let margin_world = reach.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
+    let reach = Reach { margin_world, ..reach };
+    let source = Source::new(particles, attributes, reach, (places.len(), &place_of));
+    let (blended, counts) = at_places(&source, places.len(), &place_of);
+    let mut end = 0;
+    let starts = needed.iter().map(|nodes| {
+        let start = end;
+        end += nodes.count_ones() as usize;
+        start
+    });
+    let starts = starts.collect();
+    let nodes = Arc::new(Nodes { topology: Arc::clone(&band.topology), needed, starts });
+    let found = source.attributes.iter().zip(blended.numbers).map(|(attribute, values)| BandAttribute {
+        name: attribute.name.clone(),
+        meaning: attribute.meaning,
+        arity: attribute.arity,
+        nodes: Arc::clone(&nodes),
+        values,
+    });
+    (found.collect(), counts)
+}
+
+impl BandAttribute {
+    /// The memory that it takes, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        size_of_val(&*self.values)
+    }
+
+    /// The values of all voxels of a leaf, `arity` each. Those of voxels that are not in the band mean nothing.
+    ///
+    /// Panics if there is no such leaf, or no room for 512 voxels.
+    pub fn fill(&self, leaf: usize, out: &mut [f32]) {
+        let around = self.nodes.topology.neighborhood(leaf);
+        for component in 0..self.arity {
+            let nodes = self.nodes_around(leaf, &around, component);
+            let voxels = dispatch(Between { nodes: &nodes });
+            let voxels = voxels.as_flattened().as_flattened();
+            for (out, &value) in out[..LEAF_VOXELS * self.arity].chunks_exact_mut(self.arity).zip(voxels) {
+                out[component] = value;
+            }
+        }
+    }
+
+    /// The values of a leaf's nodes, and of those after it that its voxels need.
+    fn nodes_around(&self, leaf: usize, around: &[u32; 27], component: usize) -> NodeValues {
+        let mut nodes = [[[0.0; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
+        for (x, plane) in (0..).zip(&mut nodes) {
+            for (y, row) in (0..).zip(plane) {
+                for (z, value) in (0..).zip(row) {
+                    let node = IVec3::new(x, y, z);
+                    // Where the band ends with a leaf, its last nodes stand for those after it.
+                    let found = self.value_at(around, node, component).or_else(|| {
+                        let last = node.min(IVec3::splat(NODE_EDGE as i32 - 1));
+                        self.value_of(leaf, last, component)
+                    });
+                    *value = found.unwrap_or(0.0);
+                }
+            }
+        }
+        nodes
+    }
+
+    /// The value of a node of a leaf or of one after it.
+    fn value_at(&self, around: &[u32; 27], node: IVec3, component: usize) -> Option<f32> {
+        let step: IVec3 = node >> 2;
+        match around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize] {
+            NO_LEAF => None,
+            leaf => self.value_of(leaf as usize, node & 3, component),
+        }
+    }
+
+    fn value_of(&self, leaf: usize, node: IVec3, component: usize) -> Option<f32> {
+        let Nodes { needed, starts, .. } = &*self.nodes;
+        let bit = node.x << 4 | node.y << 2 | node.z;
+        if needed[leaf] >> bit & 1 == 0 {
+            return None;
+        }
+        let before = (needed[leaf] & ((1 << bit) - 1)).count_ones() as usize;
+        Some(self.values[(starts[leaf] + before) * self.arity + component])
+    }
+}
+
+type NodeValues = [[[f32; NODE_EDGE + 1]; NODE_EDGE + 1]; NODE_EDGE + 1];
+
+/// The voxels between nodes: along z, then along y, then along x.
+struct Between<'a> {
+    nodes: &'a NodeValues,
+}
+
+impl Kernel for Between<'_> {
+    type Output = [[[f32; 8]; 8]; 8];
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Self::Output {
+        let mut rows = [[[0.0; 8]; NODE_EDGE + 1]; NODE_EDGE + 1];
+        for (rows, nodes) in rows.iter_mut().zip(self.nodes) {
+            for (row, nodes) in rows.iter_mut().zip(nodes) {
+                for z in 0..NODE_EDGE {
+                    row[2 * z] = nodes[z];
+                    row[2 * z + 1] = 0.5 * nodes[z] + 0.5 * nodes[z + 1];
+                }
+            }
+        }
+        let mut planes = [[[0.0; 8]; 8]; NODE_EDGE + 1];
+        for (plane, rows) in planes.iter_mut().zip(&rows) {
+            for y in 0..NODE_EDGE {
+                plane[2 * y] = rows[y];
+                plane[2 * y + 1] = between::<V>(&rows[y], &rows[y + 1]);
+            }
+        }
+        let mut voxels = [[[0.0; 8]; 8]; 8];
+        for x in 0..NODE_EDGE {
+            voxels[2 * x] = planes[x];
+            for y in 0..8 {
+                voxels[2 * x + 1][y] = between::<V>(&planes[x][y], &planes[x + 1][y]);
+            }
+        }
+        voxels
+    }
+}
+
+/// Halves are added, for a sum could be beyond all numbers.
+#[inline(always)]
+fn between<V: Lanes>(one: &[f32; 8], other: &[f32; 8]) -> [f32; 8] {
+    let half = V::splat(0.5);
+    let mut mean = [0.0; 8];
+    V::load(one).mul(half).add(V::load(other).mul(half)).store(&mut mean);
+    mean
+}

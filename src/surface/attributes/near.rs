@@ -1,0 +1,53 @@
+//! Which particles are near the places that want values: most lie deep inside and are not.
+//!
+//! ```text
+//!   ┌───────┬───────┐     Cells of 2R. The ball of radius R around a place is in eight of them, those around
+//!   │     ╭─┼─╮     │     the corner nearest to the place. Whatever is in none of the cells that are marked so
+//!   ├─────┼─●─┼─────┤     is near no place.
+//!   │     ╰─┼─╯     │
+//!   └───────┴───────┘
+//! ```
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+use rustc_hash::FxHashSet;
+
+use super::PIECE;
+use crate::surface::particles::Particles;
+use crate::surface::space::Lattice;
+
+/// The indices of the particles that are within `radius_world` of some place, and of others, in order.
+pub(super) fn near_particles(
+    particles: &Particles,
+    radius_world: f64,
+    (count, place_of): (usize, &(impl Fn(usize) -> DVec3 + Sync)),
+) -> Vec<u32> {
+    let cells = Lattice { voxel_size: 2.0 * radius_world };
+    let marked = marked_cells(&cells, count, place_of);
+    let is_near = |index: &u32| {
+        let cell = cells.index_from_world(particles.position(*index as usize));
+        cell.is_some_and(|cell| marked.contains(&cell.floor().as_ivec3()))
+    };
+    // Whoever has more particles than 32 bits can count has them in a file, and no attributes.
+    let end = u32::try_from(particles.len()).unwrap_or(super::NO_PARTICLE);
+    (0..end).into_par_iter().filter(is_near).collect()
+}
+
+fn marked_cells(
+    cells: &Lattice,
+    count: usize,
+    place_of: &(impl Fn(usize) -> DVec3 + Sync),
+) -> FxHashSet<IVec3> {
+    let pieces: Vec<FxHashSet<IVec3>> = (0..count.div_ceil(PIECE))
+        .into_par_iter()
+        .map(|piece| {
+            let places = (piece * PIECE..count.min((piece + 1) * PIECE)).map(place_of);
+            let corners = places.filter_map(|place| Some(cells.index_from_world(place)?.round().as_ivec3()));
+            corners.collect()
+        })
+        .collect();
+    let corners: FxHashSet<IVec3> = pieces.into_iter().flatten().collect();
+    let around =
+        |corner: IVec3| (0..8).map(move |bits| corner - IVec3::new(bits & 1, bits >> 1 & 1, bits >> 2 & 1));
+    corners.into_iter().flat_map(around).collect()
+}

@@ -1,0 +1,120 @@
+//! The places in the band for which a mean is taken: nodes, at every second voxel along each axis.
+//!
+//! ```text
+//!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●      a leaf has 4 nodes along each axis, and needs the first ones of the leaves after it:
+//!   ∙ ∙ ∙ ∙ ∙ ∙ ∙ ∙ ┊        a voxel between nodes is as far from one as from the other
+//!   ● ∙ ● ∙ ● ∙ ● ∙ ┊ ●
+//! ```
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::surface::grid::{Leaf, NO_LEAF, Topology, offset_in_leaf};
+use crate::surface::level_set::NarrowBand;
+use crate::surface::simd::{Kernel, Lanes, dispatch};
+use crate::surface::space::Lattice;
+
+/// Nodes along an edge of a leaf.
+pub(super) const NODE_EDGE: usize = 4;
+
+/// Which nodes of each leaf some voxel of the band needs: bit `x·16 + y·4 + z`.
+pub(super) fn needed_nodes(band: &NarrowBand, half_width_voxels: f32) -> Vec<u64> {
+    let leaves = &band.phi.leaves;
+    let active: Vec<[u8; 64]> =
+        leaves.par_iter().map(|leaf| dispatch(ActiveRows { leaf, half_width_voxels })).collect();
+    (0..leaves.len()).into_par_iter().map(|leaf| needed_of(&band.topology, &active, leaf)).collect()
+}
+
+/// Which voxels of each row are in the band.
+struct ActiveRows<'a> {
+    leaf: &'a Leaf,
+    half_width_voxels: f32,
+}
+
+impl Kernel for ActiveRows<'_> {
+    type Output = [u8; 64];
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> [u8; 64] {
+        let mut rows = [0; 64];
+        for (row, bits) in rows.iter_mut().enumerate() {
+            *bits = V::bits(V::load(self.leaf.row(row)).abs().lt(V::splat(self.half_width_voxels)));
+        }
+        rows
+    }
+}
+
+/// A node is needed if one of the 27 voxels around it is active, be it in a leaf before this one.
+fn needed_of(topology: &Topology, active: &[[u8; 64]], leaf: usize) -> u64 {
+    let around = topology.neighborhood(leaf);
+    let row = |x: i32, y: i32, leaf_z: i32| {
+        let step = IVec3::new(i32::from(x >= 0), i32::from(y >= 0), 1 + leaf_z);
+        match around[(9 * step.x + 3 * step.y + step.z) as usize] {
+            NO_LEAF => 0,
+            leaf => active[leaf as usize][((x & 7) << 3 | y & 7) as usize],
+        }
+    };
+    let mut columns = [[0u8; 9]; 9];
+    for (x, columns) in (-1..).zip(&mut columns) {
+        for (y, column) in (-1..).zip(columns) {
+            let here = row(x, y, 0);
+            *column = (here | here << 1 | here >> 1 | row(x, y, -1) >> 7) & 0b0101_0101;
+        }
+    }
+    let mut needed = 0;
+    for x in 0..NODE_EDGE {
+        for y in 0..NODE_EDGE {
+            let near = columns[2 * x..2 * x + 3].iter().flat_map(|columns| &columns[2 * y..2 * y + 3]);
+            let bits = near.fold(0, |any, column| any | column);
+            for z in 0..NODE_EDGE {
+                needed |= u64::from(bits >> (2 * z) & 1) << (16 * x + 4 * y + z);
+            }
+        }
+    }
+    needed
+}
+
+/// The world positions of the nodes that are needed, leaf by leaf; of those outside, of the nearest place on the
+/// surface.
+pub(super) fn node_places(band: &NarrowBand, lattice: &Lattice, needed: &[u64]) -> Vec<DVec3> {
+    let places = needed.par_iter().enumerate().flat_map_iter(|(leaf, &nodes)| {
+        let around = if nodes == 0 { [NO_LEAF; 27] } else { band.topology.neighborhood(leaf) };
+        (0..64).filter(move |node| nodes >> node & 1 == 1).map(move |node: i32| {
+            let voxel = IVec3::new(node >> 4, node >> 2 & 3, node & 3) * 2;
+            let outwards = outwards(band, &around, leaf, voxel);
+            ((band.topology.origins()[leaf] + voxel).as_dvec3() - outwards.as_dvec3()) * lattice.voxel_size
+        })
+    });
+    places.collect()
+}
+
+/// From the nearest place on the surface to a voxel outside; zero for one inside.
+fn outwards(band: &NarrowBand, around: &[u32; 27], leaf: usize, voxel: IVec3) -> Vec3 {
+    let leaves = &band.phi.leaves;
+    let phi = leaves[leaf].values[offset_in_leaf(voxel)];
+    if phi <= 0.0 {
+        return Vec3::ZERO;
+    }
+    // Towards whichever neighbour is nearer to the surface: between two surfaces that is one of them.
+    let slope = |axis: usize| {
+        let mut before = voxel;
+        before[axis] -= 1;
+        let mut after = voxel;
+        after[axis] += 1;
+        // Nodes are never the last of a leaf.
+        let after = phi - leaves[leaf].values[offset_in_leaf(after)];
+        let other = if before[axis] < 0 { around[CENTER - WEIGHTS[axis]] } else { leaf as u32 };
+        before[axis] &= 7;
+        let before = match other {
+            NO_LEAF => 0.0,
+            other => phi - leaves[other as usize].values[offset_in_leaf(before)],
+        };
+        if before > 0.0 && before >= after { before } else { -after.max(0.0) }
+    };
+    let slope = Vec3::new(slope(0), slope(1), slope(2));
+    if slope == Vec3::ZERO { Vec3::ZERO } else { slope.normalize() * phi }
+}
+
+/// The place of a leaf in its own neighbourhood, and how far it is from there to the next one along each axis.
+const CENTER: usize = 13;
+const WEIGHTS: [usize; 3] = [9, 3, 1];

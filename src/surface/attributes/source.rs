@@ -1,0 +1,125 @@
+//! The particles near the places that want values, sorted and packed.
+//!
+//! ```text
+//!   particle    v v v  r g b  a  ○ | …     a row of all numbers of a particle, filled up to eights: so one
+//!               └8 numbers in a register┘  weight serves all of them at once
+//! ```
+//!
+//! Attributes with a value that is not finite stay apart, for a particle without a value has no part in the weights.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::near::near_particles;
+use super::{NO_PARTICLE, Reach};
+use crate::surface::neighbors::Neighbors;
+use crate::surface::particles::{Attribute, AttributeValues, Particles};
+
+/// What values are taken from.
+pub(super) struct Source<'a> {
+    pub(super) particles: &'a Particles,
+    pub(super) attributes: Vec<&'a Attribute>,
+    pub(super) reach: Reach<'a>,
+    /// The particles near the places, in cells of the radius.
+    pub(super) neighbors: Neighbors,
+    /// Their indices among all particles, in order.
+    pub(super) indices: Vec<u32>,
+    /// `row_count` rows of each of them.
+    pub(super) rows: Vec<[f32; 8]>,
+    pub(super) row_count: usize,
+    /// The attributes that are numbers, in order.
+    pub(super) numbers: Vec<Numbers<'a>>,
+    pub(super) left_out_count: usize,
+}
+
+/// An attribute of numbers.
+pub(super) struct Numbers<'a> {
+    pub(super) values: &'a [f32],
+    pub(super) arity: usize,
+    /// Where its values start in the rows; none if some are not finite.
+    pub(super) column: Option<usize>,
+}
+
+impl<'a> Source<'a> {
+    /// What is near these places.
+    pub(super) fn new(
+        particles: &'a Particles,
+        attributes: Vec<&'a Attribute>,
+        reach: Reach<'a>,
+        places: (usize, &(impl Fn(usize) -> DVec3 + Sync)),
+    ) -> Source<'a> {
+        for attribute in &attributes {
+            let (found, arity) = (attribute.values.len(), attribute.arity);
+            assert!(0 < arity && found == particles.len() * arity, "{found} values of {}", attribute.name);
+        }
+        let indices = near_particles(particles, reach.radius_world, places);
+        let neighbors = Neighbors::new(&subset(particles, &indices), reach.radius_world);
+        let mut numbers: Vec<Numbers> =
+            attributes.iter().filter_map(|attribute| numbers_of(attribute)).collect();
+        let mut left_out_count = 0;
+        let mut width = 0;
+        for numbers in &mut numbers {
+            let broken_count = broken_count(numbers, &indices);
+            left_out_count += broken_count;
+            if broken_count == 0 {
+                numbers.column = Some(width);
+                width += numbers.arity;
+            }
+        }
+        let row_count = width.div_ceil(8);
+        let rows = rows_of(&numbers, &indices, row_count);
+        Source { particles, attributes, reach, neighbors, indices, rows, row_count, numbers, left_out_count }
+    }
+
+    /// The particle, among all, that the neighbours know by this index.
+    pub(super) fn original(&self, index: u32) -> u32 {
+        self.indices.get(index as usize).copied().unwrap_or(NO_PARTICLE)
+    }
+}
+
+fn subset(particles: &Particles, indices: &[u32]) -> Particles {
+    match particles {
+        Particles::Single(positions) => {
+            Particles::Single(indices.par_iter().map(|&index| positions[index as usize]).collect())
+        }
+        Particles::Double(positions) => {
+            Particles::Double(indices.par_iter().map(|&index| positions[index as usize]).collect())
+        }
+    }
+}
+
+fn numbers_of(attribute: &Attribute) -> Option<Numbers<'_>> {
+    match &attribute.values {
+        AttributeValues::Numbers(values) => Some(Numbers { values, arity: attribute.arity, column: None }),
+        AttributeValues::Integers(_) | AttributeValues::Strings { .. } => None,
+    }
+}
+
+impl Numbers<'_> {
+    /// The values of a particle, of all.
+    #[inline(always)]
+    pub(super) fn of(&self, particle: u32) -> &[f32] {
+        let first = particle as usize * self.arity;
+        &self.values[first..first + self.arity]
+    }
+}
+
+fn broken_count(numbers: &Numbers, indices: &[u32]) -> usize {
+    let broken = |&index: &u32| numbers.of(index).iter().filter(|value| !value.is_finite()).count();
+    indices.par_iter().map(broken).sum()
+}
+
+fn rows_of(numbers: &[Numbers], indices: &[u32], row_count: usize) -> Vec<[f32; 8]> {
+    let mut rows = vec![[0.0; 8]; indices.len() * row_count];
+    if row_count != 0 {
+        rows.par_chunks_mut(row_count).zip(indices).for_each(|(rows, &index)| {
+            let row = rows.as_flattened_mut();
+            for numbers in numbers {
+                if let Some(column) = numbers.column {
+                    row[column..column + numbers.arity].copy_from_slice(numbers.of(index));
+                }
+            }
+        });
+    }
+    rows
+}

@@ -1,0 +1,185 @@
+//! Particles of many sizes: against brute force, against what is far away, and how much work it is.
+
+use std::cell::Cell;
+
+use glam::{DVec3, Vec3};
+
+use super::tree::{Seen, Tree};
+use super::*;
+use crate::surface::particles::Meaning;
+
+const RADIUS: f64 = 0.26;
+
+fn reach(shapes: &Shapes) -> Reach<'_> {
+    Reach { radius_world: RADIUS, radius_max_world: 0.2, margin_world: 0.05, shapes }
+}
+
+fn random(state: &mut u32) -> f64 {
+    *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+    f64::from(*state >> 8) / f64::from(1 << 24)
+}
+
+fn direction(state: &mut u32) -> DVec3 {
+    let mut along = || random(state) - 0.5;
+    DVec3::new(along(), along(), along()).normalize_or(DVec3::X)
+}
+
+/// Particles, and how large each is.
+#[derive(Clone, Default)]
+struct Sizes {
+    positions: Vec<[f64; 3]>,
+    scales: Vec<f32>,
+    ids: Vec<i64>,
+}
+
+impl Sizes {
+    fn push(&mut self, position: DVec3, scale: f32) {
+        self.positions.push(position.to_array());
+        self.scales.push(scale);
+        self.ids.push(self.ids.len() as i64 * 7);
+    }
+
+    /// Drops of all sizes among small ones, some of them twice.
+    fn mixed() -> Sizes {
+        let (mut sizes, mut state) = (Sizes::default(), 17);
+        for index in 0..3000 {
+            let place = direction(&mut state) * 8.0 * random(&mut state);
+            let scale = match index % 50 {
+                0 => 2.0 + 20.0 * random(&mut state) as f32,
+                other => [0.5, 1.0, 1.5][other % 3],
+            };
+            sizes.push(place, scale);
+            if index % 20 == 0 {
+                sizes.push(place, scale);
+            }
+        }
+        sizes
+    }
+
+    /// Places on the surfaces of the large ones, and beyond.
+    fn places(&self) -> Mesh {
+        let mut state = 23;
+        let mut positions = Vec::new();
+        for (position, scale) in self.positions.iter().zip(&self.scales).filter(|(_, scale)| **scale >= 1.5) {
+            let distance = f64::from(*scale) * 0.2 * (0.8 + 0.4 * random(&mut state));
+            positions.push((DVec3::from(*position) + direction(&mut state) * distance).as_vec3());
+        }
+        Mesh { positions, ..Mesh::default() }
+    }
+
+    /// The values at these places: the bits of the numbers, and whose they are.
+    fn transferred(&self, mesh: &Mesh) -> (Vec<u32>, Vec<i64>, TransferCounts) {
+        let attribute = |values| Attribute { name: "a".into(), meaning: Meaning::Other, arity: 1, values };
+        let numbers: Vec<f32> = self.ids.iter().map(|&id| 1.0 + (id as f32).sin()).collect();
+        let attributes = [AttributeValues::Numbers(numbers), AttributeValues::Integers(self.ids.clone())];
+        let attributes = attributes.map(attribute);
+        let shapes = Shapes::Scaled(self.scales.clone());
+        let particles = Particles::Double(self.positions.clone());
+        let (found, counts) = to_vertices(&particles, &attributes.each_ref()[..], mesh, reach(&shapes));
+        let [AttributeValues::Numbers(numbers), AttributeValues::Integers(ids)] =
+            [&found[0].values, &found[1].values]
+        else {
+            panic!("other kinds")
+        };
+        (numbers.iter().map(|number| number.to_bits()).collect(), ids.clone(), counts)
+    }
+
+    /// The nearest of all that reach a place farther than the radius; none where one is within it.
+    fn brute_force(&self, place: DVec3) -> Result<Option<usize>, ()> {
+        let shapes = Shapes::Scaled(self.scales.clone());
+        let distances =
+            || self.positions.iter().map(|&position| DVec3::from(position).distance_squared(place));
+        if distances().any(|distance_squared| distance_squared < RADIUS * RADIUS) {
+            return Err(());
+        }
+        let limit = |index: usize| reach(&shapes).limit_world(index as u32);
+        let reaching = distances().enumerate().filter(|(index, least)| *least < limit(*index).powi(2));
+        Ok(reaching.min_by(|one, other| one.1.total_cmp(&other.1)).map(|(index, _)| index))
+    }
+}
+
+#[test]
+fn lonely_places_get_the_nearest_of_those_that_reach_them() {
+    let sizes = Sizes::mixed();
+    let mesh = sizes.places();
+    let (numbers, ids, counts) = sizes.transferred(&mesh);
+    let (mut lonely_count, mut empty_count) = (0, 0);
+    for (vertex, position) in mesh.positions.iter().enumerate() {
+        match sizes.brute_force(position.as_dvec3()) {
+            Err(()) => assert_ne!(ids[vertex], -1),
+            Ok(None) => {
+                empty_count += 1;
+                assert_eq!((numbers[vertex], ids[vertex]), (0, -1), "at {position}");
+            }
+            Ok(Some(nearest)) => {
+                lonely_count += 1;
+                let id = sizes.ids[nearest];
+                assert_eq!((numbers[vertex], ids[vertex]), ((1.0 + (id as f32).sin()).to_bits(), id));
+            }
+        }
+    }
+    assert_eq!((counts.lonely_count, counts.empty_count), (lonely_count, empty_count));
+    assert!(lonely_count > 50 && empty_count > 5, "{counts:?}");
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(5).build().expect("threads");
+    assert_eq!(pool.install(|| sizes.transferred(&mesh)), (numbers, ids, counts));
+}
+
+#[test]
+fn how_large_far_particles_are_changes_no_bit() {
+    let mut sizes = Sizes::mixed();
+    let mut mesh = sizes.places();
+    // Nearly as near: 32 bits do not tell them apart, and the first one is the farther.
+    let apart = DVec3::splat(30.0);
+    sizes.push(apart + DVec3::X * (0.75 + 1e-9), 5.0);
+    sizes.push(apart - DVec3::X * 0.75, 5.0);
+    mesh.positions.push(apart.as_vec3());
+    // No one's, and not to be that of a particle that is large enough elsewhere.
+    mesh.positions.push(Vec3::splat(35.0));
+    let reference = sizes.transferred(&mesh);
+    assert_eq!(reference.1[mesh.positions.len() - 2..], [sizes.ids[sizes.ids.len() - 1], -1]);
+    for scale in [30.0, 500.0, 4e4] {
+        let mut more = sizes.clone();
+        more.positions.insert(0, [-1e5, 3.0, 1e4]);
+        more.scales.insert(0, scale);
+        more.ids.insert(0, -5);
+        assert_eq!(more.transferred(&mesh), reference, "scale {scale}");
+    }
+}
+
+/// The particles that places look at, at most, and whether all of them found one.
+fn looks(positions: &[DVec3], limit_world: impl Fn(u32) -> f64 + Sync, places: &[DVec3]) -> (usize, bool) {
+    let see =
+        |particle: u32| Seen { position: positions[particle as usize], limit_world: limit_world(particle) };
+    let tree = Tree::new((0..positions.len() as u32).collect(), &see);
+    let (mut most, mut all_found) = (0, true);
+    for &place in places {
+        let count = Cell::new(0);
+        let nearest = tree.nearest(place, |particle| {
+            count.set(count.get() + 1);
+            see(particle)
+        });
+        most = most.max(count.get());
+        all_found &= nearest != NO_PARTICLE;
+    }
+    (most, all_found)
+}
+
+#[test]
+fn a_place_looks_at_few_of_many_particles() {
+    let mut state = 3;
+    let places: Vec<DVec3> = (0..300).map(|_| direction(&mut state) * 5.0).collect();
+    for count in [10_000, 100_000] {
+        let crowd: Vec<DVec3> = (0..count).map(|_| direction(&mut state) * random(&mut state)).collect();
+        let (most, all_found) = looks(&crowd, |_| 64.0, &places);
+        // From afar a crowd has many that are nearly as near: more for more particles, but far fewer more.
+        assert!(all_found && most <= 640, "{most} of {count}");
+        // All in one place.
+        let (most, all_found) = looks(&vec![DVec3::Y; count], |_| 64.0, &places);
+        assert!(all_found && most <= 16, "{most} of {count}");
+        // None of them reaches so far; one does.
+        assert_eq!(looks(&crowd, |_| 3.2, &places), (0, false));
+        let (most, all_found) = looks(&crowd, |particle| if particle == 7 { 64.0 } else { 3.2 }, &places);
+        assert!(all_found && most <= 16, "{most} of {count}");
+    }
+    assert_eq!(looks(&[], |_| 64.0, &places), (0, false));
+}

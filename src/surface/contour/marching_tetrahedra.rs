@@ -1,0 +1,277 @@
+//! Marching tetrahedra: the surface of a function that is linear in each tetrahedron.
+//!
+//! Each cell is cut into six tetrahedra, one for each order in which a path from its first to its
+//! last corner can take the three axes (Kuhn's, or Freudenthal's, subdivision):
+//!
+//! ```text
+//!        3 ─────── 7        paths 0 → 7:   x y z   y z x   z x y    and, mirrored,   x z y   z y x   y x z
+//!       ╱│      ╱ ╱│
+//!      1 ───── 5   │        edges, by where they end, each from its first voxel:
+//!      │ │  ╱  │   │          along one axis 3, across a face 3, through the cell 1: seven a voxel
+//!      │ 2 ────│── 6
+//!      │╱      │ ╱          a face is cut along the diagonal from its first to its last corner, so
+//!      0 ───── 4            cells agree on it
+//! ```
+//!
+//! A tetrahedron has no ambiguous case: its inside corners are one piece and so are its outside
+//! corners. A vertex sits on each edge whose ends differ, strictly between them, and one triangle
+//! or two cut the tetrahedron there. So two triangles meet at each edge of the mesh (one from each
+//! tetrahedron of a face), the triangles around a vertex follow the ring of tetrahedra around its
+//! edge, and no triangle is degenerate, since its corners lie on three edges that are not in one
+//! plane, or that share just one corner, away from it.
+//!
+//! The vertices are where the cubic through four voxels along the edge is zero: linear
+//! interpolation would pull a curved surface inwards by another amount in each direction.
+//!
+//! This work is based on:
+//! Akio Doi, Akio Koide. An Efficient Method of Triangulating Equi-Valued Surfaces by Using
+//! Tetrahedral Cells. 1991
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::neighborhood::{BLOCK_STEP, Block, Neighborhood, SignRows};
+use super::normals::unit_or_zero;
+use super::{Placement, split};
+use crate::surface::grid::{LEAF_VOXELS, LeafMask, ROW_COUNT, negative_masks, offset_in_leaf, voxel_in_leaf};
+use crate::surface::level_set::NarrowBand;
+use crate::surface::mesh::Mesh;
+
+/// Vertices keep this part of their edge away from its ends: what makes every triangle have an
+/// area. Larger would bend the surface visibly where it passes close to a voxel.
+const EDGE_MARGIN: f32 = 1.0 / 128.0;
+
+/// The surface of φ = 0 in the tetrahedra. A normal is zero where φ does not give one.
+pub(super) fn march_tetrahedra(band: &NarrowBand, placement: &Placement) -> Mesh {
+    let masks = negative_masks(&band.phi);
+    let cases = tetrahedron_cases();
+    let mut patches: Vec<Patch> = (0..band.topology.len())
+        .into_par_iter()
+        .filter_map(|leaf| Patch::new(band, &masks, &cases, leaf))
+        .collect();
+    let mut patch_of_leaf = vec![NO_PATCH; band.topology.len()];
+    let (mut vertex_count, mut triangle_count) = (0, 0);
+    for (index, patch) in patches.iter_mut().enumerate() {
+        patch_of_leaf[patch.leaf] = index as u32;
+        patch.first_vertex = vertex_count as u32;
+        vertex_count += patch.vertex_count();
+        triangle_count += patch.triangle_count;
+    }
+    assert!(vertex_count <= u32::MAX as usize, "more vertices than 32-bit indices");
+    let mut positions = bytemuck::zeroed_vec(vertex_count);
+    let mut normals = bytemuck::zeroed_vec(vertex_count);
+    let mut triangles = bytemuck::zeroed_vec(triangle_count);
+    let places = split(&mut positions, patches.iter().map(Patch::vertex_count)).into_par_iter();
+    let places = places.zip(split(&mut normals, patches.iter().map(Patch::vertex_count)));
+    places.zip(&patches).for_each(|((positions, normals), patch)| {
+        patch.find_vertices(band, placement, positions, normals);
+    });
+    let surface = Surface { masks: &masks, cases, patches: &patches, patch_of_leaf };
+    let places = split(&mut triangles, patches.iter().map(|patch| patch.triangle_count)).into_par_iter();
+    places.zip(&patches).for_each(|(triangles, patch)| surface.write_triangles(patch, triangles));
+    Mesh { positions, normals, triangles, origin: placement.world_origin() }
+}
+
+/// In place of a patch's index: the leaf has no vertices.
+const NO_PATCH: u32 = u32::MAX;
+
+/// The vertices on the edges that start in one leaf, and how many triangles are in its cells.
+struct Patch {
+    leaf: usize,
+    neighborhood: Neighborhood,
+    /// For each voxel a bit for each crossed edge that starts there: bit d for the edge to the
+    /// voxel that is d away, as a corner number (1 to 7).
+    crossed: Box<[u8; LEAF_VOXELS]>,
+    /// For each row of voxels the first of its vertices, from the patch's first; and where the last one ends.
+    row_starts: [u16; ROW_COUNT + 1],
+    /// The place of its vertices in the mesh.
+    first_vertex: u32,
+    triangle_count: usize,
+}
+
+impl Patch {
+    /// The patch of a leaf, if there is anything in it.
+    fn new(band: &NarrowBand, inside_masks: &[LeafMask], cases: &Cases, leaf: usize) -> Option<Patch> {
+        let neighborhood = Neighborhood::new(&band.topology, leaf);
+        if !neighborhood.may_have_surface(inside_masks) {
+            return None;
+        }
+        let rows = SignRows::new(&neighborhood, inside_masks);
+        // An edge belongs to its first voxel's leaf even if all cells around it belong to others.
+        if (1..8).all(|end| rows.crossed_to(end).is_empty()) {
+            return None;
+        }
+        let mut crossed = Box::new([0u8; LEAF_VOXELS]);
+        for end in 1..8 {
+            rows.crossed_to(end).iter().for_each(|offset| crossed[offset] |= 1 << end);
+        }
+        let mut row_starts = [0; ROW_COUNT + 1];
+        for (row, edges) in crossed.chunks_exact(8).enumerate() {
+            let count: u32 = edges.iter().map(|edges| edges.count_ones()).sum();
+            row_starts[row + 1] = row_starts[row] + count as u16;
+        }
+        let cells = rows.crossed_cells();
+        let signs = cells.iter().map(|offset| rows.cell_signs(voxel_in_leaf(offset)));
+        let triangle_count = signs.flat_map(|signs| triangles_in_cell(cases, signs)).map(<[_]>::len).sum();
+        Some(Patch { leaf, neighborhood, crossed, row_starts, first_vertex: 0, triangle_count })
+    }
+
+    fn vertex_count(&self) -> usize {
+        usize::from(self.row_starts[ROW_COUNT])
+    }
+
+    /// Writes the positions and normals of the vertices.
+    fn find_vertices(
+        &self,
+        band: &NarrowBand,
+        placement: &Placement,
+        positions: &mut [Vec3],
+        normals: &mut [Vec3],
+    ) {
+        let mut block = Block::new(band.half_width);
+        block.fill(&self.neighborhood, &band.phi);
+        let origin = band.topology.origins()[self.leaf];
+        let mut places = positions.iter_mut().zip(normals);
+        for (offset, &edges) in self.crossed.iter().enumerate().filter(|(_, edges)| **edges != 0) {
+            let voxel = voxel_in_leaf(offset);
+            let ends = (1..8).filter(|end| edges >> end & 1 == 1);
+            for (end, (position, normal)) in ends.zip(&mut places) {
+                let (t, gradient) = crossing(&block, Block::index(voxel), end);
+                *position = placement.position(origin + voxel, corner(end).as_vec3() * t);
+                *normal = unit_or_zero(gradient);
+            }
+        }
+    }
+
+    /// The vertex on the edge from a voxel of the leaf to the one that is `step` away, as a corner number.
+    fn vertex(&self, voxel: IVec3, step: usize) -> u32 {
+        let offset = offset_in_leaf(voxel);
+        let before_in_row: u32 =
+            self.crossed[offset & !7..offset].iter().map(|edges| edges.count_ones()).sum();
+        let before_at_voxel = (self.crossed[offset] & ((1 << step) - 1)).count_ones();
+        self.first_vertex + u32::from(self.row_starts[offset / 8]) + before_in_row + before_at_voxel
+    }
+}
+
+/// Corner `4x + 2y + z` of a cell.
+fn corner(number: usize) -> IVec3 {
+    IVec3::new((number >> 2) as i32, (number >> 1 & 1) as i32, (number & 1) as i32)
+}
+
+/// Where on the edge from a voxel to the corner `end` of its cell the cubic through the two voxels
+/// and those before and after them is zero, and ∇φ there.
+fn crossing(block: &Block, index: usize, end: usize) -> (f32, Vec3) {
+    let step = (end >> 2) * BLOCK_STEP[0] + (end >> 1 & 1) * BLOCK_STEP[1] + (end & 1);
+    let (one, other) = (block.phi(index), block.phi(index + step));
+    let bends = [index, index + step].map(|index| block.second_difference(index, step));
+    let mut t = one / (one - other);
+    // Secant steps with the slope of the chord: the bend is a small correction, and where it is not
+    // (noise, sheets) the steps stay short and end between the voxels.
+    for _ in 0..CROSSING_STEPS {
+        let bulge = t * (1.0 - t) / 6.0 * ((2.0 - t) * bends[0] + (1.0 + t) * bends[1]);
+        let phi = one + (other - one) * t - bulge;
+        let change = (phi / (one - other)).clamp(-CROSSING_LIMIT, CROSSING_LIMIT);
+        t = (t + change).clamp(EDGE_MARGIN, 1.0 - EDGE_MARGIN);
+    }
+    (t, block.gradient(index).lerp(block.gradient(index + step), t))
+}
+
+/// Steps from the linear to the cubic crossing. Each gains about two digits.
+const CROSSING_STEPS: usize = 2;
+
+/// The longest of these steps, in edge lengths.
+const CROSSING_LIMIT: f32 = 0.125;
+
+/// All patches, with what is needed to name each other's vertices.
+struct Surface<'a> {
+    masks: &'a [LeafMask],
+    cases: Cases,
+    patches: &'a [Patch],
+    patch_of_leaf: Vec<u32>,
+}
+
+impl Surface<'_> {
+    /// Writes the triangles in a leaf's cells.
+    fn write_triangles(&self, patch: &Patch, triangles: &mut [[u32; 3]]) {
+        let rows = SignRows::new(&patch.neighborhood, self.masks);
+        let mut places = triangles.iter_mut();
+        for cell in rows.crossed_cells().iter().map(voxel_in_leaf) {
+            let made = triangles_in_cell(&self.cases, rows.cell_signs(cell)).flatten();
+            for (edges, place) in made.zip(&mut places) {
+                *place = edges.map(|edge| self.vertex(patch, cell, edge));
+            }
+        }
+    }
+
+    /// The vertex on an edge of a cell, from one corner to a later one.
+    fn vertex(&self, patch: &Patch, cell: IVec3, [start, end]: [usize; 2]) -> u32 {
+        let voxel = cell + corner(start);
+        let leaf = patch.neighborhood.leaf(voxel >> 3);
+        let owner = self.patch_of_leaf[leaf as usize] as usize;
+        self.patches[owner].vertex(voxel & 7, end - start)
+    }
+}
+
+/// The triangles in the tetrahedra of a cell with these signs, tetrahedron by tetrahedron.
+fn triangles_in_cell(cases: &Cases, signs: u8) -> impl Iterator<Item = &[[[usize; 2]; 3]]> {
+    KUHN_PATHS.iter().zip(cases).map(move |(path, cases)| {
+        let case = (0..4).map(|k| usize::from(signs >> path[k] & 1) << k).sum::<usize>();
+        &cases[case][..]
+    })
+}
+
+/// The tetrahedra of a cell by their corners; of the six, the last three are mirror images.
+const KUHN_PATHS: [[usize; 4]; 6] =
+    [[0, 4, 6, 7], [0, 2, 3, 7], [0, 1, 5, 7], [0, 4, 5, 7], [0, 1, 3, 7], [0, 2, 6, 7]];
+
+/// Triangles by the edges of the cell that their corners are on, from corner to later corner.
+type Triangles = Vec<[[usize; 2]; 3]>;
+
+/// For each tetrahedron, and for each pattern of its corners' signs, the triangles that cut it.
+type Cases = Vec<[Triangles; 16]>;
+
+fn tetrahedron_cases() -> Cases {
+    let is_mirrored = |tetrahedron: usize| tetrahedron >= 3;
+    let cases = |tetrahedron| {
+        std::array::from_fn(|signs| triangles_of(KUHN_PATHS[tetrahedron], is_mirrored(tetrahedron), signs))
+    };
+    (0..6).map(cases).collect()
+}
+
+fn triangles_of(path: [usize; 4], is_mirrored: bool, signs: usize) -> Triangles {
+    let is_inside = |corner: usize| signs >> corner & 1 == 1;
+    let inside_count = signs.count_ones();
+    // The corners in an order that keeps the tetrahedron's orientation: those of the lesser side
+    // first, or in a draw those inside.
+    let leads = |corner: usize| is_inside(corner) == (inside_count <= 2);
+    let lead_count = (0..4).filter(|&corner| leads(corner)).count();
+    let order = EVEN_ORDERS.into_iter().find(|order| order[..lead_count].iter().all(|&corner| leads(corner)));
+    let [i, j, k, l] = order.expect("every set of corners comes first in an even order");
+    let edge = |one: usize, other: usize| [path[one.min(other)], path[one.max(other)]];
+    // Counter-clockwise as seen from the side of the corners that do not lead.
+    let mut triangles = match lead_count {
+        1 => vec![[edge(i, j), edge(i, k), edge(i, l)]],
+        2 => vec![[edge(i, k), edge(i, l), edge(j, l)], [edge(j, l), edge(j, k), edge(i, k)]],
+        _ => Vec::new(),
+    };
+    if is_mirrored != (inside_count == 3) {
+        triangles.iter_mut().for_each(|triangle| triangle.swap(1, 2));
+    }
+    triangles
+}
+
+/// Orders of four corners that keep the orientation; any one corner, and any two, come first in one.
+const EVEN_ORDERS: [[usize; 4]; 12] = [
+    [0, 1, 2, 3],
+    [0, 2, 3, 1],
+    [0, 3, 1, 2],
+    [1, 0, 3, 2],
+    [1, 2, 0, 3],
+    [1, 3, 2, 0],
+    [2, 0, 1, 3],
+    [2, 1, 3, 0],
+    [2, 3, 0, 1],
+    [3, 0, 2, 1],
+    [3, 1, 0, 2],
+    [3, 2, 1, 0],
+];

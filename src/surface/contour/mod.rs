@@ -1,0 +1,124 @@
+//! From φ to triangles.
+//!
+//! ```text
+//!   signs of all voxels ──▶ Neighborhood ──▶ crossed cells  ──▶ how many vertices ──▶ where in the mesh
+//!                           SignRows         and edges          and triangles         each leaf's are
+//!
+//!                                        Block ──▶ crossings, gradients ──▶ vertices  ─┐ written where
+//!                                                                           triangles ─┴▶ they belong
+//! ```
+//!
+//! Both contourings promise, for any φ: the mesh is closed, every edge is in two triangles that run
+//! along it in opposite directions, the triangles around a vertex form one ring, all face outward,
+//! none is degenerate, and no two vertices of a triangle are the same. Each leaf is worked on alone
+//! and has its place in the topology's order, so the mesh does not depend on the number of
+//! threads, to the last byte.
+//!
+//! Inside is φ < 0; zero is outside. What is needed of a band: the voxels next to a change of sign
+//! are stored together with all their neighbours. Cells with a corner that is not stored are taken
+//! to hold no surface.
+
+mod cell_cycles;
+mod cell_vertex;
+mod curvature;
+mod dual_contouring;
+mod marching_tetrahedra;
+mod neighborhood;
+mod normals;
+mod quads;
+mod ring;
+
+use glam::{DVec3, IVec3, Vec3};
+
+pub use curvature::{bending_energy, mean_curvatures};
+pub use normals::fill_zero_normals;
+
+use crate::surface::grid::{LEAF_EDGE, Topology};
+use crate::surface::level_set::NarrowBand;
+use crate::surface::mesh::Mesh;
+use crate::surface::space::{CoordBox, Lattice};
+
+/// How to make triangles from φ.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Contouring {
+    /// Dual contouring: even triangles, one vertex for each sheet in a cell.
+    #[default]
+    Dual,
+    /// Marching tetrahedra: about four times as many triangles, no special cases.
+    Tetrahedra,
+}
+
+/// The surface φ = 0 as a closed triangle mesh in world units, outward, with unit normals.
+pub fn contour(band: &NarrowBand, lattice: &Lattice, contouring: Contouring) -> Mesh {
+    assert_eq!(band.phi.leaves.len(), band.topology.len(), "one leaf of values for each leaf");
+    let placement = Placement::new(&band.topology, lattice);
+    let mut mesh = match contouring {
+        Contouring::Dual => dual_contouring::dual_contour(band, &placement),
+        Contouring::Tetrahedra => marching_tetrahedra::march_tetrahedra(band, &placement),
+    };
+    normals::fill_zero_normals(&mut mesh);
+    mesh
+}
+
+/// Where the mesh's origin is, and how long a voxel.
+struct Placement {
+    origin_index: IVec3,
+    voxel_size: f64,
+}
+
+/// Up to this index 32-bit positions resolve a 1024th of a voxel.
+const NEAR_ORIGIN: i32 = 16384;
+
+/// Mesh origins away from the world's are multiples of this many voxels, so that frames of a
+/// sequence that moves share them for a while.
+const ORIGIN_STEP: i32 = 1024;
+
+impl Placement {
+    /// The world's origin if all is near it, and otherwise the middle leaf's place: the median, because
+    /// one particle gone astray may not cost all others their precision.
+    fn new(topology: &Topology, lattice: &Lattice) -> Placement {
+        let mut extent = CoordBox::EMPTY;
+        for &origin in topology.origins() {
+            extent.include(origin);
+            extent.include(origin + IVec3::splat(LEAF_EDGE - 1));
+        }
+        let is_near = extent.is_empty()
+            || extent.min.cmpge(IVec3::splat(-NEAR_ORIGIN)).all()
+                && extent.max.cmple(IVec3::splat(NEAR_ORIGIN)).all();
+        let origin_index =
+            if is_near { IVec3::ZERO } else { (median(topology) + ORIGIN_STEP / 2) & !(ORIGIN_STEP - 1) };
+        Placement { origin_index, voxel_size: lattice.voxel_size }
+    }
+
+    /// The world position that mesh positions are relative to.
+    fn world_origin(&self) -> DVec3 {
+        self.origin_index.as_dvec3() * self.voxel_size
+    }
+
+    /// The mesh position of a point given relative to a cell; rounded once.
+    #[inline(always)]
+    fn position(&self, cell: IVec3, local: Vec3) -> Vec3 {
+        (((cell - self.origin_index).as_dvec3() + local.as_dvec3()) * self.voxel_size).as_vec3()
+    }
+}
+
+/// The median of the leaves' origins, axis by axis. There is at least one leaf.
+fn median(topology: &Topology) -> IVec3 {
+    let axis = |axis: usize| {
+        let mut values: Vec<i32> = topology.origins().iter().map(|origin| origin[axis]).collect();
+        let middle = values.len() / 2;
+        *values.select_nth_unstable(middle).1
+    };
+    IVec3::new(axis(0), axis(1), axis(2))
+}
+
+/// Cuts a whole into parts of so many items, in order.
+fn split<T>(whole: &mut [T], counts: impl Iterator<Item = usize>) -> Vec<&mut [T]> {
+    let mut rest = whole;
+    let part = |count: usize| {
+        let (part, after) = std::mem::take(&mut rest).split_at_mut(count);
+        rest = after;
+        part
+    };
+    counts.map(part).collect()
+}

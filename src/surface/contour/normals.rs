@@ -1,0 +1,73 @@
+//! Vertex normals from φ.
+//!
+//! φ grows outwards, so its gradient is the normal, smoother and more exact than anything that can
+//! be had from the triangles. Where the gradient vanishes (between two sheets that are equally near)
+//! it has no direction, and the triangles must do.
+
+use glam::{DVec3, Vec3};
+
+use crate::surface::mesh::Mesh;
+
+/// A shorter gradient (that of a distance has length one) is mostly rounding.
+const LEAST_SLOPE: f32 = 1e-3;
+
+/// The direction of a gradient, or zero where it has none.
+#[inline(always)]
+pub(super) fn unit_or_zero(gradient: Vec3) -> Vec3 {
+    let length = gradient.length();
+    let unit = gradient / length;
+    // A comparison with NaN is false, so what is not finite ends at zero too.
+    if (length > LEAST_SLOPE) & (length < f32::INFINITY) { unit } else { Vec3::ZERO }
+}
+
+/// Gives each vertex whose normal is zero the mean of its triangles' normals, weighted by area; and
+/// where these cancel, as on a sheet folded flat, the z axis.
+pub fn fill_zero_normals(mesh: &mut Mesh) {
+    if mesh.normals.iter().all(|&normal| normal != Vec3::ZERO) {
+        return;
+    }
+    let mut sums = vec![DVec3::ZERO; mesh.positions.len()];
+    for triangle in &mesh.triangles {
+        let [a, b, c] = triangle.map(|vertex| mesh.positions[vertex as usize].as_dvec3());
+        let doubled_area = (b - a).cross(c - a);
+        triangle.iter().for_each(|&vertex| sums[vertex as usize] += doubled_area);
+    }
+    for (normal, sum) in mesh.normals.iter_mut().zip(sums) {
+        if *normal == Vec3::ZERO {
+            *normal = sum.try_normalize().unwrap_or(DVec3::Z).as_vec3();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_vertex_without_a_gradient_gets_the_normal_of_its_triangles() {
+        let mut mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            normals: vec![
+                unit_or_zero(Vec3::splat(1e-9)),
+                unit_or_zero(Vec3::NAN),
+                unit_or_zero(2.0 * Vec3::X),
+            ],
+            triangles: vec![[0, 1, 2]],
+            ..Mesh::default()
+        };
+        fill_zero_normals(&mut mesh);
+        assert_eq!(mesh.normals, [Vec3::Z, Vec3::Z, Vec3::X]);
+    }
+
+    #[test]
+    fn a_fold_still_has_unit_normals() {
+        let mut mesh = Mesh {
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y],
+            normals: vec![Vec3::ZERO; 3],
+            triangles: vec![[0, 1, 2], [0, 2, 1]],
+            ..Mesh::default()
+        };
+        fill_zero_normals(&mut mesh);
+        assert_eq!(mesh.normals, [Vec3::Z; 3]);
+    }
+}

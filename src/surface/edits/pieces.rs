@@ -1,0 +1,300 @@
+//! The connected pieces of a set of voxels.
+//!
+//! ```text
+//!   leaf 0    leaf 1         parts: what is connected within one leaf, grown from a seed by shifting bits
+//!   ┌──────┬──────┐
+//!   │ aa  b│b     │          a, b │ b, c: parts that touch across a face or an edge of leaves are
+//!   │ a    │   cc │          joined into pieces: {a}, {b, b}, {c}
+//!   └──────┴──────┘
+//! ```
+//!
+//! Parts and pieces are numbered in the topology's order, so that they do not depend on the number of threads.
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use crate::surface::grid::{FACE_STEPS, LeafMask, NO_LEAF, Topology, offset_in_leaf};
+
+/// Which voxels touch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Contact {
+    /// Those with a face in common.
+    Faces,
+    /// Those with a face or an edge in common.
+    Edges,
+}
+
+/// What is connected within one leaf.
+#[derive(Clone, Copy, Debug)]
+struct Part {
+    mask: LeafMask,
+    /// The piece it belongs to.
+    piece: u32,
+}
+
+/// The pieces of a set of voxels.
+#[derive(Clone, Debug)]
+pub(super) struct Pieces {
+    /// Where each leaf's parts start; one more entry than leaves.
+    starts: Vec<u32>,
+    parts: Vec<Part>,
+    /// How many pieces there are.
+    pub(super) count: usize,
+}
+
+impl Pieces {
+    /// The pieces of a set that is given leaf by leaf.
+    pub(super) fn new(topology: &Topology, sets: &[LeafMask], contact: Contact) -> Pieces {
+        let parts: Vec<Vec<LeafMask>> = sets.par_iter().map(|set| parts_of(set, contact)).collect();
+        let mut starts = vec![0];
+        for parts in &parts {
+            starts.push(starts[starts.len() - 1] + parts.len() as u32);
+        }
+        let masks: Vec<LeafMask> = parts.into_iter().flatten().collect();
+        let contacts = |leaf: usize| contacts_of_leaf(topology, &starts, &masks, leaf, contact);
+        let contacts: Vec<Vec<[u32; 2]>> = (0..topology.len()).into_par_iter().map(contacts).collect();
+        let mut parents: Vec<u32> = (0..masks.len() as u32).collect();
+        for [one, other] in contacts.into_iter().flatten() {
+            join(&mut parents, one, other);
+        }
+        let (piece_of, count) = numbered(&mut parents);
+        let parts = masks.into_iter().zip(piece_of).map(|(mask, piece)| Part { mask, piece }).collect();
+        Pieces { starts, parts, count }
+    }
+
+    /// The piece of a voxel, given by its leaf and relative to that; `None` if it is not in the set.
+    pub(super) fn piece_at(&self, leaf: usize, local: IVec3) -> Option<u32> {
+        let offset = offset_in_leaf(local);
+        self.of_leaf(leaf).find(|(_, mask)| mask.contains(offset)).map(|(piece, _)| piece)
+    }
+
+    /// What a leaf has of the pieces: piece and voxels. A piece may come more than once.
+    pub(super) fn of_leaf(&self, leaf: usize) -> impl Iterator<Item = (u32, &LeafMask)> {
+        let parts = self.starts[leaf] as usize..self.starts[leaf + 1] as usize;
+        self.parts[parts].iter().map(|part| (part.piece, &part.mask))
+    }
+
+    /// The voxels of some of the pieces: leaf by leaf, where there are any.
+    pub(super) fn voxels_of(&self, is_wanted: &[bool]) -> Vec<(usize, LeafMask)> {
+        let wanted = |leaf: usize| {
+            let masks = self.of_leaf(leaf).filter(|(piece, _)| is_wanted[*piece as usize]);
+            let voxels = masks.fold(LeafMask::EMPTY, |voxels, (_, mask)| voxels.or(mask));
+            (!voxels.is_empty()).then_some((leaf, voxels))
+        };
+        (0..self.starts.len() - 1).filter_map(wanted).collect()
+    }
+
+    /// The number of stored voxels of each piece.
+    pub(super) fn volumes(&self) -> Vec<u64> {
+        let mut volumes = vec![0; self.count];
+        for part in &self.parts {
+            volumes[part.piece as usize] += u64::from(part.mask.count());
+        }
+        volumes
+    }
+
+    /// Where pieces reach the leaves that are not stored: piece, and origin of such a leaf.
+    pub(super) fn beyond(&self, topology: &Topology) -> Vec<(u32, IVec3)> {
+        let leaves = topology.origins().par_iter().zip(topology.neighbors()).enumerate();
+        let reached = leaves.flat_map_iter(|(leaf, (&origin, neighbors))| {
+            let open = (0..6).filter(|&face| neighbors[face] == NO_LEAF);
+            open.flat_map(move |face| {
+                let step = FACE_STEPS[face];
+                let reaching = move |(piece, mask): (u32, &LeafMask)| {
+                    let is_open = !across(mask, step, Contact::Faces).is_empty();
+                    is_open.then_some((piece, origin.wrapping_add(step * 8)))
+                };
+                self.of_leaf(leaf).filter_map(reaching)
+            })
+        });
+        reached.collect()
+    }
+}
+
+/// The parts of one leaf, by their first voxels.
+fn parts_of(set: &LeafMask, contact: Contact) -> Vec<LeafMask> {
+    if *set == LeafMask::FULL {
+        return vec![LeafMask::FULL];
+    }
+    let mut rest = *set;
+    let mut parts = Vec::new();
+    while !rest.is_empty() {
+        let mut part = LeafMask::EMPTY;
+        rest.iter().take(1).for_each(|seed| part.insert(seed));
+        loop {
+            let grown = grown(&part, contact).and(&rest);
+            if grown == part {
+                break;
+            }
+            part = grown;
+        }
+        rest.remove_all(&part);
+        parts.push(part);
+    }
+    parts
+}
+
+/// The voxels of a leaf that are in or touch one that is.
+fn grown(mask: &LeafMask, contact: Contact) -> LeafMask {
+    let [x, y, z] = [0, 1, 2].map(|axis| widened(mask, axis));
+    match contact {
+        Contact::Faces => x.or(&y).or(&z),
+        Contact::Edges => widened(&x, 1).or(&widened(&y, 2)).or(&widened(&z, 0)),
+    }
+}
+
+/// The voxels of a leaf that are in or next to one that is along an axis.
+fn widened(mask: &LeafMask, axis: usize) -> LeafMask {
+    let [before, after] = mask.shifted(axis, 1, &LeafMask::EMPTY, &LeafMask::EMPTY);
+    mask.or(&before).or(&after)
+}
+
+/// The voxels of the leaf one `step` away that touch one of `mask`.
+pub(super) fn across(mask: &LeafMask, step: IVec3, contact: Contact) -> LeafMask {
+    let none = LeafMask::EMPTY;
+    let touched = (0..3).fold(*mask, |touched, axis| match step[axis] {
+        1 => none.shifted(axis, 1, &touched, &none)[0],
+        -1 => none.shifted(axis, 1, &none, &touched)[1],
+        _ => touched,
+    });
+    let is_face = step.abs().element_sum() == 1;
+    if contact == Contact::Faces || !is_face {
+        return touched;
+    }
+    let aside = (0..3).filter(|&axis| step[axis] == 0);
+    aside.fold(touched, |all, axis| all.or(&widened(&touched, axis)))
+}
+
+/// Steps to half of the leaves that have a face in common with one, and to half of those with an edge.
+const HALF_OF_FACES: [IVec3; 3] = [IVec3::X, IVec3::Y, IVec3::Z];
+const HALF_OF_EDGES: [IVec3; 6] = [
+    IVec3::new(1, 1, 0),
+    IVec3::new(1, -1, 0),
+    IVec3::new(1, 0, 1),
+    IVec3::new(1, 0, -1),
+    IVec3::new(0, 1, 1),
+    IVec3::new(0, 1, -1),
+];
+
+/// The pairs of parts, one in this leaf and one in a leaf after it, that touch.
+fn contacts_of_leaf(
+    topology: &Topology,
+    starts: &[u32],
+    masks: &[LeafMask],
+    leaf: usize,
+    contact: Contact,
+) -> Vec<[u32; 2]> {
+    let parts = |leaf: usize| starts[leaf]..starts[leaf + 1];
+    let mut pairs = Vec::new();
+    if parts(leaf).is_empty() {
+        return pairs;
+    }
+    let around = topology.neighborhood(leaf);
+    let edges = if contact == Contact::Edges { &HALF_OF_EDGES[..] } else { &[] };
+    for &step in HALF_OF_FACES.iter().chain(edges) {
+        let other = around[(9 * (step.x + 1) + 3 * (step.y + 1) + step.z + 1) as usize];
+        if other == NO_LEAF {
+            continue;
+        }
+        for one in parts(leaf) {
+            let touched = across(&masks[one as usize], step, contact);
+            let touching = |other: &u32| !touched.and(&masks[*other as usize]).is_empty();
+            pairs.extend(parts(other as usize).filter(touching).map(|other| [one, other]));
+        }
+    }
+    pairs
+}
+
+/// Joins the trees of two parts. The lesser root stays one.
+fn join(parents: &mut [u32], one: u32, other: u32) {
+    let (one, other) = (find(parents, one), find(parents, other));
+    parents[one.max(other) as usize] = one.min(other);
+}
+
+/// The root of a part. What is passed on the way gets nearer to it.
+fn find(parents: &mut [u32], part: u32) -> u32 {
+    let mut root = part;
+    while parents[root as usize] != root {
+        let parent = parents[root as usize];
+        parents[root as usize] = parents[parent as usize];
+        root = parent;
+    }
+    root
+}
+
+/// For each part the number of its piece, by first parts; and how many there are.
+fn numbered(parents: &mut [u32]) -> (Vec<u32>, usize) {
+    let mut numbers = vec![0; parents.len()];
+    let mut count = 0;
+    for part in 0..parents.len() as u32 {
+        // A root comes before the parts that it is the root of.
+        let root = find(parents, part);
+        if root == part {
+            numbers[part as usize] = count;
+            count += 1;
+        } else {
+            numbers[part as usize] = numbers[root as usize];
+        }
+    }
+    (numbers, count as usize)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::grid::voxel_in_leaf;
+
+    /// The pieces of scattered voxels by walking from voxel to voxel.
+    fn walked(voxels: &[IVec3], steps: &[IVec3]) -> Vec<Vec<IVec3>> {
+        let mut rest = voxels.to_vec();
+        let mut pieces = Vec::new();
+        while let Some(seed) = rest.pop() {
+            let mut piece = vec![seed];
+            let mut next = 0;
+            while next < piece.len() {
+                for step in steps {
+                    if let Some(place) = rest.iter().position(|voxel| *voxel == piece[next] + step) {
+                        piece.push(rest.swap_remove(place));
+                    }
+                }
+                next += 1;
+            }
+            piece.sort_by_key(|voxel| voxel.to_array());
+            pieces.push(piece);
+        }
+        pieces.sort_by_key(|piece| piece[0].to_array());
+        pieces
+    }
+
+    #[test]
+    fn pieces_are_those_that_a_walk_finds() {
+        let axis = || [-8, 0];
+        let origins = axis().into_iter().flat_map(|x| {
+            axis().into_iter().flat_map(move |y| axis().into_iter().map(move |z| IVec3::new(x, y, z)))
+        });
+        let topology = Topology::new(origins.collect());
+        let all = (0..27).map(|slot| IVec3::new(slot / 9, slot / 3 % 3, slot % 3) - 1);
+        for (contact, reach, of_16) in [(Contact::Faces, 1, 4), (Contact::Edges, 2, 2)] {
+            let is_in = |voxel: IVec3| {
+                let mixed = (voxel.x * 73 + voxel.y * 1031 + voxel.z * 40_009) as u32;
+                (mixed.wrapping_mul(0x9e37_79b9) >> 7).wrapping_mul(0x85eb_ca6b) >> 28 < of_16
+            };
+            let set = |&origin: &IVec3| LeafMask::from_fn(|offset| is_in(origin + voxel_in_leaf(offset)));
+            let sets: Vec<LeafMask> = topology.origins().iter().map(set).collect();
+            let pieces = Pieces::new(&topology, &sets, contact);
+            let mut found = vec![Vec::new(); pieces.count];
+            for (leaf, &origin) in topology.origins().iter().enumerate() {
+                for (piece, mask) in pieces.of_leaf(leaf) {
+                    let voxels = mask.iter().map(|offset| origin + voxel_in_leaf(offset));
+                    found[piece as usize].extend(voxels);
+                }
+            }
+            let voxels = found.concat();
+            found.iter_mut().for_each(|piece| piece.sort_by_key(|voxel| voxel.to_array()));
+            found.sort_by_key(|piece| piece[0].to_array());
+            let steps = all.clone().filter(|step| (1..=reach).contains(&step.abs().element_sum()));
+            assert_eq!(found, walked(&voxels, &steps.collect::<Vec<_>>()), "{contact:?}");
+            assert!(found.len() > 20 && found.iter().any(|piece| piece.len() > 8), "{}", found.len());
+        }
+    }
+}

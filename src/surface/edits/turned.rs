@@ -1,0 +1,123 @@
+//! Distances where voxels were turned from one side to the other.
+//!
+//! ```text
+//!   before     2  1  ●  ●  1  2  3  3  2  1  ●        an island ●● …
+//!   after      ∞  ∞  ∞  ∞  ∞  6  5  4  3  2 [1] ●     … is gone: what was near it is as far as what is left
+//! ```
+//!
+//! Where a piece is taken away, distances around it can but grow. So those within the band's half width of it
+//! are swept again from the others, and from the voxels beside the surface that is left, which stay as they are: the rest
+//! of the surface does not move. The greater of old and new counts.
+
+use std::collections::BTreeMap;
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use crate::surface::grid::{FACE_STEPS, Field, LEAF_EDGE, Leaf, LeafMask, Topology, voxel_in_leaf};
+use crate::surface::level_set::{NarrowBand, Sweeps, UNREACHED, extend};
+use crate::surface::space::CoordBox;
+
+/// A side of the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Side {
+    /// φ < 0.
+    Inside,
+    /// φ ≥ 0.
+    Outside,
+}
+
+/// Turns voxels, given leaf by leaf in order, to a side of the surface. The voxels must be whole pieces of the other side.
+pub(super) fn turn(band: &mut NarrowBand, turned: &[(usize, LeafMask)], side: Side) {
+    if turned.is_empty() {
+        return;
+    }
+    let near = near(band, turned);
+    let swept = sweep(band, turned, &near, side);
+    for ((leaf, free), swept) in swept {
+        let phi = &mut band.phi.leaves[leaf];
+        for offset in free.iter() {
+            let distance = swept.values[offset].abs().min(band.half_width);
+            let old = &mut phi.values[offset];
+            // A voxel that was on the other side is less than any distance.
+            *old = match side {
+                Side::Inside => old.min(-distance),
+                Side::Outside => old.max(distance),
+            }
+        }
+    }
+}
+
+/// The voxels whose distance may be that to a turned one: leaf by leaf those in a box around its voxels.
+fn near(band: &NarrowBand, turned: &[(usize, LeafMask)]) -> BTreeMap<usize, LeafMask> {
+    let reach = band.half_width.ceil() as i32 + 1;
+    let mut near: BTreeMap<usize, LeafMask> = BTreeMap::new();
+    for (leaf, mask) in turned {
+        let origin = band.topology.origins()[*leaf];
+        let voxels = mask.bounding_box().expanded(reach);
+        let [first, last]: [IVec3; 2] = [voxels.min >> 3, voxels.max >> 3];
+        for x in first.x..=last.x {
+            for y in first.y..=last.y {
+                for z in first.z..=last.z {
+                    let step = IVec3::new(x, y, z) * LEAF_EDGE;
+                    if let Some(other) = band.topology.find(origin.wrapping_add(step)) {
+                        let mask = near.entry(other).or_insert(LeafMask::EMPTY);
+                        *mask = mask.or(&box_mask(&voxels, step));
+                    }
+                }
+            }
+        }
+    }
+    near
+}
+
+/// The voxels of a leaf that are in a box given relative to the same place as the leaf's origin.
+fn box_mask(voxels: &CoordBox, leaf: IVec3) -> LeafMask {
+    LeafMask::from_fn(|offset| voxels.contains(leaf + voxel_in_leaf(offset)))
+}
+
+/// The leaves that change: which of their voxels do, and what is swept there.
+fn sweep(
+    band: &NarrowBand,
+    turned: &[(usize, LeafMask)],
+    near: &BTreeMap<usize, LeafMask>,
+    side: Side,
+) -> Vec<((usize, LeafMask), Leaf)> {
+    let origins = band.topology.origins();
+    let around = |(&leaf, _): (&usize, &LeafMask)| {
+        let faces = FACE_STEPS.map(|step| origins[leaf].wrapping_add(step * LEAF_EDGE));
+        faces.into_iter().filter(|&face| band.topology.find(face).is_some()).chain([origins[leaf]])
+    };
+    let topology = Topology::new(near.iter().flat_map(around).collect());
+    let of_band: Vec<usize> = topology.origins().iter().filter_map(|&o| band.topology.find(o)).collect();
+    let turned_in = |leaf: usize| {
+        let place = turned.binary_search_by_key(&leaf, |(leaf, _)| *leaf);
+        place.map_or(LeafMask::EMPTY, |place| turned[place].1)
+    };
+    // Which voxels are on that side, now.
+    let is_on_side = |phi: f32| (phi < 0.0) == (side == Side::Inside);
+    let on_side = |&leaf: &usize| {
+        let values = &band.phi.leaves[leaf].values;
+        LeafMask::from_fn(|offset| is_on_side(values[offset])).or(&turned_in(leaf))
+    };
+    let on_side: Vec<LeafMask> = of_band.par_iter().map(on_side).collect();
+    let free = |place: usize| {
+        let near = near.get(&of_band[place]).copied().unwrap_or(LeafMask::EMPTY);
+        let beyond = |face: u32| on_side.get(face as usize).unwrap_or(&LeafMask::FULL);
+        on_side[place].surrounded(topology.neighbors()[place].map(beyond)).and(&near)
+    };
+    let free: Vec<LeafMask> = (0..of_band.len()).into_par_iter().map(free).collect();
+    let start = if side == Side::Inside { -UNREACHED } else { UNREACHED };
+    let values = |(&leaf, free): (&usize, &LeafMask)| {
+        let mut values = band.phi.leaves[leaf];
+        free.iter().for_each(|offset| values.values[offset] = start);
+        values
+    };
+    let mut distance = Field { leaves: of_band.iter().zip(&free).map(values).collect() };
+    let mut fixed = vec![LeafMask::FULL; free.len()];
+    fixed.iter_mut().zip(&free).for_each(|(fixed, free)| fixed.remove_all(free));
+    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    let sweeps = Sweeps::accurate((3f32.sqrt() * band.half_width).ceil() as u32);
+    extend(&topology, &mut distance, &fixed, sweeps);
+    of_band.into_iter().zip(free).zip(distance.leaves).collect()
+}

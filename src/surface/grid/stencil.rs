@@ -1,0 +1,300 @@
+//! A leaf with its surroundings, read row by row.
+//!
+//! ```text
+//!   row (x, y): the 8 values along z.        y+1   ........
+//!   A 7-point stencil needs five rows and     y   p cccccccc n     p, n: ends of the rows beyond ±z
+//!   two single values:                       y-1   ........        x±1: rows above and below the page
+//! ```
+//!
+//! Where the neighbouring leaf is not stored, the leaf's own last rows stand in for it: about a slope of
+//! zero. The narrow band is wide enough that no result depends on it.
+
+use super::leaf::{Leaf, Row};
+use super::topology::{Direction, NO_LEAF};
+use crate::surface::simd::Lanes;
+
+/// Rows in a leaf; row `x·8 + y` starts at value `row·8`.
+pub const ROW_COUNT: usize = 64;
+
+/// One leaf and the six leaves beyond its faces.
+#[derive(Clone, Copy)]
+pub struct Neighborhood<'a> {
+    center: &'a Leaf,
+    faces: [Option<&'a Leaf>; 6],
+}
+
+impl<'a> Neighborhood<'a> {
+    /// The surroundings of leaf `leaf` in a field.
+    #[inline]
+    pub fn new(leaves: &'a [Leaf], neighbors: &[[u32; 6]], leaf: usize) -> Neighborhood<'a> {
+        let face = |index: u32| (index != NO_LEAF).then(|| &leaves[index as usize]);
+        Neighborhood { center: &leaves[leaf], faces: neighbors[leaf].map(face) }
+    }
+
+    /// A leaf and the leaves beyond its faces, where they are stored.
+    #[inline(always)]
+    pub fn of(center: &'a Leaf, faces: [Option<&'a Leaf>; 6]) -> Neighborhood<'a> {
+        Neighborhood { center, faces }
+    }
+}
+
+/// The eight rows of one x of a leaf, with the rows and values around them.
+///
+/// What [`Neighborhood`] finds for each row, found once for eight, and read into registers: the inner
+/// loops of the smoother are made of this. What a loop does not use of it costs nothing.
+#[derive(Clone, Copy)]
+pub struct Slab<'a> {
+    rows: &'a Rows,
+    /// The slabs at x − 1, x + 1, x − 2 and x + 2.
+    across_x: [&'a Rows; 4],
+    /// The slabs before and after along y, if they are stored.
+    beyond_y: [Option<&'a Rows>; 2],
+    /// The slabs before and after along z, and the place in their rows that is next to this one.
+    beyond_z: [(&'a Rows, usize); 2],
+}
+
+/// The rows of one x.
+type Rows = [Row; 8];
+
+/// A row and the rows shifted along one axis by −1, +1, and by −2, +2.
+type Shifted<V> = [V; 2];
+
+impl<'a> Slab<'a> {
+    /// The row itself.
+    #[inline(always)]
+    pub fn row<V: Lanes>(&self, y: usize) -> V {
+        V::load(&self.rows[y & 7])
+    }
+
+    /// The rows at x − 1 and x + 1.
+    #[inline(always)]
+    pub fn along_x<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        [V::load(&self.across_x[0][y & 7]), V::load(&self.across_x[1][y & 7])]
+    }
+
+    /// The rows at x − 2 and x + 2.
+    #[inline(always)]
+    pub fn second_along_x<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        [V::load(&self.across_x[2][y & 7]), V::load(&self.across_x[3][y & 7])]
+    }
+
+    /// The rows at y − 1 and y + 1.
+    #[inline(always)]
+    pub fn along_y<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        let [before, after] = self.across_y(y, 1);
+        [V::load(before), V::load(after)]
+    }
+
+    /// The rows at y − 2 and y + 2.
+    #[inline(always)]
+    pub fn second_along_y<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        let [before, after] = self.across_y(y, 2);
+        [V::load(before), V::load(after)]
+    }
+
+    #[inline(always)]
+    fn across_y(&self, y: usize, step: usize) -> [&'a Row; 2] {
+        let (y, own) = (y & 7, &self.rows[y & 7]);
+        let before = if y >= step { Some(self.rows) } else { self.beyond_y[0] };
+        let after = if y + step < 8 { Some(self.rows) } else { self.beyond_y[1] };
+        [
+            before.map_or(own, |rows| &rows[(y + 8 - step) & 7]),
+            after.map_or(own, |rows| &rows[(y + step) & 7]),
+        ]
+    }
+
+    /// The values at z − 1 and z + 1.
+    #[inline(always)]
+    pub fn along_z<V: Lanes>(&self, y: usize) -> Shifted<V> {
+        let [before, after] = self.beyond_z.map(|(rows, z)| rows[y & 7][z & 7]);
+        let row = self.row::<V>(y);
+        [row.shift_up(before), row.shift_down(after)]
+    }
+
+    /// The values at z − 2 and z + 2, from those at z − 1 and z + 1.
+    #[inline(always)]
+    pub fn second_along_z<V: Lanes>(&self, y: usize, [before, after]: Shifted<V>) -> Shifted<V> {
+        let [(first, from), (last, to)] = self.beyond_z;
+        // One farther into the neighbour; where there is none, these are the ends of the row itself.
+        let (first, last) = (first[y & 7][from.saturating_sub(1) & 7], last[y & 7][(to + 1).min(7)]);
+        [before.shift_up(first), after.shift_down(last)]
+    }
+
+    /// The 7-point Laplacian of row `y`, voxel units.
+    #[inline(always)]
+    pub fn laplacian<V: Lanes>(&self, y: usize) -> V {
+        let [xm, xp] = self.along_x::<V>(y);
+        let [ym, yp] = self.along_y::<V>(y);
+        let [zm, zp] = self.along_z::<V>(y);
+        let sum = xm.add(xp).add(ym.add(yp)).add(zm.add(zp));
+        sum.sub(V::splat(6.0).mul(self.row(y)))
+    }
+
+    /// |∇| of row `y` by central differences, voxel units.
+    #[inline(always)]
+    pub fn gradient_norm<V: Lanes>(&self, y: usize) -> V {
+        let ([xm, xp], [ym, yp], [zm, zp]) =
+            (self.along_x::<V>(y), self.along_y::<V>(y), self.along_z::<V>(y));
+        let (x, y, z) = (xp.sub(xm), yp.sub(ym), zp.sub(zm));
+        V::splat(0.5).mul(x.mul(x).add(y.mul(y)).add(z.mul(z)).sqrt())
+    }
+}
+
+impl<'a> Neighborhood<'a> {
+    /// The rows of one x.
+    #[inline(always)]
+    pub fn slab(&self, x: usize) -> Slab<'a> {
+        let x = x & 7;
+        let rows = rows_of(self.center, x);
+        let face = |direction: Direction| self.faces[direction as usize];
+        let across = |step: usize| {
+            let before = if x >= step { Some(self.center) } else { face(Direction::XMinus) };
+            let after = if x + step < 8 { Some(self.center) } else { face(Direction::XPlus) };
+            [
+                before.map_or(rows, |leaf| rows_of(leaf, x + 8 - step)),
+                after.map_or(rows, |leaf| rows_of(leaf, x + step)),
+            ]
+        };
+        let ([xm, xp], [xm2, xp2]) = (across(1), across(2));
+        Slab {
+            rows,
+            across_x: [xm, xp, xm2, xp2],
+            beyond_y: [Direction::YMinus, Direction::YPlus]
+                .map(|direction| face(direction).map(|leaf| rows_of(leaf, x))),
+            beyond_z: [
+                face(Direction::ZMinus).map_or((rows, 0), |leaf| (rows_of(leaf, x), 7)),
+                face(Direction::ZPlus).map_or((rows, 7), |leaf| (rows_of(leaf, x), 0)),
+            ],
+        }
+    }
+}
+
+/// The rows of an x, given modulo 8.
+#[inline(always)]
+fn rows_of(leaf: &Leaf, x: usize) -> &Rows {
+    let rows: &[Row; ROW_COUNT] = bytemuck::cast_ref(&leaf.values);
+    &rows.as_chunks::<8>().0[x & 7]
+}
+
+/// The slabs that hold one of these rows (bit `x·8 + y`), and which of their rows: x, and a bit for each y.
+#[inline(always)]
+pub fn slabs_in(rows: u64) -> impl Iterator<Item = (usize, Bits)> {
+    SlabsIn { rows, x: 0 }
+}
+
+/// Iterators are written out here: a kernel is compiled for a wider processor only where all of it is inlined.
+struct SlabsIn {
+    rows: u64,
+    x: usize,
+}
+
+impl Iterator for SlabsIn {
+    type Item = (usize, Bits);
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<(usize, Bits)> {
+        while self.x < 8 {
+            let (x, bits) = (self.x, (self.rows >> (8 * self.x)) as u8);
+            self.x += 1;
+            if bits != 0 {
+                return Some((x, Bits(bits)));
+            }
+        }
+        None
+    }
+}
+
+/// The set bits of a byte, in order.
+#[derive(Clone, Copy, Debug)]
+pub struct Bits(pub u8);
+
+impl Iterator for Bits {
+    type Item = usize;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<usize> {
+        if self.0 == 0 {
+            return None;
+        }
+        let bit = self.0.trailing_zeros() as usize;
+        self.0 &= self.0 - 1;
+        Some(bit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Field, Topology, voxel_in_leaf};
+    use super::*;
+    use crate::surface::simd::{Kernel, Level, dispatch_at};
+    use glam::IVec3;
+
+    fn quadratic(p: glam::Vec3) -> f32 {
+        p.x * p.x + 2.0 * p.y * p.y - p.z * p.z + 3.0 * p.x + p.y * p.z
+    }
+
+    /// Sampled polynomials have exact differences, across leaf borders too.
+    #[test]
+    fn stencils_are_exact_on_quadratics_across_leaves() {
+        let mut origins = vec![IVec3::ZERO];
+        origins.extend([IVec3::X, IVec3::Y, IVec3::Z].into_iter().flat_map(|axis| [axis * 8, axis * -8]));
+        let topology = Topology::new(origins);
+        let mut field = Field::splat(topology.len(), 0.0);
+        for (leaf, origin) in field.leaves.iter_mut().zip(topology.origins()) {
+            for (offset, value) in leaf.values.iter_mut().enumerate() {
+                let p = (*origin + voxel_in_leaf(offset)).as_vec3();
+                *value = quadratic(p);
+            }
+        }
+        let center = topology.find(IVec3::ZERO).unwrap();
+        let around = Neighborhood::new(&field.leaves, topology.neighbors(), center);
+        for level in Level::ALL {
+            let found = dispatch_at(level, Stencils { around: &around });
+            for (row, stencils) in found.into_iter().enumerate() {
+                for z in 0..8 {
+                    let p = voxel_in_leaf(row * 8 + z).as_vec3();
+                    let step = |axis: usize, steps: f32| quadratic(p + glam::Vec3::AXES[axis] * steps);
+                    let neighbors =
+                        (0..3).flat_map(|axis| [-1.0, 1.0, -2.0, 2.0].map(|steps| step(axis, steps)));
+                    let exact = glam::vec3(2.0 * p.x + 3.0, 4.0 * p.y + p.z, p.y - 2.0 * p.z).length();
+                    let [laplacian, norm] = [stencils[0][z], stencils[1][z]];
+                    assert_eq!(laplacian, 4.0);
+                    assert!((norm - exact).abs() <= 1e-5 * exact, "{norm} {exact}");
+                    assert!(stencils[2..].iter().map(|row| row[z]).eq(neighbors), "{level:?}, {p}");
+                }
+            }
+        }
+    }
+
+    /// All stencils of every row: the Laplacian, the gradient's norm, and the rows shifted along each axis by
+    /// −1, 1, −2 and 2.
+    struct Stencils<'a> {
+        around: &'a Neighborhood<'a>,
+    }
+
+    impl Kernel for Stencils<'_> {
+        type Output = Vec<[Row; 14]>;
+
+        #[inline(always)]
+        fn run<V: Lanes>(self) -> Vec<[Row; 14]> {
+            let mut all = Vec::new();
+            for (x, ys) in slabs_in(u64::MAX) {
+                let slab = self.around.slab(x);
+                for y in ys {
+                    let [xs, y_rows, zs] = [slab.along_x::<V>(y), slab.along_y(y), slab.along_z(y)];
+                    let [xs2, ys2, zs2] =
+                        [slab.second_along_x(y), slab.second_along_y(y), slab.second_along_z(y, zs)];
+                    let shifted = [xs, xs2, y_rows, ys2, zs, zs2];
+                    let mut rows = [[0.0; 8]; 14];
+                    slab.laplacian::<V>(y).store(&mut rows[0]);
+                    slab.gradient_norm::<V>(y).store(&mut rows[1]);
+                    for (row, values) in rows[2..].iter_mut().zip(shifted.into_iter().flatten()) {
+                        values.store(row);
+                    }
+                    all.push(rows);
+                }
+            }
+            all
+        }
+    }
+}

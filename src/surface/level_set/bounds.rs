@@ -1,0 +1,44 @@
+//! The interval that φ may move in.
+
+use rayon::prelude::*;
+
+use crate::surface::grid::Field;
+
+/// The signed distances of the outer and the inner union of spheres, on the topology of the band
+/// they bound. The outer surface gives the lower bound: `lower` = φ_max ≤ φ ≤ φ_min = `upper`.
+#[derive(Clone, Debug)]
+pub struct Bounds {
+    /// φ_max of the paper: signed distance to the outer union of spheres, in voxels.
+    pub lower: Field,
+    /// φ_min of the paper: signed distance to the inner union of spheres, in voxels.
+    pub upper: Field,
+}
+
+impl Bounds {
+    /// Moves every value into its interval (Eq. 6).
+    pub fn clamp(&self, phi: &mut Field) {
+        let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
+        phi.leaves.par_iter_mut().zip(bounds).for_each(|(phi, (lower, upper))| {
+            for ((phi, lower), upper) in phi.values.iter_mut().zip(&lower.values).zip(&upper.values) {
+                *phi = phi.max(*lower).min(*upper);
+            }
+        });
+    }
+
+    /// How many values lie outside their interval.
+    pub fn violation_count(&self, phi: &Field) -> usize {
+        let bounds = self.lower.leaves.par_iter().zip(&self.upper.leaves);
+        let count = |(phi, (lower, upper)): (
+            &crate::surface::grid::Leaf,
+            (&crate::surface::grid::Leaf, &crate::surface::grid::Leaf),
+        )| {
+            let intervals = lower.values.iter().zip(&upper.values);
+            phi.values
+                .iter()
+                .zip(intervals)
+                .filter(|(phi, (lower, upper))| !(*lower <= *phi && *phi <= *upper))
+                .count()
+        };
+        phi.leaves.par_iter().zip(bounds).map(count).sum()
+    }
+}

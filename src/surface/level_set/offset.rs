@@ -1,0 +1,259 @@
+//! Moves the surface of a level set by a constant distance.
+//!
+//! ```text
+//!   φ            +3 +2 +1  0 −1 −2 −3      distances to the surface
+//!   φ − offset   +1  0 −1 −2 −3 −4 −5      outward by 2: another level becomes the surface
+//!   restored     +1  0 −1 −2 −3 −4 −5      distances to that
+//! ```
+//!
+//! The level is the surface as far as φ is a distance there. Around it, φ − offset is not the distance everywhere: where two
+//! parts of the surface met, or one vanished, what is nearest now is another part. So distances are swept once more, from the voxels
+//! beside the moved surface, which stay as they are.
+
+use std::sync::Arc;
+
+use glam::IVec3;
+use rayon::prelude::*;
+
+use super::redistance::{Sweeps, UNREACHED, extend};
+use super::{NEAREST_TO_ZERO, NarrowBand};
+use crate::surface::grid::{Leaf, LeafMask, NO_LEAF, Topology, negative_masks};
+
+/// Moves the surface outward by `offset` voxels, inward where that is negative, and restores distances within ± `half_width`,
+/// the half width of the band from then on. φ must hold distances as far as the level `offset`.
+///
+/// Nowhere does φ fall below `floor`, which gives the least values of the leaf with an origin, if there are any: an obstacle.
+/// A voxel that comes to lie on the floor lies on it exactly. No other one is nearer to zero than
+/// [`NEAREST_TO_ZERO`].
+pub fn offset_surface(
+    band: &mut NarrowBand,
+    offset: f32,
+    half_width: f32,
+    floor: impl Fn(IVec3) -> Option<Arc<Leaf>> + Sync,
+) {
+    band.phi.leaves.par_iter_mut().zip(band.topology.origins()).for_each(|(phi, &origin)| {
+        let floor = floor(origin);
+        for (index, phi) in phi.values.iter_mut().enumerate() {
+            let least = floor.as_ref().map_or(f32::NEG_INFINITY, |floor| floor.values[index]);
+            let moved = *phi - offset;
+            *phi = if moved < least + ROUNDING {
+                outside_if_zero(least)
+            } else if moved.abs() < NEAREST_TO_ZERO {
+                NEAREST_TO_ZERO.copysign(moved).max(least)
+            } else {
+                moved
+            };
+        }
+    });
+    let fixed = beside_surface(band);
+    band.phi.leaves.par_iter_mut().zip(&fixed).for_each(|(phi, fixed)| {
+        for free in fixed.complement().iter() {
+            phi.values[free] = UNREACHED.copysign(phi.values[free]);
+        }
+    });
+    band.half_width = half_width;
+    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    sweep(band, &fixed, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
+}
+
+/// How far the values are, in voxels along the axes, that one value of [`offset_surface`] depends on.
+pub fn offset_reach_voxels(half_width: f32) -> u32 {
+    2 * (3f32.sqrt() * half_width).ceil() as u32 + 1
+}
+
+/// What is so near to the floor, in voxels, is on it but for the rounding of 32-bit numbers.
+const ROUNDING: f32 = 1e-4;
+
+/// Zero without a sign. A voxel with the value zero is outside, but sweeps tell the side of a voxel from its sign bit: they would take
+/// −0 for inside. A voxel that is swept must be on the same side as its neighbours; otherwise signs change from sweep to sweep, and
+/// spread.
+fn outside_if_zero(phi: f32) -> f32 {
+    if phi == 0.0 { 0.0 } else { phi }
+}
+
+/// Carries distances on, from voxels that have them to those that lie farther from the surface.
+pub fn extend_distances(band: &mut NarrowBand, sweeps: Sweeps) {
+    band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
+        *phi = outside_if_zero(*phi);
+    });
+    let fixed = beside_surface(band);
+    sweep(band, &fixed, sweeps);
+}
+
+fn sweep(band: &mut NarrowBand, fixed: &[LeafMask], sweeps: Sweeps) {
+    extend(&band.topology, &mut band.phi, fixed, sweeps);
+    let half_width = band.half_width;
+    band.phi.leaves.par_iter_mut().flat_map_iter(|leaf| &mut leaf.values).for_each(|phi| {
+        *phi = phi.clamp(-half_width, half_width);
+    });
+}
+
+/// The voxels of each leaf with a face neighbour on the other side of the surface.
+fn beside_surface(band: &NarrowBand) -> Vec<LeafMask> {
+    let inside = negative_masks(&band.phi);
+    let outside: Vec<LeafMask> = inside.par_iter().map(LeafMask::complement).collect();
+    let beside = |leaf: usize| {
+        let [inside, outside] = [&inside, &outside].map(|sides| beside_others(&band.topology, sides, leaf));
+        inside.or(&outside)
+    };
+    (0..inside.len()).into_par_iter().map(beside).collect()
+}
+
+/// The voxels of a leaf that are on a side, and have a face neighbour that is not. Beyond the stored leaves all are on the same
+/// side as the voxels beside them.
+fn beside_others(topology: &Topology, side: &[LeafMask], leaf: usize) -> LeafMask {
+    let faces = topology.neighbors()[leaf].map(|neighbor| match neighbor {
+        NO_LEAF => &LeafMask::FULL,
+        neighbor => &side[neighbor as usize],
+    });
+    let mut beside = side[leaf];
+    beside.remove_all(&side[leaf].surrounded(faces));
+    beside
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::grid::{FACE_STEPS, Field, LEAF_EDGE, offset_in_leaf, voxel_in_leaf};
+
+    const HALF_WIDTH: f32 = 7.0;
+
+    /// The band of a shape that is given by its signed distance.
+    fn band(distance: impl Fn([f32; 3]) -> f32) -> NarrowBand {
+        let axis = || -4..4;
+        let origins = axis()
+            .flat_map(|x| axis().flat_map(move |y| axis().map(move |z| IVec3::new(x, y, z) * LEAF_EDGE)));
+        let values = |origin: IVec3| -> Leaf {
+            let value = |offset| distance((origin + voxel_in_leaf(offset)).as_vec3().to_array());
+            Leaf { values: std::array::from_fn(|offset| value(offset).clamp(-HALF_WIDTH, HALF_WIDTH)) }
+        };
+        let is_stored = |leaf: &Leaf| leaf.values.iter().any(|phi| phi.abs() < HALF_WIDTH);
+        let topology = Topology::new(origins.filter(|&origin| is_stored(&values(origin))).collect());
+        let phi = Field { leaves: topology.origins().iter().map(|&origin| values(origin)).collect() };
+        NarrowBand { topology: topology.into(), phi, half_width: HALF_WIDTH }
+    }
+
+    fn ball(center: [f32; 3], radius: f32) -> impl Fn([f32; 3]) -> f32 {
+        move |p| (0..3).map(|axis| (p[axis] - center[axis]).powi(2)).sum::<f32>().sqrt() - radius
+    }
+
+    fn moved(band: &NarrowBand, offset: f32) -> NarrowBand {
+        let mut moved = band.clone();
+        offset_surface(&mut moved, offset, 5.0, |_| None);
+        moved
+    }
+
+    /// How far φ is from a distance, at most, where that is within the half width; and at how many voxels.
+    fn greatest_error(band: &NarrowBand, distance: impl Fn([f32; 3]) -> f32) -> (f32, usize) {
+        let (mut greatest, mut count) = (0f32, 0);
+        for (leaf, &origin) in band.phi.leaves.iter().zip(band.topology.origins()) {
+            for (offset, &phi) in leaf.values.iter().enumerate() {
+                let exact = distance((origin + voxel_in_leaf(offset)).as_vec3().to_array());
+                assert!(phi.abs() <= band.half_width);
+                if exact.abs() < band.half_width - 0.5 {
+                    greatest = greatest.max((phi - exact).abs());
+                    count += 1;
+                }
+            }
+        }
+        (greatest, count)
+    }
+
+    #[test]
+    fn ball_becomes_a_ball_of_the_radius_and_the_offset() {
+        let center = [0.3, -0.2, 0.4];
+        let given = band(ball(center, 12.2));
+        for offset in [-2.0, -0.4, 0.7, 2.0] {
+            let (error, count) = greatest_error(&moved(&given, offset), ball(center, 12.2 + offset));
+            assert!(error < 0.06 && count > 5000, "{offset}: {error} at {count}");
+        }
+    }
+
+    /// What was nearest is gone, or joined to another part: distances are those to what is there.
+    #[test]
+    fn distances_are_those_to_the_moved_surface() {
+        let both = |radii: [f32; 2]| {
+            let [one, other] = [ball([-8.2, 0.1, 0.2], radii[0]), ball([8.3, 0.1, 0.2], radii[1])];
+            move |p| one(p).min(other(p))
+        };
+        // The second ball vanishes, and leaves no trace beside the first.
+        let (error, count) =
+            greatest_error(&moved(&band(both([8.1, 1.6])), -1.7), ball([-8.2, 0.1, 0.2], 6.4));
+        assert!(error < 0.15 && count > 2000, "{error} at {count}");
+        // They meet: with φ − offset, the middle would be as shallow as what was between them.
+        let joined = moved(&band(both([7.1, 7.1])), 2.0);
+        let middle = joined.topology.find_voxel(IVec3::ZERO).expect("stored");
+        let phi = |(leaf, local): (usize, IVec3)| joined.phi.leaves[leaf].values[offset_in_leaf(local)];
+        // The seam is a ring of radius √(9.1² − 8.25²) = 3.84 around the middle; φ − offset would be −0.85 there. The voxels
+        // beside the seam keep their values, which are up to a voxel too shallow in such a crease.
+        assert!((phi(middle) + 3.84).abs() < 1.1, "{}", phi(middle));
+    }
+
+    #[test]
+    fn nothing_falls_below_the_floor_and_what_touches_it_lies_on_it() {
+        // A slab on a plane that is at z = 0.5 once it is moved by 1.3.
+        let given = band(|[_, _, z]| (z - 5.0).abs() - 5.8);
+        let wall = |origin: IVec3| Leaf {
+            values: std::array::from_fn(|offset| 0.5 - (origin + voxel_in_leaf(offset)).z as f32),
+        };
+        let mut held = given.clone();
+        offset_surface(&mut held, 1.3, 5.0, |origin| Some(Arc::new(wall(origin))));
+        for (leaf, &origin) in held.phi.leaves.iter().zip(held.topology.origins()) {
+            let inner = origin.cmpge(IVec3::splat(-16)).all() && origin.cmplt(IVec3::splat(16)).all();
+            for (offset, phi) in leaf.values.iter().enumerate().filter(|_| inner) {
+                let z = (origin + voxel_in_leaf(offset)).z as f32;
+                let expected = (0.5 - z).max(z - 12.1);
+                if expected.abs() < 4.0 {
+                    assert!((phi - expected).abs() < 1e-4, "{phi} at {z}");
+                }
+            }
+        }
+    }
+
+    /// A film that is half a voxel thick on a plane through voxels: those lie on the floor, and nothing is inside. Zero has the sign
+    /// that the floor gives it.
+    #[test]
+    fn voxels_on_the_floor_are_outside_whatever_the_sign_of_zero() {
+        let given = band(|[_, _, z]| (z + 5.0).abs() - 4.2);
+        for zero in [0.0, -0.0] {
+            let wall = |origin: IVec3| Leaf {
+                values: std::array::from_fn(|offset| match (origin + voxel_in_leaf(offset)).z {
+                    0 => zero,
+                    z => -z as f32,
+                }),
+            };
+            let mut held = given.clone();
+            offset_surface(&mut held, 1.3, 5.0, |origin| Some(Arc::new(wall(origin))));
+            assert!(held.phi.leaves.iter().flat_map(|leaf| leaf.values).all(|phi| phi == 5.0), "{zero:?}");
+        }
+    }
+
+    /// A place that is all but touched by the surface, and outside.
+    #[test]
+    fn zeros_of_either_sign_are_outside_where_distances_are_carried_on() {
+        let given = band(ball([0.3, -0.2, 0.4], 9.7));
+        let center = IVec3::new(13, 0, 0);
+        let extended = |zero: f32| {
+            let mut extended = given.clone();
+            let steps = FACE_STEPS.map(|step| (step, 0.2));
+            for (step, phi) in steps.into_iter().chain([(IVec3::ZERO, zero)]) {
+                let (leaf, local) = given.topology.find_voxel(center + step).expect("stored");
+                extended.phi.leaves[leaf].values[offset_in_leaf(local)] = phi;
+            }
+            extend_distances(&mut extended, Sweeps::accurate(8));
+            extended.phi
+        };
+        assert!(negative_masks(&extended(-0.0)) == negative_masks(&given.phi));
+        assert!(extended(-0.0) == extended(0.0));
+    }
+
+    #[test]
+    fn result_does_not_depend_on_threads() {
+        let given = band(ball([1.0, 2.0, 0.4], 9.7));
+        let on = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
+            pool.install(|| moved(&given, -1.1).phi)
+        };
+        assert!(on(1) == on(3));
+    }
+}

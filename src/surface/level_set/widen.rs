@@ -1,0 +1,148 @@
+//! A band that reaches farther than it did.
+//!
+//! ```text
+//!   before   +3 | +3 +2 +1  0 −1 −2 −3 | −3       what another program stored, 3 voxels to each side
+//!   after    +6 … +3 +2 +1  0 −1 −2 −3 … −6       its leaves and those around them
+//! ```
+//!
+//! What lies beyond the stored leaves is told by the voxels next to it: had the surface come between them, their leaf would be
+//! stored. Then distances are restored from the crossings, as they are between steps of smoothing; the zero set stays where it is,
+//! but for some thousandths of a voxel.
+
+use glam::IVec3;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use super::{NarrowBand, Sweeps, redistance};
+use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, offset_in_leaf};
+
+/// No band is made wider than this, in voxels: a leaf around those with a crossing holds it.
+pub const WIDENED_MAX: f32 = LEAF_EDGE as f32;
+
+/// A voxel is so near to a crossing, in voxels, at most.
+const NEAR: f32 = 2.0;
+
+/// The same surface in a band of this half width, at most [`WIDENED_MAX`], with distances restored.
+pub fn widened(band: &NarrowBand, half_width: f32) -> NarrowBand {
+    let half_width = half_width.min(WIDENED_MAX);
+    let stored = band.topology.origins();
+    let around = stored
+        .par_iter()
+        .zip(&band.phi.leaves)
+        .filter(|(_, leaf)| has_surface(band, leaf))
+        .flat_map_iter(|(&origin, _)| around(origin));
+    let origins: Vec<IVec3> = stored.par_iter().copied().chain(around).collect();
+    let topology = Topology::new(origins);
+    let mut phi = Field::splat(topology.len(), half_width);
+    phi.leaves.par_iter_mut().zip(topology.origins()).for_each(|(leaf, &origin)| {
+        match band.topology.find(origin) {
+            Some(index) => *leaf = band.phi.leaves[index],
+            None => leaf.values.fill(half_width.copysign(side_of(band, origin))),
+        }
+    });
+    let mut widened = NarrowBand { topology: topology.into(), phi, half_width };
+    // A sweep goes one voxel along the axes, and the diagonal is √3 as long.
+    redistance(&mut widened, Sweeps::accurate((3f32.sqrt() * half_width).ceil() as u32));
+    widened
+}
+
+/// How many leaves the widened band has, found with a bit for each.
+pub fn widened_leaf_count(band: &NarrowBand) -> usize {
+    const NODE_LEAVES: i32 = 16;
+    let mut nodes: FxHashMap<IVec3, [u64; 64]> = FxHashMap::default();
+    let mut insert = |origin: IVec3| {
+        let leaf = origin.div_euclid(IVec3::splat(LEAF_EDGE));
+        let [x, y, z] = (leaf & (NODE_LEAVES - 1)).to_array().map(|c| c as usize);
+        let words = nodes.entry(leaf.div_euclid(IVec3::splat(NODE_LEAVES))).or_insert([0; 64]);
+        words[x * 4 + y / 4] |= 1 << (y % 4 * 16 + z);
+    };
+    for (&origin, leaf) in band.topology.origins().iter().zip(&band.phi.leaves) {
+        insert(origin);
+        if has_surface(band, leaf) {
+            around(origin).for_each(&mut insert);
+        }
+    }
+    nodes.values().flatten().map(|word| word.count_ones() as usize).sum()
+}
+
+/// Whether a voxel of a leaf is so near to the surface that a widened band reaches into the leaves around.
+fn has_surface(band: &NarrowBand, leaf: &Leaf) -> bool {
+    let near = NEAR.min(band.half_width);
+    leaf.values.iter().any(|phi| phi.abs() < near)
+}
+
+/// A leaf and the 26 around it, by their origins.
+fn around(origin: IVec3) -> impl Iterator<Item = IVec3> {
+    steps().map(move |step| origin + step * LEAF_EDGE)
+}
+
+/// A value on the side of the surface that a leaf is on which is not stored, but next to one that is.
+fn side_of(band: &NarrowBand, origin: IVec3) -> f32 {
+    let mut nearest: Vec<IVec3> = steps().filter(|&step| step != IVec3::ZERO).collect();
+    nearest.sort_by_key(|step| step.abs().element_sum());
+    let found = nearest.into_iter().find_map(|step| {
+        let leaf = band.topology.find(origin + step * LEAF_EDGE)?;
+        // The voxel of that leaf which is next to this one.
+        let local = step.to_array().map(|along| match along {
+            -1 => LEAF_EDGE - 1,
+            1 => 0,
+            _ => LEAF_EDGE / 2,
+        });
+        Some(band.phi.leaves[leaf].values[offset_in_leaf(IVec3::from(local))])
+    });
+    found.unwrap_or(band.half_width)
+}
+
+/// A leaf and the 26 around it.
+fn steps() -> impl Iterator<Item = IVec3> {
+    (0..27).map(|slot| IVec3::new(slot / 9, slot / 3 % 3, slot % 3) - IVec3::ONE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::grid::voxel_in_leaf;
+
+    /// A ball of this radius in voxels, stored where the surface is within the half width.
+    fn ball(radius: f32, half_width: f32) -> NarrowBand {
+        let phi = |voxel: IVec3| (voxel.as_vec3().length() - radius).clamp(-half_width, half_width);
+        let leaves =
+            (-4..4).flat_map(|x| (-4..4).flat_map(move |y| (-4..4).map(move |z| IVec3::new(x, y, z))));
+        let values = |origin: IVec3| -> Vec<f32> {
+            (0..512).map(|offset| phi(origin + voxel_in_leaf(offset))).collect()
+        };
+        let is_stored = |origin: &IVec3| values(*origin).iter().any(|phi| phi.abs() < half_width);
+        let topology = Topology::new(leaves.map(|leaf| leaf * LEAF_EDGE).filter(is_stored).collect());
+        let mut field = Field::splat(topology.len(), half_width);
+        for (leaf, &origin) in field.leaves.iter_mut().zip(topology.origins()) {
+            leaf.values.copy_from_slice(&values(origin));
+        }
+        NarrowBand { topology: topology.into(), phi: field, half_width }
+    }
+
+    #[test]
+    fn distances_reach_farther_on_both_sides() {
+        // In a band of 1.5 voxels some corners of the cells with the surface are cut off already.
+        for (narrow, most) in [(1.5, 0.25), (2.0, 0.02), (3.0, 0.02)] {
+            let wide = widened(&ball(18.3, narrow), 6.0);
+            assert!(wide.topology.len() > ball(18.3, narrow).topology.len());
+            assert_eq!(widened_leaf_count(&ball(18.3, narrow)), wide.topology.len());
+            let (mut near, mut far) = (0, 0);
+            for (leaf, &origin) in wide.phi.leaves.iter().zip(wide.topology.origins()) {
+                for (offset, &phi) in leaf.values.iter().enumerate() {
+                    let exact = (origin + voxel_in_leaf(offset)).as_vec3().length() - 18.3;
+                    if exact.abs() < 5.5 {
+                        near += 1;
+                        assert!((phi - exact).abs() < most, "{phi} {exact}");
+                    } else if exact.abs() > 7.0 {
+                        far += 1;
+                        assert_eq!(phi, 6f32.copysign(exact), "{exact}");
+                    }
+                }
+            }
+            // All of the shell is stored.
+            let shell = 4.0 * std::f32::consts::PI * 18.3f32.powi(2) * 11.0;
+            assert!(near as f32 > 0.98 * shell && far > 1000, "{near} {far}");
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! How many particles are inside obstacles, where a simulation had better not left them.
+
+use glam::{DVec3, IVec3};
+use rayon::prelude::*;
+
+use super::{ObstacleLeaf, Obstacles};
+use crate::surface::grid::{LEAF_EDGE, offset_in_leaf};
+use crate::surface::particles::{ParticleSource, Positions};
+use crate::surface::space::Lattice;
+
+impl Obstacles {
+    /// Counts the particles that are inside an obstacle.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub fn count_inside<S: ParticleSource>(
+        &self,
+        source: &S,
+        lattice: &Lattice,
+        half_width: f32,
+    ) -> Result<usize, S::Error> {
+        let of_batch = |batch: usize| {
+            let mut known = Known { obstacles: self, lattice, half_width, last: None };
+            Ok(match source.batch(batch)? {
+                Positions::Single(positions) => positions
+                    .iter()
+                    .filter(|position| known.is_inside(glam::Vec3::from(**position).as_dvec3()))
+                    .count(),
+                Positions::Double(positions) => {
+                    positions.iter().filter(|position| known.is_inside(DVec3::from(**position))).count()
+                }
+            })
+        };
+        (0..source.batch_count()).into_par_iter().map(of_batch).try_reduce(|| 0, |one, other| Ok(one + other))
+    }
+}
+
+/// The nearest voxel is up to √3/2 away: farther from the surface, a particle is on its side.
+const NEAR: f32 = 0.9;
+
+/// The leaf that was asked for last: the next particle is often in the same.
+struct Known<'a> {
+    obstacles: &'a Obstacles,
+    lattice: &'a Lattice,
+    half_width: f32,
+    last: Option<(IVec3, ObstacleLeaf)>,
+}
+
+impl Known<'_> {
+    fn is_inside(&mut self, position: DVec3) -> bool {
+        let Some(index) = self.lattice.index_from_world(position) else { return false };
+        let voxel = index.round().as_ivec3();
+        let local = voxel & IVec3::splat(LEAF_EDGE - 1);
+        let origin = voxel - local;
+        let Known { obstacles, lattice, half_width, last } = self;
+        if last.as_ref().is_none_or(|(known, _)| *known != origin) {
+            *last = Some((origin, obstacles.leaf(origin, lattice, *half_width)));
+        }
+        match last {
+            Some((_, ObstacleLeaf::Inside)) => true,
+            Some((_, ObstacleLeaf::Near(leaf))) => match leaf.values[offset_in_leaf(local)] {
+                distance if distance > NEAR => false,
+                distance if distance < -NEAR => true,
+                _ => obstacles.depth(position, lattice, *half_width).is_some(),
+            },
+            _ => false,
+        }
+    }
+}

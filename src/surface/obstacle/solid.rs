@@ -1,0 +1,167 @@
+//! A mesh as an obstacle: signed distances leaf by leaf.
+
+use std::sync::Arc;
+
+use glam::{DVec3, IVec3};
+
+use super::eights::{Distances, Eight};
+use super::leaf::ObstacleLeaf;
+use super::sides::{Winds, sign};
+use super::surface::{MeshFindings, Surface};
+use super::winding::{WINDING_ERROR, winding, winding_gradient};
+use crate::surface::grid::LEAF_EDGE;
+use crate::surface::simd;
+use crate::surface::space::Lattice;
+
+/// What a mesh encloses.
+pub struct Solid {
+    surface: Surface,
+}
+
+/// From the centre of a leaf to its outermost voxels, on each axis.
+const HALF_EDGE: f64 = 0.5 * (LEAF_EDGE - 1) as f64;
+
+/// And to the farthest one.
+const RADIUS: f64 = HALF_EDGE * 1.732_050_807_568_877_2;
+
+/// More than rounding makes of distances, in voxels.
+const ROUNDING: f64 = 1e-3;
+
+impl Solid {
+    /// What these triangles enclose, in world units. What cannot be part of a surface is left out, and found in
+    /// [`Solid::findings`].
+    pub fn new(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Solid {
+        Solid { surface: Surface::new(positions, triangles) }
+    }
+
+    /// What was found in the mesh.
+    pub fn findings(&self) -> &MeshFindings {
+        &self.surface.findings
+    }
+
+    /// The box around it; patches over holes are within it, too.
+    pub(super) fn bounds(&self) -> Option<[DVec3; 2]> {
+        self.surface.tree.root().map(|node| [node.min, node.max])
+    }
+
+    /// The memory that it takes, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        self.surface.tree.size_bytes() + self.surface.rim.size_bytes()
+    }
+
+    /// The signed distances of a leaf.
+    pub(super) fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
+        let view = View::new(&self.surface, origin, lattice);
+        let far = f64::from(half_width);
+        let nearest = view.nearest(far + RADIUS);
+        if nearest.is_none()
+            && let Some(side) = view.side(far)
+        {
+            return side;
+        }
+        let eights = nearest.map_or(Vec::new(), |nearest| view.near(far, nearest + 2.0 * RADIUS));
+        let mut leaf = simd::dispatch(Distances { eights: &eights, most: half_width });
+        sign(&mut leaf, &view, view.slope_bound(RADIUS));
+        ObstacleLeaf::of_values(Arc::new(leaf), half_width)
+    }
+
+    /// How deep a point is inside, in world units, and the nearest place on the surface.
+    pub(super) fn depth(&self, point: DVec3) -> Option<(f64, DVec3)> {
+        let tree = &self.surface.tree;
+        let beyond = winding(tree, point) - 0.5;
+        if beyond <= 0.0 {
+            return None;
+        }
+        let outside = tree.nearest(point, f64::INFINITY)?;
+        let depth = outside.distance(point);
+        if !self.surface.rim.is_empty() {
+            let gradient = winding_gradient(tree, point);
+            let to_patch = beyond / gradient.length();
+            if to_patch < depth {
+                return Some((to_patch, point - gradient.normalize_or_zero() * to_patch));
+            }
+        }
+        Some((depth, outside))
+    }
+
+    /// The signed distance of a point, in world units: negative inside. `None` where there is no surface.
+    ///
+    /// Patches over holes count for the side only.
+    pub fn distance(&self, point: DVec3) -> Option<f64> {
+        let tree = &self.surface.tree;
+        let distance = tree.nearest(point, f64::INFINITY)?.distance(point);
+        Some(if winding(tree, point) > 0.5 { -distance } else { distance })
+    }
+
+    /// Whether the surface may come within `margin_voxels` of a leaf's voxels.
+    pub(super) fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {
+        let view = View::new(&self.surface, origin, lattice);
+        let margin = f64::from(margin_voxels);
+        let has_patches = !self.surface.rim.is_empty();
+        view.nearest(margin + RADIUS + ROUNDING).is_some() || has_patches && view.side(margin).is_none()
+    }
+}
+
+/// The surface as a leaf sees it.
+struct View<'a> {
+    surface: &'a Surface,
+    /// The centre of the leaf, and the edge of a voxel, in world units.
+    center: DVec3,
+    voxel_size: f64,
+}
+
+impl View<'_> {
+    fn new<'a>(surface: &'a Surface, origin: IVec3, lattice: &Lattice) -> View<'a> {
+        let voxel_size = lattice.voxel_size;
+        View { surface, center: (origin.as_dvec3() + HALF_EDGE) * voxel_size, voxel_size }
+    }
+
+    /// From the centre to the nearest triangle, in voxels, if that is less than `limit`.
+    fn nearest(&self, limit: f64) -> Option<f64> {
+        let limit = limit * self.voxel_size;
+        let squared = self.surface.tree.nearest_squared(self.center, limit * limit)?;
+        Some(squared.sqrt() / self.voxel_size)
+    }
+
+    /// The side that the whole leaf is on, if neither a patch over a hole is within `far` voxels of it; triangles
+    /// must be known not to be.
+    fn side(&self, far: f64) -> Option<ObstacleLeaf> {
+        let slope = self.slope_bound(RADIUS + far);
+        if slope == f64::INFINITY {
+            return None;
+        }
+        let beyond = winding(&self.surface.tree, self.center) - 0.5;
+        let is_certain = slope == 0.0 || beyond.abs() - WINDING_ERROR > slope * (RADIUS + far);
+        is_certain.then_some(if beyond > 0.0 { ObstacleLeaf::Inside } else { ObstacleLeaf::Outside })
+    }
+
+    /// How fast the winding number may change within so many voxels of the centre, a voxel.
+    fn slope_bound(&self, radius: f64) -> f64 {
+        self.surface.rim.slope_bound(self.center, radius * self.voxel_size) * self.voxel_size
+    }
+
+    /// The triangles within `far` of the leaf's box and within `reach` of its centre, and some more.
+    fn near(&self, far: f64, reach: f64) -> Vec<Eight> {
+        let mut eights = Vec::new();
+        let [half_edge, far, reach] =
+            [HALF_EDGE, far + ROUNDING, reach + ROUNDING].map(|voxels| voxels * self.voxel_size);
+        self.surface.tree.leaves_near(self.center, half_edge, far, reach, |triangles| {
+            eights.push(Eight::new(triangles, self.center, 1.0 / self.voxel_size));
+        });
+        eights
+    }
+
+    fn place(&self, voxel: IVec3) -> DVec3 {
+        self.center + (voxel.as_dvec3() - HALF_EDGE) * self.voxel_size
+    }
+}
+
+impl Winds for View<'_> {
+    fn winding(&self, voxel: IVec3) -> f64 {
+        winding(&self.surface.tree, self.place(voxel))
+    }
+
+    fn slope(&self, voxel: IVec3) -> f64 {
+        winding_gradient(&self.surface.tree, self.place(voxel)).length() * self.voxel_size
+    }
+}

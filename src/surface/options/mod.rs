@@ -1,0 +1,672 @@
+//! Every number of the method, resolved and checked once.
+//!
+//! [`Choices`] is what somebody asked for; [`Settings`] is what is meant. A sequence has one
+//! `Settings` for all its frames: an estimate for each frame would flicker.
+
+mod choices;
+mod pairs;
+mod presets;
+
+use std::fmt;
+
+pub use crate::surface::contour::Contouring;
+use crate::surface::smooth::EIGENVALUE_MAX;
+pub use crate::surface::smooth::Integrator;
+use crate::surface::words::significant;
+pub use choices::{AnisotropyKind, AttributeSelection, Choices, ClipBox, contouring_name, integrator_name};
+pub use pairs::Pairs;
+use presets::{InitialRadius, Recipe, Scale, Unit, tidy};
+pub use presets::{Measured, Preset};
+
+/// All settings of a sequence, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Distance d between neighbouring particles, world units.
+    pub spacing: f64,
+    /// Edge length h of a voxel, world units.
+    pub voxel_size: f64,
+    /// r_min, world units.
+    pub radius_min: f64,
+    /// r_init, world units.
+    pub radius_init: f64,
+    /// r_max, world units.
+    pub radius_max: f64,
+    /// How far the finished surface is moved outward, world units; negative inward.
+    pub offset: f64,
+    /// r_max / r_min as it was chosen: their quotient may be another number by a rounding.
+    pub radius_ratio: f64,
+    /// Where particles have radii of their own: then the three above are those of a particle whose
+    /// radius is `radius_min` / `scale`.
+    pub own_radii: Option<OwnRadii>,
+    /// What stretches particles.
+    pub anisotropy: Anisotropy,
+    /// How far particles are moved toward the mean of their neighbours, 0 to 1; 0 leaves them where they are.
+    pub position_smoothing: f64,
+    /// R: particles farther apart are not neighbours, world units. 0 where neighbours are not
+    /// [used](Settings::uses_neighbors).
+    pub neighbor_radius: f64,
+    /// Gaps between the surface and obstacles are filled where they are narrower, in units of h.
+    pub void_threshold: f64,
+    /// Attributes of the particles that the surface gets.
+    pub attributes: Option<AttributeSelection>,
+    /// Pieces of surface with fewer particles are dropped.
+    pub drop_islands: u32,
+    /// Cavities of a smaller volume are filled, in units of h³.
+    pub fill_cavities: f64,
+    /// What is outside this box is cut off.
+    pub clip: Option<ClipBox>,
+    /// By how much the mesh may move so that triangles are saved, in units of h; 0 for not at all.
+    pub decimate: f64,
+    /// Rounds in which normals are averaged with their neighbours.
+    pub smooth_normals: u32,
+    /// Whether .obj, .vtp and .usda have quads.
+    pub quads: bool,
+    /// Which integrator.
+    pub integrator: Integrator,
+    /// Laplacian steps before the biharmonic ones.
+    pub laplacian_steps: u32,
+    /// Biharmonic steps.
+    pub steps: u32,
+    /// Size of a biharmonic step, in units of h⁴.
+    pub step_size: f64,
+    /// Redistance after so many biharmonic steps.
+    pub redistance_every: u32,
+    /// Relative tolerance of the conjugate gradients (`Implicit` only).
+    pub cg_tolerance: f64,
+    /// Which contouring.
+    pub contouring: Contouring,
+}
+
+/// Where particles have radii of their own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnRadii {
+    /// The attribute that tells them, world units.
+    pub attribute: String,
+    /// A particle's r_min in units of its own radius.
+    pub scale: f64,
+}
+
+/// What stretches particles (paper, Eq. 1 and 16, Fig. 11).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Anisotropy {
+    /// Nothing: balls.
+    None,
+    /// Where the neighbours are.
+    Neighbors {
+        /// The longest half axis in units of the shortest, at most.
+        max_stretch: f64,
+        /// The least half axis of the inner ellipsoids, world units.
+        thin_radius: f64,
+        /// r_min of a particle without neighbours, world units: no more than `radius_min`.
+        lone_radius: f64,
+    },
+    /// The velocity.
+    Velocity {
+        /// Seconds of movement by which it stretches.
+        gain: f64,
+        /// The longest half axis in units of the shortest, at most.
+        max_stretch: f64,
+    },
+}
+
+/// Explicit steps of this much and more, in units of h⁴, are unstable.
+pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
+
+/// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
+pub const RADIUS_MAX_VOXELS: f64 = 64.0;
+
+/// How far outward the surface may be moved, in units of h.
+const OFFSET_MAX: f64 = 2.0;
+
+/// Narrower gaps between the surface and obstacles are filled, in units of h.
+const VOID_THRESHOLD: f64 = 1.0;
+
+/// Distances to obstacles are known no farther, in units of h.
+const VOID_THRESHOLD_MAX: f64 = 4.0;
+
+/// As Yu and Turk limit it.
+const MAX_STRETCH: f64 = 4.0;
+
+/// Beyond it a particle would reach over several leaves.
+const MAX_STRETCH_MAX: f64 = 8.0;
+
+/// The least half axis that a flattened particle may have, in units of h. Then the sides of a sheet are 1.8 voxels apart.
+const THIN_MIN_VOXELS: f64 = 0.9;
+
+/// How far neighbours count, in units of r_min.
+const NEIGHBOR_RADIUS: f64 = 3.0;
+
+/// Seconds of movement by which velocities stretch: a quarter of a frame of film.
+const VELOCITY_GAIN: f64 = 0.01;
+
+/// Neighbours within more voxels are a good part of a frame.
+const NEIGHBOR_RADIUS_MAX_VOXELS: f64 = 200.0;
+
+/// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
+pub const ISLAND_MAX: u32 = 1000;
+
+/// Cavities of this many voxels are rooms.
+const CAVITY_VOXELS_MAX: f64 = 1e6;
+
+/// A mesh that moves by more than this, in units of h, is another one.
+const DECIMATE_MAX: f64 = 1.0;
+
+/// Rounds after which normals tell nothing of the surface.
+pub const ROUNDS_MAX: u32 = 1000;
+
+/// Steps of either kind: a hundred times what the paper takes.
+pub const STEPS_MAX: u32 = 1_000_000;
+
+/// More steps than this take so long that somebody should know before.
+const STEPS_TOLD: f64 = 2000.0;
+
+/// The least size of a step, in units of h⁴.
+const STEP_SIZE_MIN: f64 = 1e-6;
+
+/// The greatest size of a step, in units of h⁴.
+const STEP_SIZE_MAX: f64 = 1e4;
+
+/// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
+const ADAPTIVE_TIME_MAX: f64 = 1e4;
+
+/// Why choices make no settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingsError {
+    /// What is wrong, and what would be right.
+    pub what: String,
+}
+
+impl fmt::Display for SettingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.what)
+    }
+}
+
+impl std::error::Error for SettingsError {}
+
+impl Settings {
+    /// Fills in the defaults of the preset and checks every number.
+    ///
+    /// Lengths that nobody chose follow the particle spacing: that of `choices`, else the `measured` one, else the one that
+    /// has the chosen voxel size by default. The preset [`Preset::Paper`] follows the voxel size.
+    ///
+    /// # Errors
+    /// When a number is not finite or out of its range, when the radii are out of order, or when neither spacing nor voxel
+    /// size is known.
+    pub fn resolve(choices: &Choices, measured: Option<Measured>) -> Result<Settings, SettingsError> {
+        let recipe = choices.recipe();
+        let scale = Scale::new(choices, measured)?;
+        let Scale { spacing, voxel_size: h } = scale;
+        let radius_ratio = choices.radius_ratio.unwrap_or(recipe.radius_ratio);
+        let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, choices)?;
+        let integrator = choices.integrator.unwrap_or(Integrator::Fast);
+        let voxels = scale.voxels(recipe.unit);
+        let explicit = is_explicit(integrator);
+        let neighbor_radius = match choices.uses_neighbors() {
+            true => neighbor_radius(choices, radius_min, &scale)?,
+            false => 0.0,
+        };
+        let position_smoothing = choices.position_smoothing();
+        within("smoothing of positions", position_smoothing, 0.0, 1.0)?;
+        let settings = Settings {
+            spacing,
+            voxel_size: h,
+            radius_min,
+            radius_init,
+            radius_max,
+            offset: offset(choices, radius_min, h)?,
+            radius_ratio,
+            own_radii: choices.own_radii()?,
+            anisotropy: anisotropy(choices, radius_min, &scale)?,
+            position_smoothing,
+            neighbor_radius,
+            void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
+            drop_islands: choices.drop_islands.unwrap_or(0),
+            fill_cavities: choices.fill_cavities.unwrap_or_else(|| cavities(&recipe, voxels)),
+            clip: choices.clip.map(checked_box).transpose()?,
+            decimate: choices.decimate.unwrap_or(0.0),
+            smooth_normals: choices.smooth_normals.unwrap_or(0),
+            quads: choices.quads.unwrap_or(false),
+            attributes: choices.attributes.clone(),
+            integrator,
+            laplacian_steps: choices.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
+            steps: choices.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
+            step_size: positive(
+                "step size",
+                choices.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
+            )?,
+            redistance_every: choices.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            cg_tolerance: positive("conjugate gradient tolerance", choices.cg_tolerance.unwrap_or(1e-4))?,
+            contouring: choices.contouring.unwrap_or(Contouring::Dual),
+        };
+        settings.check_solver()?;
+        settings.check_edits()?;
+        Ok(settings)
+    }
+
+    /// The paper's settings for a voxel size, with these choices over them: what tests and the paper's experiments
+    /// use. Particles count as two voxels apart, where a preset among the choices follows the spacing.
+    ///
+    /// # Errors
+    /// Those of [`Settings::resolve`].
+    pub fn paper(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
+        let paper = Choices {
+            preset: Some(Preset::Paper),
+            voxel_size: Some(voxel_size),
+            spacing: Some(2.0 * voxel_size),
+            ..Choices::default()
+        };
+        Settings::resolve(&choices.clone().over(paper), None)
+    }
+
+    fn check_solver(&self) -> Result<(), SettingsError> {
+        let steps_max = f64::from(STEPS_MAX);
+        let every = f64::from(self.redistance_every);
+        within("number of steps after which distances are restored", every, 1.0, steps_max)?;
+        within("number of steps", f64::from(self.steps), 0.0, steps_max)?;
+        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, steps_max)?;
+        within("step size in h⁴", self.step_size, STEP_SIZE_MIN, STEP_SIZE_MAX)?;
+        if self.integrator == Integrator::Adaptive {
+            let time = f64::from(self.steps) * self.step_size;
+            let what = "time of adaptive steps (their number times their size) in h⁴";
+            within(what, time, 0.0, ADAPTIVE_TIME_MAX)?;
+        }
+        within("conjugate gradient tolerance", self.cg_tolerance, 1e-12, 0.5)
+    }
+
+    fn check_edits(&self) -> Result<(), SettingsError> {
+        within("void threshold in h", self.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
+        within(
+            "number of particles of pieces to drop",
+            f64::from(self.drop_islands),
+            0.0,
+            f64::from(ISLAND_MAX),
+        )?;
+        within("volume of cavities to fill in h³", self.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
+        within("error of decimation in h", self.decimate, 0.0, DECIMATE_MAX)?;
+        within(
+            "number of rounds of --smooth-normals",
+            f64::from(self.smooth_normals),
+            0.0,
+            f64::from(ROUNDS_MAX),
+        )?;
+        self.check_quads()
+    }
+
+    /// Whether particles have shapes of their own.
+    pub fn has_shapes(&self) -> bool {
+        self.own_radii.is_some() || self.anisotropy != Anisotropy::None
+    }
+
+    /// About how far the surface of fluid at rest is from its outermost particles, world units: where neighbours flatten these it lies where the
+    /// fluid ends, and else at r_min or beyond. A camera's ground is there.
+    pub fn resting_height(&self) -> f64 {
+        match self.anisotropy {
+            Anisotropy::Neighbors { .. } => self.radius_min.min(0.5 * self.spacing),
+            Anisotropy::None | Anisotropy::Velocity { .. } => self.radius_min,
+        }
+    }
+
+    /// Whether a particle's place or shape depends on its neighbours.
+    pub fn uses_neighbors(&self) -> bool {
+        self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
+    }
+
+    /// The choices that make these settings, every one of them, but for what is not used.
+    pub fn to_choices(&self) -> Choices {
+        let (kind, velocity_gain, max_stretch) = match self.anisotropy {
+            Anisotropy::None => (AnisotropyKind::None, None, None),
+            Anisotropy::Neighbors { max_stretch, .. } => (AnisotropyKind::Neighbors, None, Some(max_stretch)),
+            Anisotropy::Velocity { gain, max_stretch } => {
+                (AnisotropyKind::Velocity, Some(gain), Some(max_stretch))
+            }
+        };
+        let (thin_radius, lone_radius) = match self.anisotropy {
+            Anisotropy::Neighbors { thin_radius, lone_radius, .. } => (Some(thin_radius), Some(lone_radius)),
+            Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
+        };
+        let is_implicit = self.integrator == Integrator::Implicit;
+        Choices {
+            preset: None,
+            spacing: Some(self.spacing),
+            voxel_size: Some(self.voxel_size),
+            radius_min: Some(self.radius_min),
+            radius_ratio: Some(self.radius_ratio),
+            radius_init: Some(self.radius_init),
+            offset: (self.offset != 0.0).then_some(self.offset),
+            radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
+            radius_scale: self.own_radii.as_ref().map(|own| own.scale),
+            anisotropy: Some(kind),
+            max_stretch,
+            thin_radius,
+            lone_radius,
+            neighbor_radius: self.uses_neighbors().then_some(self.neighbor_radius),
+            position_smoothing: Some(self.position_smoothing),
+            velocity_gain,
+            void_threshold: Some(self.void_threshold),
+            attributes: self.attributes.clone(),
+            drop_islands: Some(self.drop_islands),
+            fill_cavities: Some(self.fill_cavities),
+            clip: self.clip,
+            contouring: Some(self.contouring),
+            decimate: Some(self.decimate),
+            smooth_normals: Some(self.smooth_normals),
+            quads: Some(self.quads),
+            integrator: Some(self.integrator),
+            laplacian_steps: Some(self.laplacian_steps),
+            steps: Some(self.steps),
+            step_size: Some(self.step_size),
+            redistance_every: Some(self.redistance_every),
+            cg_tolerance: is_implicit.then_some(self.cg_tolerance),
+        }
+    }
+
+    /// Quads are what dual contouring makes, until somebody changes them.
+    fn check_quads(&self) -> Result<(), SettingsError> {
+        require(!self.quads || self.contouring == Contouring::Dual, || {
+            "quads come of dual contouring only: leave out --contour tetrahedra".into()
+        })?;
+        require(!self.quads || self.decimate == 0.0, || {
+            "decimation leaves no quads: choose one of --quads and --decimate".into()
+        })
+    }
+
+    /// Whether there is a particle spacing with which these choices make sense: for a spacing that is not yet known.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn check(choices: &Choices) -> Result<(), SettingsError> {
+        if !choices.needs_spacing() {
+            return Settings::resolve(choices, None).map(|_| ());
+        }
+        let sound = |length: &f64| length.is_finite() && *length > 0.0;
+        let recipe = choices.recipe();
+        // One with which a length that was given is as long as by default. What is wrong with a length is told by
+        // `resolve`.
+        let unit = match recipe.unit {
+            Unit::Spacing => 1.0,
+            Unit::VoxelSize => recipe.voxel_size,
+        };
+        let ratio = choices.radius_ratio.filter(|ratio| *ratio >= 1.0).unwrap_or(recipe.radius_ratio);
+        let init = initial_radius(&recipe, 1.0, ratio);
+        let spacing = match (choices.voxel_size, choices.radius_min, choices.radius_init) {
+            (Some(voxel_size), ..) => voxel_size / recipe.voxel_size,
+            (None, Some(radius), _) => radius / (recipe.radius_min * unit),
+            (None, None, Some(radius)) => radius / (recipe.radius_min * init * unit),
+            (None, None, None) => 1.0,
+        };
+        let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
+        // An inward offset can be compared with an r_min that is given; any other fits particles that are far enough apart.
+        let inward = choices.offset.filter(|offset| offset.is_finite()).map_or(0.0, |offset| -offset);
+        if let Some(radius_min) = choices.radius_min.filter(sound) {
+            require(inward <= (1.0 + 1e-9) * radius_min, || {
+                format!("the offset is {}; it must be from -r_min = {} on", -inward, -radius_min)
+            })?;
+        }
+        let offset = choices.offset.filter(|offset| !offset.is_finite());
+        let [thin_radius, lone_radius] =
+            [choices.thin_radius, choices.lone_radius].map(|radius| radius.filter(|radius| !sound(radius)));
+        // A neighbourhood can be compared with a voxel size that is given; without one it fits some spacing.
+        let is_too_wide = |radius: &f64| !sound(radius) || choices.voxel_size.is_some();
+        let neighbor_radius = choices.neighbor_radius.filter(is_too_wide);
+        let choices = Choices { offset, thin_radius, lone_radius, neighbor_radius, ..choices.clone() };
+        Settings::resolve(&choices, Some(Measured::from(spacing))).map(|_| ())
+    }
+
+    /// What a user should be told before work begins, one sentence each.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut warnings = Vec::new();
+        if self.integrator == Integrator::Explicit && self.step_size >= EXPLICIT_STEP_MAX {
+            warnings.push(format!(
+                "explicit steps of {} h⁴ are beyond the stable bound of 2/144 = {EXPLICIT_STEP_MAX:.5} h⁴",
+                self.step_size
+            ));
+        }
+        if self.integrator == Integrator::Adaptive {
+            warnings.push(
+                "adaptive steps are for stills: their sizes depend on the frame, and a sequence flickers"
+                    .into(),
+            );
+        }
+        let (least, steps) = self.step_count();
+        if steps > STEPS_TOLD {
+            let at_least = if least { "at least " } else { "" };
+            warnings.push(format!("{at_least}{steps:.0} steps for each frame will take long"));
+        }
+        if self.radius_min < 0.999 * 3f64.sqrt() * self.voxel_size {
+            warnings.push(format!(
+                "r_min is {:.3} voxels: below √3 a particle may fall between the voxels and be left outside",
+                self.radius_min / self.voxel_size
+            ));
+        }
+        warnings
+    }
+}
+
+impl Settings {
+    /// How many biharmonic steps there will be, and whether that is the least: adaptive ones are as large as is stable
+    /// at most.
+    fn step_count(&self) -> (bool, f64) {
+        let steps = f64::from(self.steps);
+        match self.integrator {
+            Integrator::Adaptive => (true, steps * (self.step_size / EXPLICIT_STEP_MAX)),
+            Integrator::Fast | Integrator::Implicit | Integrator::Explicit => (false, steps),
+        }
+    }
+}
+
+/// Whether an integrator takes many small steps, and not a few large ones.
+fn is_explicit(integrator: Integrator) -> bool {
+    matches!(integrator, Integrator::Explicit | Integrator::Adaptive)
+}
+
+/// Size of an explicit step, in units of h⁴ (Eq. 14, 15).
+const EXPLICIT_STEP_SIZE: f64 = 0.01;
+
+/// The biharmonic steps of an integrator, unless others are asked for.
+fn default_steps(recipe: &Recipe, integrator: Integrator, voxels: f64) -> u32 {
+    match is_explicit(integrator) {
+        true => {
+            let steps = recipe.explicit_time * voxels.powi(4) / EXPLICIT_STEP_SIZE;
+            steps.round().clamp(0.0, f64::from(STEPS_MAX)) as u32
+        }
+        false => recipe.steps,
+    }
+}
+
+/// The size of a biharmonic step, unless another is asked for, in units of h⁴.
+fn default_step_size(recipe: &Recipe, integrator: Integrator, voxels: f64) -> f64 {
+    match is_explicit(integrator) {
+        true => EXPLICIT_STEP_SIZE,
+        false => tidy(recipe.step_size * voxels.powi(4)).clamp(STEP_SIZE_MIN, STEP_SIZE_MAX),
+    }
+}
+
+/// Laplacian steps, unless another number is asked for: one at least, where there are to be any.
+fn laplacian_steps(recipe: &Recipe, voxels: f64) -> u32 {
+    let steps = recipe.laplacian_steps * voxels * voxels;
+    let least = if recipe.laplacian_steps > 0.0 { 1.0 } else { 0.0 };
+    steps.round().clamp(least, f64::from(STEPS_MAX)) as u32
+}
+
+/// The volume below which cavities are filled, unless another is asked for, in units of h³.
+fn cavities(recipe: &Recipe, voxels: f64) -> f64 {
+    tidy(recipe.fill_cavities * voxels.powi(3)).min(CAVITY_VOXELS_MAX)
+}
+
+/// r_init, unless another is asked for, for r_min and r_max = `ratio` · r_min.
+fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
+    let radius_max = ratio * radius_min;
+    match recipe.radius_init {
+        InitialRadius::Middle => 0.5 * (radius_min + radius_max),
+        InitialRadius::Times(factor) => tidy(factor * radius_min).min(radius_max),
+    }
+}
+
+/// r_min, r_init and r_max.
+fn radii(scale: &Scale, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
+    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+    // On coarse voxels it is raised to the least with which no particle falls between them (Eq. 13).
+    let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
+    let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(usual))?;
+    require(ratio.is_finite() && ratio >= 1.0, || {
+        format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
+    })?;
+    let radius_max = ratio * radius_min;
+    let radius_init = choices.radius_init.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
+    let radius_init = positive("radius r_init", radius_init)?;
+    // A product of two numbers as typed may miss a third as typed by a rounding.
+    let slack = 1e-9 * radius_max;
+    require((radius_min - slack..=radius_max + slack).contains(&radius_init), || {
+        format!("r_init is {radius_init}; it must lie between r_min = {radius_min} and r_max = {radius_max}")
+    })?;
+    require(radius_max <= RADIUS_MAX_VOXELS * h, || {
+        format!(
+            "r_max is {} voxels, and {RADIUS_MAX_VOXELS} are the most: choose {}",
+            significant(radius_max / h),
+            match (choices.radius_min, recipe.unit) {
+                (Some(_), _) => "a smaller r_min or ratio, or a larger voxel size",
+                (None, Unit::VoxelSize) =>
+                    "a smaller ratio, or a larger voxel size with r_min in world units",
+                (None, Unit::Spacing) => "a larger voxel size or a smaller ratio",
+            }
+        )
+    })?;
+    Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
+}
+
+impl Choices {
+    /// Where particles have radii of their own, if they have.
+    ///
+    /// # Errors
+    /// When their scale is no positive number.
+    pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
+        let Some(attribute) = &self.radius_attribute else { return Ok(None) };
+        let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
+        Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+    }
+}
+
+/// How far the finished surface is moved.
+fn offset(choices: &Choices, radius_min: f64, h: f64) -> Result<f64, SettingsError> {
+    let offset = choices.offset.unwrap_or(0.0);
+    let [inward, outward] = [-radius_min, OFFSET_MAX * h];
+    // A radius that was computed may miss one as typed by a rounding.
+    let slack = 1e-9 * radius_min;
+    require((inward - slack..=outward).contains(&offset), || {
+        format!("the offset is {offset}; it must be from -r_min = {inward} to {OFFSET_MAX} h = {outward}")
+    })?;
+    Ok(offset)
+}
+
+fn anisotropy(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<Anisotropy, SettingsError> {
+    let max_stretch = choices.max_stretch.unwrap_or(MAX_STRETCH);
+    within("greatest stretch", max_stretch, 1.0, MAX_STRETCH_MAX)?;
+    match choices.anisotropy_kind() {
+        AnisotropyKind::None => Ok(Anisotropy::None),
+        AnisotropyKind::Neighbors if has_no_room_to_flatten(choices, radius_min, scale) => {
+            Ok(Anisotropy::None)
+        }
+        AnisotropyKind::Neighbors => {
+            let [thin_radius, lone_radius] = flattened_radii(choices, radius_min, scale)?;
+            Ok(Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius })
+        }
+        AnisotropyKind::Velocity => {
+            let gain = positive("velocity gain", choices.velocity_gain.unwrap_or(VELOCITY_GAIN))?;
+            Ok(Anisotropy::Velocity { gain, max_stretch })
+        }
+    }
+}
+
+/// Whether the preset alone asks for flat particles, on a grid so coarse that none could be thinner than a ball.
+fn has_no_room_to_flatten(choices: &Choices, radius_min: f64, scale: &Scale) -> bool {
+    let Choices { anisotropy, max_stretch, thin_radius, lone_radius, .. } = choices;
+    let is_chosen = anisotropy.is_some()
+        || [max_stretch, thin_radius, lone_radius].into_iter().any(|choice| choice.is_some());
+    !is_chosen && radius_min <= 3f64.sqrt() * scale.voxel_size * (1.0 + 1e-9)
+}
+
+/// The least half axis of flattened particles, and r_min of those without neighbours.
+fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<[f64; 2], SettingsError> {
+    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+    let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
+    let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
+    let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
+    let thin = positive("least half axis of flattened particles", choices.thin_radius.unwrap_or(thin))?;
+    // Numbers as typed may miss computed ones by a rounding.
+    let slack = 1e-9 * most;
+    require((least - slack..=most + slack).contains(&thin), || {
+        format!(
+            "the least half axis of flattened particles is {thin}; it must be from {THIN_MIN_VOXELS} h = {} to r_min = {}",
+            significant(least),
+            significant(most)
+        )
+    })?;
+    let lone = recipe.lone_radius.map_or(radius_min, |radius| length(radius).max(held).min(radius_min));
+    let lone = positive("radius of particles without neighbours", choices.lone_radius.unwrap_or(lone))?;
+    require(lone <= radius_min + slack, || {
+        format!(
+            "the radius of particles without neighbours is {lone}; it must be at most r_min = {}",
+            significant(radius_min)
+        )
+    })?;
+    Ok([thin, lone.max(held).min(radius_min)])
+}
+
+fn neighbor_radius(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
+    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+    let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius));
+    let radius = choices.neighbor_radius.or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
+    let radius = positive("radius within which neighbours count", radius)?;
+    require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
+        format!(
+            "the radius within which neighbours count is {} h; it must be at most {NEIGHBOR_RADIUS_MAX_VOXELS} h",
+            radius / h
+        )
+    })?;
+    Ok(radius)
+}
+
+fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
+    require(clip.min.iter().chain(&clip.max).all(|number| number.is_finite()), || {
+        format!(
+            "the box {clip} has a number that is not finite: x0,y0,z0,x1,y1,z1 must be six finite numbers"
+        )
+    })?;
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let (min, max) = (clip.min[axis], clip.max[axis]);
+        require(min < max, || {
+            format!(
+                "the box {clip} is empty: its {name}0 is {min} and must be below its {name}1, which is {max}: \
+                 x0,y0,z0 is the least corner, x1,y1,z1 the greatest"
+            )
+        })?;
+    }
+    Ok(clip)
+}
+
+fn within(name: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
+    require((least..=most).contains(&value), || {
+        let [least, most] = [least, most].map(in_short);
+        format!("the {name} is {value}; it must be from {least} to {most}")
+    })
+}
+
+/// A bound without a row of zeros.
+fn in_short(bound: f64) -> String {
+    if bound != 0.0 && bound < 1e-3 { format!("{bound:e}") } else { bound.to_string() }
+}
+
+fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {
+    require(value.is_finite() && value > 0.0, || {
+        format!("the {name} is {value}; it must be a positive number")
+    })?;
+    Ok(value)
+}
+
+fn require(holds: bool, what: impl FnOnce() -> String) -> Result<(), SettingsError> {
+    if holds { Ok(()) } else { Err(SettingsError { what: what() }) }
+}
+
+#[cfg(test)]
+mod tests;

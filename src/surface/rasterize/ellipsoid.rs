@@ -1,0 +1,547 @@
+//! Signed distances to unions of balls of their own sizes, and of ellipsoids (paper, Eq. 1, Fig. 11 and 13).
+//!
+//! A particle's value at a voxel x, for each of the three radii r, is
+//!
+//! ```text
+//!   ball        |x − p| − s·r                             exact
+//!   ellipsoid   (q − r)·q / |T²(x − p)|,  q = |T(x − p)|   exact on the surface, right to first order beside it
+//! ```
+//!
+//! and that of the union is the least of them. What is asked of it are signs everywhere, and values beside the
+//! surface; so a particle is looked at no farther than a voxel outside of its outermost surface, and what is
+//! deeper inside than [`DEEP`] is not made any deeper:
+//!
+//! ```text
+//!   ┌──────────┐        the box around the ellipsoid and a margin: T⁻¹ tells it exactly.
+//!   │   ╭────╮ │        Of the rows that it touches those are passed by whose values no particle so far from
+//!   │ ╭─╯ ╭──╯ │        them can lower: nine of ten
+//!   │ ╰───╯    │
+//!   └──────────┘
+//! ```
+//!
+//! The ellipsoid's distance is that of:
+//! Gabriel Taubin. Estimation of planar curves, surfaces, and nonplanar space curves defined by implicit
+//! equations. 1991
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::bin::ParticleBins;
+use super::sphere::{OUT_OF_REACH, greatest};
+use super::{EXACT_MARGIN, Radii};
+use crate::surface::grid::{Bits, Field, LEAF_EDGE, Leaf, LeafMask, ROW_COUNT, Topology, leaf_steps_within};
+use crate::surface::particles::Ellipsoid;
+use crate::surface::simd::{self, Kernel, Lanes};
+
+/// Voxels beside the surface are less deep than this, in voxels: by 1, as a rule.
+const DEEP: f32 = 1.25;
+
+/// Beyond an ellipsoid only voxels next to it count, in voxels.
+const ELLIPSOID_MARGIN: f32 = 1.125;
+
+/// Particles of up to so many times the unit's half axes are looked up together, and then of each power of two times
+/// that.
+const CLASS_LONGEST: f32 = 1.5;
+
+/// What is known of a particle's shape.
+pub(super) trait Form: Copy + Sync + Send {
+    /// The longest half axis, in units of the radii.
+    fn longest(&self) -> f32;
+
+    /// The shortest half axis, or less, in units of the radii.
+    fn shortest(&self) -> f32;
+
+    /// Of each union, S_max, S_0 and S_min, the distance up to which no particle that is so near is passed by.
+    fn told(radii: &Radii) -> [f32; 3];
+
+    /// How far from the centre it counts along each axis, in voxels, where its outermost radius is `outermost`.
+    fn extents(&self, outermost: f32) -> Vec3;
+
+    /// Lowers the values of a leaf to the particle's; it lies at `center`, in voxels from the leaf's first.
+    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3);
+}
+
+/// A ball: its radii in units of the settings'.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ball(pub(super) f32);
+
+/// An ellipsoid: its half axes in units of the settings' radii.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stretched {
+    ellipsoid: Ellipsoid,
+    shadow: Shadow,
+    /// No more than the shortest half axis; it takes the place of 0 / 0 in the very centre.
+    ratio_min: f32,
+}
+
+impl Stretched {
+    pub(super) fn new(ellipsoid: Ellipsoid) -> Stretched {
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let norm = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)).sqrt();
+        Stretched { shadow: Shadow::of(&ellipsoid), ratio_min: 1.0 / norm, ellipsoid }
+    }
+}
+
+/// Particles of any shape, to be found around a leaf.
+pub(super) struct Bodies<F> {
+    classes: Vec<Class<F>>,
+    /// r_max, r_init, r_min.
+    radii: [f32; 3],
+    /// Of each union the distance up to which every particle so near was looked at.
+    told: [f32; 3],
+}
+
+/// Particles of about one size.
+struct Class<F> {
+    /// The leaves with any of them.
+    topology: Topology,
+    /// Where each leaf's eights start; one more entry than leaves.
+    starts: Vec<usize>,
+    boxes: Vec<EightBoxes>,
+    /// Eight for each of the boxes.
+    bodies: Vec<Body<F>>,
+    /// The half axes of each leaf's particles.
+    axes: Vec<Axes>,
+    /// How far one of them counts, in voxels.
+    reach: f32,
+    /// The steps to leaves so near.
+    steps: Vec<IVec3>,
+}
+
+/// Centres and extents of eight particles: x, y, z of each. Nowhere, where there are fewer.
+type EightBoxes = [[f32; 8]; 6];
+
+#[derive(Clone, Copy)]
+struct Body<F> {
+    /// In voxels from the origin of its leaf.
+    center: Vec3,
+    extents: Vec3,
+    form: F,
+}
+
+/// No half axis of some particles is shorter or longer than these, in units of the radii.
+#[derive(Clone, Copy)]
+struct Axes {
+    shortest: f32,
+    longest: f32,
+}
+
+impl<F: Form> Bodies<F> {
+    /// Those of the bins.
+    pub(super) fn new(bins: &ParticleBins, radii: Radii, form: impl Fn(usize) -> F + Sync) -> Bodies<F> {
+        let told = F::told(&radii);
+        let radii = [radii.max, radii.init, radii.min];
+        let class_of = |particle: usize| {
+            let doublings = (form(particle).longest() / CLASS_LONGEST).log2().ceil();
+            // A float is no smaller than 0 here, and far below 256.
+            doublings.max(0.0) as u8
+        };
+        let class_of: Vec<u8> = (0..bins.len()).into_par_iter().map(class_of).collect();
+        let mut numbers = class_of.clone();
+        numbers.par_sort_unstable();
+        numbers.dedup();
+        let class = |&number: &u8| {
+            Class::new(bins, radii[0], |particle| (class_of[particle] == number).then(|| form(particle)))
+        };
+        Bodies { classes: numbers.iter().map(class).collect(), radii, told }
+    }
+
+    /// The signed distances to the three unions for all of these leaves, in the order of the radii; deep inside
+    /// something less than −1, also where voxels are `settled`. What is `known` of a leaf already is copied.
+    pub(super) fn distances<'a>(
+        &self,
+        leaves: &Topology,
+        settled: impl Fn(IVec3) -> &'a LeafMask + Sync,
+        known: impl Fn(IVec3) -> Option<[&'a Leaf; 3]> + Sync,
+    ) -> [Field; 3] {
+        let mut fields = [0.0; 3].map(|value| Field::splat(leaves.len(), value));
+        let [max, init, min] = &mut fields;
+        let leaf_fields = max.leaves.par_iter_mut().zip(&mut init.leaves).zip(&mut min.leaves);
+        leaf_fields.zip(leaves.origins()).for_each(|(((max, init), min), &origin)| {
+            if let Some(known) = known(origin) {
+                (*max, *init, *min) = (*known[0], *known[1], *known[2]);
+                return;
+            }
+            let around = self.around(origin);
+            let settled = settled(origin);
+            [*max, *init, *min] =
+                simd::dispatch(Signed { around: &around, radii: self.radii, told: self.told, settled });
+        });
+        fields
+    }
+
+    /// The particles that may count in a leaf.
+    fn around(&self, origin: IVec3) -> Vec<Around<'_, F>> {
+        let mut around = Vec::new();
+        for class in &self.classes {
+            // A few large particles are sooner looked through than the leaves that they might be in.
+            if class.steps.len() <= class.topology.len() {
+                let found = class.steps.iter().filter_map(|&step| {
+                    let leaf = class.topology.find(origin + step)?;
+                    Some(class.leaf(leaf, step))
+                });
+                around.extend(found);
+            } else {
+                let reach = class.reach as i32 + LEAF_EDGE;
+                let is_near = |step: IVec3| step.abs().max_element() <= reach;
+                let leaves = class.topology.origins().iter().enumerate();
+                let near = leaves.filter(|(_, other)| is_near(**other - origin));
+                around.extend(near.map(|(leaf, &other)| class.leaf(leaf, other - origin)));
+            }
+        }
+        around
+    }
+}
+
+impl<F: Form> Class<F> {
+    /// The particles of a class: those that have a form for it.
+    fn new(bins: &ParticleBins, outermost: f32, form: impl Fn(usize) -> Option<F> + Sync) -> Class<F> {
+        let of_leaf = |leaf: usize| {
+            let (range, positions) = (bins.range(leaf), bins.in_leaf(leaf));
+            let bodies = range.zip(positions).filter_map(|(particle, &center)| {
+                let form = form(particle)?;
+                Some(Body { center, extents: form.extents(outermost), form })
+            });
+            (bins.topology.origins()[leaf], bodies.collect::<Vec<_>>())
+        };
+        let leaves: Vec<(IVec3, Vec<Body<F>>)> = (0..bins.topology.len())
+            .into_par_iter()
+            .map(of_leaf)
+            .filter(|(_, bodies)| !bodies.is_empty())
+            .collect();
+        let (mut starts, mut boxes, mut bodies, mut axes) = (vec![0], Vec::new(), Vec::new(), Vec::new());
+        let mut reach = 0f32;
+        for (_, of_leaf) in &leaves {
+            for eight in of_leaf.chunks(8) {
+                boxes.push(boxes_of(eight));
+                bodies.extend((0..8).map(|place| eight[place.min(eight.len() - 1)]));
+            }
+            starts.push(boxes.len());
+            axes.push(Axes::of(of_leaf.iter().map(|body| body.form)));
+            reach = of_leaf.iter().fold(reach, |reach, body| reach.max(body.extents.max_element()));
+        }
+        let topology = Topology::new(leaves.iter().map(|&(origin, _)| origin).collect());
+        Class { topology, starts, boxes, bodies, axes, reach, steps: leaf_steps_within(reach) }
+    }
+
+    fn leaf(&self, leaf: usize, step: IVec3) -> Around<'_, F> {
+        let (first, last) = (self.starts[leaf], self.starts[leaf + 1]);
+        Around {
+            step: step.as_vec3(),
+            boxes: &self.boxes[first..last],
+            bodies: &self.bodies[8 * first..8 * last],
+            axes: self.axes[leaf],
+        }
+    }
+}
+
+impl Axes {
+    /// Those of no particle at all.
+    const NONE: Axes = Axes { shortest: f32::INFINITY, longest: 0.0 };
+
+    fn of<F: Form>(forms: impl Iterator<Item = F>) -> Axes {
+        let axes = forms.map(|form| Axes { shortest: form.shortest(), longest: form.longest() });
+        axes.fold(Axes::NONE, Axes::with)
+    }
+
+    #[inline(always)]
+    fn with(self, other: Axes) -> Axes {
+        Axes { shortest: self.shortest.min(other.shortest), longest: self.longest.max(other.longest) }
+    }
+}
+
+fn boxes_of<F>(bodies: &[Body<F>]) -> EightBoxes {
+    let mut boxes =
+        [[f32::INFINITY; 8], [f32::INFINITY; 8], [f32::INFINITY; 8], [0.0; 8], [0.0; 8], [0.0; 8]];
+    for (place, body) in bodies.iter().enumerate() {
+        for axis in 0..3 {
+            boxes[axis][place] = body.center[axis];
+            boxes[3 + axis][place] = body.extents[axis];
+        }
+    }
+    boxes
+}
+
+/// The particles of a leaf that may count in another.
+struct Around<'a, F> {
+    /// From that to theirs, in voxels.
+    step: Vec3,
+    boxes: &'a [EightBoxes],
+    /// Eight for each of the boxes.
+    bodies: &'a [Body<F>],
+    axes: Axes,
+}
+
+/// The signed distances of a leaf.
+struct Signed<'a, F> {
+    around: &'a [Around<'a, F>],
+    radii: [f32; 3],
+    told: [f32; 3],
+    settled: &'a LeafMask,
+}
+
+impl<F: Form> Kernel for Signed<'_, F> {
+    type Output = [Leaf; 3];
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> [Leaf; 3] {
+        let mut axes = Axes::NONE;
+        for around in self.around {
+            axes = axes.with(around.axes);
+        }
+        let mut values = Values::new::<V>(self.settled, self.radii, axes);
+        for around in self.around {
+            for (eight, boxes) in around.boxes.iter().enumerate() {
+                for place in Bits(near_bits::<V>(boxes, around.step)) {
+                    let body = &around.bodies[8 * eight + (place & 7)];
+                    body.form.lower::<V>(&mut values, body.center + around.step, body.extents);
+                }
+            }
+        }
+        for (leaf, told) in values.leaves.iter_mut().zip(self.told) {
+            for row in 0..ROW_COUNT {
+                let row = leaf.row_mut(row);
+                let value = V::load(row).max(V::splat(-DEEP));
+                V::select(V::splat(told).lt(value), V::splat(OUT_OF_REACH), value).store(row);
+            }
+        }
+        values.leaves
+    }
+}
+
+/// The values of a leaf for the particles seen so far, and which others could lower them.
+///
+/// A particle lowers a value v of the union of radius r only if q is less than r + v/c where v is positive, and
+/// r + v/a where it is negative: its half axes are between c and a, and so is q/|T²(x − p)|. What is [`DEEP`] is deep
+/// enough, and what is farther outside than [`ELLIPSOID_MARGIN`] is beside no voxel inside.
+pub(super) struct Values {
+    leaves: [Leaf; 3],
+    radii: [f32; 3],
+    axes: Axes,
+    /// The squares of q from which on nothing is lowered.
+    limits: Leaf,
+    /// The greatest of each row.
+    row_limits: [f32; ROW_COUNT],
+}
+
+impl Values {
+    #[inline(always)]
+    fn new<V: Lanes>(settled: &LeafMask, radii: [f32; 3], axes: Axes) -> Values {
+        let leaves = [Leaf::splat(OUT_OF_REACH); 3];
+        let limits = Leaf::splat(0.0);
+        let mut values = Values { leaves, radii, axes, limits, row_limits: [0.0; ROW_COUNT] };
+        for row in 0..ROW_COUNT {
+            let settled = V::mask(settled.row(row));
+            for leaf in &mut values.leaves {
+                V::select(settled, V::splat(-DEEP), V::splat(OUT_OF_REACH)).store(leaf.row_mut(row));
+            }
+            values.limit_row::<V>(row);
+        }
+        values
+    }
+
+    /// Finds out what can still lower a row.
+    #[inline(always)]
+    fn limit_row<V: Lanes>(&mut self, row: usize) {
+        let (outside, inside) = (V::splat(1.0 / self.axes.shortest), V::splat(1.0 / self.axes.longest));
+        let (zero, deep) = (V::splat(0.0), V::splat(-DEEP));
+        let mut limit = zero;
+        for (leaf, radius) in self.leaves.iter().zip(self.radii) {
+            let value = V::load(leaf.row(row));
+            let beyond = value.max(zero).min(V::splat(ELLIPSOID_MARGIN)).mul(outside);
+            let of_union = V::splat(radius + LIMIT_SLACK).add(beyond).add(value.min(zero).mul(inside));
+            limit = limit.max(V::select(deep.lt(value), of_union, zero));
+        }
+        let squared = limit.mul(limit);
+        squared.store(self.limits.row_mut(row));
+        self.row_limits[row] = greatest(squared);
+    }
+}
+
+/// More than what rounding does to q.
+const LIMIT_SLACK: f32 = 1e-3;
+
+/// Which of eight boxes, moved by a step, touch that of a leaf's voxels.
+#[inline(always)]
+fn near_bits<V: Lanes>(boxes: &EightBoxes, step: Vec3) -> u8 {
+    let x = touches::<V>(&boxes[0], step.x, &boxes[3]);
+    let y = touches::<V>(&boxes[1], step.y, &boxes[4]);
+    let z = touches::<V>(&boxes[2], step.z, &boxes[5]);
+    x & y & z
+}
+
+#[inline(always)]
+fn touches<V: Lanes>(centers: &[f32; 8], step: f32, extents: &[f32; 8]) -> u8 {
+    let along = V::load(centers).add(V::splat(step));
+    let aside = along.sub(along.max(V::splat(0.0)).min(V::splat((LEAF_EDGE - 1) as f32)));
+    V::bits(V::not(V::load(extents).lt(aside.abs())))
+}
+
+/// The first and one past the last of a leaf's voxels along an axis that are within `extent` of a place.
+#[inline(always)]
+fn voxels_within(center: f32, extent: f32) -> std::ops::Range<usize> {
+    let first = (center - extent).ceil().max(0.0) as usize;
+    let last = (center + extent).floor().min((LEAF_EDGE - 1) as f32) as i32;
+    first..(last + 1).max(0) as usize
+}
+
+/// From a place to a leaf's voxels along z.
+#[inline(always)]
+fn along_z<V: Lanes>(center: f32) -> V {
+    V::load(&[0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]).sub(V::splat(center))
+}
+
+/// Whether all of a row is deep inside S_min, and so inside the others.
+#[inline(always)]
+fn is_deep<V: Lanes>(leaves: &[Leaf; 3], row: usize) -> bool {
+    V::bits(V::splat(-DEEP).lt(V::load(leaves[2].row(row)))) == 0
+}
+
+/// Takes the lesser of a row's values and these, where they count.
+#[inline(always)]
+fn lower_row<V: Lanes>(row: &mut [f32; 8], counts: V::Mask, values: V) {
+    let there = V::load(row);
+    V::select(counts, values.min(there), there).store(row);
+}
+
+impl Form for Ball {
+    #[inline(always)]
+    fn longest(&self) -> f32 {
+        self.0
+    }
+
+    #[inline(always)]
+    fn shortest(&self) -> f32 {
+        self.0
+    }
+
+    /// The larger a ball is, the farther it is from S_0 where it ceases to count; so the smallest tells.
+    fn told(radii: &Radii) -> [f32; 3] {
+        [radii.max, radii.init, radii.min].map(|radius| EXACT_MARGIN + radii.shortest * (radii.max - radius))
+    }
+
+    fn extents(&self, outermost: f32) -> Vec3 {
+        Vec3::splat(outermost * self.0 + EXACT_MARGIN)
+    }
+
+    #[inline(always)]
+    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
+        let reach_squared = extents.x * extents.x;
+        let dz = along_z::<V>(center.z);
+        let dz_squared = dz.mul(dz);
+        for x in voxels_within(center.x, extents.x) {
+            let dx = x as f32 - center.x;
+            for y in voxels_within(center.y, extents.y) {
+                let dy = y as f32 - center.y;
+                let (row, across) = (x * 8 + y, dx * dx + dy * dy);
+                if across > reach_squared || is_deep::<V>(&values.leaves, row) {
+                    continue;
+                }
+                let squared = V::splat(across).add(dz_squared);
+                let counts = V::not(V::splat(reach_squared).lt(squared));
+                let distance = squared.sqrt();
+                for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
+                    let apart = distance.sub(V::splat(self.0 * radius));
+                    lower_row::<V>(leaf.row_mut(row), counts, apart);
+                }
+            }
+        }
+    }
+}
+
+impl Form for Stretched {
+    #[inline(always)]
+    fn longest(&self) -> f32 {
+        self.ellipsoid.longest
+    }
+
+    fn shortest(&self) -> f32 {
+        1.0 / longest_image(&self.ellipsoid)
+    }
+
+    /// Nobody asks for more than what is beside the surfaces.
+    fn told(_: &Radii) -> [f32; 3] {
+        [OUT_OF_REACH; 3]
+    }
+
+    fn extents(&self, outermost: f32) -> Vec3 {
+        outermost * self.ellipsoid.extents() + ELLIPSOID_MARGIN
+    }
+
+    #[inline(always)]
+    fn lower<V: Lanes>(&self, values: &mut Values, center: Vec3, extents: Vec3) {
+        let Stretched { ellipsoid, shadow, ratio_min } = self;
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let dz = along_z::<V>(center.z);
+        let counts_along_z = V::not(V::splat(extents.z).lt(dz.abs()));
+        let (along_x, along_y, along_z) = (V::splat(xz).mul(dz), V::splat(yz).mul(dz), V::splat(zz).mul(dz));
+        for x in voxels_within(center.x, extents.x) {
+            let dx = x as f32 - center.x;
+            for y in voxels_within(center.y, extents.y) {
+                let (row, dy) = (x * 8 + y, y as f32 - center.y);
+                if shadow.least_squared(dx, dy) > values.row_limits[row] {
+                    continue;
+                }
+                let at = Vec3::new(xx * dx + xy * dy, xy * dx + yy * dy, xz * dx + yz * dy);
+                let (tx, ty, tz) =
+                    (V::splat(at.x).add(along_x), V::splat(at.y).add(along_y), V::splat(at.z).add(along_z));
+                let q_squared = length_squared(tx, ty, tz);
+                let counts = V::both(counts_along_z, q_squared.lt(V::load(values.limits.row(row))));
+                if V::bits(counts) == 0 {
+                    continue;
+                }
+                let wx = V::splat(xx).mul(tx).add(V::splat(xy).mul(ty)).add(V::splat(xz).mul(tz));
+                let wy = V::splat(xy).mul(tx).add(V::splat(yy).mul(ty)).add(V::splat(yz).mul(tz));
+                let wz = V::splat(xz).mul(tx).add(V::splat(yz).mul(ty)).add(V::splat(zz).mul(tz));
+                let w_squared = length_squared(wx, wy, wz).max(V::splat(f32::MIN_POSITIVE));
+                let ratio = q_squared.div(w_squared).sqrt().max(V::splat(*ratio_min));
+                let q = q_squared.sqrt();
+                for (leaf, radius) in values.leaves.iter_mut().zip(values.radii) {
+                    let apart = q.sub(V::splat(radius)).mul(ratio);
+                    lower_row::<V>(leaf.row_mut(row), counts, apart);
+                }
+                values.limit_row::<V>(row);
+            }
+        }
+    }
+}
+
+/// What an ellipsoid is along rows of voxels: |T·d|², at its least over all z, is a square form of d's x and y.
+#[derive(Clone, Copy, Debug)]
+struct Shadow {
+    xx: f32,
+    yy: f32,
+    xy: f32,
+}
+
+impl Shadow {
+    fn of(ellipsoid: &Ellipsoid) -> Shadow {
+        let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball;
+        let (x, y, z) = (Vec3::new(xx, xy, xz), Vec3::new(xy, yy, yz), Vec3::new(xz, yz, zz));
+        // What is along T·z is undone by a step along z.
+        let per_square = 1.0 / z.dot(z);
+        let (x_on_z, y_on_z) = (x.dot(z), y.dot(z));
+        Shadow {
+            xx: x.dot(x) - x_on_z * x_on_z * per_square,
+            yy: y.dot(y) - y_on_z * y_on_z * per_square,
+            xy: x.dot(y) - x_on_z * y_on_z * per_square,
+        }
+    }
+
+    /// The least |T·d|² of a row.
+    #[inline(always)]
+    fn least_squared(&self, dx: f32, dy: f32) -> f32 {
+        dx * (self.xx * dx + 2.0 * self.xy * dy) + self.yy * dy * dy
+    }
+}
+
+/// T makes no vector of length 1 longer than this: the greatest sum of a row's absolute values.
+fn longest_image(ellipsoid: &Ellipsoid) -> f32 {
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f32::abs);
+    (xx + xy + xz).max(xy + yy + yz).max(xz + yz + zz)
+}
+
+#[inline(always)]
+fn length_squared<V: Lanes>(x: V, y: V, z: V) -> V {
+    x.mul(x).add(y.mul(y)).add(z.mul(z))
+}

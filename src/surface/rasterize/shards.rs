@@ -1,0 +1,67 @@
+//! What is told of leaves by many threads at once.
+//!
+//! Particles of one leaf may be in any batch, and a shuffled file has some of every leaf in each. So what is
+//! told goes straight to where the leaf is, in one of so many maps that threads seldom wait for each other. It must
+//! not matter in which order it comes.
+
+use std::sync::{Mutex, PoisonError};
+
+use glam::IVec3;
+use rustc_hash::FxHashMap;
+
+use crate::surface::grid::LEAF_EDGE;
+
+/// Maps from the origins of leaves, to be filled by many threads.
+pub(super) struct Shards<T>(Vec<Mutex<FxHashMap<IVec3, T>>>);
+
+/// Neighbours are in different maps.
+const SHARD_COUNT: usize = 64;
+
+impl<T> Shards<T> {
+    pub(super) fn new() -> Shards<T> {
+        Shards((0..SHARD_COUNT).map(|_| Mutex::default()).collect())
+    }
+
+    /// Adds to what is known of a leaf, of which `first` is made where nothing is known yet.
+    pub(super) fn add(&self, origin: IVec3, first: impl FnOnce() -> T, add: impl FnOnce(&mut T)) {
+        // What is told is told whole, whatever panicked beside it.
+        let mut shard = self.0[shard_of(origin)].lock().unwrap_or_else(PoisonError::into_inner);
+        add(shard.entry(origin).or_insert_with(first));
+    }
+
+    /// Everything that was told.
+    pub(super) fn into_told(self) -> Told<T> {
+        let open = |shard: Mutex<_>| shard.into_inner().unwrap_or_else(PoisonError::into_inner);
+        Told(self.0.into_iter().map(open).collect())
+    }
+}
+
+/// What was told, by leaf.
+pub(super) struct Told<T>(Vec<FxHashMap<IVec3, T>>);
+
+impl<T> Told<T> {
+    /// What was told of the leaf with this origin.
+    pub(super) fn get(&self, origin: IVec3) -> Option<&T> {
+        self.0[shard_of(origin)].get(&origin)
+    }
+
+    /// Forgets a leaf, and returns what was told of it.
+    pub(super) fn remove(&mut self, origin: IVec3) -> Option<T> {
+        self.0[shard_of(origin)].remove(&origin)
+    }
+
+    /// The leaves of which something was told, in no order.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (&IVec3, &T)> {
+        self.0.iter().flatten()
+    }
+
+    /// How many they are.
+    pub(super) fn len(&self) -> usize {
+        self.0.iter().map(FxHashMap::len).sum()
+    }
+}
+
+fn shard_of(origin: IVec3) -> usize {
+    let [x, y, z] = (origin / LEAF_EDGE).to_array().map(|along| (along & 3) as usize);
+    x * 16 + y * 4 + z
+}

@@ -1,0 +1,122 @@
+//! From the distance to the nearest centre to the signed distance to a union of spheres.
+//!
+//! ```text
+//!    nearest − r       known: outside, and inside beside an outside voxel
+//!   ────╮              swept: farther inside, where the nearest centre tells nothing of the depth,
+//!       ╰──╮                  and beyond the reach of distances
+//!   swept  ╰──────
+//! ```
+
+use rayon::prelude::*;
+
+use super::distances::{Distances, Sphere};
+use super::sphere::OUT_OF_REACH;
+use super::{Radii, sweep_count};
+use crate::surface::grid::{Field, Leaf, LeafMask, NO_LEAF, ROW_COUNT, Topology};
+use crate::surface::level_set::{Sweeps, UNREACHED, extend};
+use crate::surface::simd::{self, Kernel, Lanes};
+
+/// The signed distance to one of the unions, swept as far as the half width; farther values are those of some place
+/// between. The field that nobody needs after this becomes the result: the unions are to be asked for in the order
+/// S_0, S_max, S_min.
+pub(super) fn signed_distance(
+    topology: &Topology,
+    distances: &mut Distances,
+    sphere: Sphere,
+    radii: Radii,
+) -> Field {
+    let level = distances.level(sphere, radii);
+    let known = known_voxels(topology, distances, sphere, radii);
+    let mut field = if distances.is_last(sphere) {
+        let mut field = distances.take(sphere);
+        field.leaves.par_iter_mut().zip(&known).for_each(|(leaf, known)| {
+            *leaf = simd::dispatch(SignedDistance { values: leaf, known, level });
+        });
+        field
+    } else {
+        let of_leaf = |(values, known)| simd::dispatch(SignedDistance { values, known, level });
+        let leaves = distances.field(sphere).leaves.par_iter().zip(&known).map(of_leaf).collect();
+        Field { leaves }
+    };
+    extend(topology, &mut field, &known, Sweeps::accurate(sweep_count(radii.half_width())));
+    field
+}
+
+/// The voxels whose signed distance is known. Where a leaf is not stored, nothing is beside it.
+fn known_voxels(topology: &Topology, distances: &Distances, sphere: Sphere, radii: Radii) -> Vec<LeafMask> {
+    let inside = distances.inside(sphere, radii);
+    let values = distances.field(sphere);
+    let of_side = |mut side: LeafMask, leaf: usize, of: &dyn Fn(u32) -> LeafMask| {
+        let faces = topology.neighbors()[leaf].map(of);
+        side.remove_all(&side.surrounded(faces.each_ref()));
+        side
+    };
+    let known = |leaf: usize| {
+        let beside = of_side(inside[leaf], leaf, &|neighbor| match neighbor {
+            NO_LEAF => LeafMask::FULL,
+            neighbor => inside[neighbor as usize],
+        });
+        let outside = |leaf: usize| inside[leaf].complement();
+        let known_outside = if distances.is_exact_outside() {
+            let mut told = simd::dispatch(Below { leaf: &values.leaves[leaf], limit: OUT_OF_REACH });
+            told.remove_all(&inside[leaf]);
+            told
+        } else {
+            of_side(outside(leaf), leaf, &|neighbor| match neighbor {
+                NO_LEAF => LeafMask::FULL,
+                neighbor => outside(neighbor as usize),
+            })
+        };
+        beside.or(&known_outside)
+    };
+    (0..topology.len()).into_par_iter().map(known).collect()
+}
+
+/// Finds the voxels with less than a limit.
+pub(super) struct Below<'a> {
+    pub(super) leaf: &'a Leaf,
+    pub(super) limit: f32,
+}
+
+impl Kernel for Below<'_> {
+    type Output = LeafMask;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> LeafMask {
+        let limit = V::splat(self.limit);
+        let mut below = LeafMask::EMPTY;
+        for (x, word) in below.words.iter_mut().enumerate() {
+            let mut rows = [0; 8];
+            for (y, bits) in rows.iter_mut().enumerate() {
+                *bits = V::bits(V::load(self.leaf.row(x * 8 + y)).lt(limit));
+            }
+            *word = u64::from_le_bytes(rows);
+        }
+        below
+    }
+}
+
+/// Signed distances of the voxels where they are known; of the others the side.
+struct SignedDistance<'a> {
+    values: &'a Leaf,
+    known: &'a LeafMask,
+    level: f32,
+}
+
+impl Kernel for SignedDistance<'_> {
+    type Output = Leaf;
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> Leaf {
+        let level = V::splat(self.level);
+        let mut leaf = Leaf::splat(0.0);
+        for row in 0..ROW_COUNT {
+            let values = V::load(self.values.row(row));
+            // What is out of reach is as far from the spheres.
+            let side = V::select(values.lt(level), V::splat(-UNREACHED), V::splat(UNREACHED));
+            let is_known = V::mask(self.known.row(row));
+            V::select(is_known, values.sub(level), side).store(leaf.row_mut(row));
+        }
+        leaf
+    }
+}

@@ -1,0 +1,136 @@
+//! What each stage measured: plain numbers, filled in by the stages, written out by the pipeline.
+
+use glam::DVec3;
+
+pub use crate::surface::attributes::TransferCounts;
+use crate::surface::mesh::MeshMeasures;
+pub use crate::surface::obstacle::{ContactTally, DepthTally};
+pub use crate::surface::smooth::Convergence;
+pub use crate::surface::validation::{Certificate, ParticlesOutside};
+
+/// Everything measured while skinning one frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SkinReport {
+    /// Particles that were skinned.
+    pub particle_count: usize,
+    /// Particles left out: not finite, outside the grid's range of indices, or so far from the others that 32-bit positions
+    /// cannot hold a surface around them.
+    pub dropped_count: usize,
+    /// About where one of them is, in world units, if any of them is finite.
+    pub stray: Option<DVec3>,
+    /// What was done to give particles shapes of their own; all zero where that was not asked for.
+    pub shaping: Shaping,
+    /// What obstacles changed of the level sets.
+    pub contact: ContactTally,
+    /// How deep vertices are in obstacles.
+    pub depth: DepthTally,
+    /// What was taken from the surface, or added, because somebody asked for it.
+    pub edits: EditReport,
+    /// Leaves of 8³ voxels that were stored.
+    pub leaf_count: usize,
+    /// Voxels with |φ| at most 3 voxels after the Laplacian steps: the unknowns of the first biharmonic step.
+    pub free_voxel_count: usize,
+    /// Passes of the biharmonic operator: at most so many over a voxel.
+    pub pass_count: usize,
+    /// How often a free voxel was moved: free voxels times passes, where all have the same number.
+    pub moved_count: u64,
+    /// How far a change of one particle can reach, in voxels; `None` where the integrator couples
+    /// all voxels (conjugate gradients).
+    pub reach_voxels: Option<u32>,
+    /// Of the conjugate gradients only.
+    pub convergence: Option<Convergence>,
+    /// Explicit steps whose CFL bound (Eq. 8) was exceeded.
+    pub cfl_exceeded_count: usize,
+    /// Seconds in each stage.
+    pub seconds: StageSeconds,
+    /// What was checked of the result.
+    pub certificate: Certificate,
+    /// Vertices that were out of their bounds by more than half a voxel, and were moved back.
+    pub vertices_returned: usize,
+    /// Triangles without area at the positions that are written, which were taken out.
+    pub flat_triangles_removed: usize,
+    /// ∫H² over the surface, from φ; 4π for a sphere of any size.
+    pub bending_energy: f64,
+    /// What was measured on the mesh.
+    pub mesh: MeshMeasures,
+    /// What the surface got of the particles' attributes, if that was asked for.
+    pub transfer: Option<TransferReport>,
+}
+
+/// What a surface got of the particles' attributes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TransferReport {
+    /// The names of the attributes.
+    pub attributes: Vec<String>,
+    /// At the vertices.
+    pub vertices: TransferCounts,
+    /// At the places in the band that voxels have their values from.
+    pub band: TransferCounts,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+/// What was done to give particles shapes of their own.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Shaping {
+    /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
+    pub small_radius_count: usize,
+    /// r_min of the smallest of them, as it was to be, world units; 0 if there is none.
+    pub small_radius_min: f64,
+    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
+    pub raised_count: usize,
+    /// Particles so large that their r_max was lowered to the largest there may be.
+    pub large_radius_count: usize,
+    /// Particles whose own radius is none: they have the least.
+    pub invalid_radius_count: usize,
+    /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
+    pub ball_count: usize,
+    /// Particles near the surface, of which neighbours were looked at. The others stay where they were given, and are not
+    /// stretched by neighbours.
+    pub near_count: usize,
+    /// The longest half axis, in units of the settings' radii.
+    pub longest: f32,
+    /// Seconds that it took; those of rasterization have them, too.
+    pub seconds: f64,
+}
+
+/// What was taken from the surface, or added, because somebody asked for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct EditReport {
+    /// Pieces that were dropped: they had too few particles.
+    pub island_count: usize,
+    /// The particles in them.
+    pub island_particle_count: u64,
+    /// Cavities that were filled.
+    pub cavity_count: usize,
+    /// Their volume, in voxels.
+    pub cavity_voxel_count: u64,
+    /// Voxels inside that a box cut off.
+    pub clipped_voxel_count: u64,
+    /// Triangles that were saved.
+    pub removed_triangle_count: usize,
+    /// How far the mesh may have moved for that, in voxels.
+    pub decimation_error_voxels: f64,
+}
+
+/// Wall-clock seconds in each stage of the method.
+///
+/// When several frames are under way in one pool of threads, each has fewer of them than it would have
+/// alone, and a stage that waits for a part of its work may wait for another frame's stage, too. Only of
+/// a frame that runs alone is this the cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StageSeconds {
+    /// Particles to level sets.
+    pub rasterize: f64,
+    /// Laplacian and biharmonic smoothing.
+    pub smooth: f64,
+    /// Level set to mesh, and the measures and certificate of the result.
+    pub contour: f64,
+}
+
+impl StageSeconds {
+    /// All stages together.
+    pub fn total(&self) -> f64 {
+        self.rasterize + self.smooth + self.contour
+    }
+}

@@ -1,0 +1,155 @@
+//! What the simulation knows of its particles, on the surface that was made of them.
+
+use std::borrow::Cow;
+use std::time::Instant;
+
+use super::{Surface, lattice};
+use crate::surface::attributes::{BandAttribute, Reach, to_band, to_vertices};
+use crate::surface::options::Settings;
+use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Shapes};
+use crate::surface::report::TransferReport;
+
+/// What is known of a surface beside where it is.
+#[derive(Clone, Debug, Default)]
+pub struct SurfaceAttributes {
+    /// The attributes of the mesh's vertices.
+    pub vertices: Vec<Attribute>,
+    /// Those at the voxels of the band that fit a grid: one number, or a vector of three.
+    pub band: Vec<BandAttribute>,
+}
+
+impl SurfaceAttributes {
+    /// The memory that they take, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        let vertices: usize = self.vertices.iter().map(|attribute| attribute.values.size_bytes()).sum();
+        vertices + self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+    }
+
+    /// What they take in addition while grids of them are packed, in bytes, at most.
+    pub fn packing_bytes(&self) -> usize {
+        VOXELS_PER_PLACE * self.band.iter().map(BandAttribute::size_bytes).sum::<usize>()
+    }
+}
+
+/// Where attributes are wanted.
+#[derive(Clone, Copy, Debug)]
+pub struct Targets {
+    /// At the vertices of the mesh.
+    pub vertices: bool,
+    /// Where |φ| is less than this, in voxels.
+    pub band_half_width_voxels: Option<f32>,
+}
+
+/// Gives a surface those attributes of its particles that the settings ask for.
+pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targets: Targets) {
+    let Some(selection) = &settings.attributes else { return };
+    let started = Instant::now();
+    let selected: Vec<&Attribute> =
+        cloud.attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
+    let reach = reach(settings, &cloud.shapes);
+    let mut report = TransferReport {
+        attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
+        ..TransferReport::default()
+    };
+    if targets.vertices {
+        let (vertices, counts) = to_vertices(&cloud.positions, &selected, &surface.mesh, reach);
+        (surface.attributes.vertices, report.vertices) = (vertices, counts);
+    }
+    if let Some(half_width_voxels) = targets.band_half_width_voxels {
+        let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
+        let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
+        let band = (&surface.band, &lattice(settings));
+        let (found, counts) = to_band(&cloud.positions, &grids, band, half_width_voxels, reach);
+        (surface.attributes.band, report.band) = (found, counts);
+    }
+    report.seconds = started.elapsed().as_secs_f64();
+    surface.report.transfer = Some(report);
+}
+
+/// Voxels of the band for each place that they have their values from: never many more.
+const VOXELS_PER_PLACE: usize = 6;
+
+/// How far values reach: see [`crate::surface::attributes`].
+fn reach<'a>(settings: &Settings, shapes: &'a Shapes) -> Reach<'a> {
+    let Settings { radius_init, radius_max, offset, voxel_size, .. } = *settings;
+    Reach {
+        radius_world: RADII * radius_init,
+        radius_max_world: radius_max,
+        margin_world: MARGIN_VOXELS * voxel_size + offset.max(0.0),
+        shapes,
+    }
+}
+
+/// The radius within which values are averaged, in units of r_init.
+const RADII: f64 = 2.0;
+
+/// Vertices are rarely farther than this beyond the largest surfaces of all particles, in voxels.
+const MARGIN_VOXELS: f64 = 2.0;
+
+/// The attribute as a grid can have it, if one can: a colour without its alpha.
+fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
+    let AttributeValues::Numbers(values) = &attribute.values else { return None };
+    match (attribute.arity, attribute.meaning) {
+        (1 | 3, _) => Some(Cow::Borrowed(attribute)),
+        (4, Meaning::Color) => {
+            let opaque = values.chunks_exact(4).flat_map(|color| &color[..3]).copied().collect();
+            let (name, meaning) = (attribute.name.clone(), attribute.meaning);
+            Some(Cow::Owned(Attribute { name, meaning, arity: 3, values: AttributeValues::Numbers(opaque) }))
+        }
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::obstacle::Obstacles;
+    use crate::surface::options::{AttributeSelection, Choices};
+    use crate::surface::particles::Particles;
+    use crate::surface::skin::skin_cloud;
+
+    /// Drops at these places along x, and how large they are.
+    fn drops(drops: &[(f64, f32)]) -> Cloud {
+        let attribute = |name: &str, values| Attribute {
+            name: name.to_owned(),
+            meaning: Meaning::Other,
+            arity: 1,
+            values: AttributeValues::Numbers(values),
+        };
+        let places = drops.iter().map(|(x, _)| [*x, 0.0, 0.0]).collect();
+        let attributes = vec![
+            attribute("pscale", drops.iter().map(|(_, radius)| *radius).collect()),
+            attribute("x", drops.iter().map(|(x, _)| *x as f32).collect()),
+        ];
+        Cloud { attributes, ..Cloud::from(Particles::Double(places)) }
+    }
+
+    #[test]
+    fn large_drops_have_their_values_however_large_others_are() {
+        let choices = Choices {
+            radius_attribute: Some("pscale".into()),
+            attributes: Some(AttributeSelection::All),
+            ..Choices::default()
+        };
+        let settings = Settings::paper(0.1, &choices).expect("sound");
+        let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());
+        let told = surface.report.transfer.clone().expect("transferred").vertices;
+        assert!(told.lonely_count == surface.mesh.positions.len() && told.empty_count == 0, "{told:?}");
+        let AttributeValues::Numbers(found) = &surface.attributes.vertices[1].values else { panic!("reals") };
+        for (position, x) in surface.mesh.positions.iter().zip(found) {
+            let own = if f64::from(position.x) + surface.mesh.origin.x < 4.0 { 0.0 } else { 9.0 };
+            assert_eq!(*x, own, "at {position}");
+        }
+        let reference = surface.attributes.vertices.clone();
+        let (more, _) = crate::surface::skin::shape(
+            drops(&[(900.0, 4.0), (0.0, 1.5), (-50.0, 3.0), (9.0, 2.0)]),
+            &settings,
+        );
+        let more = more.into_moved();
+        let targets = Targets { vertices: true, band_half_width_voxels: None };
+        transfer(&mut surface, &more, &settings, targets);
+        for (one, other) in surface.attributes.vertices.iter().zip(&reference) {
+            assert_eq!(one.values, other.values);
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! From a level set that is given, and no particles, to its surface: within bounds around the given one, or as it is.
+//!
+//! ```text
+//!   φ given ──no slack──────────────────────────────▶ [offset] ──▶ contour
+//!      └────slack s──▶ φ − s ≤ φ ≤ φ + s ──smooth──▶ [offset] ──▶ contour
+//! ```
+//!
+//! The smoothest surface that nowhere leaves the given one by more than the slack: what spheres are to particles, the given surface
+//! is to itself.
+
+use std::convert::Infallible;
+use std::time::Instant;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::finish::{Checked, Stored};
+use super::plan::{FIELD_BYTES, mesh_bytes, smoothing_fields};
+use super::{Surface, SurfaceAttributes, TOPOLOGY_LEAF_BYTES, finish, lattice, smooth_config};
+use crate::surface::contour;
+use crate::surface::grid::{Field, negative_masks};
+use crate::surface::level_set::{
+    Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count,
+};
+use crate::surface::options::Settings;
+use crate::surface::report::SkinReport;
+use crate::surface::smooth;
+use crate::surface::validation::{Part, certificate};
+
+/// The largest slack, in voxels: the band around it is stored no wider.
+pub const SLACK_MAX_VOXELS: f32 = 3.0;
+
+/// What programs expect of the band of a level set, in voxels: a narrower one is made as wide.
+const HALF_WIDTH_MIN: f32 = 3.0;
+
+/// How much wider than the slack the band is that smoothing works in, in voxels.
+const MARGIN: f32 = 5.0;
+
+/// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
+/// is nowhere farther than that from the given one, before it is moved by the settings' offset. Of the settings those of particles have no say.
+/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked.
+pub fn resurface(
+    band: NarrowBand,
+    translation: DVec3,
+    slack_voxels: f32,
+    settings: &Settings,
+    stored: &[Stored],
+) -> Surface {
+    let started = Instant::now();
+    let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
+    let offset = (settings.offset / settings.voxel_size) as f32;
+    let mut band = match working_half_width(&band, slack, offset) {
+        Some(half_width) => widened(&band, half_width),
+        None => band,
+    };
+    let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
+    let mut report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
+    report.seconds.rasterize = started.elapsed().as_secs_f64();
+    let started = Instant::now();
+    if slack > 0.0 {
+        let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
+        report.free_voxel_count = smoothed.free_voxel_count;
+        report.pass_count = smoothed.pass_count;
+        report.moved_count = smoothed.moved_count;
+        report.reach_voxels = smoothed.reach_voxels;
+        report.convergence = smoothed.convergence;
+        report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+    }
+    report.seconds.smooth = started.elapsed().as_secs_f64();
+    let started = Instant::now();
+    let bound_violation_count = bounds.violation_count(&band.phi);
+    drop(bounds);
+    if offset != 0.0 {
+        let half_width = band.half_width - offset.abs().ceil();
+        offset_surface(&mut band, offset, half_width, |_| None);
+    }
+    let lattice = lattice(settings);
+    let mut mesh = contour::contour(&band, &lattice, settings.contouring);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    // Files may store world positions: what they make of the mesh depends on where it is.
+    mesh.origin += translation;
+    // There is no particle to ask about.
+    let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+    let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
+    let counts = (bound_violation_count, 0);
+    report.certificate = certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
+    report.seconds.contour = started.elapsed().as_secs_f64();
+    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+}
+
+/// The half width of the band that is worked on; `None` for that of the given one. Where the surface is moved, the file's values
+/// need not be distances as far as that, and what is left of the band is no narrower than without.
+fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32> {
+    let without_offset = match slack > 0.0 {
+        true => Some(MARGIN + slack.ceil()),
+        false => (band.half_width < HALF_WIDTH_MIN).then_some(HALF_WIDTH_MIN),
+    };
+    if offset == 0.0 {
+        return without_offset;
+    }
+    Some((without_offset.unwrap_or(HALF_WIDTH_MIN) + offset.abs().ceil()).min(WIDENED_MAX))
+}
+
+/// The most memory that [`resurface`] takes with these arguments, the given band included, in bytes: never much less than it
+/// does.
+pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
+    let given = band.topology.len() as f64;
+    let offset = (settings.offset / settings.voxel_size) as f32;
+    let (leaves, widening) = match working_half_width(band, slack_voxels, offset) {
+        Some(_) => {
+            let wide = widened_leaf_count(band) as f64;
+            // The given band, two fields of the wide one, and the list that its leaves are found by.
+            (wide, FIELD_BYTES * (given + 2.2 * wide) + WIDENING_LEAF_BYTES * given)
+        }
+        None => (given, 0.0),
+    };
+    let mesh = mesh_bytes(settings) * crossed_edge_count(band) as f64;
+    let smoothing = match slack_voxels > 0.0 {
+        true => FIELD_BYTES * smoothing_fields(settings) * leaves,
+        false => 0.0,
+    };
+    let contouring = FIELD_BYTES * 4.0 * leaves + mesh;
+    let topologies = TOPOLOGY_LEAF_BYTES as f64 * (given + leaves);
+    (widening.max(smoothing).max(contouring) + topologies) as u64
+}
+
+/// Memory for a leaf of the given band while the leaves around it are listed: 27 origins, as they are found and as they are
+/// sorted.
+const WIDENING_LEAF_BYTES: f64 = 27.0 * 28.0;
+
+/// How many edges of the grid the surface crosses: about as many as the faces of voxels that it is as large as.
+fn crossed_edge_count(band: &NarrowBand) -> usize {
+    let inside = negative_masks(&band.phi);
+    let neighbors = band.topology.neighbors();
+    let crossed = |leaf: usize| -> usize {
+        let own = &inside[leaf];
+        let beyond = |face: usize| inside.get(neighbors[leaf][face] as usize).unwrap_or(own);
+        (0..3)
+            .map(|axis| {
+                // Beyond the last leaf there is nothing that counts.
+                let [_, after] = own.shifted(axis, 1, own, beyond(2 * axis + 1));
+                own.and(&after.complement()).or(&after.and(&own.complement())).iter().count()
+            })
+            .sum()
+    };
+    (0..inside.len()).into_par_iter().map(crossed).sum()
+}
+
+fn moved(phi: &Field, by: f32) -> Field {
+    let mut moved = phi.clone();
+    moved.leaves.iter_mut().flat_map(|leaf| &mut leaf.values).for_each(|phi| *phi += by);
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{IVec3, Vec3};
+
+    use super::*;
+    use crate::surface::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
+    use crate::surface::mesh::Mesh;
+    use crate::surface::options::Choices;
+
+    #[test]
+    fn mesh_far_from_the_origin_is_checked_at_its_rounded_world_positions() {
+        let world_positions = Stored::Rounded(|mesh: &Mesh| {
+            let read = |position: &Vec3| {
+                ((mesh.origin + position.as_dvec3()).as_vec3().as_dvec3() - mesh.origin).as_vec3()
+            };
+            mesh.positions.iter().map(read).collect()
+        });
+        let corners = (0..8).map(|slot| IVec3::new(slot / 4 - 1, slot / 2 % 2 - 1, slot % 2 - 1) * LEAF_EDGE);
+        let topology = Topology::new(corners.collect());
+        let distance = |voxel: IVec3| (voxel.as_vec3().length() - 5.0).clamp(-3.0, 3.0);
+        let leaf = |origin: &IVec3| Leaf {
+            values: std::array::from_fn(|offset| distance(*origin + voxel_in_leaf(offset))),
+        };
+        let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
+        let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
+        let settings = Settings::paper(0.01, &Choices::default()).expect("sound");
+        let flat_count = |translation: DVec3| {
+            let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
+        };
+        assert_eq!(flat_count(DVec3::ZERO), 0);
+        // 32-bit numbers are an eighth of a world unit apart there.
+        assert!(flat_count(DVec3::new(1.5e6, 0.0, 0.0)) > 0);
+    }
+}

@@ -1,0 +1,257 @@
+//! From the smoothed level set to the surface: what users ask to be taken away, the mesh, and what is checked of both.
+//!
+//! ```text
+//!   φ ──offset──▶ φ ──islands, cavities, box──▶ φ ──contour──▶ mesh ──out of obstacles──▶ mesh ──fewer triangles──▶ mesh ──▶ certificate
+//! ```
+//!
+//! What is checked is the mesh as it will be written: with the triangles that are left, at the positions that each file makes of
+//! its own. A vertex that is out of its bounds is moved, a triangle without area is taken out, and the mesh is checked again.
+//!
+//! The bounds of smoothing are checked before φ is changed here.
+//!
+//! Whatever is taken away is counted, and the certificate does not ask for it any more: not for particles in islands
+//! that were dropped, nor for the spheres that a box or an obstacle cuts.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::{Scene, lattice};
+use crate::surface::contour;
+use crate::surface::edits::{self, DroppedIslands};
+use crate::surface::grid::{LEAF_EDGE, LeafMask, offset_in_leaf};
+use crate::surface::level_set::{NarrowBand, offset_surface};
+use crate::surface::mesh::{Mesh, Rounding, decimate};
+use crate::surface::obstacle::ObstacleLeaf;
+use crate::surface::options::Settings;
+use crate::surface::report::{DepthTally, EditReport, SkinReport};
+use crate::surface::validation::{self, Exempt, Part, ParticleChecks};
+
+/// What was taken from the level set.
+#[derive(Default)]
+pub(super) struct Edits {
+    islands: Option<DroppedIslands>,
+    clip: Option<edits::ClipBox>,
+}
+
+/// Whether the settings ask for any such thing.
+pub(super) fn has_edits(settings: &Settings) -> bool {
+    settings.drop_islands > 0 || settings.fill_cavities > 0.0 || settings.clip.is_some()
+}
+
+/// Moves the surface by the offset, if there is one: up to obstacles, and no farther.
+pub(super) fn offset(band: &mut NarrowBand, scene: &Scene) {
+    let radii = scene.radii;
+    if radii.offset == 0.0 {
+        return;
+    }
+    let wall = |origin: IVec3| match scene.obstacle(origin) {
+        // Where all is deep inside obstacles, there is no surface to hold.
+        ObstacleLeaf::Outside | ObstacleLeaf::Inside => None,
+        ObstacleLeaf::Near(mut distances) => {
+            Arc::make_mut(&mut distances).values.iter_mut().for_each(|distance| *distance = -*distance);
+            Some(distances)
+        }
+    };
+    offset_surface(band, radii.offset, radii.result_half_width(), wall);
+}
+
+/// Takes away what the settings ask for. `particles` are those of each leaf, in voxels relative to its origin.
+pub(super) fn edit<P: AsRef<[Vec3]>>(
+    band: &mut NarrowBand,
+    particles: impl IntoIterator<Item = (IVec3, P)>,
+    (scene, settings): (&Scene, &Settings),
+    report: &mut EditReport,
+) -> Edits {
+    let mut edits = Edits::default();
+    if settings.drop_islands > 0 {
+        let dropped = edits::drop_islands(band, u64::from(settings.drop_islands), particles);
+        report.island_count = dropped.piece_count;
+        report.island_particle_count = dropped.particle_count;
+        edits.islands = Some(dropped);
+    }
+    if settings.fill_cavities > 0.0 {
+        // What an obstacle keeps the fluid out of is no cavity.
+        let kept = |origin: IVec3| match scene.obstacle(origin) {
+            ObstacleLeaf::Outside => LeafMask::EMPTY,
+            ObstacleLeaf::Inside => LeafMask::FULL,
+            ObstacleLeaf::Near(distances) => LeafMask::from_fn(|offset| distances.values[offset] < 0.0),
+        };
+        let kept: Option<&dyn Fn(IVec3) -> LeafMask> =
+            if scene.obstacles.is_empty() { None } else { Some(&kept) };
+        let filled = edits::fill_cavities(band, settings.fill_cavities, kept);
+        report.cavity_count = filled.cavity_count;
+        report.cavity_voxel_count = filled.voxel_count;
+    }
+    if let Some(clip) = &settings.clip {
+        let clip = edits::ClipBox { min: DVec3::from(clip.min), max: DVec3::from(clip.max) };
+        report.clipped_voxel_count = edits::clip(band, &scene.lattice, &clip).voxel_count;
+        edits.clip = Some(clip);
+    }
+    edits
+}
+
+/// The mesh of the level set, clear of obstacles and of what was cut off.
+pub(super) fn mesh(
+    band: &NarrowBand,
+    edits: &Edits,
+    (scene, settings): (&Scene, &Settings),
+    depth: &mut DepthTally,
+) -> Mesh {
+    let mut mesh = contour::contour(band, &scene.lattice, settings.contouring);
+    if !scene.obstacles.is_empty() {
+        *depth = scene.obstacles.clear(&mut mesh, &scene.lattice, scene.obstacle_half_width());
+    }
+    if let Some(clip) = &edits.clip {
+        clip.hold(&mut mesh);
+    }
+    mesh
+}
+
+/// How a file stores the positions of a mesh.
+#[derive(Clone, Copy, Debug)]
+pub enum Stored {
+    /// As they are: 32 bits, relative to the mesh's origin.
+    AsTheyAre,
+    /// Otherwise.
+    Rounded(Rounding),
+}
+
+/// After so many times that vertices were moved back into their bounds, those that are out of them count as violations.
+const RETURNS_MAX: usize = 3;
+
+/// Makes the mesh what is written of it, and checks it, in parts, as each file stores it.
+///
+/// # Errors
+/// Those of the parts.
+pub(super) fn settle<E>(
+    mesh: &mut Mesh,
+    (settings, stored): (&Settings, &[Stored]),
+    report: &mut SkinReport,
+    mut each_part: impl FnMut(&Checked, &mut dyn FnMut(&Part)) -> Result<(), E>,
+) -> Result<ParticleChecks, E> {
+    let lattice = lattice(settings);
+    if settings.decimate > 0.0 {
+        let decimated = decimate(mesh, settings.decimate * lattice.voxel_size);
+        report.edits.removed_triangle_count = decimated.removed_triangle_count;
+        report.edits.decimation_error_voxels = decimated.error_world_max / lattice.voxel_size;
+    }
+    let rounding = |stored: &Stored| match stored {
+        Stored::AsTheyAre => None,
+        Stored::Rounded(rounding) => Some(*rounding),
+    };
+    let roundings: Vec<Rounding> = stored.iter().filter_map(rounding).collect();
+    report.flat_triangles_removed = mesh.take_out_flat(&roundings);
+    let has_unrounded = roundings.len() < stored.len();
+    let mut checks = ParticleChecks::NOTHING;
+    for returns in 0..=RETURNS_MAX {
+        checks = ParticleChecks::NOTHING;
+        let mut strays: BTreeMap<usize, Vec3> = BTreeMap::new();
+        for stored in stored {
+            let mut of_file = ParticleChecks::NOTHING;
+            let mut rounded = rounding(stored).map(|rounding| rounding(mesh));
+            // A rounding that changes nothing makes no other mesh.
+            if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
+                continue;
+            }
+            let moved_voxels = rounded.as_ref().map_or(0.0, |rounded| {
+                let moved = rounded.par_iter().zip(&mesh.positions).map(|(one, other)| one.distance(*other));
+                f64::from(moved.reduce(|| 0.0, f32::max)) / lattice.voxel_size
+            });
+            if let Some(rounded) = &mut rounded {
+                std::mem::swap(rounded, &mut mesh.positions);
+            }
+            let checked = Checked { mesh, rounding: moved_voxels as f32 };
+            let parts = each_part(&checked, &mut |part| {
+                let (of_part, found) = validation::check(part);
+                of_file = of_file.and(of_part);
+                strays.extend(found.into_iter().map(|stray| (stray.vertex, stray.position)));
+            });
+            if let Some(rounded) = &mut rounded {
+                std::mem::swap(rounded, &mut mesh.positions);
+            }
+            parts?;
+            checks = checks.or_worse(of_file);
+        }
+        if strays.is_empty() || returns == RETURNS_MAX {
+            break;
+        }
+        report.vertices_returned += strays.len();
+        for (vertex, position) in strays {
+            mesh.positions[vertex] = position;
+            mesh.normals[vertex] = Vec3::ZERO;
+        }
+        contour::fill_zero_normals(mesh);
+        report.flat_triangles_removed += mesh.take_out_flat(&roundings);
+    }
+    report.mesh = mesh.measure();
+    for rounding in roundings {
+        let flat_count = &mut report.mesh.degenerate_triangle_count;
+        *flat_count = mesh.flat_count(rounding).max(*flat_count);
+    }
+    if settings.smooth_normals > 0 {
+        mesh.smooth_normals(settings.smooth_normals);
+    }
+    Ok(checks)
+}
+
+/// A mesh as a file stores it.
+pub(super) struct Checked<'a> {
+    pub(super) mesh: &'a Mesh,
+    /// How far the file moves vertices, in voxels, at most.
+    pub(super) rounding: f32,
+}
+
+/// What the certificate does not ask for.
+pub(super) struct Exemptions<'a> {
+    pub(super) scene: &'a Scene<'a>,
+    pub(super) edits: &'a Edits,
+}
+
+impl Exempt for Exemptions<'_> {
+    fn is_nothing(&self) -> bool {
+        self.scene.obstacles.is_empty() && self.edits.islands.is_none() && self.edits.clip.is_none()
+    }
+
+    fn particle(&self, leaf_origin: IVec3, local: Vec3) -> bool {
+        let is_dropped = self.edits.islands.as_ref().is_some_and(|islands| islands.holds(leaf_origin, local));
+        let index = leaf_origin.as_dvec3() + local.as_dvec3();
+        is_dropped || self.is_near_cut(index) || self.obstacle_distance(index) < PARTICLE_MARGIN
+    }
+
+    fn vertex(&self, index: DVec3) -> bool {
+        // What obstacles took away before the surface was moved reaches so much farther.
+        let margin = self.scene.void_threshold + VERTEX_MARGIN + self.scene.radii.outward();
+        self.is_near_cut(index) || self.obstacle_distance(index) < margin
+    }
+}
+
+/// A particle so far from an obstacle, in voxels, told by the nearest voxel, is not in it.
+const PARTICLE_MARGIN: f32 = 1.0;
+
+/// A vertex so much farther from an obstacle than the widest gap that is filled, in voxels, is where the particles say.
+const VERTEX_MARGIN: f32 = 2.0;
+
+impl Exemptions<'_> {
+    /// Whether a place, in voxels, is outside of the box or within a voxel of its faces.
+    fn is_near_cut(&self, index: DVec3) -> bool {
+        let voxel_size = self.scene.lattice.voxel_size;
+        self.edits.clip.as_ref().is_some_and(|clip| clip.distance(index * voxel_size) > -voxel_size)
+    }
+
+    /// The signed distance from the voxel next to a place to the obstacles, in voxels.
+    fn obstacle_distance(&self, index: DVec3) -> f32 {
+        if self.scene.obstacles.is_empty() {
+            return f32::INFINITY;
+        }
+        let voxel = index.round().as_ivec3();
+        let local = voxel & IVec3::splat(LEAF_EDGE - 1);
+        match self.scene.obstacle(voxel - local) {
+            ObstacleLeaf::Outside => f32::INFINITY,
+            ObstacleLeaf::Inside => f32::NEG_INFINITY,
+            ObstacleLeaf::Near(distances) => distances.values[offset_in_leaf(local)],
+        }
+    }
+}

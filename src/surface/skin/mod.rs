@@ -1,0 +1,302 @@
+//! The whole method in three calls: rasterize, smooth, contour.
+//!
+//! The calls are separate so that a pipeline can have a different frame in each of them; [`skin`]
+//! is the three in a row. None of them starts threads of its own or opens a file: loops run in
+//! whatever rayon pool the caller is in. [`plan`] tells what a frame will take, and [`tiled`] has the same
+//! three calls for one that is larger than memory.
+
+mod attributes;
+mod band;
+mod fineness;
+mod finish;
+mod plan;
+mod shape;
+mod shelves;
+pub mod tiled;
+mod tiles;
+
+use std::convert::Infallible;
+use std::time::Instant;
+
+pub use attributes::{SurfaceAttributes, Targets, transfer};
+pub use band::{SLACK_MAX_VOXELS, resurface, resurfacing_bytes};
+pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
+pub use finish::Stored;
+pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
+pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};
+pub use shelves::{SHELF_COUNT, Storage};
+
+use crate::surface::contour;
+use crate::surface::grid::Leaf;
+use crate::surface::level_set::{Bounds, NarrowBand, offset_reach_voxels};
+use crate::surface::mesh::Mesh;
+use crate::surface::obstacle::{ContactTally, Obstacles};
+use crate::surface::options::Settings;
+use crate::surface::particles::{Cloud, ParticleSource, Particles};
+use crate::surface::rasterize::{self, ParticleBins, Radii, Scene};
+use crate::surface::report::{Shaping, SkinReport};
+use crate::surface::smooth;
+use crate::surface::space::{CoordBox, Lattice};
+use crate::surface::validation::{GivenPlace, MeshCells, Part, certificate, doubtful_places, given_outside};
+use finish::{Checked, Edits, Exemptions};
+
+/// The surface of one frame.
+#[derive(Clone, Debug)]
+pub struct Surface {
+    /// The level set that was meshed.
+    pub band: NarrowBand,
+    /// The mesh.
+    pub mesh: Mesh,
+    /// What else is known of it; empty unless it was [transferred](transfer).
+    pub attributes: SurfaceAttributes,
+    /// What was measured on the way.
+    pub report: SkinReport,
+}
+
+impl Surface {
+    /// The memory that it takes, in bytes.
+    pub fn size_bytes(&self) -> u64 {
+        let leaves = self.band.phi.leaves.len() * (size_of::<Leaf>() + TOPOLOGY_LEAF_BYTES);
+        let Mesh { positions, normals, triangles, .. } = &self.mesh;
+        let mesh = size_of_val(&**positions) + size_of_val(&**normals) + size_of_val(&**triangles);
+        (leaves + mesh + self.attributes.size_bytes()) as u64
+    }
+}
+
+/// What rasterization hands to smoothing.
+#[derive(Clone)]
+pub struct Rasterized {
+    bins: ParticleBins,
+    band: NarrowBand,
+    bounds: Bounds,
+    obstacles: Obstacles,
+    /// Where particles were given that are elsewhere now, and may be outside; `None` where none was moved.
+    given: Option<Vec<GivenPlace>>,
+    report: SkinReport,
+}
+
+/// What smoothing hands to contouring.
+#[derive(Clone)]
+pub struct Smoothed {
+    bins: ParticleBins,
+    band: NarrowBand,
+    bounds: Bounds,
+    obstacles: Obstacles,
+    given: Option<Vec<GivenPlace>>,
+    report: SkinReport,
+}
+
+/// Skins one frame: shape by neighbours, rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
+/// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
+/// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; [`plan`] tells of voxels that are too small for a frame.
+///
+/// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
+/// Bhattacharya, Gao and Bargteil.
+///
+/// ```
+/// use meniscus::surface::particles::Particles;
+/// use meniscus::surface::options::{Choices, Settings};
+/// use meniscus::surface::skin::skin;
+///
+/// let settings = Settings::paper(0.1, &Choices::default())?;
+/// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
+/// // A particle by itself becomes a ball, and its certificate says that it is between the particle's two radii.
+/// assert!(drop.report.certificate.holds());
+/// assert_eq!(drop.mesh.measure().euler_characteristic, 2);
+/// # Ok::<(), meniscus::surface::options::SettingsError>(())
+/// ```
+pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
+    let Ok((shaped, shaping)) = shape_by_neighbors(particles, Shaping::default(), settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shaping, Obstacles::default());
+    contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
+}
+
+/// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
+/// vertices those that the settings ask for.
+pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> Surface {
+    let (shaped, shaping) = shape(cloud, settings);
+    let Ok(rasterized) = rasterize(&shaped, settings, shaping, obstacles.clone());
+    let mut surface = contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre]);
+    transfer(
+        &mut surface,
+        &shaped.into_moved(),
+        settings,
+        Targets { vertices: true, band_half_width_voxels: None },
+    );
+    surface
+}
+
+/// The first stage: particles to level sets. `shaping` tells how they got their [shapes](shape).
+///
+/// # Errors
+/// Those of the source; what is in memory has none.
+pub fn rasterize<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    shaping: Shaping,
+    obstacles: Obstacles,
+) -> Result<Rasterized, S::Error> {
+    let started = Instant::now();
+    let scene = scene(settings, &obstacles);
+    let rasterize::Rasterized { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
+    let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
+    let given = match source.has_moved() {
+        true => {
+            let upper = (&*band.topology, &bounds.upper, scene.radii.offset);
+            Some(doubtful_places(source, &scene.lattice, upper)?)
+        }
+        false => None,
+    };
+    let mut report = SkinReport {
+        particle_count: bins.particle_count,
+        dropped_count: bins.dropped_count,
+        stray: bins.stray,
+        leaf_count: band.topology.len(),
+        shaping,
+        contact,
+        ..SkinReport::default()
+    };
+    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
+    Ok(Rasterized { bins, band, bounds, obstacles, given, report })
+}
+
+/// The second stage: the constrained smoothing.
+pub fn smooth(rasterized: Rasterized, settings: &Settings) -> Smoothed {
+    smooth_observed(rasterized, settings, &mut |_| {})
+}
+
+/// The second stage; `advanced` hears how much of it is done, from 0 to 1.
+pub fn smooth_observed(
+    rasterized: Rasterized,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> Smoothed {
+    let started = Instant::now();
+    let Rasterized { bins, mut band, bounds, obstacles, given, mut report } = rasterized;
+    let smoothed = smooth::smooth_observed(&mut band, &bounds, &smooth_config(settings), advanced);
+    report_smoothing(&mut report, smoothed, settings);
+    report.seconds.smooth = started.elapsed().as_secs_f64();
+    Smoothed { bins, band, bounds, obstacles, given, report }
+}
+
+fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
+    report.free_voxel_count = smoothed.free_voxel_count;
+    report.pass_count = smoothed.pass_count;
+    report.moved_count = smoothed.moved_count;
+    let radii = radii(settings);
+    let longest = longest_of(&report.shaping);
+    let of_shapes = shape::shape_reach(settings, longest);
+    let of_offset = if radii.offset == 0.0 { 0 } else { offset_reach_voxels(radii.result_half_width()) };
+    let reach_before = radii.reach_voxels(longest).saturating_add(of_shapes).saturating_add(of_offset);
+    report.reach_voxels = smoothed.reach_voxels.map(|reach| reach.saturating_add(reach_before));
+    report.convergence = smoothed.convergence;
+    report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+}
+
+/// The third stage: the mesh, its measures and the certificate, which is about the mesh as each file stores it.
+pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Surface {
+    let started = Instant::now();
+    let Smoothed { bins, mut band, bounds, obstacles, given, mut report } = smoothed;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
+    let bound_violation_count = bounds.violation_count(&band.phi);
+    drop(bounds);
+    finish::offset(&mut band, &scene);
+    let edits = match finish::has_edits(settings) {
+        true => finish::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
+        false => Edits::default(),
+    };
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
+    let how = (settings, stored);
+    let Ok(checks) = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+        let Checked { mesh, rounding } = *checked;
+        let (bins, band, lattice) = (&bins, &band, &lattice);
+        let cells = &MeshCells::new(mesh, band, lattice);
+        check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
+        Ok::<(), Infallible>(())
+    });
+    let counts = (bound_violation_count, report.dropped_count);
+    report.certificate =
+        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+    report.certificate.given_outside =
+        given.map(|given| given_outside(&given, &band, (&lattice, radii.offset), exempt));
+    report.seconds.contour = started.elapsed().as_secs_f64();
+    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+}
+
+fn lattice(settings: &Settings) -> Lattice {
+    Lattice { voxel_size: settings.voxel_size }
+}
+
+/// What particles are rasterized into.
+fn scene<'a>(settings: &Settings, obstacles: &'a Obstacles) -> Scene<'a> {
+    Scene {
+        lattice: lattice(settings),
+        radii: radii(settings),
+        obstacles,
+        void_threshold: settings.void_threshold as f32,
+        keeps_all_particles: settings.drop_islands > 0,
+    }
+}
+
+/// How many particles are inside obstacles.
+fn inside_obstacles<S: ParticleSource>(source: &S, scene: &Scene) -> Result<usize, S::Error> {
+    match scene.obstacles.is_empty() {
+        true => Ok(0),
+        false => scene.obstacles.count_inside(source, &scene.lattice, scene.obstacle_half_width()),
+    }
+}
+
+/// The radii in voxels.
+fn radii(settings: &Settings) -> Radii {
+    let voxels = |world: f64| (world / settings.voxel_size) as f32;
+    let [min, init, max] = [settings.radius_min, settings.radius_init, settings.radius_max].map(voxels);
+    let offset = voxels(settings.offset);
+    match settings.has_shapes() {
+        false => Radii { offset, ..Radii::of_balls(min, init, max) },
+        // Half axes come back from a matrix, not quite as long as they were.
+        true => Radii {
+            min,
+            init,
+            max,
+            shortest: 0.9999 * shape::shortest(settings),
+            roomy: shape::roomy(settings),
+            offset,
+        },
+    }
+}
+
+/// The longest half axis of the particles, in units of the radii.
+fn longest_of(shaping: &Shaping) -> f32 {
+    if *shaping == Shaping::default() { 1.0 } else { shaping.longest }
+}
+
+fn smooth_config(settings: &Settings) -> smooth::Config {
+    smooth::Config {
+        laplacian_steps: settings.laplacian_steps,
+        integrator: settings.integrator,
+        steps: settings.steps,
+        step_size: settings.step_size as f32,
+        redistance_every: settings.redistance_every,
+        cg_tolerance: settings.cg_tolerance,
+        keeps_spheres: can_spheres_shrink(settings),
+        // The level that becomes the surface has to be as far from it as it says.
+        distances_voxels: (settings.offset / settings.voxel_size).abs() as f32,
+    }
+}
+
+/// What implicit steps may take of a lone sphere's radius, in voxels.
+const SHRINKING_MAX: f64 = 0.15;
+
+/// Whether implicit steps could take more than that before a lone sphere is as small as its bound lets it be. Not so with the
+/// radii that follow from the voxel size, after 15 Laplacian steps; with radii of the particles' own, always.
+fn can_spheres_shrink(settings: &Settings) -> bool {
+    let [least, init] = [settings.radius_min, settings.radius_init].map(|world| world / settings.voxel_size);
+    let left = smooth::radius_after_laplacian(init, settings.laplacian_steps);
+    settings.own_radii.is_some() || left - least > SHRINKING_MAX
+}
+
+/// Memory that a topology takes for a leaf: its origin, its neighbours, and its place in the map.
+const TOPOLOGY_LEAF_BYTES: usize = 80;

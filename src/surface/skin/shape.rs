@@ -1,0 +1,672 @@
+//! What and where each particle is, before it is rasterized: of a size of its own, stretched, moved toward its neighbours, or
+//! a ball like the others.
+//!
+//! ```text
+//!   given ──attributes──▶ sizes, stretch by velocity ──neighbours──▶ places, stretch by neighbours
+//!           each particle by itself                    those near what particles leave uncovered
+//! ```
+//!
+//! Of particles deep inside nothing shows: they stay where they are, and are balls. How deep is a matter of the method, and
+//! not of tiles or memory: deeper than R and their own r_max, axis by axis, below every voxel that is not surely within
+//! r_init of a particle as given. R, so that all of a particle's neighbours are deep where it is not moved: there the
+//! mean is about the particle itself, and its shape about a ball. r_max, so that it is covered by those that
+//! are moved. What smoothing would open so deep inside, where the density of particles changes within R, stays closed.
+//!
+//! What is moved is found in blocks: so a frame that is larger than memory has it, too, and all frames in the same way.
+
+use std::borrow::Cow;
+use std::time::Instant;
+
+use glam::DVec3;
+
+use super::lattice;
+use crate::surface::anisotropy::{
+    ByNeighbors, NeighborConfig, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
+    radius_scales,
+};
+use crate::surface::options::{Anisotropy, OwnRadii, RADIUS_MAX_VOXELS, Settings};
+use crate::surface::particles::{Cloud, Ellipsoid, ParticleSource, Particles, Positions, Shapes};
+use crate::surface::rasterize::{NearSurface, Vicinity};
+use crate::surface::report::Shaping;
+
+/// Gives the particles the shapes and places that the settings ask for. What is asked for by attributes must be there, a
+/// number or a vector for each particle: where it is not, particles are balls.
+pub fn shape(cloud: Cloud, settings: &Settings) -> (ShapedSource<Cloud>, Shaping) {
+    let (cloud, shaping) = shape_by_attributes(cloud, settings);
+    let Ok(shaped) = shape_by_neighbors(cloud, shaping, settings);
+    shaped
+}
+
+/// Gives the particles the shapes that the settings ask for by attributes.
+pub fn shape_by_attributes(cloud: Cloud, settings: &Settings) -> (Cloud, Shaping) {
+    if !settings.has_shapes() {
+        return (cloud, Shaping::default());
+    }
+    let started = Instant::now();
+    let mut shaping = Shaping::default();
+    let scales = settings.own_radii.as_ref().and_then(|own| scales(&cloud, own, settings, &mut shaping));
+    let by_velocity = match settings.anisotropy {
+        Anisotropy::None | Anisotropy::Neighbors { .. } => None,
+        Anisotropy::Velocity { gain, max_stretch } => {
+            let gain_per_speed = (gain / settings.radius_min) as f32;
+            let max_stretch = max_stretch as f32;
+            let config = VelocityConfig { gain_per_speed, max_stretch, floor: held(settings) };
+            numbers(&cloud, "velocity", 3)
+                .map(|velocities| from_velocities(&velocities, scales.as_deref(), &config))
+        }
+    };
+    let Cloud { positions, attributes, .. } = cloud;
+    let shapes = match (by_velocity, scales) {
+        (Some(shaped), _) => {
+            shaping.raised_count = shaped.raised_count;
+            shaping.ball_count = shaped.ball_count;
+            Shapes::Ellipsoids(shaped.shapes)
+        }
+        (None, Some(scales)) => Shapes::Scaled(scales),
+        (None, None) => Shapes::Balls,
+    };
+    shaping.longest = (0..positions.len()).map(|index| shapes.longest(index)).fold(0.0, f32::max);
+    shaping.seconds = started.elapsed().as_secs_f64();
+    (Cloud { positions, shapes, attributes }, shaping)
+}
+
+/// Gives particles the places and shapes that the settings ask for by their neighbours. `shaping` tells of what attributes did
+/// before.
+///
+/// # Errors
+/// Those of the source.
+pub fn shape_by_neighbors<S: ParticleSource>(
+    given: S,
+    shaping: Shaping,
+    settings: &Settings,
+) -> Result<(ShapedSource<S>, Shaping), S::Error> {
+    in_blocks(given, shaping, settings, GATHERED_MAX)
+}
+
+/// The same with blocks of about so many particles, neighbours among them.
+fn in_blocks<S: ParticleSource>(
+    given: S,
+    mut shaping: Shaping,
+    settings: &Settings,
+    gathered_max: usize,
+) -> Result<(ShapedSource<S>, Shaping), S::Error> {
+    let unchanged = Changes { is_stretched: false, ..Changes::default() };
+    if !settings.uses_neighbors() {
+        return Ok((ShapedSource { given, changes: unchanged }, shaping));
+    }
+    let started = Instant::now();
+    let stretch = stretch(settings);
+    let lattice = lattice(settings);
+    let depth = Depth::new(settings, given.has_shapes());
+    let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, |longest| depth.voxels(longest))?;
+    // Of crowds, whole cells of the search count: those around the particle's own.
+    let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
+    let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
+    let mut found: Vec<Found> = Vec::new();
+    shaping.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
+    for block in vicinity.blocks(margin, gathered_max) {
+        let gathered = vicinity.gather(&block, &given, &lattice)?;
+        let positions = Particles::Double(gathered.positions);
+        let scales = (!gathered.scales.is_empty()).then_some(&*gathered.scales);
+        let ByNeighbors { indices, means, shapes, raised_count, ball_count } =
+            from_neighbors(&positions, |index| gathered.is_own[index], scales, &config);
+        shaping.near_count += gathered.is_own.iter().filter(|is_own| **is_own).count();
+        shaping.raised_count += raised_count;
+        shaping.ball_count += ball_count;
+        shaping.longest = shapes.iter().map(|shape| shape.longest).fold(shaping.longest, f32::max);
+        let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
+        let means = if settings.position_smoothing > 0.0 { means } else { Vec::new() };
+        found.push(Found { sources, means, shapes });
+    }
+    let batch_count = given.batch_count();
+    drop(vicinity);
+    let changes = Changes {
+        step_world: settings.position_smoothing * settings.neighbor_radius,
+        is_stretched: stretch.is_some(),
+        ball: depth.ball,
+        ..Changes::sorted(found, batch_count)
+    };
+    shaping.seconds += started.elapsed().as_secs_f64();
+    Ok((ShapedSource { given, changes }, shaping))
+}
+
+/// Particles that are gathered together, about: some hundred bytes each.
+const GATHERED_MAX: usize = 1 << 20;
+
+/// Below which depth nothing is moved, nor stretched by neighbours.
+struct Depth {
+    /// What a particle holds for certain, voxels.
+    cover_voxels: f32,
+    /// The scale of balls without one of their own, in units of the settings' radii.
+    ball: f32,
+    neighbor_voxels: f64,
+    radius_max_voxels: f64,
+}
+
+impl Depth {
+    fn new(settings: &Settings, given_have_shapes: bool) -> Depth {
+        let voxels = |world: f64| world / settings.voxel_size;
+        let ball = if settings.has_shapes() { held(settings).max(1.0) } else { 1.0 };
+        let surely = match given_have_shapes {
+            // Half axes come back from a matrix, not quite as long as they were.
+            true => 0.9999 * held(settings),
+            false => ball,
+        };
+        Depth {
+            cover_voxels: voxels(settings.radius_init) as f32 * surely,
+            ball,
+            neighbor_voxels: voxels(settings.neighbor_radius),
+            radius_max_voxels: voxels(settings.radius_max),
+        }
+    }
+
+    /// For particles of a leaf that have no half axis longer than this.
+    fn voxels(&self, longest: f32) -> f32 {
+        (self.neighbor_voxels + self.radius_max_voxels * f64::from(longest.max(self.ball))) as f32
+    }
+
+    /// How far from a particle, in voxels, others decide whether it is moved, at most.
+    fn reach_voxels(&self, longest: f32) -> f64 {
+        // Doublings, and a voxel for each step in which depth is found.
+        let depth = f64::from(self.voxels(2.0 * longest));
+        let steps = (depth / 7.0).ceil() + f64::from(longest.max(1.0).log2().ceil()) + 1.0;
+        // A leaf is taken as a whole where it holds a long particle.
+        depth + steps + f64::from(self.cover_voxels) + 8.0 + 2.0
+    }
+}
+
+/// Which particles neighbours may move or stretch; `None` where they do neither.
+pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
+    let depth = Depth::new(settings, settings.own_radii.is_some());
+    settings.uses_neighbors().then(|| NearSurface { depth: depth.voxels(1.0), cover: depth.cover_voxels })
+}
+
+/// The memory that a particle takes whose neighbours are looked at, in bytes: while all are collected, and what is kept.
+pub(super) fn changes_bytes(settings: &Settings) -> [f64; 2] {
+    let [source, place] = [size_of::<[u32; 2]>(), size_of::<u32>()];
+    let mean = if settings.position_smoothing > 0.0 { size_of::<[f32; 3]>() } else { 0 };
+    let shape = match settings.anisotropy {
+        Anisotropy::Neighbors { .. } => size_of::<Ellipsoid>(),
+        Anisotropy::None | Anisotropy::Velocity { .. } => 0,
+    };
+    let kept = place + mean + shape;
+    [(source + mean + shape + kept) as f64, kept as f64]
+}
+
+/// The memory for the particles of a block and their neighbours, of a frame of so many, in bytes.
+pub(super) fn gathered_bytes(particle_count: usize) -> f64 {
+    GATHERED_BYTES * particle_count.min(2 * GATHERED_MAX) as f64
+}
+
+/// Of each particle of a block: where it is, sorted and not, and what it is sorted by.
+const GATHERED_BYTES: f64 = 110.0;
+
+/// How far the particles are, in voxels, that decide one's place and shape, and how far it is moved. No half axis is longer
+/// than `longest`, in units of the radii.
+pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
+    if !settings.uses_neighbors() {
+        return 0;
+    }
+    let radius = settings.neighbor_radius / settings.voxel_size;
+    let depth = Depth::new(settings, settings.own_radii.is_some());
+    let moved = settings.position_smoothing * radius;
+    // In crowds, what is sampled depends on the whole cells around.
+    (moved + depth.reach_voxels(longest).max(2.0 * radius)).ceil() as u32
+}
+
+/// What neighbours make of the particles of a block.
+struct Found {
+    /// The batch of each, and its place in that.
+    sources: Vec<[u32; 2]>,
+    /// In units of R; empty where none is moved.
+    means: Vec<[f32; 3]>,
+    /// Empty where none is stretched.
+    shapes: Vec<Ellipsoid>,
+}
+
+/// What neighbours change of the particles of a source: of those near its surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Changes {
+    /// How far a mean that is R away moves a particle, world units: λR.
+    step_world: f64,
+    /// Where the particles of each batch start; one more entry than batches, or none where nothing is changed.
+    starts: Vec<usize>,
+    /// Places in their batches.
+    places: Vec<u32>,
+    /// In units of R. Empty where none is moved.
+    means: Vec<[f32; 3]>,
+    /// Empty where none is stretched.
+    shapes: Vec<Ellipsoid>,
+    is_stretched: bool,
+    /// The scale of those that are not stretched and have none of their own.
+    ball: f32,
+}
+
+impl Changes {
+    /// Puts in the order of the batches what was found in blocks. It frees a block once it is in place.
+    fn sorted(found: Vec<Found>, batch_count: usize) -> Changes {
+        let mut starts = vec![0; batch_count + 1];
+        for [batch, _] in found.iter().flat_map(|found| &found.sources) {
+            starts[*batch as usize + 1] += 1;
+        }
+        for batch in 0..batch_count {
+            starts[batch + 1] += starts[batch];
+        }
+        let count = starts[batch_count];
+        let moves = found.iter().any(|found| !found.means.is_empty());
+        let stretches = found.iter().any(|found| !found.shapes.is_empty());
+        let mut cursors = starts.clone();
+        let mut places = vec![0; count];
+        let mut means = vec![[0.0; 3]; if moves { count } else { 0 }];
+        let mut shapes = vec![Ellipsoid::ball(1.0); if stretches { count } else { 0 }];
+        for block in found {
+            for (index, &[batch, place]) in block.sources.iter().enumerate() {
+                let cursor = &mut cursors[batch as usize];
+                places[*cursor] = place;
+                if let Some(&mean) = block.means.get(index) {
+                    means[*cursor] = mean;
+                }
+                if let Some(&shape) = block.shapes.get(index) {
+                    shapes[*cursor] = shape;
+                }
+                *cursor += 1;
+            }
+        }
+        Changes { starts, places, means, shapes, ..Changes::default() }
+    }
+
+    /// The range of what is changed of a batch.
+    fn of(&self, batch: usize) -> std::ops::Range<usize> {
+        match self.starts.get(batch..batch + 2) {
+            Some(&[start, end]) => start..end,
+            _ => 0..0,
+        }
+    }
+
+    /// The places in a batch of the particles that are moved, and by how much, world units.
+    fn moves_of(&self, batch: usize) -> impl Iterator<Item = (usize, DVec3)> {
+        let range = if self.means.is_empty() { 0..0 } else { self.of(batch) };
+        let step = |mean: &[f32; 3]| glam::Vec3::from(*mean).as_dvec3() * self.step_world;
+        let places = self.places[range.clone()].iter();
+        places.zip(&self.means[range]).map(move |(&place, mean)| (place as usize, step(mean)))
+    }
+
+    /// The shapes of a batch, of which so many were given.
+    fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
+        if !self.is_stretched {
+            return given;
+        }
+        let mut shapes = match given {
+            Shapes::Balls => vec![Ellipsoid::ball(self.ball); count],
+            Shapes::Scaled(scales) => scales.into_iter().map(Ellipsoid::ball).collect(),
+            Shapes::Ellipsoids(ellipsoids) => ellipsoids,
+        };
+        let range = self.of(batch);
+        for (&place, &shape) in self.places[range.clone()].iter().zip(&self.shapes[range]) {
+            shapes[place as usize] = shape;
+        }
+        Shapes::Ellipsoids(shapes)
+    }
+
+    fn size_bytes(&self) -> usize {
+        let Changes { starts, places, means, shapes, .. } = self;
+        size_of_val(&**starts) + size_of_val(&**places) + size_of_val(&**means) + size_of_val(&**shapes)
+    }
+}
+
+/// Particles where their neighbours move them and as they stretch them.
+#[derive(Clone, Debug)]
+pub struct ShapedSource<S> {
+    given: S,
+    changes: Changes,
+}
+
+impl<S> ShapedSource<S> {
+    /// The particles as they were given.
+    pub fn given(&self) -> &S {
+        &self.given
+    }
+
+    /// The memory that is taken beside these, in bytes.
+    pub fn size_bytes(&self) -> usize {
+        self.changes.size_bytes()
+    }
+
+    /// The particles where they are and as they are now; `to_cloud` tells which ones were given.
+    pub fn into_cloud(self, to_cloud: impl FnOnce(S) -> Option<Cloud>) -> Option<Cloud> {
+        let ShapedSource { given, changes } = self;
+        let Cloud { mut positions, mut shapes, attributes } = to_cloud(given)?;
+        let batch_count = positions.batch_count();
+        for batch in 0..batch_count {
+            let first = positions.range_of(batch).start;
+            for (place, step) in changes.moves_of(batch) {
+                match &mut positions {
+                    Particles::Single(positions) => moved_single(&mut positions[first + place], step),
+                    Particles::Double(positions) => moved_double(&mut positions[first + place], step),
+                }
+            }
+        }
+        if changes.is_stretched {
+            let of_batch = |batch| {
+                let range = positions.range_of(batch);
+                match changes.shapes_of(batch, shapes.in_range(range.clone()), range.len()) {
+                    Shapes::Ellipsoids(ellipsoids) => ellipsoids,
+                    Shapes::Balls | Shapes::Scaled(_) => Vec::new(),
+                }
+            };
+            shapes = Shapes::Ellipsoids((0..batch_count).flat_map(of_batch).collect());
+        }
+        Some(Cloud { positions, shapes, attributes })
+    }
+}
+
+impl ShapedSource<Cloud> {
+    /// The particles where they are and as they are now.
+    pub fn into_moved(self) -> Cloud {
+        let empty = || Cloud::from(Particles::Single(Vec::new()));
+        self.into_cloud(Some).unwrap_or_else(empty)
+    }
+}
+
+fn moved_single(position: &mut [f32; 3], step: DVec3) {
+    *position = (glam::Vec3::from(*position).as_dvec3() + step).as_vec3().to_array();
+}
+
+fn moved_double(position: &mut [f64; 3], step: DVec3) {
+    *position = (DVec3::from(*position) + step).to_array();
+}
+
+impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
+    type Error = S::Error;
+
+    fn batch_count(&self) -> usize {
+        self.given.batch_count()
+    }
+
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, S::Error> {
+        let mut positions = self.given.batch(batch)?;
+        for (place, step) in self.changes.moves_of(batch) {
+            match &mut positions {
+                Positions::Single(positions) => moved_single(&mut positions.to_mut()[place], step),
+                Positions::Double(positions) => moved_double(&mut positions.to_mut()[place], step),
+            }
+        }
+        Ok(positions)
+    }
+
+    fn has_shapes(&self) -> bool {
+        self.changes.is_stretched || self.given.has_shapes()
+    }
+
+    fn shapes_of(&self, batch: usize) -> Shapes {
+        let given = self.given.shapes_of(batch);
+        if !self.changes.is_stretched {
+            return given;
+        }
+        self.changes.shapes_of(batch, given, self.given.count_of(batch))
+    }
+
+    fn count_of(&self, batch: usize) -> usize {
+        self.given.count_of(batch)
+    }
+
+    fn has_moved(&self) -> bool {
+        self.changes.step_world > 0.0
+    }
+
+    fn given_of(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
+        let mut moves = self.changes.moves_of(batch).peekable();
+        if moves.peek().is_none() {
+            return Ok(Vec::new());
+        }
+        let positions = self.given.batch(batch)?;
+        let both = |(place, step)| {
+            let given = positions.position(place);
+            [given, given + step]
+        };
+        Ok(moves.map(both).collect())
+    }
+}
+
+/// The scale of each particle, in units of the settings' radii.
+fn scales(cloud: &Cloud, own: &OwnRadii, settings: &Settings, shaping: &mut Shaping) -> Option<Vec<f32>> {
+    let radii = numbers(cloud, &own.attribute, 1)?;
+    let RadiusScales { mut scales, raised_count, invalid_count } =
+        radius_scales(&radii, own.scale, settings.radius_min, held(settings));
+    shaping.small_radius_count = raised_count;
+    shaping.invalid_radius_count = invalid_count;
+    let most = ((RADIUS_MAX_VOXELS * settings.voxel_size / settings.radius_max) as f32).max(held(settings));
+    shaping.large_radius_count = scales.iter().filter(|&&scale| scale > most).count();
+    scales.iter_mut().for_each(|scale| *scale = scale.min(most));
+    Some(scales)
+}
+
+/// The numbers of an attribute of which each particle has so many.
+fn numbers<'a>(cloud: &'a Cloud, name: &str, arity: usize) -> Option<Cow<'a, [f32]>> {
+    let numbers = cloud.attribute_of(name, arity)?.values.numbers()?;
+    (numbers.len() == arity * cloud.positions.len()).then_some(numbers)
+}
+
+/// How neighbours stretch particles, if they do.
+fn stretch(settings: &Settings) -> Option<Stretch> {
+    let in_radii = |radius: f64| (radius / settings.radius_min) as f32;
+    match settings.anisotropy {
+        Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius } => Some(Stretch {
+            max_stretch: max_stretch as f32,
+            floor: in_radii(thin_radius),
+            lone: in_radii(lone_radius),
+            lone_floor: held(settings),
+        }),
+        Anisotropy::None | Anisotropy::Velocity { .. } => None,
+    }
+}
+
+/// The least ball that the grid holds wherever it is, √3 voxels, in units of the settings' radii: balls, and
+/// particles that are stretched by velocities, have no shorter half axis.
+fn held(settings: &Settings) -> f32 {
+    (3f64.sqrt() * settings.voxel_size / settings.radius_min) as f32
+}
+
+/// The least half axis of any particle, in units of the settings' radii.
+pub(super) fn shortest(settings: &Settings) -> f32 {
+    stretch(settings).map_or(held(settings), |stretch| held(settings).min(stretch.floor))
+}
+
+/// The half axes that the band has room for, in units of the settings' radii. It is the same for all frames of a
+/// sequence, whatever particles they have. Stretched particles are short where there is a surface to move: at the sides
+/// of sheets and threads.
+pub(super) fn roomy(settings: &Settings) -> f32 {
+    if settings.own_radii.is_some() { SCALE_ROOM } else { 1.0 }
+}
+
+/// Particles of three times the least radius have gaps of three voxels between their bounds: more than smoothing moves a
+/// surface by.
+const SCALE_ROOM: f32 = 3.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::anisotropy::from_neighbors;
+    use crate::surface::obstacle::Obstacles;
+    use crate::surface::options::{AnisotropyKind, Choices};
+    use crate::surface::skin::{Stored, Surface, contour, rasterize, smooth};
+
+    /// Batches of so many, as from a file.
+    struct Batches<'a> {
+        cloud: &'a Cloud,
+        size: usize,
+    }
+
+    impl Batches<'_> {
+        fn range(&self, batch: usize) -> std::ops::Range<usize> {
+            batch * self.size..self.cloud.positions.len().min((batch + 1) * self.size)
+        }
+    }
+
+    impl ParticleSource for Batches<'_> {
+        type Error = std::convert::Infallible;
+
+        fn batch_count(&self) -> usize {
+            self.cloud.positions.len().div_ceil(self.size)
+        }
+
+        fn batch(&self, batch: usize) -> Result<Positions<'_>, Self::Error> {
+            let range = self.range(batch);
+            Ok(match &self.cloud.positions {
+                Particles::Single(positions) => Positions::Single(Cow::Borrowed(&positions[range])),
+                Particles::Double(positions) => Positions::Double(Cow::Borrowed(&positions[range])),
+            })
+        }
+
+        fn count_of(&self, batch: usize) -> usize {
+            self.range(batch).len()
+        }
+
+        fn has_shapes(&self) -> bool {
+            !self.cloud.shapes.are_balls()
+        }
+
+        fn shapes_of(&self, batch: usize) -> Shapes {
+            self.cloud.shapes.in_range(self.range(batch))
+        }
+    }
+
+    fn random(state: &mut u32) -> f64 {
+        *state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        f64::from(*state >> 8) / f64::from(1 << 24) - 0.5
+    }
+
+    /// A block with a deep inside, a crowd in it, a thread, and lone particles: spacing 1, in no order.
+    fn cloud(edge: usize) -> Cloud {
+        let mut state = 5;
+        let mut jitter = || random(&mut state) * 0.5;
+        let mut positions: Vec<[f64; 3]> = (0..edge.pow(3))
+            .map(|index| {
+                [index / edge / edge, index / edge % edge, index % edge].map(|along| along as f64 + jitter())
+            })
+            .collect();
+        let high = edge as f64;
+        positions.extend((0..9).map(|index| [high + f64::from(index), 3.0, 4.0 + jitter()]));
+        positions.extend((0..300).map(|_| [high, high + 0.1 * jitter(), high + 0.1 * jitter()]));
+        positions.extend([[-7.0, -8.0, 2.0], [f64::NAN, 0.0, 1.0]]);
+        let count = positions.len();
+        let mut order: Vec<usize> = (0..count).collect();
+        order.sort_by_key(|index| (*index as u32).wrapping_mul(0x9e37_79b9));
+        Particles::Double(order.into_iter().map(|index| positions[index]).collect()).into()
+    }
+
+    fn choices() -> [Choices; 3] {
+        let balls =
+            Choices { position_smoothing: Some(0.9), neighbor_radius: Some(2.6), ..Choices::default() };
+        let neighbors = Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..balls.clone() };
+        [balls, neighbors.clone(), Choices { position_smoothing: None, ..neighbors }]
+    }
+
+    fn bits<S: ParticleSource>(source: &S) -> (Vec<[u64; 3]>, Vec<Ellipsoid>) {
+        let (mut positions, mut shapes) = (Vec::new(), Vec::new());
+        for batch in 0..source.batch_count() {
+            let Ok(of_batch) = source.batch(batch) else { panic!("in memory") };
+            let bits = |place| of_batch.position(place).to_array().map(f64::to_bits);
+            positions.extend((0..of_batch.len()).map(bits));
+            if let Shapes::Ellipsoids(ellipsoids) = source.shapes_of(batch) {
+                shapes.extend(ellipsoids);
+            }
+        }
+        (positions, shapes)
+    }
+
+    #[test]
+    fn batches_and_blocks_of_any_size_give_the_same_bits() {
+        let cloud = cloud(24);
+        for choices in choices() {
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            let (whole, shaping) = shape(cloud.clone(), &settings);
+            let timeless = |shaping: Shaping| Shaping { seconds: 0.0, ..shaping };
+            assert!(shaping.near_count > 5000 && shaping.near_count < cloud.positions.len(), "{shaping:?}");
+            for (size, gathered_max) in [(1 << 20, 1), (700, 3000), (11, 1 << 22)] {
+                let source = Batches { cloud: &cloud, size };
+                let Ok((streamed, of_streamed)) =
+                    in_blocks(source, Shaping::default(), &settings, gathered_max);
+                assert_eq!(timeless(of_streamed), timeless(shaping));
+                assert!(bits(&streamed) == bits(&whole), "batches of {size}, blocks of {gathered_max}");
+            }
+            let moved = whole.clone().into_moved();
+            assert!(bits(&moved) == bits(&whole));
+        }
+    }
+
+    fn skinned<S: ParticleSource>(source: &S, shaping: Shaping, settings: &Settings) -> Surface {
+        let Ok(rasterized) = rasterize(source, settings, shaping, Obstacles::default()) else {
+            panic!("in memory")
+        };
+        contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
+    }
+
+    /// What is deep inside may as well stay where it is.
+    #[test]
+    fn the_surface_is_that_of_all_particles_moved() {
+        let cloud = cloud(26);
+        for choices in choices() {
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            let (near, shaping) = shape(cloud.clone(), &settings);
+            let deep_count = cloud.positions.len() - shaping.near_count;
+            assert!(deep_count > 2000, "{deep_count}");
+            let config =
+                NeighborConfig { radius_world: settings.neighbor_radius, stretch: stretch(&settings) };
+            let found = from_neighbors(&cloud.positions, |_| true, None, &config);
+            let step = settings.position_smoothing * settings.neighbor_radius;
+            let Particles::Double(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
+            let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
+            for (place, &index) in found.indices.iter().enumerate() {
+                let mean = glam::Vec3::from(found.means[place]).as_dvec3();
+                moved_double(&mut positions[index as usize], mean * step);
+                if let Some(&shape) = found.shapes.get(place) {
+                    shapes[index as usize] = shape;
+                }
+            }
+            let shapes = if config.stretch.is_some() { Shapes::Ellipsoids(shapes) } else { Shapes::Balls };
+            let all = Cloud { positions: Particles::Double(positions), shapes, attributes: Vec::new() };
+            let [near, all] = [skinned(&near, shaping, &settings), skinned(&all, shaping, &settings)];
+            assert!(near.mesh == all.mesh && near.band.phi == all.band.phi, "{choices:?}");
+            assert!(near.report.certificate.holds(), "{:?}", near.report.certificate);
+        }
+    }
+
+    /// A sheet bent to a ridge: particles on it are drawn in, and those inside of it are not.
+    #[test]
+    fn particles_given_outside_are_counted() {
+        let settings = Settings::paper(0.25, &choices()[1]).expect("sound");
+        let surface = |choices: &Choices| {
+            let settings = Settings::paper(0.25, choices).expect("sound");
+            let (source, shaping) = shape(cloud(8), &settings);
+            skinned(&source, shaping, &settings)
+        };
+        let radius_min = Some(0.45);
+        let smoothed = surface(&Choices { radius_min, ..choices()[1].clone() }).report.certificate;
+        let outside = smoothed.given_outside.expect("moved");
+        assert!(outside.count > 0 && outside.deepest > 0.0, "{outside:?}");
+        assert!(outside.deepest < settings.neighbor_radius, "{outside:?}");
+        assert!(smoothed.holds());
+        let given = surface(&Choices { radius_min, ..choices()[2].clone() }).report.certificate;
+        assert_eq!(given.given_outside, None);
+    }
+
+    #[test]
+    fn positions_are_moved_in_their_precision() {
+        let double = Cloud::from(Particles::Double(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
+        let single = Cloud::from(Particles::Single(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
+        let moved = |cloud: &Cloud, part: f64| {
+            let choices = Choices { position_smoothing: Some(part), ..choices()[0].clone() };
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            shape(cloud.clone(), &settings).0.into_moved().positions
+        };
+        let (half, whole) = (moved(&single, 0.5), moved(&single, 1.0));
+        assert!(matches!(half, Particles::Single(_)) && matches!(moved(&double, 0.5), Particles::Double(_)));
+        for index in 0..3 {
+            let between = (single.positions.position(index) + whole.position(index)) * 0.5;
+            assert!(half.position(index).distance(between) < 1e-5);
+            assert!(half.position(index).distance(single.positions.position(index)) > 1e-2);
+        }
+        assert_eq!(moved(&single, 0.0), single.positions);
+    }
+}

@@ -1,0 +1,483 @@
+//! The three calls of the method for a frame that is larger than memory.
+//!
+//! What comes out is, bit for bit, what the frame would give in memory: `tiles.rs` says why.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::IVec3;
+
+use super::finish::{self, Checked, Edits, Exemptions, Stored};
+use super::shelves::{Shelves, Storage};
+use super::tiles::{self, HALO_LEAVES, Tiling, tile_voxels, tiles_around};
+use super::{Surface, SurfaceAttributes, inside_obstacles, report_smoothing, scene, smooth_config};
+use crate::surface::contour;
+use crate::surface::grid::LEAF_EDGE;
+use crate::surface::level_set::{Bounds, NarrowBand};
+use crate::surface::obstacle::{ContactTally, Obstacles};
+use crate::surface::options::Settings;
+use crate::surface::particles::ParticleSource;
+use crate::surface::rasterize::{self, Occupancy, Scene};
+use crate::surface::report::{Shaping, SkinReport};
+use crate::surface::validation::{MeshCells, Part, certificate, given_outside_of};
+
+/// Why a frame could not be skinned in tiles.
+#[derive(Debug)]
+pub enum TiledError<E> {
+    /// The particles could not be had.
+    Source(E),
+    /// The storage refused.
+    Storage(io::Error),
+}
+
+impl<E> From<io::Error> for TiledError<E> {
+    fn from(error: io::Error) -> TiledError<E> {
+        TiledError::Storage(error)
+    }
+}
+
+/// A frame between two calls.
+pub struct TiledFrame<S> {
+    source: S,
+    obstacles: Obstacles,
+    occupancy: Occupancy,
+    /// The tiles that particles are in or near.
+    tiles: BTreeSet<[i32; 3]>,
+    tile_leaves: i32,
+    shelves: Shelves,
+    tiling: Tiling,
+    half_width: f32,
+    report: SkinReport,
+}
+
+impl<S> TiledFrame<S> {
+    /// Where its particles are.
+    pub fn source(&self) -> &S {
+        &self.source
+    }
+}
+
+/// The first call: particles to level sets, which go onto the storages, of which there must be
+/// [`SHELF_COUNT`](super::SHELF_COUNT). Tiles are cubes of `tile_leaves` leaves.
+///
+/// # Errors
+/// Those of the source and of the storages.
+pub fn rasterize<S: ParticleSource>(
+    source: S,
+    settings: &Settings,
+    shaping: Shaping,
+    obstacles: Obstacles,
+    tile_leaves: i32,
+    storages: Vec<Box<dyn Storage>>,
+) -> Result<TiledFrame<S>, TiledError<S::Error>> {
+    let started = Instant::now();
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
+    let occupancy = Occupancy::new(&source, &lattice).map_err(TiledError::Source)?;
+    let tiles = tiles_near(
+        &occupancy,
+        tile_leaves,
+        (radii.init * occupancy.longest() + radii.half_width()).ceil() as i32 + 1,
+    );
+    let shelves = Shelves::new(storages);
+    let mut origins: Vec<IVec3> = Vec::new();
+    let mut contact = ContactTally::default();
+    for &tile in &tiles {
+        let window = tile_voxels(IVec3::from(tile), tile_leaves);
+        let rasterized = rasterize::rasterize_window(&source, &occupancy, &scene, window);
+        let rasterized = rasterized.map_err(TiledError::Source)?;
+        let rasterize::Rasterized { band, bounds, contact: of_tile, .. } = rasterized;
+        contact = contact.and(of_tile);
+        shelves.put(origins.len(), [&band.phi, &bounds.lower, &bounds.upper])?;
+        origins.extend_from_slice(band.topology.origins());
+    }
+    contact.particle_count = inside_obstacles(&source, &scene).map_err(TiledError::Source)?;
+    let mut report = SkinReport {
+        particle_count: occupancy.particle_count(),
+        dropped_count: occupancy.dropped_count(),
+        stray: occupancy.stray(),
+        leaf_count: origins.len(),
+        shaping,
+        contact,
+        ..SkinReport::default()
+    };
+    let tiling = Tiling::new(&origins, tile_leaves, HALO_LEAVES);
+    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
+    let half_width = radii.half_width();
+    Ok(TiledFrame { source, obstacles, occupancy, tiles, tile_leaves, shelves, tiling, half_width, report })
+}
+
+/// The tiles that hold leaves within so many voxels of one that holds particles.
+fn tiles_near(occupancy: &Occupancy, tile_leaves: i32, voxels: i32) -> BTreeSet<[i32; 3]> {
+    // A particle is up to one voxel from where its leaf counts it, and so is the surface from its voxels.
+    let margin_leaves = (voxels + 2) / LEAF_EDGE + 1;
+    let origins = occupancy.topology.origins().iter();
+    let tiles = origins.flat_map(|&origin| tiles_around(origin, margin_leaves, tile_leaves));
+    tiles.map(|tile| tile.to_array()).collect()
+}
+
+/// The second call: the constrained smoothing. `advanced` hears how much of it is done, from 0 to 1.
+///
+/// # Errors
+/// Those of the storages.
+pub fn smooth<S>(
+    mut frame: TiledFrame<S>,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64),
+) -> io::Result<TiledFrame<S>> {
+    let started = Instant::now();
+    let config = smooth_config(settings);
+    let smoothed = tiles::smooth(&mut frame.shelves, &frame.tiling, frame.half_width, &config, advanced)?;
+    report_smoothing(&mut frame.report, smoothed, settings);
+    frame.report.seconds.smooth = started.elapsed().as_secs_f64();
+    Ok(frame)
+}
+
+/// The third call: the mesh, its measures and the certificate.
+///
+/// # Errors
+/// Those of the source and of the storages.
+pub fn contour<S: ParticleSource>(
+    frame: TiledFrame<S>,
+    settings: &Settings,
+    stored: &[Stored],
+) -> Result<(Surface, S), TiledError<S::Error>> {
+    let started = Instant::now();
+    let TiledFrame {
+        source,
+        obstacles,
+        occupancy,
+        tiles,
+        tile_leaves,
+        shelves,
+        tiling,
+        half_width,
+        mut report,
+    } = frame;
+    let scene = scene(settings, &obstacles);
+    let Scene { lattice, radii, .. } = scene;
+    let bound_violation_count = bound_violations(&shelves, &tiling)?;
+    let phi = shelves.read(0, &tiling.all_places())?;
+    drop(shelves);
+    let mut band = NarrowBand { topology: Arc::new(tiling.topology), phi, half_width };
+    let tile_particles = |tile: [i32; 3]| {
+        let owned = tile_voxels(IVec3::from(tile), tile_leaves);
+        let bins = rasterize::particles_of_window(&source, &occupancy, &scene, owned);
+        bins.map(|bins| (owned, bins)).map_err(TiledError::Source)
+    };
+    finish::offset(&mut band, &scene);
+    let mut edits = Edits::default();
+    if finish::has_edits(settings) {
+        let mut particles = Vec::new();
+        for &tile in tiles.iter().filter(|_| settings.drop_islands > 0) {
+            let (owned, bins) = tile_particles(tile)?;
+            let own = bins.leaves().filter(|(origin, _)| owned.contains(*origin));
+            particles.extend(own.map(|(origin, locals)| (origin, locals.to_vec())));
+        }
+        edits = finish::edit(&mut band, particles, (&scene, settings), &mut report.edits);
+    }
+    let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
+    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+    let exempt = &Exemptions { scene: &scene, edits: &edits };
+    let how = (settings, stored);
+    let checks = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+        let Checked { mesh, rounding } = *checked;
+        let cells = &MeshCells::new(mesh, &band, &lattice);
+        for &tile in &tiles {
+            let (owned, bins) = tile_particles(tile)?;
+            let (bins, band, lattice) = (&bins, &band, &lattice);
+            check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
+        }
+        Ok::<(), TiledError<S::Error>>(())
+    })?;
+    let counts = (bound_violation_count, report.dropped_count);
+    report.certificate =
+        certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
+    if source.has_moved() {
+        let how = (&lattice, radii.offset);
+        let outside = given_outside_of(&source, &band, how, exempt).map_err(TiledError::Source)?;
+        report.certificate.given_outside = Some(outside);
+    }
+    report.seconds.contour = started.elapsed().as_secs_f64();
+    Ok((Surface { band, mesh, attributes: SurfaceAttributes::default(), report }, source))
+}
+
+/// How many values lie outside their bounds.
+fn bound_violations(shelves: &Shelves, tiling: &Tiling) -> io::Result<usize> {
+    let mut count = 0;
+    for run in tiling.all_places() {
+        // A long run is taken in parts: what is in memory at a time is a few MiB.
+        for first in run.clone().step_by(RUN_LEAVES) {
+            let part = first..run.end.min(first + RUN_LEAVES);
+            let places = std::slice::from_ref(&part);
+            let [lower, upper] = shelves.read_bounds(places)?;
+            count += Bounds { lower, upper }.violation_count(&shelves.read(0, places)?);
+        }
+    }
+    Ok(count)
+}
+
+/// Leaves that are compared with their bounds at a time.
+const RUN_LEAVES: usize = 4096;
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::super::{SHELF_COUNT, skin};
+    use super::*;
+    use crate::surface::obstacle::{Obstacle, Shape, Solid};
+    use crate::surface::options::{AnisotropyKind, Choices, ClipBox, Integrator};
+    use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
+    use glam::DVec3;
+
+    /// A file that is a vector.
+    #[derive(Default)]
+    struct InMemory(Mutex<Vec<u8>>);
+
+    impl Storage for InMemory {
+        fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
+            let (stored, from) = (self.0.lock().unwrap(), offset as usize);
+            let there = stored.get(from..from + bytes.len()).ok_or(io::ErrorKind::UnexpectedEof)?;
+            bytes.copy_from_slice(there);
+            Ok(())
+        }
+
+        fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+            let (mut stored, from) = (self.0.lock().unwrap(), offset as usize);
+            let end = stored.len().max(from + bytes.len());
+            stored.resize(end, 0);
+            stored[from..from + bytes.len()].copy_from_slice(bytes);
+            Ok(())
+        }
+    }
+
+    /// A long bar of two sheets that come together and part again, much longer than a halo is wide, and a few
+    /// particles by themselves.
+    fn particles() -> Particles {
+        let Particles::Double(mut positions) = bar(190) else { unreachable!("positions of 64 bits") };
+        positions.extend([[31.0, -8.0, 8.0], [-20.0, 15.0, -9.0], [120.5, 10.5, 10.5]]);
+        Particles::Double(positions)
+    }
+
+    /// The bar alone, as long as this.
+    fn bar(length: i32) -> Particles {
+        let mut positions = Vec::new();
+        for index in 0..length * 5 * 4 {
+            let (x, y, z) = (f64::from(index / 20), f64::from(index / 4 % 5), f64::from(index % 4));
+            let jitter = |seed: f64| 0.3 * (f64::from(index) * seed).sin();
+            let gap = if z > 1.5 { 1.5 + 1.5 * (0.2 * x).sin() } else { 0.0 };
+            let lift = 2.0 * (0.05 * x).sin() + gap;
+            positions.push([x + jitter(12.9), y + jitter(78.2), z + lift + jitter(37.7)].map(|p| p - 13.0));
+        }
+        Particles::Double(positions)
+    }
+
+    fn storages() -> Vec<Box<dyn Storage>> {
+        (0..SHELF_COUNT).map(|_| Box::<InMemory>::default() as Box<dyn Storage>).collect()
+    }
+
+    fn rasterized(settings: &Settings, tile_leaves: i32) -> TiledFrame<Particles> {
+        let storages = storages();
+        let frame =
+            rasterize(particles(), settings, Shaping::default(), Obstacles::default(), tile_leaves, storages)
+                .expect("in memory");
+        assert!(frame.tiling.tile_count() > 12, "{}", frame.tiling.tile_count());
+        frame
+    }
+
+    fn finished(frame: TiledFrame<Particles>, settings: &Settings) -> Surface {
+        let smoothed = smooth(frame, settings, &mut |_| {}).expect("in memory");
+        contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory").0
+    }
+
+    #[test]
+    fn a_frame_in_tiles_is_the_whole_frame() {
+        let choices = [
+            Choices::default(),
+            Choices { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..Choices::default() },
+            Choices { redistance_every: Some(2), ..Choices::default() },
+            Choices { integrator: Some(Integrator::Explicit), steps: Some(60), ..Choices::default() },
+            Choices { offset: Some(-0.7), ..Choices::default() },
+            Choices { offset: Some(0.9), steps: Some(2), ..Choices::default() },
+        ];
+        for choices in choices {
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            let whole = skin(&particles(), &settings);
+            let tiled = finished(rasterized(&settings, 4), &settings);
+            assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
+            assert!(tiled.band.phi == whole.band.phi, "{choices:?}");
+            assert!(tiled.mesh == whole.mesh);
+            let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+            assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+            assert!(whole.report.certificate.holds());
+        }
+    }
+
+    /// Particles of their own sizes, an obstacle in them, a piece that is dropped, and a box that cuts.
+    #[test]
+    fn whatever_else_is_asked_for_is_the_same_in_tiles() {
+        let numbers = |arity: usize| {
+            AttributeValues::Numbers(
+                (0..particles().len() * arity).map(|index| 0.9 + 0.7 * (index as f32 * 0.7).sin()).collect(),
+            )
+        };
+        let attribute = |name: &str, meaning: Meaning, arity: usize| Attribute {
+            name: name.to_owned(),
+            meaning,
+            arity,
+            values: numbers(arity),
+        };
+        let attributes = vec![attribute("pscale", Meaning::Radius, 1), attribute("v", Meaning::Velocity, 3)];
+        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
+        let plain = Choices {
+            drop_islands: Some(3),
+            fill_cavities: Some(500.0),
+            clip: Some(ClipBox { min: [-8.0, -100.0, -11.0], max: [170.0, 100.0, 100.0] }),
+            ..Choices::default()
+        };
+        let all = [
+            Choices { radius_attribute: Some("pscale".into()), ..plain.clone() },
+            Choices { offset: Some(-0.6), ..plain.clone() },
+            Choices {
+                anisotropy: Some(AnisotropyKind::Neighbors),
+                position_smoothing: Some(0.9),
+                ..plain.clone()
+            },
+            Choices { anisotropy: Some(AnisotropyKind::Neighbors), offset: Some(0.8), ..plain.clone() },
+            Choices { position_smoothing: Some(0.9), ..plain.clone() },
+            Choices {
+                radius_attribute: Some("pscale".into()),
+                position_smoothing: Some(0.5),
+                ..plain.clone()
+            },
+            Choices { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
+        ];
+        for choices in all {
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            let cloud = Cloud { attributes: attributes.clone(), ..Cloud::from(particles()) };
+            let report = same_in_tiles(cloud, &settings, &obstacles);
+            let SkinReport { certificate, edits, contact, .. } = &report;
+            assert!(certificate.holds(), "{certificate:?}");
+            assert!(
+                edits.island_count > 0 && edits.clipped_voxel_count > 0 && contact.void_count > 0,
+                "{edits:?}"
+            );
+        }
+    }
+
+    /// Where the moved surface ends at the obstacle, some voxels lie exactly on the obstacle's surface, and all around them are outside.
+    #[test]
+    fn an_outward_offset_of_smoothed_positions_beside_an_obstacle_is_closed() {
+        let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
+        let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
+        for offset in [0.4, 0.8] {
+            let choices =
+                Choices { position_smoothing: Some(0.9), offset: Some(offset), ..Choices::default() };
+            let settings = Settings::paper(0.5, &choices).expect("sound");
+            let report = same_in_tiles(Cloud::from(particles()), &settings, &obstacles);
+            assert!(report.certificate.holds(), "{:?}", report.certificate);
+        }
+    }
+
+    /// Obstacles with faces and corners on voxels: distances to them are zero there.
+    #[test]
+    fn moved_surfaces_beside_obstacles_are_closed_and_the_same_in_tiles() {
+        let solids = [
+            octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0),
+            cuboid(DVec3::new(14.0, -14.0, -12.0), DVec3::new(18.0, -9.0, -8.0)),
+            cuboid(DVec3::new(-30.0, -30.0, -16.0), DVec3::new(60.0, 30.0, -12.0)),
+        ];
+        for solid in solids {
+            let obstacles =
+                Obstacles { members: vec![Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 24))] };
+            for (offset, position_smoothing) in [(-0.8, 0.9), (0.25, 0.5), (0.4, 0.4), (0.8, 0.0), (1.0, 0.9)]
+            {
+                let choices = Choices {
+                    position_smoothing: Some(position_smoothing),
+                    offset: Some(offset),
+                    ..Choices::default()
+                };
+                let settings = Settings::paper(0.5, &choices).expect("sound");
+                let report = same_in_tiles(Cloud::from(bar(36)), &settings, &obstacles);
+                assert!(report.certificate.holds(), "{choices:?}: {:?}", report.certificate);
+            }
+        }
+    }
+
+    /// Drops that are stretched to needles: their tips hide more than half a voxel in a cell, here and there.
+    #[test]
+    fn vertices_that_are_moved_back_are_the_same_in_tiles() {
+        let random = |index: usize| {
+            let mixed = (index as u32 + 1).wrapping_mul(0x9e37_79b9);
+            let mixed = (mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d);
+            f64::from((mixed ^ mixed >> 12) >> 8) / f64::from(1 << 24)
+        };
+        let places = (0..300).map(|index| [0, 1, 2].map(|axis| random(6 * index + axis)));
+        let velocities = (0..900).map(|index| 8.0 * (random(2000 + index) as f32 - 0.5));
+        let velocity = Attribute {
+            name: "v".into(),
+            meaning: Meaning::Velocity,
+            arity: 3,
+            values: AttributeValues::Numbers(velocities.collect()),
+        };
+        let choices = Choices {
+            anisotropy: Some(AnisotropyKind::Velocity),
+            velocity_gain: Some(0.05),
+            max_stretch: Some(8.0),
+            radius_min: Some(0.05),
+            ..Choices::default()
+        };
+        let settings = Settings::paper(0.02, &choices).expect("sound");
+        let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(places.collect())) };
+        let report = same_in_tiles(cloud, &settings, &Obstacles::default());
+        assert!(report.vertices_returned > 0, "the scene has none");
+        assert!(report.certificate.holds(), "{:?}", report.certificate);
+    }
+
+    /// Skins particles whole and in tiles.
+    fn same_in_tiles(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> SkinReport {
+        let (shaped, shaping) = super::super::shape(cloud, settings);
+        let Ok(whole) = super::super::rasterize(&shaped, settings, shaping, obstacles.clone());
+        let whole =
+            super::super::contour(super::super::smooth(whole, settings), settings, &[Stored::AsTheyAre]);
+        let frame = rasterize(shaped, settings, shaping, obstacles.clone(), 4, storages());
+        let smoothed = smooth(frame.expect("in memory"), settings, &mut |_| {}).expect("in memory");
+        let (tiled, _) = contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory");
+        assert_eq!(tiled.band.topology.origins(), whole.band.topology.origins());
+        assert!(tiled.band.phi == whole.band.phi, "{settings:?}");
+        assert!(tiled.mesh == whole.mesh);
+        let timeless = |report: &SkinReport| SkinReport { seconds: Default::default(), ..report.clone() };
+        assert_eq!(timeless(&tiled.report), timeless(&whole.report));
+        whole.report
+    }
+
+    fn octahedron(center: DVec3, radius: f64) -> Solid {
+        let corners = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let positions = corners.map(|corner| (center + radius * corner).to_array());
+        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        Solid::new(&positions, &faces)
+    }
+
+    fn cuboid(least: DVec3, greatest: DVec3) -> Solid {
+        let corner = |slot: usize| {
+            [0, 1, 2].map(|axis| if slot >> (2 - axis) & 1 == 1 { greatest[axis] } else { least[axis] })
+        };
+        let positions: Vec<[f64; 3]> = (0..8).map(corner).collect();
+        let sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+        let faces: Vec<[u32; 3]> = sides.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Solid::new(&positions, &faces)
+    }
+
+    /// So the test above can fail: what a tile does not see, it does not get right.
+    #[test]
+    fn a_halo_that_is_too_narrow_shows() {
+        let settings = Settings::paper(0.5, &Choices::default()).expect("sound");
+        let mut frame = rasterized(&settings, 4);
+        frame.tiling = frame.tiling.with_halo(4, 1);
+        assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);
+    }
+}

@@ -1,0 +1,81 @@
+//! The paper's implicit integrator: (I + Δt ∇⁴) φ⁺ = φ, solved by conjugate gradients with an active
+//! set that grows (Eq. 10, Alg. 2).
+//!
+//! ```text
+//!   repeat until converged
+//!      solve on the free voxels, the others held         conjugate_gradient.rs
+//!      if x leaves its bounds somewhere: clamp it there, hold it from now on, start again
+//! ```
+//!
+//! Voxels never become free again within a step, so the set is a heuristic: it stops near the constrained minimum,
+//! not at it. The dot products couple all voxels; they are summed leaf by leaf in one fixed order, so that the
+//! number of threads does not matter.
+
+use super::band::Band;
+use super::conjugate_gradient::{Outcome, Solver};
+use crate::surface::grid::Field;
+use crate::surface::level_set::{Bounds, NarrowBand};
+
+/// Iterations of conjugate gradients a step (paper, §3.7).
+const ITERATIONS_MAX: usize = 1500;
+
+/// How the linear solver fared.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Convergence {
+    /// Iterations of conjugate gradients.
+    pub iterations: usize,
+    /// Restarts, because a voxel met its bound.
+    pub restarts: usize,
+    /// ‖r‖ / ‖r₀‖ at the end of a step; of several steps the largest.
+    pub residual: f64,
+    /// Whether every step reached its tolerance.
+    pub reached: bool,
+}
+
+impl Convergence {
+    /// Applications of the operator.
+    pub(super) fn pass_count(&self) -> usize {
+        self.iterations + self.restarts + 1
+    }
+
+    /// The record of this step and of those before it.
+    pub(super) fn and(self, before: Option<Convergence>) -> Convergence {
+        let Some(before) = before else { return self };
+        Convergence {
+            iterations: self.iterations + before.iterations,
+            restarts: self.restarts + before.restarts,
+            residual: self.residual.max(before.residual),
+            reached: self.reached && before.reached,
+        }
+    }
+}
+
+/// Takes one implicit step of `step_size` h⁴ to a relative residual of `tolerance`.
+pub(super) fn step(
+    band: &mut NarrowBand,
+    bounds: &Bounds,
+    region: Band,
+    step_size: f32,
+    tolerance: f64,
+    laplacian: &mut Field,
+) -> Convergence {
+    let mut solver = Solver::new(band, region, step_size);
+    let first = solver.restart(band, laplacian);
+    let mut convergence = Convergence { reached: first == 0.0, ..Convergence::default() };
+    let (mut restart, mut residual) = (first, first);
+    while !convergence.reached && convergence.iterations < ITERATIONS_MAX {
+        convergence.iterations += 1;
+        match solver.iterate(band, bounds, residual, laplacian) {
+            Outcome::Advanced { residual: now } => residual = now,
+            Outcome::MetBounds => {
+                convergence.restarts += 1;
+                restart = solver.restart(band, laplacian);
+                residual = restart;
+            }
+        }
+        // Squared norms. Against the residual of the step and of the restart (Alg. 2, line 26).
+        convergence.reached = residual <= tolerance * tolerance * first.max(restart);
+    }
+    convergence.residual = if first > 0.0 { (residual / first).sqrt() } else { 0.0 };
+    convergence
+}

@@ -1,0 +1,99 @@
+//! Where the free region is so thick that a step converges slowly.
+//!
+//! The free voxels of a step are a layer along the surface, about six voxels thick, between values that
+//! are held. What can bend in there has a wavelength of that size, and so an eigenvalue of at least
+//! 1 + (4.73/6.5)⁴·Δt: that of a plate clamped on both sides. Only where surfaces come close, as in spray and
+//! thin sheets, do their layers merge into something thicker, in which slow modes live.
+//!
+//! ```text
+//!   held ──────────      ────────╮  ╭────────
+//!   free ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╰▒▒╯▒▒▒▒▒▒▒▒
+//!        ~~surface~      ~surface~▒▒~surface~       the middle of this is more than four voxels from
+//!   free ▒▒▒▒▒▒▒▒▒▒      ▒▒▒▒▒▒▒▒╭▒▒╮▒▒▒▒▒▒▒▒       anything held: a deep voxel
+//!   held ──────────      ────────╯  ╰────────
+//! ```
+//!
+//! Deep voxels are those that four erosions leave, by turns with a cross and with a cube, which together come
+//! close to a ball. What is around them counts as thick. All of it is told voxel by voxel: where leaves begin and
+//! end has no part in it.
+
+use rayon::prelude::*;
+
+use crate::surface::grid::{LeafMask, NO_LEAF, Topology};
+
+/// Voxels so far from a deep one along each axis count as thick: deep ones are more than four from anything held.
+const AROUND_DEEP: usize = 6;
+
+/// How far the voxels are, at most, that decide whether a voxel is thick.
+pub(super) const THICKNESS_REACH: u32 = AROUND_DEEP as u32 + 4;
+
+/// The free voxels that are thick.
+pub(super) fn thick(topology: &Topology, free: &[LeafMask]) -> Vec<LeafMask> {
+    let mut left = free.to_vec();
+    for axes in [&[0, 1, 2][..], &[0], &[1], &[2], &[0, 1, 2], &[0], &[1], &[2]] {
+        left = with_neighbors(topology, &left, axes, 1, LeafMask::and);
+    }
+    if left.par_iter().all(LeafMask::is_empty) {
+        return left;
+    }
+    for axis in 0..3 {
+        left = with_neighbors(topology, &left, &[axis], AROUND_DEEP, LeafMask::or);
+    }
+    left.par_iter().zip(free).map(|(near_deep, free)| near_deep.and(free)).collect()
+}
+
+/// Each mask joined with itself shifted along these axes, both ways and by up to so many steps.
+pub(super) fn with_neighbors(
+    topology: &Topology,
+    masks: &[LeafMask],
+    axes: &[usize],
+    steps: usize,
+    join: impl Fn(&LeafMask, &LeafMask) -> LeafMask + Sync,
+) -> Vec<LeafMask> {
+    let joined = |(leaf, mask): (usize, &LeafMask)| {
+        let beyond = |face: usize| match topology.neighbors()[leaf][face] {
+            NO_LEAF => LeafMask::EMPTY,
+            neighbor => masks[neighbor as usize],
+        };
+        let mut all = *mask;
+        for &axis in axes {
+            let (before, after) = (beyond(2 * axis), beyond(2 * axis + 1));
+            for steps in 1..=steps {
+                let [one, other] = mask.shifted(axis, steps, &before, &after);
+                all = join(&join(&all, &one), &other);
+            }
+        }
+        all
+    };
+    masks.par_iter().enumerate().map(joined).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::IVec3;
+
+    /// How many voxels of a block of 4³ leaves are thick where the free ones are those that satisfy `is_free`.
+    fn thick_count(is_free: impl Fn(IVec3) -> bool) -> usize {
+        let origins = (0..64).map(|leaf| IVec3::new(leaf >> 4, leaf >> 2 & 3, leaf & 3) * 8).collect();
+        let topology = Topology::new(origins);
+        let free: Vec<LeafMask> = topology
+            .origins()
+            .iter()
+            .map(|&origin| {
+                LeafMask::from_fn(|offset| is_free(origin + crate::surface::grid::voxel_in_leaf(offset)))
+            })
+            .collect();
+        thick(&topology, &free).iter().map(|mask| mask.count() as usize).sum()
+    }
+
+    #[test]
+    fn a_single_layer_is_thin_in_every_direction_and_a_double_one_is_thick() {
+        for normal in [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [1.0, -2.0, 3.0]] {
+            let normal = glam::Vec3::from(normal).normalize();
+            let depth = |voxel: IVec3| normal.dot(voxel.as_vec3() - 15.6).abs();
+            assert_eq!(thick_count(|voxel| depth(voxel) <= 3.0), 0, "{normal}");
+            assert!(thick_count(|voxel| depth(voxel) <= 6.0) > 0, "{normal}");
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! The spacing of more particles than memory need hold, read twice batch by batch.
+//!
+//! ```text
+//!   all particles ──▶ one of so many ──▶ boxes around some of these ──▶ all particles in the boxes ──▶ estimate
+//! ```
+//!
+//! Particles of a sample are farther apart than all are, and how much farther depends on whether they are in a body, a
+//! sheet or a thread. In a box around one of them are all.
+
+use glam::DVec3;
+
+use crate::surface::particles::{ParticleSource, Particles, Positions};
+
+use super::{Estimate, estimate_spacing};
+
+/// As many particles are as good as all. No more than twice as many are kept.
+const SAMPLE_MAX: usize = 1 << 20;
+
+/// Boxes in which all particles are looked at, at most.
+const BOX_COUNT: usize = 32;
+
+/// Particles along half an edge of a box in a body, at least: most of those in it have all their neighbours there.
+const HALF_EDGE_SPACINGS: f64 = 8.0;
+
+/// One in so many of the particles of a source, in their order.
+#[derive(Debug)]
+pub(crate) struct Sample {
+    /// Finite ones.
+    pub(crate) particles: Particles,
+    /// One in so many.
+    every: usize,
+}
+
+impl Sample {
+    /// A sample of a source of so many particles: all of them, where they are few.
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub(crate) fn of<S: ParticleSource>(source: &S, particle_count: usize) -> Result<Sample, S::Error> {
+        let every = particle_count.div_ceil(SAMPLE_MAX).max(1);
+        let mut passed = 0;
+        let particles = gathered(source, |_| {
+            passed += 1;
+            (passed - 1) % every == 0
+        })?;
+        Ok(Sample { particles, every })
+    }
+
+    /// The spacing of all particles of the source that the sample is of. `None` as in [`estimate_spacing`].
+    ///
+    /// # Errors
+    /// Those of the source.
+    pub(crate) fn estimate<S: ParticleSource>(&self, source: &S) -> Result<Option<Estimate>, S::Error> {
+        let Some(of_sample) = estimate_spacing(&self.particles) else { return Ok(None) };
+        if self.every == 1 {
+            return Ok(Some(of_sample));
+        }
+        let as_in_a_body = of_sample.spacing / (self.every as f64).cbrt();
+        let boxes = self.boxes((2.0 * of_sample.spacing).max(HALF_EDGE_SPACINGS * as_in_a_body));
+        let in_a_box = |position: DVec3| {
+            boxes
+                .iter()
+                .any(|[least, greatest]| position.cmpge(*least).all() && position.cmple(*greatest).all())
+        };
+        Ok(estimate_spacing(&gathered(source, in_a_box)?))
+    }
+
+    /// Cubes around some of the particles.
+    fn boxes(&self, half_edge: f64) -> Vec<[DVec3; 2]> {
+        let count = self.particles.len();
+        let centers = (0..count).step_by(count.div_ceil(BOX_COUNT).max(1));
+        let center = |index| self.particles.position(index);
+        centers.map(center).map(|center| [center - half_edge, center + half_edge]).collect()
+    }
+}
+
+/// The finite particles that are wanted.
+fn gathered<S: ParticleSource>(
+    source: &S,
+    mut is_wanted: impl FnMut(DVec3) -> bool,
+) -> Result<Particles, S::Error> {
+    let mut gathered: Vec<[f64; 3]> = Vec::new();
+    for batch in 0..source.batch_count() {
+        let mut take = |position: [f64; 3]| {
+            let point = DVec3::from(position);
+            if is_wanted(point) && point.is_finite() && gathered.len() < 2 * SAMPLE_MAX {
+                gathered.push(position);
+            }
+        };
+        match source.batch(batch)? {
+            Positions::Single(positions) => {
+                positions.iter().for_each(|&[x, y, z]| take([x, y, z].map(f64::from)))
+            }
+            Positions::Double(positions) => positions.iter().for_each(|&position| take(position)),
+        }
+    }
+    Ok(Particles::Double(gathered))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_particles_have_the_spacing_that_all_of_them_have() {
+        let lattice = |counts: [usize; 3], spacing: f64| {
+            let [x, y, z] = counts;
+            let at =
+                |index: usize| [index % x, index / x % y, index / x / y].map(|step| step as f64 * spacing);
+            Particles::Double((0..x * y * z).map(at).collect())
+        };
+        // A body, and a sheet: of both every second or third particle is sampled.
+        for counts in [[130, 130, 130], [1700, 1700, 1]] {
+            let particles = lattice(counts, 0.25);
+            let Ok(sample) = Sample::of(&particles, particles.len());
+            assert!(sample.every > 1 && sample.particles.len() <= SAMPLE_MAX);
+            let Ok(estimate) = sample.estimate(&particles);
+            let found = estimate.expect("enough").spacing;
+            assert!((found / 0.25 - 1.0).abs() < 0.03, "{counts:?}: {found}");
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! How far the nearest particle is.
+//!
+//! Vertices come leaf by leaf, and neighbours in a leaf come together. So the leaves around one are looked up
+//! once for all of its vertices, and a few vertices at a time meet the particles of a leaf, one vertex in each lane
+//! of the processor's vectors. Leaves come the nearest first: most are then farther from all of these vertices than
+//! the particles that are already known, and are not opened.
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::DistanceLimits;
+use super::particle_checks::{Part, ParticleChecks};
+use super::strays::{MOVE_MAX, Stray, returned};
+use super::surfaces::{Bodies, Sides};
+use crate::surface::grid::{LEAF_EDGE, leaf_steps_within};
+use crate::surface::rasterize::ParticleBins;
+use crate::surface::simd::{Kernel, Lanes, dispatch};
+
+/// What a cell may hide, in voxels.
+pub(super) const CELL_MARGIN: f32 = 0.5;
+
+/// Vertices in a piece of work.
+const PIECE: usize = 4096;
+
+/// Vertices that meet particles at once.
+pub(super) const LANES: usize = 8;
+
+/// One coordinate of each of these vertices.
+pub(super) type Column = [f32; LANES];
+
+/// Checks how far the vertices of a part are from its particles; and where those belong that are out of their bounds.
+pub(super) fn check_vertices(part: &Part) -> (ParticleChecks, Vec<Stray>) {
+    let bodies = Bodies::of(part.bins);
+    let longest = bodies.as_ref().map_or(1.0, Bodies::longest);
+    let reach = part.radii.max * longest + part.radii.outward();
+    let steps = leaf_steps_within(reach + CELL_MARGIN + 2.0 * MOVE_MAX);
+    let pieces = part.mesh.positions.par_chunks(PIECE).enumerate();
+    let check = |(piece, positions)| {
+        let first = piece * PIECE;
+        dispatch(PieceChecks { part, bodies: bodies.as_ref(), steps: &steps, first, positions })
+    };
+    let pieces: Vec<(ParticleChecks, Vec<Stray>)> = pieces.map(check).collect();
+    let checks = pieces.iter().fold(ParticleChecks::NOTHING, |checks, (piece, _)| checks.and(*piece));
+    (checks, pieces.into_iter().flat_map(|(_, strays)| strays).collect())
+}
+
+/// Checks some vertices.
+struct PieceChecks<'a> {
+    part: &'a Part<'a>,
+    /// The particles, where they have shapes of their own.
+    bodies: Option<&'a Bodies<'a>>,
+    steps: &'a [IVec3],
+    /// The number of the first of them.
+    first: usize,
+    positions: &'a [Vec3],
+}
+
+impl Kernel for PieceChecks<'_> {
+    type Output = (ParticleChecks, Vec<Stray>);
+
+    #[inline(always)]
+    fn run<V: Lanes>(self) -> (ParticleChecks, Vec<Stray>) {
+        let (mut checks, mut strays) = (ParticleChecks::NOTHING, Vec::new());
+        let limits = DistanceLimits::new(&self.part.radii).with_margin(CELL_MARGIN);
+        let [least, greatest] = limits.limits();
+        let mut near = NearLeaves::nowhere();
+        let mut rest = self.positions;
+        while let Some(&first) = rest.first() {
+            let (origin, _) = place_of(self.part, first);
+            let mut locals = [[0.0; LANES]; 3];
+            let mut count = 0;
+            // The last vertex repeats in lanes that would be empty.
+            for lane in 0..LANES {
+                if let Some(&position) = rest.get(count) {
+                    let (leaf, local) = place_of(self.part, position);
+                    if count == lane && leaf == origin {
+                        [locals[0][lane], locals[1][lane], locals[2][lane]] = local.to_array();
+                        count += 1;
+                        continue;
+                    }
+                }
+                for local in &mut locals {
+                    local[lane] = local[count - 1];
+                }
+            }
+            let first = self.first + self.positions.len() - rest.len();
+            let positions = &rest[..count];
+            rest = &rest[count..];
+            if !self.part.owned.contains(origin) {
+                continue;
+            }
+            near.find_around(self.part.bins, origin, self.steps);
+            let distances = near.distances(self.part.bins, &locals);
+            let Sides { is_inside_min, is_within_max } = match self.bodies {
+                None => Sides {
+                    is_inside_min: distances.map(|distance| distance < least),
+                    is_within_max: distances.map(|distance| distance <= greatest),
+                },
+                Some(bodies) => bodies.sides(&near, &locals, &limits),
+            };
+            for (lane, &position) in positions.iter().enumerate() {
+                if is_exempt(self.part, position) {
+                    continue;
+                }
+                checks.vertex_distance_min = checks.vertex_distance_min.min(distances[lane]);
+                checks.vertex_distance_max = checks.vertex_distance_max.max(distances[lane]);
+                checks.vertices_inside_min += usize::from(is_inside_min[lane]);
+                checks.vertices_outside_max += usize::from(!is_within_max[lane]);
+                if is_inside_min[lane] | !is_within_max[lane] {
+                    let local = Vec3::new(locals[0][lane], locals[1][lane], locals[2][lane]);
+                    strays.extend(self.stray(&near, first + lane, origin, local));
+                }
+            }
+        }
+        (checks, strays)
+    }
+}
+
+impl PieceChecks<'_> {
+    /// A vertex that is out of its bounds: there are few.
+    #[cold]
+    fn stray(&self, near: &NearLeaves, vertex: usize, origin: IVec3, local: Vec3) -> Option<Stray> {
+        let place = origin.as_dvec3() + returned(self.part, near, local)?.as_dvec3();
+        let Part { mesh, lattice, .. } = self.part;
+        Some(Stray { vertex, position: (place * lattice.voxel_size - mesh.origin).as_vec3() })
+    }
+}
+
+/// The origin of the leaf that a vertex lies in, and its place relative to that, in voxels.
+#[inline(always)]
+fn place_of(part: &Part, position: Vec3) -> (IVec3, Vec3) {
+    let index = (part.mesh.origin + position.as_dvec3()) / part.lattice.voxel_size;
+    let edge = f64::from(LEAF_EDGE);
+    let origin: DVec3 = (index / edge).floor() * edge;
+    (origin.as_ivec3(), (index - origin).as_vec3())
+}
+
+/// Whether a vertex need not be between the spheres.
+#[inline(always)]
+fn is_exempt(part: &Part, position: Vec3) -> bool {
+    let Part { exempt, mesh, lattice, .. } = part;
+    !exempt.is_nothing() && exempt.vertex((mesh.origin + position.as_dvec3()) / lattice.voxel_size)
+}
+
+/// The leaves around one that hold particles, the nearest first.
+pub(super) struct NearLeaves {
+    origin: IVec3,
+    /// The step to each, in voxels, and its place in the bins.
+    pub(super) leaves: Vec<(Vec3, usize)>,
+}
+
+impl NearLeaves {
+    /// Around no leaf.
+    pub(super) fn nowhere() -> NearLeaves {
+        NearLeaves { origin: IVec3::MAX, leaves: Vec::new() }
+    }
+
+    /// Those that hold particles, of the leaves so many steps from one.
+    #[inline(always)]
+    pub(super) fn find_around(&mut self, bins: &ParticleBins, origin: IVec3, steps: &[IVec3]) {
+        if self.origin == origin {
+            return;
+        }
+        self.origin = origin;
+        self.leaves.clear();
+        let found =
+            steps.iter().filter_map(|&step| Some((step.as_vec3(), bins.topology.find(origin + step)?)));
+        self.leaves.extend(found);
+    }
+
+    /// The distances from points, given relative to the leaf, to the nearest particle in these leaves.
+    #[inline(always)]
+    fn distances(&self, bins: &ParticleBins, points: &[Column; 3]) -> Column {
+        let mut nearest = [f32::INFINITY; LANES];
+        for &(step, leaf) in &self.leaves {
+            let mut locals = *points;
+            for axis in 0..3 {
+                for lane in 0..LANES {
+                    locals[axis][lane] = points[axis][lane] - step[axis];
+                }
+            }
+            let farthest = nearest.iter().fold(0.0f32, |farthest, &nearest| farthest.max(nearest));
+            if squared_gap(&locals) >= farthest {
+                continue;
+            }
+            let [x, y, z] = locals;
+            for particle in bins.in_leaf(leaf) {
+                for lane in 0..LANES {
+                    let to_particle = *particle - Vec3::new(x[lane], y[lane], z[lane]);
+                    let squared = to_particle.length_squared();
+                    nearest[lane] = if squared < nearest[lane] { squared } else { nearest[lane] };
+                }
+            }
+        }
+        nearest.map(f32::sqrt)
+    }
+}
+
+/// The square of the distance between a leaf and a box around points given relative to it. No less than that is
+/// what is computed for any of the points and any particle of the leaf: rounding keeps the order of numbers.
+#[inline(always)]
+pub(super) fn squared_gap(points: &[Column; 3]) -> f32 {
+    let gap = |axis: usize| {
+        let column = &points[axis];
+        let (mut least, mut most) = (column[0], column[0]);
+        for &value in column {
+            least = if value < least { value } else { least };
+            most = if value > most { value } else { most };
+        }
+        (least - LEAF_EDGE as f32).max(-most).max(0.0)
+    };
+    Vec3::new(gap(0), gap(1), gap(2)).length_squared()
+}
+
+/// Whether a point, given relative to the leaf at `origin`, is inside a particle's sphere of this radius, or what
+/// takes its place.
+pub(super) fn is_inside_one(
+    bins: &ParticleBins,
+    bodies: Option<&Bodies>,
+    origin: IVec3,
+    point: Vec3,
+    radius: f32,
+) -> bool {
+    let longest = bodies.map_or(1.0, Bodies::longest);
+    let mut near = NearLeaves::nowhere();
+    near.find_around(bins, origin, &leaf_steps_within(radius * longest));
+    let points = point.to_array().map(|axis| [axis; LANES]);
+    match bodies {
+        None => near.distances(bins, &points)[0] < radius,
+        Some(bodies) => {
+            let limits = DistanceLimits { radii: [radius; 2], from_spheres: [0.0; 2] };
+            bodies.sides(&near, &points, &limits).is_inside_min[0]
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! What is checked of particles and surface against each other, leaf by leaf.
+//!
+//! ```text
+//!   part A ──▶ checks ─┐
+//!   part B ──▶ checks ─┼─ and ─▶ checks of the whole
+//!   part C ──▶ checks ─┘
+//! ```
+//!
+//! A vertex belongs to the leaf that it lies in, a particle to the leaf of its bin. So a frame can be checked in
+//! parts, each with the particles that lie in it and around it, and every vertex and particle is counted once.
+
+use glam::{IVec3, Vec3};
+use rayon::prelude::*;
+
+use super::{Exempt, MeshCells, Stray, containment, distances};
+use crate::surface::level_set::NarrowBand;
+use crate::surface::mesh::Mesh;
+use crate::surface::rasterize::{ParticleBins, Radii};
+use crate::surface::space::{CoordBox, Lattice};
+
+/// A part of a frame: what is in the leaves whose origins are in a box.
+#[derive(Clone, Copy)]
+pub struct Part<'a> {
+    /// The particles in these leaves, and in those as far around them as r_max, an outward offset and two voxels reach. Particles so
+    /// deep inside that no voxel near them is stored may be missing.
+    pub bins: &'a ParticleBins,
+    /// The radii and the offset in voxels.
+    pub radii: Radii,
+    /// The band that was contoured, in these leaves and those next to them.
+    pub band: &'a NarrowBand,
+    /// The mesh: of its vertices those in these leaves are checked.
+    pub mesh: &'a Mesh,
+    /// The cells that it passes through.
+    pub cells: &'a MeshCells,
+    /// How far vertices that are moved back may be rounded from where they belong, in voxels.
+    pub rounding: f32,
+    /// What the mesh's positions are in voxels.
+    pub lattice: &'a Lattice,
+    /// The voxels whose leaves are checked.
+    pub owned: CoordBox,
+    /// What is not asked.
+    pub exempt: &'a dyn Exempt,
+}
+
+/// What is checked of vertices and particles. Distances are in voxels, to the nearest particle's centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ParticleChecks {
+    /// Least distance from a vertex to a particle; infinite where there is no vertex.
+    pub vertex_distance_min: f32,
+    /// Largest distance from a vertex to its nearest particle; 0 where there is no vertex.
+    pub vertex_distance_max: f32,
+    /// Vertices nearer to a particle than r_min + offset − h/2.
+    pub vertices_inside_min: usize,
+    /// Vertices farther from all particles than r_max + h/2, and an outward offset.
+    pub vertices_outside_max: usize,
+    /// Particles outside the mesh, but for those that are exempt.
+    pub particles_outside: usize,
+    /// How far from the surface the farthest of them is, in voxels, by φ; 0 where none is outside.
+    pub deepest_outside: f32,
+    /// Particles that are exempt.
+    pub particles_exempt: usize,
+}
+
+impl ParticleChecks {
+    /// The checks of no vertex and no particle.
+    pub const NOTHING: ParticleChecks = ParticleChecks {
+        vertex_distance_min: f32::INFINITY,
+        vertex_distance_max: 0.0,
+        vertices_inside_min: 0,
+        vertices_outside_max: 0,
+        particles_outside: 0,
+        deepest_outside: 0.0,
+        particles_exempt: 0,
+    };
+
+    /// Of two files the worse in each way.
+    pub fn or_worse(self, other: ParticleChecks) -> ParticleChecks {
+        ParticleChecks {
+            vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
+            vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
+            vertices_inside_min: self.vertices_inside_min.max(other.vertices_inside_min),
+            vertices_outside_max: self.vertices_outside_max.max(other.vertices_outside_max),
+            particles_outside: self.particles_outside.max(other.particles_outside),
+            deepest_outside: self.deepest_outside.max(other.deepest_outside),
+            particles_exempt: self.particles_exempt.max(other.particles_exempt),
+        }
+    }
+
+    /// The checks of two parts that have no leaf in common, together.
+    pub fn and(self, other: ParticleChecks) -> ParticleChecks {
+        ParticleChecks {
+            vertex_distance_min: self.vertex_distance_min.min(other.vertex_distance_min),
+            vertex_distance_max: self.vertex_distance_max.max(other.vertex_distance_max),
+            vertices_inside_min: self.vertices_inside_min + other.vertices_inside_min,
+            vertices_outside_max: self.vertices_outside_max + other.vertices_outside_max,
+            particles_outside: self.particles_outside + other.particles_outside,
+            deepest_outside: self.deepest_outside.max(other.deepest_outside),
+            particles_exempt: self.particles_exempt + other.particles_exempt,
+        }
+    }
+}
+
+/// Checks a part of a frame; and says where those vertices belong that are out of their bounds, if there is a place for
+/// them within a voxel.
+pub fn check(part: &Part) -> (ParticleChecks, Vec<Stray>) {
+    let (vertices, strays) = distances::check_vertices(part);
+    let (outside, particles_exempt) = containment::particles_outside(part);
+    let depth = |&(origin, local): &(IVec3, Vec3)| containment::depth_outside(part.band, origin, local);
+    let deepest_outside = outside.par_iter().map(depth).reduce(|| 0.0, f32::max);
+    let checks =
+        ParticleChecks { particles_outside: outside.len(), deepest_outside, particles_exempt, ..vertices };
+    (checks, strays)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::contour::{Contouring, contour};
+    use crate::surface::particles::{Cloud, Particles, Shapes};
+    use crate::surface::rasterize::{Rasterized, Scene, rasterize};
+    use crate::surface::validation::NothingExempt;
+
+    /// Particles in a wavy sheet and a few beside it.
+    fn particles(spacing: f64) -> Particles {
+        let place = |index: usize| {
+            let (x, y, z) = (index / 60, index / 3 % 20, index % 3);
+            [x as f64 * spacing, y as f64 * spacing, z as f64 * spacing + 3.0 * (x as f64 * 0.4).sin()]
+        };
+        Particles::Double((0..1800).map(place).chain([[-9.0, -9.0, 30.0], [70.0, 7.0, -20.0]]).collect())
+    }
+
+    #[test]
+    fn the_parts_of_a_frame_make_the_whole() {
+        let lattice = Lattice { voxel_size: 1.0 };
+        let made = Radii::of_balls(1.7, 2.6, 3.4);
+        let Ok(Rasterized { bins, band, .. }) = rasterize(&particles(1.9), &Scene::open(lattice, made));
+        let mesh = contour(&band, &lattice, Contouring::Dual);
+        // What was made from these particles holds; from others, and with other radii, nothing does.
+        let Ok(Rasterized { bins: others, .. }) = rasterize(&particles(2.3), &Scene::open(lattice, made));
+        let other_radii = Radii::of_balls(3.0, 1.0, 2.2);
+        for (bins, radii, holds) in [(&bins, made, true), (&others, other_radii, false)] {
+            let cells = &MeshCells::new(&mesh, &band, &lattice);
+            let part = |owned: CoordBox| -> ParticleChecks {
+                let (exempt, mesh, lattice) = (&NothingExempt, &mesh, &lattice);
+                check(&Part { bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt })
+                    .0
+            };
+            let whole = part(CoordBox::ALL);
+            let counts = [whole.vertices_inside_min, whole.vertices_outside_max, whole.particles_outside];
+            assert_eq!(counts.map(|count| count == 0), [holds; 3], "{whole:?}");
+            let (low, high) = (IVec3::MIN, IVec3::MAX);
+            let parts = [
+                CoordBox { min: low, max: IVec3::new(15, i32::MAX, i32::MAX) },
+                CoordBox { min: IVec3::new(16, i32::MIN, i32::MIN), max: IVec3::new(i32::MAX, 7, i32::MAX) },
+                CoordBox { min: IVec3::new(16, 8, i32::MIN), max: high },
+            ];
+            let checks = parts.map(part);
+            assert!(checks.iter().all(|checks| checks.vertex_distance_max > 0.0));
+            assert_eq!(checks.into_iter().fold(ParticleChecks::NOTHING, ParticleChecks::and), whole);
+        }
+    }
+
+    /// So deep inside a body nothing is stored, and small particles do not reach the corners of their cells: that they are
+    /// inside is known from the large ones, some of which were left out.
+    #[test]
+    fn small_particles_deep_in_a_body_are_inside() {
+        let along = |index: usize| 2.0 * index as f64 - 64.0;
+        let indices = (0..65).flat_map(|x| (0..65).flat_map(move |y| (0..65).map(move |z| [x, y, z])));
+        let place = |[x, y, z]: [usize; 3]| {
+            let shift = |salt: usize| ((x * 7 + y * 13 + z * 29 + salt * 5) % 11) as f64 / 11.0 - 0.5;
+            [along(x) + shift(0), along(y) + shift(1), along(z) + shift(2)]
+        };
+        let length = |[x, y, z]: [f64; 3]| (x * x + y * y + z * z).sqrt();
+        let positions: Vec<[f64; 3]> = indices.map(place).filter(|&place| length(place) < 64.0).collect();
+        // In the upper quarter of every leaf.
+        let scale = |place: &[f64; 3]| match place[2].rem_euclid(8.0) > 6.0 && length(*place) < 52.0 {
+            true => 0.3,
+            false => 1.0,
+        };
+        let shapes = Shapes::Scaled(positions.iter().map(scale).collect());
+        let cloud = Cloud { shapes, ..Cloud::from(Particles::Double(positions)) };
+        let lattice = Lattice { voxel_size: 1.0 };
+        let radii = Radii { shortest: 0.3, ..Radii::of_balls(3.0, 4.0, 5.0) };
+        let Ok(Rasterized { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+        assert!(bins.len() < bins.particle_count, "none was left out");
+        let has_small = |leaf: usize| bins.range(leaf).any(|index| bins.shapes.held(index) < 0.5);
+        let mut leaves = bins.topology.origins().iter().enumerate();
+        assert!(leaves.any(|(leaf, &origin)| bins.is_deep(origin) && has_small(leaf)));
+        let mesh = &contour(&band, &lattice, Contouring::Dual);
+        let cells = &MeshCells::new(mesh, &band, &lattice);
+        let (owned, exempt, lattice) = (CoordBox::ALL, &NothingExempt, &lattice);
+        let part =
+            Part { bins: &bins, radii, band: &band, mesh, cells, rounding: 0.0, lattice, owned, exempt };
+        assert_eq!(check(&part).0.particles_outside, 0);
+    }
+}

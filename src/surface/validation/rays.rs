@@ -1,0 +1,218 @@
+//! Whether a closed mesh encloses points near it, by rays to cells of which that is known.
+//!
+//! ```text
+//!            ╲                          a ray along an axis, from a particle to the nearest cell that no triangle
+//!        ●────╲──────▶ clear, outside   passes through. Each triangle on the way counts, by the side that it is
+//!              ╲                        met from: +1 on the way out, −1 on the way in
+//! ```
+//!
+//! A triangle meets a ray in a slice: the plane that holds the ray cuts the edges of triangles in points, and two triangles
+//! with a common edge have the same point, to the last bit. So a ray that passes through an edge or a vertex meets exactly
+//! one of the triangles there, or one for each sheet.
+
+use glam::{DVec3, IVec3, Vec3};
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
+
+use super::containment::is_voxel_inside;
+use super::mesh_cells::{cells_of_box, corner, corners};
+use super::particle_checks::Part;
+use super::surfaces::Bodies;
+use crate::surface::grid::LEAF_EDGE;
+
+/// Rays end within so many cells, or the particle counts as outside.
+const REACH: i32 = 32;
+
+/// A ray from a particle along an axis.
+#[derive(Clone, Copy)]
+struct Ray {
+    from: DVec3,
+    axis: usize,
+    /// Where it ends on the axis: in the middle of a clear cell.
+    to: f64,
+    /// Whether that cell is inside.
+    is_end_inside: bool,
+}
+
+/// Those of the particles, each relative to the origin of a leaf, in voxels, that the mesh does not enclose.
+pub(super) fn not_enclosed(
+    part: &Part,
+    bodies: Option<&Bodies>,
+    particles: &[(IVec3, Vec3)],
+) -> Vec<(IVec3, Vec3)> {
+    if particles.is_empty() {
+        return Vec::new();
+    }
+    let ray = |&(origin, local): &(IVec3, Vec3)| Ray::new(part, bodies, origin, local);
+    let rays: Vec<Option<Ray>> = particles.par_iter().map(ray).collect();
+    let mut leaves: Vec<IVec3> = rays.iter().flatten().flat_map(Ray::leaves).collect();
+    leaves.par_sort_unstable_by_key(|leaf| leaf.to_array());
+    leaves.dedup();
+    let triangles = TrianglesByLeaf::new(part, &leaves);
+    let is_inside = |ray: &Option<Ray>| ray.is_some_and(|ray| ray.is_inside(part, &triangles));
+    let outside = rays.par_iter().zip(particles).filter(|(ray, _)| !is_inside(ray));
+    outside.map(|(_, particle)| *particle).collect()
+}
+
+impl Ray {
+    /// The shortest that ends in a clear cell.
+    fn new(part: &Part, bodies: Option<&Bodies>, origin: IVec3, local: Vec3) -> Option<Ray> {
+        let from = origin.as_dvec3() + local.as_dvec3();
+        let cell = from.floor().as_ivec3();
+        let is_inside = |voxel| is_voxel_inside(part, bodies, voxel);
+        let clear_side = |cell: IVec3| {
+            let leaf = cell & !(LEAF_EDGE - 1);
+            if part.cells.contains(&part.band.topology, cell) || part.cells.is_leaking(leaf) {
+                return None;
+            }
+            let first = is_inside(cell);
+            (1..8).all(|number| is_inside(cell + corner(number)) == first).then_some(first)
+        };
+        (1..=REACH).find_map(|steps| {
+            (0..6).find_map(|direction| {
+                let (axis, sign) = (direction / 2, if direction % 2 == 0 { steps } else { -steps });
+                let end = cell + IVec3::AXES[axis] * sign;
+                let is_end_inside = clear_side(end)?;
+                Some(Ray { from, axis, to: f64::from(end[axis]) + 0.5, is_end_inside })
+            })
+        })
+    }
+
+    /// From where to where it goes on its axis, the lesser first.
+    fn range(&self) -> [f64; 2] {
+        let from = self.from[self.axis];
+        [from.min(self.to), from.max(self.to)]
+    }
+
+    /// The leaves that it passes through.
+    fn leaves(&self) -> impl Iterator<Item = IVec3> + use<> {
+        let leaf_of = |along: f64| (along.floor() as i32).div_euclid(LEAF_EDGE);
+        let [first, last] = self.range().map(leaf_of);
+        let (origin, axis) = (self.from.floor().as_ivec3() & !(LEAF_EDGE - 1), self.axis);
+        (first..=last).map(move |leaf| {
+            let mut origin = origin;
+            origin[axis] = leaf * LEAF_EDGE;
+            origin
+        })
+    }
+
+    fn is_inside(&self, part: &Part, triangles: &TrianglesByLeaf) -> bool {
+        let [low, high] = self.range();
+        let mut winding = i32::from(self.is_end_inside);
+        for leaf in self.leaves() {
+            // A triangle is with each leaf that it is in: it counts in the one where it is met.
+            let (first, last) = (f64::from(leaf[self.axis]), f64::from(leaf[self.axis] + LEAF_EDGE));
+            for &triangle in triangles.of(leaf) {
+                let corners = corners(part.mesh, part.mesh.triangles[triangle as usize], part.lattice);
+                let Some((at, facing)) = crossing(&corners, self.axis, self.from) else { continue };
+                if (low..high).contains(&at) && (first..last).contains(&at) {
+                    // On the way out of the mesh a ray goes the way that the triangle faces.
+                    winding += if self.to > self.from[self.axis] { facing } else { -facing };
+                }
+            }
+        }
+        winding >= 1
+    }
+}
+
+/// Where a triangle meets the line through a point along an axis, and whether it faces along the axis (1) or against it (−1).
+fn crossing(corners: &[DVec3; 3], axis: usize, point: DVec3) -> Option<(f64, i32)> {
+    let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+    let is_above = corners.map(|corner| corner[u] > point[u]);
+    let (mut up, mut down) = (None, None);
+    for place in 0..3 {
+        let next = (place + 1) % 3;
+        if is_above[place] == is_above[next] {
+            continue;
+        }
+        // The same ends in the same order, whichever triangle asks.
+        let (below, above) = match is_above[next] {
+            true => (corners[place], corners[next]),
+            false => (corners[next], corners[place]),
+        };
+        let part = (point[u] - below[u]) / (above[u] - below[u]);
+        let cut = [v, axis].map(|along| below[along] + part * (above[along] - below[along]));
+        *(if is_above[next] { &mut up } else { &mut down }) = Some(cut);
+    }
+    let (Some([up_v, up_at]), Some([down_v, down_at])) = (up, down) else { return None };
+    if (up_v <= point[v]) == (down_v <= point[v]) {
+        return None;
+    }
+    let part = (point[v] - up_v) / (down_v - up_v);
+    Some((up_at + part * (down_at - up_at), if up_v <= point[v] { 1 } else { -1 }))
+}
+
+/// The triangles in some leaves.
+struct TrianglesByLeaf {
+    places: FxHashMap<IVec3, u32>,
+    /// By place of the leaf.
+    triangles: Vec<(u32, u32)>,
+}
+
+/// Triangles in a piece of work.
+const PIECE: usize = 4096;
+
+impl TrianglesByLeaf {
+    fn new(part: &Part, leaves: &[IVec3]) -> TrianglesByLeaf {
+        let places: FxHashMap<IVec3, u32> = leaves.iter().copied().zip(0..).collect();
+        let pieces = part.mesh.triangles.par_chunks(PIECE).enumerate();
+        let mut triangles: Vec<(u32, u32)> = pieces
+            .flat_map_iter(|(piece, triangles)| {
+                let mut found = Vec::new();
+                for (&triangle, index) in triangles.iter().zip((piece * PIECE) as u32..) {
+                    let [first, last] = cells_of_box(&corners(part.mesh, triangle, part.lattice));
+                    let (first, last) = (first & !(LEAF_EDGE - 1), last & !(LEAF_EDGE - 1));
+                    for x in (first.x..=last.x).step_by(LEAF_EDGE as usize) {
+                        for y in (first.y..=last.y).step_by(LEAF_EDGE as usize) {
+                            for z in (first.z..=last.z).step_by(LEAF_EDGE as usize) {
+                                found.extend(places.get(&IVec3::new(x, y, z)).map(|&place| (place, index)));
+                            }
+                        }
+                    }
+                }
+                found
+            })
+            .collect();
+        triangles.par_sort_unstable();
+        TrianglesByLeaf { places, triangles }
+    }
+
+    fn of(&self, leaf: IVec3) -> impl Iterator<Item = &u32> {
+        let place = self.places.get(&leaf).copied().unwrap_or(u32::MAX);
+        let start = self.triangles.partition_point(|&(other, _)| other < place);
+        self.triangles[start..]
+            .iter()
+            .take_while(move |&&(other, _)| other == place)
+            .map(|(_, triangle)| triangle)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rays through the vertices and edges of a closed mesh meet it as often on the way in as on the way out.
+    #[test]
+    fn rays_through_edges_and_vertices_count_each_sheet_once() {
+        let c = [DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z];
+        let faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]];
+        for axis in 0..3 {
+            for (u, v, is_met) in [
+                (0.0, 0.0, true),
+                (0.25, 0.0, true),
+                (0.0, 0.5, true),
+                (0.25, 0.25, true),
+                (0.75, 0.75, false),
+            ] {
+                let mut point = DVec3::ZERO;
+                (point[(axis + 1) % 3], point[(axis + 2) % 3]) = (u, v);
+                let met: Vec<(f64, i32)> = faces
+                    .iter()
+                    .filter_map(|face| crossing(&face.map(|corner: usize| c[corner]), axis, point))
+                    .collect();
+                assert_eq!(met.len(), if is_met { 2 } else { 0 }, "{point} along {axis}: {met:?}");
+                assert!(met.iter().all(|(at, facing)| at.signum() as i32 == *facing), "{met:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! Vertices that are out of their bounds by more than a cell may hide, and where they belong.
+//!
+//! ```text
+//!        voxel  ∙───────∙     Bounds hold at voxels. Between them a gap of less than a voxel between two
+//!     S_max ▒▒▒▒│ v     │▒▒▒▒  spheres, or the tip of a long ellipsoid, may hide a little more than half a
+//!           ▒▒▒▒∙───────∙▒▒▒▒  voxel: then the vertex is moved the rest of the way.
+//! ```
+
+use glam::Vec3;
+
+use super::DistanceLimits;
+use super::distances::{CELL_MARGIN, NearLeaves};
+use super::particle_checks::Part;
+use super::surfaces::distances_and_outward;
+
+/// A vertex that is out of its bounds, and the nearest place in them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stray {
+    /// Which vertex of the mesh.
+    pub vertex: usize,
+    /// Where it belongs, as the mesh has its positions.
+    pub position: Vec3,
+}
+
+/// Where a vertex that is out of its bounds belongs, given relative to the leaf that the leaves are near to; `None` if
+/// there is no place for it within a voxel.
+pub(super) fn returned(part: &Part, near: &NearLeaves, local: Vec3) -> Option<Vec3> {
+    let mut place = local;
+    for _ in 0..STEPS_MAX {
+        match step(part, near, place) {
+            None => return Some(place),
+            Some(step) => place += step,
+        }
+        if place.distance(local) > MOVE_MAX {
+            return None;
+        }
+    }
+    None
+}
+
+/// No vertex is moved farther than this, in voxels.
+pub(super) const MOVE_MAX: f32 = 1.0;
+
+/// Steps after which a vertex is left where it is.
+const STEPS_MAX: usize = 8;
+
+/// How much farther than to its bound a vertex is moved, in voxels: more than 32 bits round its position. What a file
+/// rounds comes on top.
+const SLACK: f32 = 2e-3;
+
+/// The way to the bound that a place is beyond; `None` where it is beyond neither.
+fn step(part: &Part, near: &NearLeaves, place: Vec3) -> Option<Vec3> {
+    let Part { bins, radii, rounding, .. } = *part;
+    let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } =
+        DistanceLimits::new(&radii).with_margin(CELL_MARGIN);
+    let slack = SLACK + rounding;
+    let (mut deepest, mut nearest) = ((f32::INFINITY, Vec3::ZERO), (f32::INFINITY, Vec3::ZERO));
+    for &(from_leaf, leaf) in &near.leaves {
+        for (index, &center) in bins.range(leaf).zip(bins.in_leaf(leaf)) {
+            let apart = place - from_leaf - center;
+            // What is said of an ellipsoid far away is less than its distance; and who is near must not depend on
+            // which leaves were looked at.
+            if apart.length() > max * bins.shapes.longest(index) + from_max + MOVE_MAX {
+                continue;
+            }
+            let ([to_min, to_max], outward) = distances_and_outward(&bins.shapes, index, apart, [min, max]);
+            if to_min < deepest.0 {
+                deepest = (to_min, outward);
+            }
+            if to_max < nearest.0 {
+                nearest = (to_max, outward);
+            }
+        }
+    }
+    // Whoever is asked for has been found out of bounds, if by rounding only.
+    if deepest.0 < from_min + slack / 2.0 {
+        Some(deepest.1 * (from_min + slack - deepest.0))
+    } else if nearest.0 > from_max - slack / 2.0 && nearest.0.is_finite() {
+        Some(nearest.1 * (from_max - slack - nearest.0))
+    } else {
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::contour::{Contouring, contour};
+    use crate::surface::particles::{Cloud, Ellipsoid, Particles, Shapes};
+    use crate::surface::rasterize::{Radii, Rasterized, Scene, rasterize};
+    use crate::surface::space::{CoordBox, Lattice};
+    use crate::surface::validation::{MeshCells, NothingExempt, check};
+
+    /// Vertices that are pushed out of their bounds come back to them, and the others stay.
+    #[test]
+    fn strays_come_back() {
+        let lattice = Lattice { voxel_size: 0.5 };
+        let radii = Radii { roomy: 2.0, shortest: 0.6, ..Radii::of_balls(3.0, 4.5, 6.0) };
+        let long = Ellipsoid::new([1.8, 0.7, 0.8], [Vec3::X, Vec3::Y, Vec3::Z]);
+        let shapes = [Shapes::Balls, Shapes::Scaled(vec![1.0, 1.3]), Shapes::Ellipsoids(vec![long; 2])];
+        for (shapes, pushed_voxels) in shapes.into_iter().zip([2.4, 2.7, 2.0]) {
+            let positions = Particles::Double(vec![[0.1, 0.2, 0.3], [1.4, 0.5, 0.1]]);
+            let cloud = Cloud { positions, shapes, attributes: Vec::new() };
+            let Ok(Rasterized { bins, band, .. }) = rasterize(&cloud, &Scene::open(lattice, radii));
+            let mut mesh = contour(&band, &lattice, Contouring::Dual);
+            // The bounds are 1.5 voxels away, and half a voxel, at half axes of 1; 0.7 is that along y.
+            let by_height =
+                |one: &usize, other: &usize| mesh.positions[*one].y.total_cmp(&mesh.positions[*other].y);
+            let highest = (0..mesh.positions.len()).max_by(by_height).expect("a vertex");
+            let lowest = (0..mesh.positions.len()).min_by(by_height).expect("a vertex");
+            for (vertex, sign) in [(highest, 1.0), (lowest, -1.0)] {
+                let pushed_world = sign * pushed_voxels * lattice.voxel_size as f32;
+                mesh.positions[vertex] += mesh.normals[vertex] * pushed_world;
+            }
+            let (owned, exempt) = (CoordBox::ALL, &NothingExempt);
+            let cells = &MeshCells::new(&mesh, &band, &lattice);
+            let part = Part {
+                bins: &bins,
+                radii,
+                band: &band,
+                mesh: &mesh,
+                cells,
+                rounding: 0.0,
+                lattice: &lattice,
+                owned,
+                exempt,
+            };
+            let (before, found) = check(&part);
+            assert!(before.vertices_inside_min == 1 && before.vertices_outside_max == 1, "{before:?}");
+            let mut mended = mesh.clone();
+            for stray in &found {
+                mended.positions[stray.vertex] = stray.position;
+            }
+            let (after, _) = check(&Part { mesh: &mended, ..part });
+            assert_eq!(found.len(), 2, "{found:?}");
+            assert_eq!(after.vertices_inside_min + after.vertices_outside_max, 0, "{after:?}");
+        }
+    }
+}

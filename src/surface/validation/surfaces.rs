@@ -1,0 +1,195 @@
+//! How far the surfaces of particles with shapes of their own are.
+//!
+//! The nearest centre tells nothing there: a long particle may be the one that holds a point. So every particle that
+//! reaches a point is asked.
+
+use glam::{DMat3, DVec3, Vec3};
+
+use super::DistanceLimits;
+use super::distances::{Column, LANES, NearLeaves};
+use crate::surface::particles::{Ellipsoid, Shapes};
+use crate::surface::rasterize::ParticleBins;
+
+/// Particles with shapes of their own, and how far they reach.
+pub(super) struct Bodies<'a> {
+    bins: &'a ParticleBins,
+    /// The longest half axis in each leaf, in units of the radii.
+    longest: Vec<f32>,
+}
+
+impl<'a> Bodies<'a> {
+    /// `None` where all particles are alike.
+    pub(super) fn of(bins: &'a ParticleBins) -> Option<Bodies<'a>> {
+        if bins.shapes.are_balls() {
+            return None;
+        }
+        let longest = |leaf| bins.range(leaf).map(|index| bins.shapes.longest(index)).fold(0.0, f32::max);
+        Some(Bodies { bins, longest: (0..bins.topology.len()).map(longest).collect() })
+    }
+
+    /// The longest half axis of all, in units of the radii.
+    pub(super) fn longest(&self) -> f32 {
+        self.longest.iter().copied().fold(0.0, f32::max)
+    }
+
+    /// Which of the points, given relative to a leaf, are nearer to a particle's inner surface than the limits allow,
+    /// and which are as near to an outer one as they have to be.
+    #[inline(always)]
+    pub(super) fn sides(&self, near: &NearLeaves, points: &[Column; 3], limits: &DistanceLimits) -> Sides {
+        let DistanceLimits { radii: [min, max], from_spheres: [from_min, from_max] } = *limits;
+        // Nothing that is farther beyond a surface matters.
+        let beyond = [from_max, from_min.max(0.0)];
+        let mut sides = Sides { is_inside_min: [false; LANES], is_within_max: [false; LANES] };
+        for &(step, leaf) in &near.leaves {
+            let mut locals = *points;
+            for axis in 0..3 {
+                for lane in 0..LANES {
+                    locals[axis][lane] = points[axis][lane] - step[axis];
+                }
+            }
+            // Once all points are within the outer spheres, what matters is who is in the inner ones.
+            let is_all_within = sides.is_within_max == [true; LANES];
+            let [radius, beyond_leaf] =
+                if is_all_within { [min, beyond[1]] } else { [max, beyond[0].max(beyond[1])] };
+            let reach = self.longest[leaf] * radius + beyond_leaf;
+            if super::distances::squared_gap(&locals) > reach * reach {
+                continue;
+            }
+            let [x, y, z] = locals;
+            for (index, particle) in self.bins.range(leaf).zip(self.bins.in_leaf(leaf)) {
+                let longest = self.bins.shapes.longest(index);
+                let reaches = [longest * max + beyond[0], longest * min + beyond[1]];
+                let reaches = reaches.map(|reach| reach * reach);
+                for lane in 0..LANES {
+                    let apart = Vec3::new(x[lane], y[lane], z[lane]) - *particle;
+                    if apart.length_squared() > reaches[usize::from(sides.is_within_max[lane])] {
+                        continue;
+                    }
+                    let [to_min, to_max] = distances(&self.bins.shapes, index, apart, [min, max]);
+                    sides.is_inside_min[lane] |= to_min < from_min
+                        && (from_min <= 0.0 || is_nearer(&self.bins.shapes, index, apart, (min, from_min)));
+                    sides.is_within_max[lane] |= to_max <= from_max;
+                }
+            }
+        }
+        sides
+    }
+}
+
+/// On which sides of the surfaces points are.
+pub(super) struct Sides {
+    pub(super) is_inside_min: [bool; LANES],
+    pub(super) is_within_max: [bool; LANES],
+}
+
+/// Whether a point outside of a particle's inner surface, given relative to its centre, is nearer to that than a distance, exactly: to
+/// first order, all ellipsoids seem nearer than they are.
+#[cold]
+fn is_nearer(shapes: &Shapes, index: usize, apart: Vec3, (radius, distance): (f32, f32)) -> bool {
+    match shapes {
+        Shapes::Balls | Shapes::Scaled(_) => true,
+        Shapes::Ellipsoids(ellipsoids) => {
+            distance_to_ellipsoid(&ellipsoids[index], f64::from(radius), apart.as_dvec3())
+                < f64::from(distance)
+        }
+    }
+}
+
+/// The distance from a point, relative to the centre, to the surface |T y| = radius of an ellipsoid; 0 within.
+///
+/// The nearest place y on it is where x − y is along the normal T²y: y = (1 + λT²)⁻¹ x, with the λ ≥ 0 for which that is on the
+/// surface. |T y| falls as λ grows.
+fn distance_to_ellipsoid(ellipsoid: &Ellipsoid, radius: f64, x: DVec3) -> f64 {
+    let [xx, yy, zz, xy, xz, yz] = ellipsoid.to_ball.map(f64::from);
+    let to_ball = DMat3::from_cols(DVec3::new(xx, xy, xz), DVec3::new(xy, yy, yz), DVec3::new(xz, yz, zz));
+    let squared = to_ball * to_ball;
+    let place = |lambda: f64| (DMat3::IDENTITY + lambda * squared).inverse() * x;
+    let is_beyond = |lambda: f64| (to_ball * place(lambda)).length() > radius;
+    if !is_beyond(0.0) {
+        return 0.0;
+    }
+    let longest = f64::from(ellipsoid.longest);
+    // Along the longest half axis T² is least, and λ the greatest that it may be.
+    let (mut low, mut high) = (0.0, longest * x.length() / radius * longest);
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        if is_beyond(middle) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    x.distance(place(high))
+}
+
+/// After so many halvings λ is known to a millionth of what it may be.
+const BISECTIONS: usize = 40;
+
+/// The signed distances to a particle's surfaces, of a point relative to its centre: of an ellipsoid to first order.
+#[inline(always)]
+fn distances(shapes: &Shapes, index: usize, apart: Vec3, radii: [f32; 2]) -> [f32; 2] {
+    match shapes {
+        Shapes::Balls => radii.map(|radius| apart.length() - radius),
+        Shapes::Scaled(scales) => radii.map(|radius| apart.length() - scales[index] * radius),
+        Shapes::Ellipsoids(ellipsoids) => {
+            let ellipsoid = &ellipsoids[index];
+            let on_ball = ellipsoid.apply(apart);
+            let (q, slope) = (on_ball.length(), ellipsoid.apply(on_ball).length());
+            // In the very centre any direction is as good.
+            let scale = if slope > 0.0 { q / slope } else { ellipsoid.longest };
+            radii.map(|radius| (q - radius) * scale)
+        }
+    }
+}
+
+/// The same, and the direction in which they grow.
+pub(super) fn distances_and_outward(
+    shapes: &Shapes,
+    index: usize,
+    apart: Vec3,
+    radii: [f32; 2],
+) -> ([f32; 2], Vec3) {
+    let steepest = match shapes {
+        Shapes::Balls | Shapes::Scaled(_) => apart,
+        Shapes::Ellipsoids(ellipsoids) => ellipsoids[index].apply(ellipsoids[index].apply(apart)),
+    };
+    (distances(shapes, index, apart, radii), steepest.normalize_or(Vec3::X))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the nearest of many places on the ellipsoid.
+    #[test]
+    fn distance_to_an_ellipsoid_is_that_to_its_nearest_place() {
+        let turned = [Vec3::new(0.6, 0.8, 0.0), Vec3::new(-0.8, 0.6, 0.0), Vec3::Z];
+        let (half_axes, radius) = ([4.0f32, 0.7, 1.3], 1.9f32);
+        let ellipsoid = Ellipsoid::new(half_axes, turned);
+        let on_surface = |u: usize, v: usize| {
+            let (angle, height) =
+                (u as f64 * std::f64::consts::TAU / 600.0, v as f64 * std::f64::consts::PI / 300.0);
+            let ball = [height.sin() * angle.cos(), height.sin() * angle.sin(), height.cos()];
+            let along =
+                |axis: usize| turned[axis].as_dvec3() * f64::from(half_axes[axis] * radius) * ball[axis];
+            along(0) + along(1) + along(2)
+        };
+        let places: Vec<DVec3> =
+            (0..600).flat_map(|u| (0..=300).map(move |v| (u, v))).map(|(u, v)| on_surface(u, v)).collect();
+        let shapes = Shapes::Ellipsoids(vec![ellipsoid]);
+        for x in [
+            DVec3::new(9.0, 1.0, 2.0),
+            DVec3::new(-3.0, -5.0, 4.0),
+            DVec3::new(0.5, 0.1, 3.1),
+            DVec3::new(4.6, 6.2, 0.3),
+        ] {
+            let nearest = places.iter().map(|place| place.distance(x)).fold(f64::INFINITY, f64::min);
+            let found = distance_to_ellipsoid(&ellipsoid, f64::from(radius), x);
+            assert!((found - nearest).abs() < 2e-3, "{x}: {found} {nearest}");
+            // What is told to first order is never more.
+            let [told, _] = distances(&shapes, 0, x.as_vec3(), [radius; 2]);
+            assert!(f64::from(told) <= found + 1e-4, "{x}: {told} {found}");
+        }
+        assert_eq!(distance_to_ellipsoid(&ellipsoid, f64::from(radius), DVec3::new(1.0, 1.0, 0.5)), 0.0);
+    }
+}

@@ -1,0 +1,77 @@
+//! Numbers and counts as they are told.
+
+#[cfg(feature = "pipeline")]
+/// So many of something.
+pub(crate) fn counted(count: usize, noun: &str) -> String {
+    if count == 1 {
+        return format!("1 {noun}");
+    }
+    match (noun.strip_suffix("vertex"), noun.strip_suffix("triangle without area")) {
+        (Some(before), _) => format!("{count} {before}vertices"),
+        (_, Some(_)) => format!("{count} triangles without area"),
+        _ => format!("{count} {noun}s"),
+    }
+}
+
+/// A number to six significant digits, without zeros that say nothing.
+pub(crate) fn significant(value: f64) -> String {
+    // Rounded in decimal digits, and read back: printed again it has no more digits than these.
+    let rounded: f64 = format!("{value:.5e}").parse().unwrap_or(value);
+    let is_plain = rounded == 0.0 || !rounded.is_finite() || (1e-4..1e9).contains(&rounded.abs());
+    if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
+}
+
+#[cfg(feature = "pipeline")]
+/// A positive number to three significant digits, and not above it.
+pub(crate) fn rounded_down(value: f64) -> String {
+    let near: f64 = format!("{value:.2e}").parse().unwrap_or(value);
+    let below = if near > value { near - 10f64.powf(value.log10().floor() - 2.0) } else { near };
+    significant(below)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn voxels_that_hold_a_particle_are_not_rounded_up() {
+        for (value, expected) in [
+            (0.123_456, "0.123"),
+            (0.129_999, "0.129"),
+            (9.999e-7, "9.99e-7"),
+            (12345.0, "12300"),
+            (0.5, "0.5"),
+        ] {
+            assert_eq!(rounded_down(value), expected);
+        }
+    }
+
+    #[test]
+    fn six_digits_say_enough_at_any_magnitude() {
+        for (value, expected) in [
+            (0.0, "0"),
+            (0.5, "0.5"),
+            (1.0 / 3.0, "0.333333"),
+            (0.1 + 0.2, "0.3"),
+            (3f64.sqrt() * 0.025, "0.0433013"),
+            (3f64.sqrt() * 1e-7, "1.73205e-7"),
+            (1e-7, "1e-7"),
+            (-1234.5678, "-1234.57"),
+            (12_345_678.0, "12345700"),
+            (2.5e30, "2.5e30"),
+            (5e-324, "5e-324"),
+            (f64::MAX, "1.79769e308"),
+            (f64::INFINITY, "inf"),
+        ] {
+            assert_eq!(significant(value), expected);
+        }
+    }
+
+    #[test]
+    fn counts_agree_with_their_nouns() {
+        assert_eq!(counted(1, "vertex"), "1 vertex");
+        assert_eq!(counted(0, "non-manifold vertex"), "0 non-manifold vertices");
+        assert_eq!(counted(2, "triangle without area"), "2 triangles without area");
+        assert_eq!(counted(3, "frame"), "3 frames");
+    }
+}

@@ -1,0 +1,88 @@
+//! What the daemon is to do: every number resolved and checked.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::pipeline::OutputOptions;
+use crate::surface::options::Choices;
+
+/// All that one run of the daemon goes by.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The folders to watch.
+    pub watches: Vec<Watch>,
+    /// Convert what is there, and end.
+    pub once: bool,
+    /// Which of several waiting frames is next.
+    pub order: Order,
+    /// Threads to compute on.
+    pub threads: usize,
+    /// Frames between their reading and their last byte written, at most.
+    pub in_flight: usize,
+    /// Bytes that the frames under way may take together. A frame that needs more by itself is skinned in
+    /// tiles that wait on disk; one that cannot be fails, and says what it needs.
+    pub memory_bytes: u64,
+    /// No frame is begun while the file system of its outputs has less room than this.
+    pub disk_floor_bytes: u64,
+    /// How long a file must be left alone before it is read.
+    pub patience: Patience,
+    /// When to look by oneself instead of waiting for the system's word.
+    pub poll: Poll,
+    /// About how often everything is looked at, whatever the system said.
+    pub rescan_every: Duration,
+    /// The folder of the journal; `.meniscus` in the folder of the outputs by default.
+    pub journal: Option<PathBuf>,
+    /// How long frames under way may take to finish when the daemon is asked to end.
+    pub stop_deadline: Duration,
+}
+
+/// One folder to watch, and what becomes of the frames in it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Watch {
+    /// The folder. It need not be there yet.
+    pub input: PathBuf,
+    /// A glob for the path of a frame within the folder; any particle file by default.
+    pub pattern: Option<String>,
+    /// Its sub-folders too.
+    pub recursive: bool,
+    /// The name of the file that says that a frame is complete, with `{name}` and `{stem}` for the
+    /// frame's. Where it is given, frames wait for theirs; without it, `{stem}.done` is taken as proof
+    /// where it is there.
+    pub sentinel: Option<String>,
+    /// What is written, and where.
+    pub outputs: OutputOptions,
+    /// All other choices of the method.
+    pub choices: Choices,
+    /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for
+    /// a file of each frame.
+    pub obstacles: Vec<PathBuf>,
+}
+
+/// Which of several waiting frames is next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// By name, numbers as numbers.
+    Natural,
+    /// The one written last.
+    Latest,
+}
+
+/// How long a file must be left alone before it is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Patience {
+    /// One that its own format says is complete, or whose reader would find out.
+    pub settle: Duration,
+    /// One whose format cannot tell.
+    pub unproven: Duration,
+    /// One that its own format says is not complete: then it is read, to say so.
+    pub stalled: Duration,
+}
+
+/// When to look at folders by oneself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Poll {
+    /// Where the system does not tell of changes: on network file systems.
+    Auto,
+    /// So often, everywhere.
+    Every(Duration),
+}

@@ -1,0 +1,453 @@
+//! Why a frame was converted, or was not: everything that the loop goes by, looked at once, for
+//! whoever asks.
+//!
+//! ```text
+//!   the file ──▶ its name ──▶ the journal ──▶ complete? ──▶ its content ──▶ a verdict
+//! ```
+//!
+//! The loop asks in this order, and the first that says no decides. Here all are asked, so that
+//! all can be told. Nothing is written, and a running daemon is not disturbed.
+
+use std::ffi::OsStr;
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use twox_hash::XxHash3_128;
+
+use crate::pipeline::{FrameFile, file_of, is_missing_step, outputs_made_from, read_file};
+
+use super::config::{Patience, Watch};
+use super::decision::{ConvertReason, Decision, OutputsNow, SkipReason, decide, decide_by_content};
+use super::evidence::{completeness_of, sentinel_of};
+use super::journal::FrameRecord;
+use super::mounts::network_file_system;
+use super::readiness::{Candidate, Readiness, WaitReason};
+use super::scan::{Seen, look};
+use super::selection::{Content, PatternError, Selection, content};
+
+pub use super::sequences::remembered_fingerprint;
+
+/// A frame, and what the loop would go by.
+#[derive(Clone, Copy, Debug)]
+pub struct Question<'a> {
+    /// The file, or the step of one. Absolute.
+    pub frame: &'a Path,
+    /// How it is watched.
+    pub watch: &'a Watch,
+    /// The folders of all outputs.
+    pub output_folders: &'a [PathBuf],
+    /// How long it must be left alone.
+    pub patience: &'a Patience,
+    /// What the journal says of it.
+    pub record: Option<&'a FrameRecord>,
+    /// The [fingerprint](remembered_fingerprint) of the settings that it would be converted with now.
+    /// Where it is not known, they are taken to be those recorded.
+    pub settings: Option<&'a str>,
+}
+
+/// Everything that decides about a frame.
+#[derive(Clone, Debug)]
+pub struct Explanation {
+    /// Whether its name and its place say that it is a frame.
+    pub is_taken: bool,
+    /// The file; `None` where there is none.
+    pub file: Option<FileFacts>,
+    /// Whether its settings are those recorded; `None` where either is not known.
+    pub settings_hold: Option<bool>,
+    /// The first of the recorded outputs that is missing or damaged.
+    pub output_missing: Option<PathBuf>,
+    /// What comes of it.
+    pub verdict: Verdict,
+}
+
+/// What was found of a file.
+#[derive(Clone, Debug)]
+pub struct FileFacts {
+    /// What it holds, by its first bytes.
+    pub content: Content,
+    /// Whether it may be read.
+    pub readiness: Readiness,
+    /// What it is beside the one that is recorded; `None` where none is.
+    pub change: Option<Change>,
+}
+
+/// A file beside the one that is recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Change {
+    /// It is the same one, unchanged.
+    Unchanged,
+    /// It was touched, moved or written again; its content is the same.
+    Touched,
+    /// Its content is another.
+    Rewritten,
+}
+
+/// What comes of a frame, and why. Displays as a sentence without its subject and full stop.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// There is no such file, or no such step in it.
+    Gone,
+    /// Its name is not one of a frame.
+    NotTaken,
+    /// The journal decides: it stays as it is.
+    Skipped(SkipReason),
+    /// It is not complete.
+    Waits(WaitReason),
+    /// It is complete, and holds no particles.
+    NoFrame(Content),
+    /// Nothing is recorded of it, and these files say that they were made from it as it is.
+    Found(Vec<PathBuf>),
+    /// It is, or will be, converted. The decision says why.
+    Converted(Decision),
+}
+
+/// Looks at a frame as the loop would.
+///
+/// # Errors
+/// When the file or its folder cannot be looked at, or the pattern of the watch is none.
+pub fn explain(question: &Question<'_>) -> Result<Explanation, ExplainError> {
+    let Question { frame, watch, record, .. } = *question;
+    let selection =
+        Selection::new(watch.pattern.as_deref(), watch.recursive, question.output_folders.to_vec())
+            .map_err(ExplainError::Pattern)?;
+    let is_taken = selection.takes(&watch.input, file_of(frame));
+    let settings_hold = record.zip(question.settings).map(|(record, settings)| record.settings == settings);
+    let output_missing = record.and_then(first_missing_output);
+    let seen = look(frame, trust_clock(frame)).map_err(ExplainError::Io)?;
+    // What cannot be gone through may have it: reading it will say why.
+    let seen = seen.filter(|_| !is_missing_step(frame).unwrap_or(false));
+    let (file, verdict) = match seen {
+        None => (None, Verdict::Gone),
+        Some(seen) => {
+            let (file, decision) =
+                facts(question, &seen, output_missing.as_deref()).map_err(ExplainError::Io)?;
+            let verdict = if is_taken { verdict(&file, decision) } else { Verdict::NotTaken };
+            (Some(file), found_done(question, verdict).map_err(ExplainError::Io)?)
+        }
+    };
+    Ok(Explanation { is_taken, file, settings_hold, output_missing, verdict })
+}
+
+/// As the loop goes on: what is known first, then whether it is complete, then what it is.
+fn verdict(file: &FileFacts, decision: Decision) -> Verdict {
+    match (decision, file.readiness, file.content) {
+        (Decision::Skip(reason), _, _) => Verdict::Skipped(reason),
+        (_, Readiness::Waiting { why, .. }, _) => Verdict::Waits(why),
+        (_, _, other @ (Content::OwnOutput | Content::NotParticles)) => Verdict::NoFrame(other),
+        (decision, _, Content::Particles) => Verdict::Converted(decision),
+    }
+}
+
+/// The same verdict, unless it is to convert what `convert`, or a daemon whose journal was lost, has converted.
+fn found_done(question: &Question<'_>, verdict: Verdict) -> io::Result<Verdict> {
+    let Question { frame, watch, .. } = *question;
+    if verdict != Verdict::Converted(Decision::Convert(ConvertReason::New)) {
+        return Ok(verdict);
+    }
+    let within = file_of(frame).parent().and_then(|folder| folder.strip_prefix(&watch.input).ok());
+    let folder = watch.outputs.folder.join(within.unwrap_or(Path::new("")));
+    let stem = FrameFile::new(frame.to_owned()).stem();
+    let found = outputs_made_from(&folder, &stem, || hash_of(frame))?;
+    Ok(if found.is_empty() { verdict } else { Verdict::Found(found) })
+}
+
+fn facts(
+    question: &Question<'_>,
+    seen: &Seen,
+    output_missing: Option<&Path>,
+) -> io::Result<(FileFacts, Decision)> {
+    let Question { frame, watch, patience, record, .. } = *question;
+    let now = Instant::now();
+    let readiness = Candidate::new(now, seen, false).readiness(
+        now,
+        patience,
+        sentinel_of(watch, file_of(frame), &seen.stamp),
+        || completeness_of(file_of(frame)),
+    );
+    let settings = question.settings.or(record.map(|record| &*record.settings)).unwrap_or_default();
+    let outputs = output_missing.map_or(OutputsNow::AsRecorded, OutputsNow::Missing);
+    let mut decision = decide(record, &seen.stamp, settings, outputs);
+    let mut change = None;
+    if let Some(record) = record {
+        let is_same = record.stamp.still_holds(&seen.stamp);
+        let hash = match record.hash {
+            // Only a file of the same size and another time has to be read to know.
+            Some(_) if !is_same && record.stamp.size == seen.stamp.size => Some(hash_of(frame)?),
+            _ => None,
+        };
+        change = Some(match hash {
+            _ if is_same => Change::Unchanged,
+            Some(hash) if record.hash == Some(hash) => Change::Touched,
+            _ => Change::Rewritten,
+        });
+        if let (Decision::CompareContent, Some(hash)) = (&decision, hash) {
+            decision = decide_by_content(record, hash);
+        }
+    }
+    Ok((FileFacts { content: content(file_of(frame))?, readiness, change }, decision))
+}
+
+/// Whether the file's times are by the clock of this machine.
+pub(super) fn trust_clock(path: &Path) -> bool {
+    let folder = file_of(path).parent().unwrap_or(path);
+    network_file_system(folder).is_ok_and(|network| network.is_none())
+}
+
+fn hash_of(path: &Path) -> io::Result<u128> {
+    let bytes = read_file(path).map_err(|error| io::Error::other(error.to_string()))?;
+    Ok(XxHash3_128::oneshot(&bytes))
+}
+
+fn first_missing_output(record: &FrameRecord) -> Option<PathBuf> {
+    let missing = record.outputs.iter().find(|output| !output.has_recorded_bytes());
+    missing.map(|output| output.path.clone())
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Verdict::Gone => f.write_str("is not converted because there is no such frame"),
+            Verdict::NotTaken => {
+                f.write_str("is not converted because its name, or its place, is not one of a frame")
+            }
+            Verdict::Skipped(reason) => write!(f, "is not converted because {reason}"),
+            Verdict::Waits(why) => write!(f, "is not converted yet because {why}"),
+            Verdict::NoFrame(Content::OwnOutput) => {
+                f.write_str("is not converted because this program made it")
+            }
+            Verdict::NoFrame(_) => f.write_str("is not converted because it holds no particles"),
+            Verdict::Found(outputs) => {
+                let names: Vec<_> =
+                    outputs.iter().filter_map(|path| path.file_name()).map(OsStr::to_string_lossy).collect();
+                let were = if names.len() == 1 { "was" } else { "were" };
+                write!(
+                    f,
+                    "is converted already: nothing is recorded of it, but {} {were} made from it as it is; a daemon converts \
+                     it again only where its settings or formats are others",
+                    names.join(", ")
+                )
+            }
+            // What is recorded is that they were there; whether they still are is not looked at here.
+            Verdict::Converted(Decision::Convert(ConvertReason::WasRefused)) => f.write_str(
+                "will be converted once the files that kept it from that are gone, or now if they are",
+            ),
+            Verdict::Converted(decision) => write!(f, "will be converted because {decision}"),
+        }
+    }
+}
+
+/// Why there is no explanation.
+#[derive(Debug)]
+pub enum ExplainError {
+    /// The file cannot be looked at.
+    Io(io::Error),
+    /// The pattern is none.
+    Pattern(PatternError),
+}
+
+impl fmt::Display for ExplainError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ExplainError::Io(error) => error.fmt(f),
+            ExplainError::Pattern(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for ExplainError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::FileStamp;
+    use std::fs;
+    use std::fs::File;
+    use std::time::{Duration, SystemTime};
+
+    use tempfile::TempDir;
+
+    use crate::pipeline::{OutputFormat, OutputOptions};
+    use crate::surface::options::Choices;
+    use crate::watch::journal::{OutputRecord, Standing};
+    use crate::watch::readiness::Proof;
+
+    const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\n\
+        property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";
+
+    /// A watched folder with one frame, left alone for a minute, and one output.
+    struct Bench {
+        _folder: TempDir,
+        frame: PathBuf,
+        output: PathBuf,
+        watch: Watch,
+    }
+
+    impl Bench {
+        fn new() -> Bench {
+            let folder = tempfile::tempdir().expect("a folder");
+            let input = folder.path().join("in");
+            let out = folder.path().join("out");
+            fs::create_dir(&input).expect("made");
+            fs::create_dir(&out).expect("made");
+            let frame = input.join("dam.1.ply");
+            let output = out.join("dam.1.glb");
+            fs::write(&output, "mesh").expect("written");
+            let watch = Watch {
+                input,
+                pattern: None,
+                recursive: false,
+                sentinel: None,
+                outputs: OutputOptions {
+                    folder: out,
+                    formats: vec![OutputFormat::Glb],
+                    up: meniscus_formats::gltf::UpAxis::Y,
+                    meters_per_unit: 1.0,
+                    quantize: false,
+                    vdb_half: false,
+                    vdb_compression: meniscus_formats::vdb::Compression::None,
+                    picture: crate::pipeline::PictureOptions::default(),
+                },
+                choices: Choices::default(),
+                obstacles: Vec::new(),
+            };
+            let bench = Bench { _folder: folder, frame, output, watch };
+            bench.write(FRAME);
+            bench
+        }
+
+        fn write(&self, bytes: &[u8]) {
+            fs::write(&self.frame, bytes).expect("written");
+        }
+
+        /// What the journal would say, had the frame been converted as it is.
+        fn record(&self, standing: Standing) -> FrameRecord {
+            FrameRecord {
+                standing,
+                stamp: FileStamp::of_path(&self.frame).expect("there"),
+                hash: Some(XxHash3_128::oneshot(FRAME)),
+                settings: "s".into(),
+                outputs: vec![OutputRecord { path: self.output.clone(), size_bytes: 4, state: None }],
+                reason: None,
+                attempt_count: 1,
+                at_ms: 0,
+                particle_count: None,
+                seconds: None,
+                flaws: Vec::new(),
+                figures: None,
+            }
+        }
+
+        fn explain(&self, record: Option<&FrameRecord>, settings: Option<&str>, settle: u64) -> Explanation {
+            let settle = Duration::from_secs(settle);
+            explain(&Question {
+                frame: &self.frame,
+                watch: &self.watch,
+                output_folders: std::slice::from_ref(&self.watch.outputs.folder),
+                patience: &Patience { settle, unproven: settle, stalled: settle },
+                record,
+                settings,
+            })
+            .expect("an explanation")
+        }
+
+        fn verdict(&self, record: Option<&FrameRecord>) -> Verdict {
+            self.explain(record, None, 0).verdict
+        }
+    }
+
+    #[test]
+    fn a_new_frame_is_converted_when_it_is_complete() {
+        let bench = Bench::new();
+        let told = bench.explain(None, None, 0);
+        assert_eq!(told.verdict, Verdict::Converted(Decision::Convert(ConvertReason::New)));
+        let file = told.file.expect("there");
+        assert_eq!((file.content, file.change), (Content::Particles, None));
+        assert_eq!(file.readiness, Readiness::Ready(Proof::Format));
+        let waits = |told: Explanation, expected| assert_eq!(told.verdict, Verdict::Waits(expected));
+        waits(bench.explain(None, None, 3600), WaitReason::Changing);
+        let mut bench = bench;
+        bench.watch.sentinel = Some("{name}.ok".into());
+        waits(bench.explain(None, None, 0), WaitReason::Sentinel);
+        fs::write(bench.frame.with_file_name("dam.1.ply.ok"), "").expect("written");
+        assert_eq!(
+            bench.explain(None, None, 3600).file.expect("there").readiness,
+            Readiness::Ready(Proof::Sentinel)
+        );
+    }
+
+    #[test]
+    fn what_is_done_is_skipped_while_everything_holds() {
+        let bench = Bench::new();
+        let record = bench.record(Standing::Done);
+        let told = bench.explain(Some(&record), Some("s"), 3600);
+        assert_eq!(told.verdict, Verdict::Skipped(SkipReason::Done));
+        assert_eq!((told.settings_hold, told.output_missing), (Some(true), None));
+        assert_eq!(told.file.expect("there").change, Some(Change::Unchanged));
+
+        let told = bench.explain(Some(&record), Some("others"), 0);
+        assert_eq!(told.verdict, Verdict::Converted(Decision::Convert(ConvertReason::SettingsChanged)));
+        assert_eq!(told.settings_hold, Some(false));
+        assert_eq!(bench.explain(Some(&record), None, 0).settings_hold, None);
+
+        fs::remove_file(&bench.output).expect("removed");
+        let missing = ConvertReason::OutputMissing(bench.output.clone());
+        assert_eq!(bench.verdict(Some(&record)), Verdict::Converted(Decision::Convert(missing)));
+        let failed = bench.record(Standing::Failed);
+        assert_eq!(bench.verdict(Some(&failed)), Verdict::Skipped(SkipReason::FailedUnchanged));
+        let refused = bench.record(Standing::Refused);
+        let told = bench.verdict(Some(&refused)).to_string();
+        assert!(told.contains("once the files that kept it from that are gone"), "{told}");
+    }
+
+    #[test]
+    fn a_touched_file_is_known_by_its_content() {
+        let bench = Bench::new();
+        let record = bench.record(Standing::Done);
+        let touch = |bytes: &[u8], seconds| {
+            bench.write(bytes);
+            let time = SystemTime::UNIX_EPOCH + Duration::from_secs(seconds);
+            File::options()
+                .append(true)
+                .open(&bench.frame)
+                .and_then(|file| file.set_modified(time))
+                .expect("set");
+        };
+        let change = || bench.explain(Some(&record), None, 0).file.expect("there").change;
+        touch(FRAME, 1);
+        assert_eq!(change(), Some(Change::Touched));
+        assert_eq!(bench.verdict(Some(&record)), Verdict::Skipped(SkipReason::Done));
+        let rewritten = Verdict::Converted(Decision::Convert(ConvertReason::InputChanged));
+        let other: Vec<u8> = FRAME.iter().map(|&byte| if byte == b'0' { b'7' } else { byte }).collect();
+        for bytes in [&other[..], &[FRAME, b"\n"].concat()] {
+            touch(bytes, 2);
+            assert_eq!(change(), Some(Change::Rewritten));
+            assert_eq!(bench.verdict(Some(&record)), rewritten);
+        }
+    }
+
+    #[test]
+    fn what_is_no_frame_is_told() {
+        let mut bench = Bench::new();
+        bench.watch.pattern = Some("spray*".into());
+        let told = bench.explain(None, None, 0);
+        assert_eq!((told.is_taken, told.verdict), (false, Verdict::NotTaken));
+        bench.watch.pattern = Some("[".into());
+        let question = Question {
+            frame: &bench.frame,
+            watch: &bench.watch,
+            output_folders: &[],
+            patience: &Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO },
+            record: None,
+            settings: None,
+        };
+        assert!(matches!(explain(&question), Err(ExplainError::Pattern(_))));
+
+        bench.watch.pattern = Some("*.txt".into());
+        bench.frame = bench.frame.with_file_name("notes.txt");
+        assert_eq!(bench.verdict(None), Verdict::Gone);
+        bench.write(b"Nothing to see here, just words.\n");
+        assert_eq!(bench.verdict(None), Verdict::NoFrame(Content::NotParticles));
+    }
+}

@@ -1,0 +1,399 @@
+//! The journal as it is found after crashes, full disks, and by other programs.
+
+use crate::pipeline::MeasuredSpacing;
+use std::io::{Seek, SeekFrom};
+use std::time::Duration;
+
+use crate::watch::config::Patience;
+
+use super::*;
+
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().expect("a folder")
+}
+
+fn open(folder: &Path) -> Journal {
+    Journal::open(folder).expect("a journal")
+}
+
+fn frame_record(standing: Standing, attempt_count: u32) -> FrameRecord {
+    FrameRecord {
+        standing,
+        stamp: FileStamp {
+            size: 12_345,
+            modified_ns: 1_760_000_000_123_456_789,
+            inode: 77,
+            changed_ns: Some(1_760_000_000_123_456_790),
+        },
+        hash: Some(u128::MAX / 3),
+        settings: "0123456789abcdef0123456789abcdef".to_owned(),
+        outputs: vec![OutputRecord {
+            path: "/out/water/dam.0001.glb".into(),
+            size_bytes: 1_234_567,
+            state: None,
+        }],
+        reason: None,
+        attempt_count,
+        at_ms: 1_760_000_000_000,
+        particle_count: Some(250_000),
+        seconds: Some(0.5),
+        flaws: Vec::new(),
+        figures: None,
+    }
+}
+
+fn input(number: usize) -> PathBuf {
+    format!("/sim/water/dam.{number:04}.bgeo").into()
+}
+
+fn sequence() -> (SequenceKey, SequenceRecord) {
+    let key =
+        SequenceKey { folder: "/sim".into(), name: "dam.{}.bgeo".to_owned(), choices: "fast".to_owned() };
+    let record = SequenceRecord {
+        measured: Some(MeasuredSpacing {
+            spacing: 0.2,
+            confidence: 0.9,
+            radius_median: None,
+            measured_on: "/sim/dam.0001.bgeo".into(),
+            warnings: Vec::new(),
+        }),
+        camera: None,
+    };
+    (key, record)
+}
+
+fn daemon_record(state: DaemonState) -> DaemonRecord {
+    DaemonRecord { pid: 12, host: "render-04".to_owned(), started_ms: 1, state, at_ms: 2 }
+}
+
+fn plan_record() -> PlanRecord {
+    let patience =
+        Patience { settle: Duration::from_millis(500), unproven: Duration::ZERO, stalled: Duration::MAX };
+    PlanRecord { watches: Vec::new(), patience }
+}
+
+/// Some of everything, and the states there were on the way, the empty one first.
+fn write_some(folder: &Path) -> Vec<State> {
+    let mut journal = open(folder);
+    let mut states = vec![journal.state().clone()];
+    let mut remember = |journal: &Journal| states.push(journal.state().clone());
+    journal.note_plan(plan_record()).expect("noted");
+    remember(&journal);
+    journal.note_daemon(daemon_record(DaemonState::Running)).expect("noted");
+    remember(&journal);
+    let (key, record) = sequence();
+    journal.note_sequence(&key, record).expect("noted");
+    remember(&journal);
+    for number in 0..3 {
+        for standing in [Standing::Queued, Standing::Done] {
+            journal.note_frame(&input(number), frame_record(standing, 1)).expect("noted");
+            remember(&journal);
+        }
+    }
+    states
+}
+
+fn bytes(folder: &Path) -> Vec<u8> {
+    fs::read(folder.join(FILE_NAME)).expect("a journal")
+}
+
+fn line_count(folder: &Path) -> usize {
+    bytes(folder).iter().filter(|&&byte| byte == b'\n').count() - 1
+}
+
+#[test]
+fn what_was_noted_is_there_the_next_time() {
+    let folder = folder();
+    let folder = folder.path().join("not/there/yet");
+    assert_eq!(Journal::read(&folder).expect("no journal"), State::default());
+    let states = write_some(&folder);
+    let last = states.last().expect("states");
+    assert_eq!(last.frames.len(), 3);
+    assert_eq!(Journal::read(&folder).expect("a journal"), *last);
+    assert_eq!(open(&folder).state(), last);
+}
+
+#[test]
+fn readers_see_every_record_of_a_running_daemon() {
+    let folder = folder();
+    let mut journal = open(folder.path());
+    for number in 0..4 {
+        journal.note_frame(&input(number), frame_record(Standing::Done, 1)).expect("noted");
+        assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+    }
+}
+
+#[test]
+fn cut_anywhere_it_is_what_it_was_earlier() {
+    let whole = folder();
+    let states = write_some(whole.path());
+    let bytes = bytes(whole.path());
+    let cut = folder();
+    let path = cut.path().join(FILE_NAME);
+    let record = frame_record(Standing::Failed, 9);
+    for size in 0..=bytes.len() {
+        // A new file each time: some file systems wait for the disk where one is cut and written again.
+        let _ = fs::remove_file(&path);
+        fs::write(&path, &bytes[..size]).expect("written");
+        let whole_lines = bytes[..size].iter().filter(|&&byte| byte == b'\n').count();
+        let state = &states[whole_lines.saturating_sub(1)];
+        assert_eq!(Journal::read(cut.path()).expect("a journal"), *state, "{size} bytes");
+
+        let mut journal = open(cut.path());
+        assert_eq!(journal.state(), state, "{size} bytes");
+        journal.note_frame(&input(99), record.clone()).expect("noted");
+        let read = Journal::read(cut.path()).expect("a journal");
+        assert_eq!(read, *journal.state(), "{size} bytes");
+        assert_eq!(read.frames.get(&input(99)), Some(&record), "{size} bytes");
+    }
+}
+
+#[test]
+fn no_flipped_bit_makes_a_record_that_never_was() {
+    let folder = folder();
+    let states = write_some(folder.path());
+    let mut bytes = bytes(folder.path());
+    let (mut damaged_count, mut set_aside_count) = (0, 0);
+    for index in 0..bytes.len() {
+        for bit in 0..8 {
+            bytes[index] ^= 1 << bit;
+            match parse(&*bytes).expect("memory can be read") {
+                Found::Journal(loaded) => {
+                    check_was_written(&loaded.state, &states);
+                    damaged_count += usize::from(loaded.state.damaged_line_count > 0);
+                }
+                Found::OtherVersion => set_aside_count += 1,
+            }
+            bytes[index] ^= 1 << bit;
+        }
+    }
+    assert_eq!(set_aside_count, VERSION_LINE.len() * 8);
+    assert!(
+        damaged_count * 10 > (bytes.len() * 8) * 9,
+        "{damaged_count} of {} were noticed",
+        bytes.len() * 8
+    );
+}
+
+fn check_was_written(state: &State, states: &[State]) {
+    for (input, record) in &state.frames {
+        assert!(states.iter().any(|state| state.frames.get(input) == Some(record)), "{record:?}");
+    }
+    for (key, record) in &state.sequences {
+        assert!(states.iter().any(|state| state.sequences.get(key) == Some(record)), "{record:?}");
+    }
+    assert!(states.iter().any(|earlier| earlier.plan == state.plan), "{:?}", state.plan);
+    assert!(states.iter().any(|earlier| earlier.daemon == state.daemon), "{:?}", state.daemon);
+}
+
+#[test]
+fn damaged_lines_are_passed_over_and_counted() {
+    let folder = folder();
+    write_some(folder.path());
+    let text = String::from_utf8(bytes(folder.path())).expect("text");
+    let mut lines: Vec<&str> = text.lines().collect();
+    lines.insert(3, "");
+    lines.insert(5, "nobody wrote this");
+    fs::write(folder.path().join(FILE_NAME), lines.join("\n") + "\n\0\0\0\0").expect("written");
+    let journal = open(folder.path());
+    assert_eq!(journal.state().damaged_line_count, 2);
+    assert_eq!(journal.state().frames.len(), 3);
+}
+
+#[test]
+fn another_version_is_set_aside() {
+    for other in ["meniscus journal 2\n", "meniscus journal 10\nmore\n", "# something else", "\n", "\0"] {
+        let folder = folder();
+        fs::write(folder.path().join(FILE_NAME), other).expect("written");
+        let error = Journal::read(folder.path()).expect_err("another version");
+        assert_eq!(error.kind(), io::ErrorKind::InvalidData);
+
+        let states = write_some(folder.path());
+        assert_eq!(Journal::read(folder.path()).expect("a journal"), *states.last().expect("states"));
+        let kept = fs::read_to_string(folder.path().join(SET_ASIDE_NAME)).expect("kept");
+        assert_eq!(kept, other);
+    }
+}
+
+/// As a write to a full disk: some of it is there, and then no more.
+fn fail_next_write(journal: &mut Journal) {
+    let path = journal.path.clone();
+    let mut file = OpenOptions::new().append(true).open(&path).expect("the journal");
+    file.write_all(b"0123456789abcdef {\"frame\":{\"inp").expect("a torn line");
+    let file = File::open(path).expect("a handle that cannot write");
+    journal.inode = FileStamp::of(&file.metadata().expect("a file")).inode;
+    journal.file = Some(file);
+}
+
+#[test]
+fn what_could_not_be_written_is_written_next() {
+    let folder = folder();
+    let mut journal = open(folder.path());
+    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    let before = journal.state().clone();
+
+    fail_next_write(&mut journal);
+    journal.note_frame(&input(1), frame_record(Standing::Queued, 1)).expect_err("a full disk");
+    assert!(journal.state().frames.contains_key(&input(1)));
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), before);
+    fail_next_write(&mut journal);
+    journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect_err("a full disk");
+    journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect("there is room again");
+
+    assert_eq!(journal.state().frames.len(), 3);
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+    assert_eq!(line_count(folder.path()), 3, "no line is torn, and none is written twice");
+}
+
+#[test]
+fn the_end_of_a_run_writes_what_is_left() {
+    let folder = folder();
+    let mut journal = open(folder.path());
+    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    fail_next_write(&mut journal);
+    journal.note_daemon(daemon_record(DaemonState::Stopped)).expect_err("a full disk");
+    journal.sync().expect("there is room again");
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_told() {
+    let folder = folder();
+    let mut journal = open(folder.path());
+    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    // The journal's own file keeps its name; what is written goes elsewhere.
+    journal.file = Some(OpenOptions::new().write(true).open("/dev/full").expect("the full device"));
+    let error = journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect_err("a full disk");
+    assert!(is_disk_full(&error), "{error}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_journal_that_was_taken_away_is_written_anew() {
+    let parent = folder();
+    let folder = parent.path().join(STATE_FOLDER);
+    let mut journal = open(&folder);
+    journal.note_frame(&input(0), frame_record(Standing::Done, 1)).expect("noted");
+    fs::remove_dir_all(&folder).expect("removed");
+    journal.note_frame(&input(1), frame_record(Standing::Done, 1)).expect("noted");
+    assert_eq!(Journal::read(&folder).expect("a journal"), *journal.state());
+
+    // Also where it was cut short while it was closed.
+    for rest in ["", "meniscus journal 1\n", "something else"] {
+        fail_next_write(&mut journal);
+        journal.note_frame(&input(2), frame_record(Standing::Done, 1)).expect_err("a full disk");
+        fs::write(folder.join(FILE_NAME), rest).expect("cut short");
+        journal.note_frame(&input(3), frame_record(Standing::Done, 1)).expect("noted");
+        assert_eq!(Journal::read(&folder).expect("a journal"), *journal.state());
+    }
+}
+
+#[test]
+fn overtaken_lines_go() {
+    let folder = folder();
+    let mut journal = open(folder.path());
+    let (key, record) = sequence();
+    journal.note_sequence(&key, record).expect("noted");
+    for attempt_count in 0..5 * COMPACTED_LINES_MIN as u32 {
+        let number = attempt_count as usize % 10;
+        journal.note_frame(&input(number), frame_record(Standing::Retrying, attempt_count)).expect("noted");
+        assert!(journal.line_count <= COMPACTED_LINES_MIN);
+    }
+    assert!(line_count(folder.path()) <= COMPACTED_LINES_MIN);
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+    assert_eq!(journal.state().frames.len(), 10);
+    assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 1);
+}
+
+#[test]
+fn a_journal_that_is_mostly_overtaken_is_opened_short() {
+    let folder = folder();
+    write_some(folder.path());
+    let mut file = OpenOptions::new().append(true).open(folder.path().join(FILE_NAME)).expect("a journal");
+    let mut lines = Vec::new();
+    for attempt_count in 0..COMPACTED_LINES_MIN as u32 {
+        let record = frame_record(Standing::Done, attempt_count);
+        push_line(&mut lines, state::EntryRef::Frame(&input(0), &record)).expect("a line");
+    }
+    file.write_all(&lines).expect("written");
+    let before = Journal::read(folder.path()).expect("a journal");
+
+    let mut journal = open(folder.path());
+    assert_eq!(line_count(folder.path()), before.entry_count());
+    journal.note_frame(&input(7), frame_record(Standing::Done, 1)).expect("noted");
+    assert_eq!(line_count(folder.path()), before.entry_count() + 1);
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+}
+
+thread_local!(static REWRITE_FAILS: std::cell::Cell<bool> = const { std::cell::Cell::new(false) });
+
+/// Fails where a test wants a fresh file to fail.
+pub(super) fn before_rewrite() -> io::Result<()> {
+    if REWRITE_FAILS.get() { Err(io::Error::other("a failing disk")) } else { Ok(()) }
+}
+
+#[test]
+#[cfg(unix)]
+fn journal_that_is_a_link_is_refused_and_replaced_under_a_running_daemon() {
+    use std::os::unix::fs::symlink;
+    let folder = folder();
+    write_some(folder.path());
+    let [path, precious] = [FILE_NAME, "precious"].map(|name| folder.path().join(name));
+    fs::copy(&path, &precious).expect("copied");
+    let bytes = fs::read(&precious).expect("there");
+    let mut journal = open(folder.path());
+    fs::remove_file(&path).expect("removed");
+    symlink(&precious, &path).expect("a link");
+    let error = Journal::open(folder.path()).expect_err("a link").to_string();
+    assert_eq!(error, "not a regular file: a symbolic link");
+    assert!(Journal::read(folder.path()).is_err());
+    // A running daemon knows what was in it.
+    journal.note_frame(&input(7), frame_record(Standing::Done, 1)).expect("noted");
+    assert!(!path.is_symlink());
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+    assert!(fs::read(&precious).expect("there") == bytes);
+
+    // A second name is no link that could be refused: the file is left to it.
+    drop(journal);
+    fs::hard_link(&path, folder.path().join("kept")).expect("a second name");
+    let kept = fs::read(&path).expect("there");
+    let mut journal = open(folder.path());
+    journal.note_frame(&input(8), frame_record(Standing::Done, 1)).expect("noted");
+    assert!(fs::read(folder.path().join("kept")).expect("there") == kept);
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+}
+
+#[test]
+fn where_it_cannot_be_made_shorter_it_goes_on_as_it_is() {
+    let folder = folder();
+    let mut journal = open(folder.path());
+    REWRITE_FAILS.set(true);
+    let count = 3 * COMPACTED_LINES_MIN;
+    for attempt_count in 0..count as u32 {
+        journal.note_frame(&input(0), frame_record(Standing::Retrying, attempt_count)).expect("noted");
+    }
+    assert_eq!(line_count(folder.path()), count);
+    assert_eq!(Journal::read(folder.path()).expect("a journal"), *journal.state());
+
+    REWRITE_FAILS.set(false);
+    for attempt_count in 0..count as u32 {
+        journal.note_frame(&input(0), frame_record(Standing::Retrying, attempt_count)).expect("noted");
+    }
+    assert!(line_count(folder.path()) <= 2 * COMPACTED_LINES_MIN);
+}
+
+#[test]
+fn a_reader_goes_on_while_it_is_made_shorter() {
+    let folder = folder();
+    write_some(folder.path());
+    let mut reader = File::open(folder.path().join(FILE_NAME)).expect("a journal");
+    let mut journal = open(folder.path());
+    let before = journal.state().clone();
+    journal.rewrite().expect("a fresh file");
+    reader.seek(SeekFrom::Start(0)).expect("the beginning");
+    let Found::Journal(loaded) = parse(BufReader::new(reader)).expect("the old file") else {
+        panic!("of this version")
+    };
+    assert_eq!(loaded.state, before);
+}

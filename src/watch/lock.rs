@@ -1,0 +1,371 @@
+//! One daemon for one folder of outputs.
+//!
+//! ```text
+//!   OUT/.meniscus/lock     pid 4711 on render-04 since 2026-03-01T08:15:00Z
+//! ```
+//!
+//! The lock is the system's own, on a file that stays where it is: the system takes it back when
+//! the process ends, however it ends, and nobody has to guess whether a number in a file belongs to
+//! a process that still lives. What the file says is for people only.
+//!
+//! A file system that has no locks is told apart, and nothing is put in their place: whatever could
+//! be would either forget the daemon that was killed, or let a second one in.
+
+use std::fmt;
+use std::fs::{self, File, Metadata, OpenOptions, TryLockError};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use crate::pipeline::{FileStamp, has_other_names, open_own};
+
+use super::journal::STATE_FOLDER;
+
+/// The file that is locked, in the folder of what the daemon keeps for itself.
+pub(super) const FILE_NAME: &str = "lock";
+
+/// Whoever only looks whether the lock is held has it for a moment.
+const ATTEMPTS_MAX: usize = 5;
+const ATTEMPT_PAUSE: Duration = Duration::from_millis(10);
+
+/// Longer than anything that is written there.
+const HOLDER_BYTES_MAX: u64 = 1024;
+
+/// The right to write into a folder of outputs, until it is dropped or the process ends.
+#[derive(Debug)]
+pub struct OutputLock {
+    /// Closing it gives the lock back.
+    file: File,
+}
+
+/// Why there is no lock.
+#[derive(Debug)]
+pub enum LockError {
+    /// Another daemon has it.
+    Held {
+        /// The folder of the outputs.
+        folder: PathBuf,
+        /// Which one, in words.
+        by: String,
+    },
+    /// The file system has no locks.
+    Unsupported {
+        /// The folder of the outputs.
+        folder: PathBuf,
+    },
+    /// The system refuses.
+    Io {
+        /// The file that is locked.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl OutputLock {
+    /// Takes the lock of a folder of outputs, which is made where it is missing.
+    ///
+    /// # Errors
+    /// When another process has it, when there can be none, or when the system refuses.
+    pub fn take(out_folder: &Path) -> Result<OutputLock, LockError> {
+        let path = lock_path(out_folder);
+        let refused = |source| LockError::Io { path: path.clone(), source };
+        let state_folder = out_folder.join(STATE_FOLDER);
+        if let Err(source) = fs::create_dir_all(&state_folder) {
+            let source = match source.kind() {
+                io::ErrorKind::AlreadyExists => {
+                    io::Error::new(source.kind(), "something that is not a folder has its name: remove it")
+                }
+                _ => source,
+            };
+            return Err(LockError::Io { path: state_folder, source });
+        }
+        let mut options = OpenOptions::new();
+        let options = options.read(true).write(true).create(true).truncate(false);
+        let file = open_own(&path, options).map_err(refused)?;
+        let mut attempt_count = 1;
+        loop {
+            match file.try_lock() {
+                Ok(()) => break,
+                Err(TryLockError::WouldBlock) if attempt_count < ATTEMPTS_MAX => {
+                    attempt_count += 1;
+                    std::thread::sleep(ATTEMPT_PAUSE);
+                }
+                Err(error) => return Err(lock_error(error, out_folder, &file)),
+            }
+        }
+        if let Err(error) = write_holder(&file) {
+            // Held all the same; only who holds it cannot be told.
+            tracing::warn!(lock = %path.display(), %error, "the lock does not say who holds it");
+        }
+        Ok(OutputLock { file })
+    }
+
+    /// Whether what is locked is still that of this folder: it may have been removed, or be hidden by
+    /// another file system.
+    pub fn is_in_place(&self, out_folder: &Path) -> bool {
+        let stamp = |metadata: io::Result<Metadata>| metadata.map(|metadata| FileStamp::of(&metadata).inode);
+        match (stamp(self.file.metadata()), stamp(lock_path(out_folder).symlink_metadata())) {
+            (Ok(held), Ok(there)) => held == there,
+            _ => false,
+        }
+    }
+
+    /// Who holds the lock of a folder of outputs now, in words; `None` where nobody does.
+    ///
+    /// # Errors
+    /// When there can be no locks, or when the system refuses.
+    pub fn holder(out_folder: &Path) -> Result<Option<String>, LockError> {
+        let path = lock_path(out_folder);
+        let file = match open_own(&path, OpenOptions::new().read(true)) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(source) => return Err(LockError::Io { path, source }),
+            Ok(file) => file,
+        };
+        // Shared, so that two who look do not take each other for a daemon.
+        match file.try_lock_shared() {
+            Ok(()) => Ok(None),
+            Err(error) => match lock_error(error, out_folder, &file) {
+                LockError::Held { by, .. } => Ok(Some(by)),
+                error => Err(error),
+            },
+        }
+    }
+}
+
+/// The name of this machine, as others know it.
+#[cfg(unix)]
+pub fn host_name() -> String {
+    rustix::system::uname().nodename().to_string_lossy().into_owned()
+}
+
+/// The name of this machine, as others know it.
+#[cfg(not(unix))]
+pub fn host_name() -> String {
+    std::env::var("COMPUTERNAME").unwrap_or_else(|_| "a machine without a name".to_owned())
+}
+
+fn lock_path(out_folder: &Path) -> PathBuf {
+    out_folder.join(STATE_FOLDER).join(FILE_NAME)
+}
+
+fn lock_error(error: TryLockError, out_folder: &Path, file: &File) -> LockError {
+    let folder = out_folder.to_owned();
+    match error {
+        TryLockError::WouldBlock => LockError::Held { folder, by: read_holder(file) },
+        TryLockError::Error(error) if is_unsupported(&error) => LockError::Unsupported { folder },
+        TryLockError::Error(source) => LockError::Io { path: lock_path(out_folder), source },
+    }
+}
+
+/// Whether it is the file system that has no locks.
+fn is_unsupported(error: &io::Error) -> bool {
+    error.kind() == io::ErrorKind::Unsupported || has_no_lock_service(error)
+}
+
+/// NFS without its lock service, Lustre without `flock`.
+#[cfg(unix)]
+fn has_no_lock_service(error: &io::Error) -> bool {
+    use rustix::io::Errno;
+    let errno = Errno::from_io_error(error);
+    [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP, Errno::NOTSUP].into_iter().any(|no| errno == Some(no))
+}
+
+#[cfg(not(unix))]
+fn has_no_lock_service(_error: &io::Error) -> bool {
+    false
+}
+
+/// Says who holds the lock: over what the last one wrote, and cut only then, so that the file never
+/// says nothing.
+fn write_holder(mut file: &File) -> io::Result<()> {
+    if has_other_names(&file.metadata()?) {
+        return Err(io::Error::other("the file has other names, whose contents would change as well"));
+    }
+    let text = format!("pid {} on {} since {}\n", std::process::id(), host_name(), since(SystemTime::now()));
+    file.write_all(text.as_bytes())?;
+    file.set_len(text.len() as u64)
+}
+
+/// A moment as text. A clock that was never set may say anything.
+fn since(now: SystemTime) -> String {
+    match now.duration_since(UNIX_EPOCH) {
+        Ok(since) if since < YEAR_10000 => humantime::format_rfc3339_seconds(now).to_string(),
+        _ => "an unknown time (the system clock is wrong)".to_owned(),
+    }
+}
+
+/// The first year that has five digits, which the form of moments has no room for: since 1970.
+const YEAR_10000: Duration = Duration::from_secs(253_402_300_800);
+
+/// Who holds the lock. On Windows nobody but the holder can read what it wrote.
+fn read_holder(file: &File) -> String {
+    let mut text = String::new();
+    match file.take(HOLDER_BYTES_MAX).read_to_string(&mut text) {
+        Ok(_) if !text.trim().is_empty() => text.lines().next().unwrap_or_default().to_owned(),
+        _ => "a process that cannot be told".to_owned(),
+    }
+}
+
+impl fmt::Display for LockError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            LockError::Held { folder, by } => write!(
+                f,
+                "another daemon writes into {}: {by}. End it first, or choose another folder",
+                folder.display()
+            ),
+            LockError::Unsupported { folder } => write!(
+                f,
+                "{} is on a file system without locks, so that a second daemon could not be kept out: choose a \
+                 folder on another one, or have it mounted with locks",
+                folder.display()
+            ),
+            LockError::Io { path, source } => write!(f, "{} cannot be locked: {source}", path.display()),
+        }
+    }
+}
+
+impl std::error::Error for LockError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            LockError::Io { source, .. } => Some(source),
+            LockError::Held { .. } | LockError::Unsupported { .. } => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    fn folder() -> tempfile::TempDir {
+        tempfile::tempdir().expect("a folder")
+    }
+
+    #[test]
+    fn the_second_is_told_who_was_first() {
+        let out = folder();
+        let out = out.path().join("not/there/yet");
+        assert_eq!(OutputLock::holder(&out).expect("no lock"), None);
+        let lock = OutputLock::take(&out).expect("the first");
+
+        let error = OutputLock::take(&out).expect_err("the second");
+        let LockError::Held { folder, by } = &error else { panic!("{error}") };
+        assert_eq!(folder, &out);
+        assert_eq!(OutputLock::holder(&out).expect("locks").as_ref(), Some(by));
+        if cfg!(unix) {
+            let wanted = format!("pid {} on {} since 2", std::process::id(), host_name());
+            assert!(by.starts_with(&wanted), "{by}");
+            assert!(error.to_string().contains(by.as_str()), "{error}");
+        }
+
+        drop(lock);
+        assert_eq!(OutputLock::holder(&out).expect("locks"), None);
+        OutputLock::take(&out).expect("the first is gone");
+    }
+
+    #[test]
+    fn clock_before_1970_or_after_9999_has_a_text() {
+        assert_eq!(since(UNIX_EPOCH), "1970-01-01T00:00:00Z");
+        assert_eq!(since(UNIX_EPOCH + YEAR_10000 - Duration::from_secs(1)), "9999-12-31T23:59:59Z");
+        for time in [UNIX_EPOCH - Duration::from_secs(1), UNIX_EPOCH + YEAR_10000] {
+            assert_eq!(since(time), "an unknown time (the system clock is wrong)");
+        }
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn lock_that_is_a_link_is_refused_and_its_target_unchanged() {
+        use std::os::unix::fs::symlink;
+        let out = folder();
+        let precious = out.path().join("precious");
+        fs::write(&precious, "precious").expect("written");
+        fs::create_dir(out.path().join(STATE_FOLDER)).expect("made");
+        symlink(&precious, lock_path(out.path())).expect("a link");
+        for error in [OutputLock::take(out.path()).err(), OutputLock::holder(out.path()).err()] {
+            let error = error.expect("a link").to_string();
+            assert!(error.ends_with("lock cannot be locked: not a regular file: a symbolic link"), "{error}");
+        }
+        fs::remove_file(lock_path(out.path())).expect("removed");
+        fs::hard_link(&precious, lock_path(out.path())).expect("a second name");
+        OutputLock::take(out.path()).expect("a lock, which does not say whose");
+        assert_eq!(fs::read_to_string(&precious).expect("there"), "precious");
+
+        let [elsewhere, linked] = ["elsewhere", "linked"].map(|name| out.path().join(name));
+        fs::create_dir(&elsewhere).expect("made");
+        fs::create_dir(&linked).expect("made");
+        symlink(&elsewhere, linked.join(STATE_FOLDER)).expect("a link");
+        let error = OutputLock::take(&linked).expect_err("a link").to_string();
+        assert!(error.contains(".meniscus is a symbolic link"), "{error}");
+        assert_eq!(fs::read_dir(&elsewhere).expect("there").count(), 0);
+    }
+
+    #[test]
+    fn a_shorter_name_leaves_nothing_of_a_longer_one() {
+        let out = folder();
+        drop(OutputLock::take(out.path()).expect("a lock"));
+        fs::write(lock_path(out.path()), "x".repeat(500)).expect("a long name");
+        let _lock = OutputLock::take(out.path()).expect("a lock");
+        let text = fs::read_to_string(lock_path(out.path())).expect("text");
+        if cfg!(unix) {
+            assert!(text.starts_with("pid ") && text.ends_with("Z\n"), "{text}");
+        }
+    }
+
+    /// Set in the child of the test below: the folder to lock.
+    const CHILD_FOLDER: &str = "MENISCUS_TEST_LOCK_FOLDER";
+
+    #[test]
+    fn a_killed_process_leaves_no_lock() {
+        if let Some(out) = std::env::var_os(CHILD_FOLDER) {
+            hold_until_killed(Path::new(&out));
+        }
+        let out = folder();
+        let mut child = Command::new(std::env::current_exe().expect("this test"))
+            .args(["watch::lock::tests::a_killed_process_leaves_no_lock", "--exact", "--nocapture"])
+            .env(CHILD_FOLDER, out.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("a child");
+        let stdout = BufReader::new(child.stdout.take().expect("piped"));
+        let says_locked = |line: io::Result<String>| line.is_ok_and(|line| line.contains("locked"));
+        assert!(stdout.lines().any(says_locked), "the child takes the lock");
+
+        let error = OutputLock::take(out.path()).expect_err("the child has it");
+        assert!(matches!(error, LockError::Held { .. }), "{error}");
+        if cfg!(unix) {
+            assert!(error.to_string().contains(&format!("pid {} ", child.id())), "{error}");
+        }
+
+        child.kill().expect("killed");
+        child.wait().expect("ended");
+        OutputLock::take(out.path()).expect("the system has taken it back");
+    }
+
+    fn hold_until_killed(out: &Path) -> ! {
+        let _lock = OutputLock::take(out).expect("a lock");
+        writeln!(io::stdout(), "locked").expect("a parent who listens");
+        // A parent that ends first closes the pipe.
+        let _ = io::stdin().read_to_end(&mut Vec::new());
+        std::process::exit(0)
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn file_systems_without_locks_are_told_apart() {
+        use rustix::io::Errno;
+        for errno in [Errno::NOLCK, Errno::NOSYS, Errno::OPNOTSUPP] {
+            let error = TryLockError::Error(errno.into());
+            let file = File::open(".").expect("a folder");
+            let error = lock_error(error, Path::new("/out"), &file);
+            assert!(matches!(error, LockError::Unsupported { .. }), "{error}");
+        }
+        assert!(!is_unsupported(&Errno::IO.into()));
+        assert!(!is_unsupported(&Errno::ACCESS.into()));
+    }
+}
