@@ -131,7 +131,7 @@ fn in_blocks<S: ParticleSource>(
 }
 
 /// Particles that are gathered together, about: some hundred bytes each.
-const GATHERED_MAX: usize = 1 << 20;
+const GATHERED_MAX: usize = 1 << 22;
 
 /// Below which depth nothing is moved, nor stretched by neighbours.
 struct Depth {
