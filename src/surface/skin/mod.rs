@@ -71,7 +71,7 @@ pub struct Rasterized {
     bounds: Bounds,
     obstacles: Obstacles,
     /// Where particles were given that are elsewhere now, and may be outside; `None` where none was moved.
-    given: Option<Vec<GivenPlace>>,
+    given: Option<Vec<Vec<GivenPlace>>>,
     report: SkinReport,
 }
 
@@ -82,7 +82,7 @@ pub struct Smoothed {
     band: NarrowBand,
     bounds: Bounds,
     obstacles: Obstacles,
-    given: Option<Vec<GivenPlace>>,
+    given: Option<Vec<Vec<GivenPlace>>>,
     report: SkinReport,
 }
 

@@ -114,9 +114,9 @@ fn in_blocks<S: ParticleSource>(
         shaping.raised_count += raised_count;
         shaping.ball_count += ball_count;
         shaping.longest = shapes.iter().map(|shape| shape.longest).fold(shaping.longest, f32::max);
-        let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
-        let means = if settings.position_smoothing > 0.0 { means } else { Vec::new() };
-        found.push(Found { sources, means, shapes });
+        let sources: Vec<[u32; 2]> = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
+        let means = if settings.position_smoothing > 0.0 { stored(&means) } else { Vec::new() };
+        found.push(Found { sources, means, shapes }.without_unchanged());
     }
     let batch_count = given.batch_count();
     drop(vicinity);
@@ -131,7 +131,7 @@ fn in_blocks<S: ParticleSource>(
 }
 
 /// Particles that are gathered together, about: some hundred bytes each.
-const GATHERED_MAX: usize = 1 << 20;
+const GATHERED_MAX: usize = 1 << 22;
 
 /// Below which depth nothing is moved, nor stretched by neighbours.
 struct Depth {
@@ -184,7 +184,7 @@ pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
 /// The memory that a particle takes whose neighbours are looked at, in bytes: while all are collected, and what is kept.
 pub(super) fn changes_bytes(settings: &Settings) -> [f64; 2] {
     let [source, place] = [size_of::<[u32; 2]>(), size_of::<u32>()];
-    let mean = if settings.position_smoothing > 0.0 { size_of::<[f32; 3]>() } else { 0 };
+    let mean = if settings.position_smoothing > 0.0 { size_of::<StoredMean>() } else { 0 };
     let shape = match settings.anisotropy {
         Anisotropy::Neighbors { .. } => size_of::<Ellipsoid>(),
         Anisotropy::None | Anisotropy::Velocity { .. } => 0,
@@ -218,10 +218,38 @@ pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
 struct Found {
     /// The batch of each, and its place in that.
     sources: Vec<[u32; 2]>,
-    /// In units of R; empty where none is moved.
-    means: Vec<[f32; 3]>,
+    /// Empty where none is moved.
+    means: Vec<StoredMean>,
     /// Empty where none is stretched.
     shapes: Vec<Ellipsoid>,
+}
+
+/// Where the mean of a particle's neighbours is, from the particle, in units of R / 32767: of frames with hundreds of
+/// millions of particles all that are near the surface are kept at once, and a ten-thousandth of their spacing is enough.
+type StoredMean = [i16; 3];
+
+/// From units of R, each at most 1 from 0.
+fn stored(means: &[[f32; 3]]) -> Vec<StoredMean> {
+    let part = |part: f32| (part * f32::from(i16::MAX)).round() as i16;
+    means.iter().map(|mean| mean.map(part)).collect()
+}
+
+/// In units of R.
+fn mean_of(stored: StoredMean) -> glam::Vec3 {
+    glam::Vec3::from(stored.map(f32::from)) / f32::from(i16::MAX)
+}
+
+impl Found {
+    /// The same without particles that are neither moved nor stretched: those of a lattice, behind its outermost layers.
+    fn without_unchanged(self) -> Found {
+        if !self.shapes.is_empty() || self.means.is_empty() {
+            return self;
+        }
+        let kept = || self.means.iter().map(|mean| *mean != [0; 3]);
+        let sources = self.sources.iter().zip(kept()).filter(|(_, kept)| *kept).map(|(source, _)| *source);
+        let means = self.means.iter().zip(kept()).filter(|(_, kept)| *kept).map(|(mean, _)| *mean);
+        Found { sources: sources.collect(), means: means.collect(), shapes: Vec::new() }
+    }
 }
 
 /// What neighbours change of the particles of a source: of those near its surface.
@@ -233,8 +261,8 @@ struct Changes {
     starts: Vec<usize>,
     /// Places in their batches.
     places: Vec<u32>,
-    /// In units of R. Empty where none is moved.
-    means: Vec<[f32; 3]>,
+    /// Empty where none is moved.
+    means: Vec<StoredMean>,
     /// Empty where none is stretched.
     shapes: Vec<Ellipsoid>,
     is_stretched: bool,
@@ -257,7 +285,7 @@ impl Changes {
         let stretches = found.iter().any(|found| !found.shapes.is_empty());
         let mut cursors = starts.clone();
         let mut places = vec![0; count];
-        let mut means = vec![[0.0; 3]; if moves { count } else { 0 }];
+        let mut means = vec![[0; 3]; if moves { count } else { 0 }];
         let mut shapes = vec![Ellipsoid::ball(1.0); if stretches { count } else { 0 }];
         for block in found {
             for (index, &[batch, place]) in block.sources.iter().enumerate() {
@@ -286,7 +314,7 @@ impl Changes {
     /// The places in a batch of the particles that are moved, and by how much, world units.
     fn moves_of(&self, batch: usize) -> impl Iterator<Item = (usize, DVec3)> {
         let range = if self.means.is_empty() { 0..0 } else { self.of(batch) };
-        let step = |mean: &[f32; 3]| glam::Vec3::from(*mean).as_dvec3() * self.step_world;
+        let step = |mean: &StoredMean| mean_of(*mean).as_dvec3() * self.step_world;
         let places = self.places[range.clone()].iter();
         places.zip(&self.means[range]).map(move |(&place, mean)| (place as usize, step(mean)))
     }
@@ -618,7 +646,7 @@ mod tests {
             let Particles::Double(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
             let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
             for (place, &index) in found.indices.iter().enumerate() {
-                let mean = glam::Vec3::from(found.means[place]).as_dvec3();
+                let mean = mean_of(stored(&found.means[place..place + 1])[0]).as_dvec3();
                 moved_double(&mut positions[index as usize], mean * step);
                 if let Some(&shape) = found.shapes.get(place) {
                     shapes[index as usize] = shape;

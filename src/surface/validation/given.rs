@@ -51,8 +51,8 @@ fn places_of<S: ParticleSource>(
     Ok(source.given_of(batch)?.into_iter().filter_map(place))
 }
 
-/// Of the places where particles were given those that may be outside of the surface: smoothing keeps φ below `upper`, a field on
-/// this topology, and so many voxels of an offset are taken from φ then.
+/// Of the places where particles were given those that may be outside of the surface, batch by batch: smoothing keeps φ below
+/// `upper`, a field on this topology, and so many voxels of an offset are taken from φ then.
 ///
 /// # Errors
 /// Those of the source.
@@ -60,28 +60,33 @@ pub fn doubtful_places<S: ParticleSource>(
     source: &S,
     lattice: &Lattice,
     (topology, upper, offset): (&Topology, &Field, f32),
-) -> Result<Vec<GivenPlace>, S::Error> {
+) -> Result<Vec<Vec<GivenPlace>>, S::Error> {
     if !source.has_moved() {
         return Ok(Vec::new());
     }
     let is_doubtful = |place: &GivenPlace| match place.corner_values(topology, upper) {
+        // Rounding is monotonic: of values that are no larger, what is interpolated is no larger either.
+        Some(corners) if offset == 0.0 => place.interpolated(corners) > 0.0,
         Some(corners) => corners.iter().any(|value| *value >= offset.min(0.0)),
         None => place.first_stored(topology, upper).is_some(),
     };
-    let of_batch = |batch| Ok(places_of(source, batch, lattice)?.filter(is_doubtful).collect());
-    let batches = (0..source.batch_count()).into_par_iter().map(of_batch);
-    Ok(batches.collect::<Result<Vec<Vec<_>>, S::Error>>()?.concat())
+    let of_batch = |batch| {
+        let mut doubtful: Vec<_> = places_of(source, batch, lattice)?.filter(is_doubtful).collect();
+        doubtful.shrink_to_fit();
+        Ok(doubtful)
+    };
+    (0..source.batch_count()).into_par_iter().map(of_batch).collect()
 }
 
 /// How many of these places are outside of a surface that was moved outward by so many voxels, and how far.
 pub fn given_outside(
-    places: &[GivenPlace],
+    places: &[Vec<GivenPlace>],
     band: &NarrowBand,
     (lattice, offset): (&Lattice, f32),
     exempt: &dyn Exempt,
 ) -> ParticlesOutside {
     let count = |tally: Tally, place: &GivenPlace| tally.and(place.tally((band, offset), exempt));
-    places.par_iter().fold(Tally::default, count).reduce(Tally::default, Tally::and).in_world(lattice)
+    places.par_iter().flatten().fold(Tally::default, count).reduce(Tally::default, Tally::and).in_world(lattice)
 }
 
 /// The same of all particles of a source that were moved.
