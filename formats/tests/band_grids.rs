@@ -2,7 +2,7 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
-mod solids;
+use crate::solids;
 
 use std::io::Cursor;
 

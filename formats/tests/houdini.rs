@@ -1,6 +1,6 @@
 //! Houdini's geometry: the same document in all its forms, and what is refused.
 
-mod fixtures;
+use crate::fixtures;
 
 use fixtures::{PAGES, TUPLES, binary, container};
 use meniscus_formats::{

@@ -1,6 +1,6 @@
 //! LAMMPS dumps: steps, boxes and columns.
 
-mod fixtures;
+use crate::fixtures;
 
 use fixtures::DUMP;
 use meniscus_formats::steps::find_steps;

@@ -1,6 +1,6 @@
 //! NumPy arrays: headers as NumPy writes them, built here byte by byte, against what they must mean.
 
-mod fixtures;
+use crate::fixtures;
 
 use fixtures::{archive, array, f32s, six};
 use meniscus_formats::{Attribute, Limits, ParticleFrame, Positions, Role, Values, npy, read_particles};

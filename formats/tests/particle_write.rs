@@ -1,6 +1,6 @@
 //! Particles of every format, written as .ply and .vtp: what is read back is what was read.
 
-mod fixtures;
+use crate::fixtures;
 
 use std::io::Cursor;
 use std::path::Path;

@@ -4,7 +4,7 @@
 //! lengths: what is left is read, or said to be short. Text is the exception where it must be: the
 //! beginning of a number is a number, and the beginning of a table is a table.
 
-mod fixtures;
+use crate::fixtures;
 
 use std::io::Write;
 use std::path::Path;

@@ -3,7 +3,7 @@
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 #![allow(clippy::print_stderr, reason = "says which files are not here")]
 
-mod solids;
+use crate::solids;
 
 use std::path::PathBuf;
 

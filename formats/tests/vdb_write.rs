@@ -3,7 +3,7 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
-mod solids;
+use crate::solids;
 
 use std::collections::HashMap;
 

@@ -1,6 +1,6 @@
 //! VTK's files: every encoding of XML against the same frame, and the old format line by line.
 
-mod fixtures;
+use crate::fixtures;
 
 use fixtures::{Compressor, Encoding, Mode, vtk_xml, xz_packed, zlib_packed};
 use meniscus_formats::{Limits, ParticleFrame, Positions, Role, Values, read_particles, vtk};

@@ -5,16 +5,13 @@ mod attributes; // what particles know, on the surface, from file to files
 mod certified; // certificates are about what is written
 mod cli; // the command: exit codes, messages, names, what is refused
 mod convert; // the command on real frames: the same bytes, reports, what is done already
-mod dependencies; // a reason for each crate, and nothing in C
-mod docs; // links of the pages lead somewhere, and what they say is tested is
 #[cfg(unix)]
 mod escaping; // names and contents of files neither forge lines nor control the terminal
 mod farm; // frames dealt to many machines: plans, shards, and whether all is there
 mod flicker; // how much surfaces flicker: spheres that are known, in meshes of every format
-mod formats; // the table of what is read, written and kept
 mod info; // the command that tells what files hold
 mod invariance; // what must not change the surface, to the last bit; bounds; particles stay inside
-mod layers; // the house: no module imports its own row or a higher one
+mod layers; // the house: no module imports its own row or a higher one, and none in a cycle
 mod level_sets; // level sets in .vdb as inputs
 mod library; // the example for other programs does what the command does
 mod manual; // pages for man and completions for shells: of every command and option
@@ -28,7 +25,6 @@ mod pictures; // of balls, of which all is known; their files, and the command t
 mod pipeline; // frames through the stages, with a quick method in place of the real one
 mod random_ball; // 50 000 random particles in a ball come out nearly spherical (paper, Fig. 12)
 mod raw_vdb; // level sets as no program writes them
-mod readme; // every command in the README, run as it stands there
 mod scene; // small frames of particles, and a way to run the command
 mod service; // the daemon as a service: what systemd hears, and what signals do
 mod shapes; // particles to skin, the method with its defaults, and level sets read at a place
@@ -39,7 +35,7 @@ mod spacings; // how far apart particles are, against what is known of them
 mod sphere_flow; // a noisy sphere under both flows (paper, Fig. 5)
 mod steps; // files with several frames: LAMMPS dumps and atoms
 mod stream; // frames that come one by one: order, bounds, and what goes wrong on the way
-mod troubleshooting; // the page of symptoms quotes the program
+mod surface; // is the mesh sound, and in the right place?
 mod union_of_spheres; // rasterization against what is known of spheres
 #[cfg(target_os = "linux")]
 mod unreadable; // frames that the system refuses to describe: failed, never dropped

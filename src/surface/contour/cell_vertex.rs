@@ -18,7 +18,7 @@
 //!   φ(x) = lerp³ φ − Σₐ ½·xₐ(1 − xₐ)·lerp³ ∂ₐₐφ
 //! ```
 //!
-//! On the sphere of radius 20 voxels that `tests/surface` measures, the planes alone leave the vertices
+//! On the sphere of radius 20 voxels that `tests/meniscus/surface` measures, the planes alone leave the vertices
 //! 0.007 voxels off (rms) and raise the mesh's bending energy by 10 %, the crossings' mean 0.012 and
 //! 13 %; with the steps both end at 0.0003 and 0.1 %. The steps are kept short, because where sheets
 //! meet in a sharp edge the planes know it better.

@@ -209,6 +209,7 @@ pub(super) fn values_of(rasterized: &Rasterized) -> Values {
 }
 
 #[test]
+#[ignore = "slow: `.ci/run` runs it"]
 fn what_is_left_out_changes_no_bit() {
     for (name, positions) in scenes() {
         // By the definition, many particles with a long reach take long.

@@ -293,7 +293,15 @@ mod tests {
         contour(smoothed, settings, &[Stored::AsTheyAre]).expect("in memory").0
     }
 
+    /// A few tiles only, for every run.
     #[test]
+    fn a_short_frame_in_tiles_is_the_whole_frame() {
+        let settings = Settings::paper(0.5, &Default::default()).expect("sound");
+        same_in_tiles(Cloud::from(bar(36)), &settings, &Obstacles::default());
+    }
+
+    #[test]
+    #[ignore = "slow: `.ci/run` runs it"]
     fn a_frame_in_tiles_is_the_whole_frame() {
         let choices = [
             Choices::default(),
@@ -318,6 +326,7 @@ mod tests {
 
     /// Particles of their own sizes, an obstacle in them, a piece that is dropped, and a box that cuts.
     #[test]
+    #[ignore = "slow: `.ci/run` runs it"]
     fn whatever_else_is_asked_for_is_the_same_in_tiles() {
         let numbers = |arity: usize| {
             AttributeValues::Numbers(
@@ -371,6 +380,7 @@ mod tests {
 
     /// Where the moved surface ends at the obstacle, some voxels lie exactly on the obstacle's surface, and all around them are outside.
     #[test]
+    #[ignore = "slow: `.ci/run` runs it"]
     fn an_outward_offset_of_smoothed_positions_beside_an_obstacle_is_closed() {
         let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
@@ -385,6 +395,7 @@ mod tests {
 
     /// Obstacles with faces and corners on voxels: distances to them are zero there.
     #[test]
+    #[ignore = "slow: `.ci/run` runs it"]
     fn moved_surfaces_beside_obstacles_are_closed_and_the_same_in_tiles() {
         let solids = [
             octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0),
@@ -410,6 +421,7 @@ mod tests {
 
     /// Drops that are stretched to needles: their tips hide more than half a voxel in a cell, here and there.
     #[test]
+    #[ignore = "slow: `.ci/run` runs it"]
     fn vertices_that_are_moved_back_are_the_same_in_tiles() {
         let random = |index: usize| {
             let mixed = (index as u32 + 1).wrapping_mul(0x9e37_79b9);

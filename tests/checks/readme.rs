@@ -139,7 +139,7 @@ fn made_by<'a>(words: &[&'a str]) -> Vec<&'a str> {
 /// An example, built as this test is: together with it, so that Cargo chooses the same features of all crates.
 fn example_program(name: &str) -> PathBuf {
     let build = Command::new(env!("CARGO"))
-        .args(["build", "--locked", "--workspace", "--bin", name, "--test", "meniscus"])
+        .args(["build", "--locked", "--workspace", "--bin", name, "--test", "checks"])
         .args(["--message-format", "json"])
         .current_dir(env!("CARGO_MANIFEST_DIR"))
         .output()
