@@ -41,7 +41,7 @@ pub struct SkinReport {
     pub convergence: Option<Convergence>,
     /// Explicit steps whose CFL bound (Eq. 8) was exceeded.
     pub cfl_exceeded_count: usize,
-    /// Seconds in each stage.
+    /// Seconds in each stage, where the caller measured them: the method has no clock.
     pub seconds: StageSeconds,
     /// What was checked of the result.
     pub certificate: Certificate,
@@ -66,7 +66,7 @@ pub struct TransferReport {
     pub vertices: TransferCounts,
     /// At the places in the band that voxels have their values from.
     pub band: TransferCounts,
-    /// Seconds that it took.
+    /// Seconds that it took, where the caller measured them.
     pub seconds: f64,
 }
 
@@ -90,7 +90,7 @@ pub struct Shaping {
     pub near_count: usize,
     /// The longest half axis, in units of the settings' radii.
     pub longest: f32,
-    /// Seconds that it took; those of rasterization have them, too.
+    /// Seconds that it took, where the caller measured them; those of rasterization include them.
     pub seconds: f64,
 }
 
@@ -111,6 +111,22 @@ pub struct EditReport {
     pub removed_triangle_count: usize,
     /// How far the mesh may have moved for that, in voxels.
     pub decimation_error_voxels: f64,
+}
+
+/// The phases of a reconstruction, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
+pub enum Phase {
+    /// Checks the input, and estimates the particle spacing where the options need it.
+    Prepare,
+    /// Particles to level sets; what neighbours do to the shapes of particles is part of it.
+    Rasterize,
+    /// Smooths the level set within its bounds: usually most of the time.
+    Smooth,
+    /// Level set to mesh, with its measures and checks.
+    Contour,
+    /// Attributes of the particles to the vertices of the mesh.
+    Interpolate,
 }
 
 /// Wall-clock seconds in each stage of the method.

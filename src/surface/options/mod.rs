@@ -10,6 +10,7 @@ mod presets;
 use std::fmt;
 
 pub use crate::surface::contour::Contouring;
+use crate::surface::particles::{Attribute, attribute_of};
 use crate::surface::smooth::EIGENVALUE_MAX;
 pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
@@ -84,6 +85,16 @@ pub struct OwnRadii {
     pub attribute: String,
     /// A particle's r_min in units of its own radius.
     pub scale: f64,
+}
+
+impl OwnRadii {
+    /// r_min of each particle whose own radius is a positive number, world units.
+    pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
+        let attribute = attribute_of(attributes, &self.attribute, 1);
+        let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
+        let radii = radii.iter().map(|&radius| self.scale * f64::from(radius));
+        radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
+    }
 }
 
 /// What stretches particles (paper, Eq. 1 and 16, Fig. 11).
