@@ -148,9 +148,10 @@ fn frame(particle_count: f64) -> (Particles, f64) {
 
 fn skinned(particles: &Particles, settings: &Settings) -> SkinReport {
     let mut timer = PhaseTimer::default();
-    let surface = skin_observed(particles, settings, &mut |phase| timer.enter(phase));
+    let mut surface = skin_observed(particles, settings, &mut |phase| timer.enter(phase));
     assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
-    SkinReport { seconds: timer.finish(), ..surface.report }
+    surface.report.seconds = timer.finish();
+    surface.report
 }
 
 fn row(reports: &[SkinReport]) -> Row {

@@ -102,7 +102,9 @@ pub struct Progress {
 /// Reconstructs the frames of a sequence, with everything that [`reconstruct`] leaves out.
 ///
 /// It resolves the options on the first frame and keeps the result, [`settings`](Self::settings), for all others: a particle
-/// spacing estimated for each frame would make the surface flicker.
+/// spacing estimated for each frame would make the surface flicker. Obstacles keep their distances from frame to frame. Other
+/// memory is returned after each frame: keeping all of it would save 3 to 5 % of the processor time (400 000 particles), and hold
+/// the peak of a frame in between.
 ///
 /// ```
 /// use meniscus::surface::{CancelToken, Options, Phase, Reconstructor};
@@ -419,3 +421,6 @@ fn finished(surface: skin::Surface, settings: Settings) -> Surface {
     let attributes = attributes.vertices;
     Surface { positions, normals, triangles, attributes, level_set: band, settings, report }
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,6 +10,7 @@ pub use crate::surface::validation::{Certificate, ParticlesOutside};
 
 /// Everything measured while skinning one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct SkinReport {
     /// Particles that were skinned.
     pub particle_count: usize,
@@ -59,6 +60,7 @@ pub struct SkinReport {
 
 /// What a surface got of the particles' attributes.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct TransferReport {
     /// The names of the attributes.
     pub attributes: Vec<String>,
@@ -72,6 +74,7 @@ pub struct TransferReport {
 
 /// What was done to give particles shapes of their own.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Shaping {
     /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
     pub small_radius_count: usize,
@@ -96,6 +99,7 @@ pub struct Shaping {
 
 /// What was taken from the surface, or added, because somebody asked for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct EditReport {
     /// Pieces that were dropped: they had too few particles.
     pub island_count: usize,
@@ -135,6 +139,7 @@ pub enum Phase {
 /// alone, and a stage that waits for a part of its work may wait for another frame's stage, too. Only of
 /// a frame that runs alone is this the cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct StageSeconds {
     /// Particles to level sets.
     pub rasterize: f64,

@@ -68,6 +68,7 @@ impl Reach<'_> {
 
 /// What happened on the way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct TransferCounts {
     /// Places that got values: vertices, or voxels for which a mean was taken.
     pub place_count: usize,

@@ -21,6 +21,7 @@ pub use presets::{Measured, Preset};
 
 /// All settings of a sequence, checked.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Settings {
     /// Distance d between neighbouring particles, world units.
     pub spacing: f64,
@@ -80,6 +81,7 @@ pub struct Settings {
 
 /// Where particles have radii of their own.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct OwnRadii {
     /// The attribute that tells them, world units.
     pub attribute: String,
@@ -182,6 +184,7 @@ const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
 /// Why choices make no settings.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SettingsError {
     /// What is wrong, and what would be right.
     pub what: String,

@@ -62,6 +62,7 @@ pub const CONFIDENCE_MIN: f64 = 0.5;
 
 /// The spacing of the particles of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Estimate {
     /// The distance between neighbouring particles, world units; positive.
     pub spacing: f64,
@@ -90,6 +91,7 @@ pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estim
 
 /// The spacing of the particles of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SequenceEstimate {
     /// The distance between neighbouring particles, world units: the median of the frames by their confidence.
     pub spacing: f64,
