@@ -28,12 +28,13 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 use glam::Vec3;
+use meniscus::pipeline::PhaseTimer;
 use meniscus::surface::anisotropy::{NeighborConfig, Stretch, from_neighbors};
 use meniscus::surface::neighbors::Neighbors;
 use meniscus::surface::options::{Choices, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::report::SkinReport;
-use meniscus::surface::skin::skin;
+use meniscus::surface::skin::skin_observed;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
@@ -146,8 +147,10 @@ fn frame(particle_count: f64) -> (Particles, f64) {
 }
 
 fn skinned(particles: &Particles, settings: &Settings) -> SkinReport {
-    let surface = skin(particles, settings);
+    let mut timer = PhaseTimer::default();
+    let mut surface = skin_observed(particles, settings, &mut |phase| timer.enter(phase));
     assert!(surface.report.certificate.holds(), "{:?}", surface.report.certificate);
+    surface.report.seconds = timer.finish();
     surface.report
 }
 

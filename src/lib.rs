@@ -1,44 +1,68 @@
 //! Particles in, smooth surfaces out.
 //!
-//! meniscus skins frames of particles by the level-set method of Bhattacharya, Gao and Bargteil
-//! ("A Level-set Method for Skinning Animated Particle Data"): the smoothest surface, in the sense
-//! of least thin-plate energy, that stays between two unions of spheres around the particles.
+//! meniscus reconstructs surfaces from the particles of a simulation by the level-set method of Bhattacharya, Gao and Bargteil
+//! ("A Level-set Method for Skinning Animated Particle Data"): the smoothest surface, in the sense of least thin-plate
+//! energy, that stays between two unions of spheres around the particles. It comes with a certificate of what was checked, and
+//! is the same to the bit on any number of threads.
+//!
+//! ```
+//! use meniscus::surface::{Options, reconstruct};
+//!
+//! // Particles of your simulation: `&[[f32; 3]]` or `&[[f64; 3]]`. Here a block of 10 × 10 × 10, 0.1 apart.
+//! let particles: Vec<[f32; 3]> =
+//!     (0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(|step| 0.1 * step as f32)).collect();
+//!
+//! let surface = reconstruct(&particles, &Options::default())?;
+//!
+//! for triangle in &surface.triangles {
+//!     let corners = triangle.map(|vertex| surface.positions[vertex as usize]);
+//!     // Hand the triangle to your renderer.
+//! }
+//! assert!(surface.report.certificate.holds());
+//! # Ok::<(), meniscus::surface::Error>(())
+//! ```
+//!
+//! The particle spacing is measured unless you set it; all other lengths follow from it. For a sequence of frames use a
+//! [`Reconstructor`](surface::Reconstructor), which measures once: it also takes attributes, obstacles, a memory limit, a
+//! progress callback and a token that cancels.
+//!
+//! # Features
+//!
+//! | feature | adds | crates in all |
+//! |---|---|---|
+//! | none | [`surface`]: the method, in memory | 14 |
+//! | `render` | images of level sets | |
+//! | `pipeline` | files to files, several frames at once | |
+//! | `watch`, `http` | a daemon that follows a simulation, and its status page | |
+//! | `cli` (default) | the command line | |
+//!
+//! To embed the method, turn the default features off:
+//!
+//! ```toml
+//! [dependencies]
+//! meniscus = { version = "0.1", default-features = false }
+//! ```
+//!
+//! The crate `meniscus-formats` reads particles and writes meshes and level sets. `examples/library` in the repository uses
+//! both.
+//!
+//! # How it works
 //!
 //! ```text
-//!  file ──read──▶ Particles ──rasterize──▶ NarrowBand + Bounds ──smooth──▶ NarrowBand ──contour──▶ Mesh ──write──▶ files
-//!         formats             level set φ, and the φ interval              smoothed φ    │                  .glb .obj .ply
-//!                             it may move in                                             └────────────────▶ .vdb (φ itself)
+//!  file ──read──▶ positions ──rasterize──▶ level set, bounds ──smooth──▶ level set ──contour──▶ mesh ──write──▶ files
+//!         formats             signed distance φ, and the interval         smoothed φ    │               .glb .obj .ply
+//!                             that it may move in                                       └─────────────▶ .vdb (φ itself)
 //! ```
 //!
 //! Signed distances φ are negative inside and, within this crate, measured **in voxels**: dividing
 //! by the voxel size h makes every stage free of units. World units appear where particles come in and
 //! where vertices go out.
 //!
-//! # In another program
-//!
-//! [`surface::skin::skin`] is a frame without files: particles in, a mesh and a level set out. What was measured on the way, and what
-//! was checked of the result, is in its report.
-//!
-//! ```
-//! use meniscus::surface::particles::Particles;
-//! use meniscus::surface::options::{Choices, Settings};
-//! use meniscus::surface::skin::skin;
-//!
-//! let block = (0..125).map(|i| [i % 5, i / 5 % 5, i / 25].map(|place| 0.1 * place as f32));
-//! let settings = Settings::paper(0.05, &Choices::default())?;
-//! let surface = skin(&Particles::Single(block.collect()), &settings);
-//! assert!(surface.report.certificate.holds());
-//! assert!(surface.mesh.measure().is_closed_manifold());
-//! # Ok::<(), meniscus::surface::options::SettingsError>(())
-//! ```
-//!
-//! [`pipeline`] is frames from files to files, several at once, as the command has them. `examples/library` has both,
-//! with the files: a frame to a .glb, and a folder to a folder. A program that is to follow a simulation runs
-//! [`watch::run`], as `examples/dam_break` does. `default-features = false` leaves out the command line, and the ten crates
-//! that only it needs.
-//!
-//! Bytes become particles, and meshes bytes, in a crate of its own, `meniscus-formats`. Nothing starts threads but what says
-//! so: loops run in the rayon pool that the caller is in.
+//! The crate starts no threads of its own: loops run in the rayon pool that the caller is in. Features that do start threads say
+//! so.
+
+/// The vector types in this crate's API.
+pub use glam;
 
 pub mod surface;
 

@@ -1,26 +1,32 @@
-//! meniscus from another program: one frame to a mesh in ten lines, and a folder to a folder in twenty.
+//! meniscus from another program: one frame to a mesh, and a folder to a folder.
 //!
 //! ```text
 //! cargo run --release -p library -- examples/frames/dam.0001.bgeo out/dam.0001.glb
 //! cargo run --release -p library -- examples/frames out/library
 //! ```
 //!
-//! Another crate needs `meniscus` and `meniscus-formats` for the first, and `rayon`, whose threads do the computing, for
-//! the second.
+//! For one frame another crate needs
+//!
+//! ```toml
+//! meniscus = { version = "0.1", default-features = false }
+//! meniscus-formats = "0.1"    # only to read and write files
+//! ```
+//!
+//! and for folders the feature `pipeline`, and `rayon`, whose threads compute.
 
 use std::error::Error;
-use std::fs;
-use std::io::Write;
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
 
+use meniscus::glam::DVec3;
 use meniscus::pipeline::{
     self, Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions,
 };
-use meniscus::surface::options::{Choices, Settings};
-use meniscus::surface::skin::skin;
-use meniscus::surface::spacing::{estimate_spacing, rounded};
-use meniscus_formats::{Limits, gltf, read_particles};
+use meniscus::surface::options::Settings;
+use meniscus::surface::{Options, Phase, Reconstructor};
+use meniscus_formats::{Limits, MeshView, Positions, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -33,36 +39,60 @@ fn main() -> Result<(), Box<dyn Error>> {
         if let Some(folder) = to.parent() {
             fs::create_dir_all(folder)?;
         }
-        return skin_file(from, to);
+        return reconstruct_file(from, to);
     }
-    let done_count = skin_folder(from, to)?;
-    writeln!(std::io::stdout(), "{done_count} frames are in {}", to.display())?;
+    let count = convert_folder(from, to)?;
+    writeln!(std::io::stdout(), "{count} frames are in {}", to.display())?;
     Ok(())
 }
 
-/// A file of particles, in any format that is read, becomes a mesh in a .glb.
-pub(crate) fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
+/// Reads a file of particles in any supported format, reconstructs its surface and writes a .glb.
+pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
     let name = from.file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(&fs::read(from)?, &name, &Limits::default())?;
-    let particles = pipeline::particles(frame.positions);
-    let spacing = estimate_spacing(&particles).ok_or("a particle alone has no spacing")?.spacing;
-    let settings = Settings::resolve(&Choices::default(), Some(rounded(spacing).into()))?;
-    let surface = skin(&particles, &settings);
-    let mesh = pipeline::mesh_view(&surface.mesh, &[]);
-    let options = gltf::WriteOptions::default();
-    Ok(pipeline::write_whole(to, |out| gltf::write_glb(&mesh, &options, &[], out))?)
+
+    // Without a callback and a memory limit, `meniscus::surface::reconstruct(&positions, &options)` is all.
+    let mut reconstructor = Reconstructor::new(Options::default());
+    reconstructor.memory_limit(4 << 30).on_progress(|progress| {
+        if progress.phase == Phase::Smooth {
+            let _ = write!(std::io::stderr(), "\rsmoothing {:3.0} %", 100.0 * progress.fraction);
+        }
+    });
+    let surface = match &frame.positions {
+        Positions::F32(positions) => reconstructor.reconstruct(positions)?,
+        Positions::F64(positions) => reconstructor.reconstruct(positions)?,
+    };
+    let certificate = &surface.report.certificate;
+    if !certificate.holds() {
+        return Err(format!("the surface is not valid: {}", certificate.fault()).into());
+    }
+
+    // Positions are absolute, in 64 bits. Files take 32 bits, relative to a point of your choice.
+    let origin = DVec3::ZERO;
+    let positions = surface.positions_f32(origin);
+    let normals: Vec<[f32; 3]> = surface.normals.iter().map(|normal| normal.to_array()).collect();
+    let mesh = MeshView {
+        positions: &positions,
+        normals: &normals,
+        triangles: &surface.triangles,
+        origin: origin.to_array(),
+        attributes: &[],
+    };
+    let mut out = BufWriter::new(File::create(to)?);
+    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut out)?;
+    Ok(out.flush()?)
 }
 
-/// The sequences in a folder become meshes and level sets in another, as `meniscus convert FROM --out TO` makes them
-/// where there is nothing else among them. Returns the number of frames.
-pub(crate) fn skin_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error>> {
+/// Converts the sequences in a folder to meshes and level sets in another, as `meniscus convert FROM --out TO` does
+/// where the folder holds nothing else. Returns the number of frames.
+pub(crate) fn convert_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error>> {
     let outputs = Arc::new(OutputOptions::new(to, &[OutputFormat::Glb, OutputFormat::Vdb]));
     let files = pipeline::files_in(from)?.into_iter().map(FrameFile::new);
     let mut frames = Vec::new();
     for sequence in pipeline::sequences(files.collect()) {
         let paths = sequence.frames.iter().map(|file| &*file.path);
         let measured = pipeline::measure_spacing(paths, None)?;
-        let settings = Arc::new(Settings::resolve(&Choices::default(), Some((&measured).into()))?);
+        let settings = Arc::new(Settings::resolve(&Options::default(), Some((&measured).into()))?);
         frames.extend(sequence.frames.iter().map(|file| Frame::new(file, &settings, &outputs)));
     }
     let pool = ThreadPoolBuilder::new().build()?;

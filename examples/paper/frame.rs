@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use glam::DVec3;
+use meniscus::pipeline::PhaseTimer;
 use meniscus::render::{Layers, Picture, Placement, View, render};
 use meniscus::surface::options::{Choices, Settings};
 use meniscus::surface::particles::Particles;
-use meniscus::surface::skin::{Surface, skin};
+use meniscus::surface::skin::{Surface, skin, skin_observed};
 use meniscus::surface::smooth::Integrator;
 use meniscus::surface::space::Lattice;
 use meniscus_formats::{Limits, Positions, read_particles};
@@ -168,7 +169,11 @@ fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f6
         step_size: Some(if time == 0.0 { step_size } else { time / steps }),
         ..Choices::default()
     };
-    Ok(skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?))
+    let settings = Settings::paper(VOXEL_SIZE, &choices)?;
+    let mut timer = PhaseTimer::default();
+    let mut surface = skin_observed(particles, &settings, &mut |phase| timer.enter(phase));
+    surface.report.seconds = timer.finish();
+    Ok(surface)
 }
 
 /// The frame.

@@ -1,54 +1,54 @@
-//! Memory that is freed goes back to the system, so that `--memory` means what it says.
+//! Returns freed memory to the system, so that `--memory` means what it says.
 //!
-//! The allocator of glibc gives large blocks back at once, but what "large" is grows with what it sees, up to
-//! 32 MiB; below that each thread keeps what it freed for itself. A frame's fields are of a few MiB. On 16
-//! threads the process so held 344 MiB where frames took 160; with both thresholds fixed, 196.
+//! glibc returns large blocks at once, but what counts as large grows with the blocks that it sees, up to 32 MiB; smaller
+//! blocks stay with the thread that freed them. The fields of a frame are a few MiB each. On 16 threads the process held
+//! 344 MiB where frames took 160; with both thresholds fixed, 196.
 //!
-//! And there are up to eight parts for each processor, each of which keeps something of its own: a daemon grew from 22
+//! And there are up to eight arenas for each processor, each of which keeps some memory: a daemon grew from 22
 //! to 56 MiB within its first hour, on two processors. No more threads run at once than there are processors, and
-//! with one part for each of those it is as fast.
-//!
-//! All this can be fixed only before the process begins, or by a call that Rust cannot check. So it begins anew.
+//! with one arena for each of those it is as fast.
 
-/// Starts this program once more in its place, with the allocator told to keep little.
+/// Makes the allocator keep little. Call it before the process starts threads.
 ///
-/// Where that is not possible, or whoever started it has chosen otherwise, it simply goes on.
+/// Does nothing where the environment sets the allocator's options (`MALLOC_…`, `GLIBC_TUNABLES`), or where the C library is not
+/// glibc.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 pub fn give_memory_back() {
     use std::env;
-    use std::os::unix::process::CommandExt;
-    use std::process::Command;
+    use std::ffi::c_int;
     use std::thread::available_parallelism;
 
-    if SETTINGS.iter().any(|(name, _)| env::var_os(name).is_some()) || env::var_os(PARTS).is_some() {
+    let is_chosen = |name: &&str| env::var_os(name).is_some();
+    if CHOSEN_BY.iter().any(|name| is_chosen(name)) {
         return;
     }
-    let part_count = available_parallelism().map_or(1, usize::from);
-    let mut arguments = env::args_os();
-    let (Some(name), Ok(program)) = (arguments.next(), env::current_exe()) else { return };
-    // It returns only when it fails; then more memory is kept, and all else is as it was.
-    let _failed = Command::new(program)
-        .arg0(name)
-        .args(arguments)
-        .envs(SETTINGS)
-        .env(PARTS, part_count.to_string())
-        .exec();
+    let arenas = available_parallelism().map_or(1, usize::from);
+    let settings = [
+        (libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD),
+        (libc::M_TRIM_THRESHOLD, TRIM_THRESHOLD),
+        (libc::M_ARENA_MAX, c_int::try_from(arenas).unwrap_or(c_int::MAX)),
+    ];
+    for (parameter, value) in settings {
+        // A parameter that is refused stays as it was: more memory is kept, and nothing else changes.
+        #[expect(unsafe_code, reason = "std has no safe call for it")]
+        // SAFETY: mallopt takes two integers, no pointers; it locks the allocator's state, and refuses unknown parameters
+        // and values.
+        let _accepted = unsafe { libc::mallopt(parameter, value) };
+    }
 }
 
-/// How many threads may allocate at once; the others wait for them.
+/// Each of these sets the allocator: it is left as it is.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-const PARTS: &str = "MALLOC_ARENA_MAX";
+const CHOSEN_BY: [&str; 4] =
+    ["MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_ARENA_MAX", "GLIBC_TUNABLES"];
 
-/// Blocks from 1 MiB on are given back at once; and so is what is free at the end of a thread's own part,
-/// from 4 MiB on.
+/// Blocks from 1 MiB on are returned at once.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
-const SETTINGS: [(&str, &str); 3] = [
-    ("MALLOC_MMAP_THRESHOLD_", "1048576"),
-    ("MALLOC_TRIM_THRESHOLD_", "4194304"),
-    // Pages of 2 MiB where the system has them: fields are streamed over and over, and a tenth of the time of
-    // smoothing goes into finding out where their pages are.
-    ("GLIBC_TUNABLES", "glibc.malloc.hugetlb=1"),
-];
+const MMAP_THRESHOLD: std::ffi::c_int = 1 << 20;
+
+/// What is free at the end of an arena is returned from 4 MiB on.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+const TRIM_THRESHOLD: std::ffi::c_int = 4 << 20;
 
 /// Elsewhere the allocator is another.
 #[cfg(not(all(target_os = "linux", target_env = "gnu")))]

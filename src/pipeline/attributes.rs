@@ -6,7 +6,7 @@ use meniscus_formats::names::aliases;
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
 use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};
-use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, attribute_of};
+use crate::surface::particles::{Attribute, AttributeValues, Meaning, attribute_of};
 
 /// What a frame needs of the attributes in its file.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -169,14 +169,6 @@ impl Wanted {
     pub fn is_selected(&self, attribute: &Attribute) -> bool {
         self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
     }
-}
-
-/// r_min of each particle whose own radius is a positive number, world units.
-pub(super) fn own_radii_min(cloud: &Cloud, own: &OwnRadii) -> Vec<f64> {
-    let attribute = cloud.attribute_of(&own.attribute, 1);
-    let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
-    let radii = radii.iter().map(|&radius| own.scale * f64::from(radius));
-    radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
 }
 
 /// A file's attribute as the method has it: reals in 32 bits, colours from 0 to 1.

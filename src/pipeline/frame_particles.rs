@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Instant;
 
 use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, Positions};
 
@@ -13,7 +14,6 @@ use crate::surface::options::Settings;
 use crate::surface::report::Shaping;
 use crate::surface::skin::{self, ShapedSource};
 
-use super::attributes::own_radii_min;
 use super::frame::Cause;
 use super::reading::InputFile;
 
@@ -96,20 +96,19 @@ impl FrameParticles {
     /// # Errors
     /// When they are on disk and cannot be read.
     pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameParticles>, Shaping), Cause> {
+        let started = Instant::now();
         let (particles, shaping) = self.shaped_by_attributes(settings);
-        skin::shape_by_neighbors(particles, shaping, settings)
+        let (shaped, mut shaping) = skin::shape_by_neighbors(particles, shaping, settings)?;
+        if settings.has_shapes() || settings.uses_neighbors() {
+            shaping.seconds = started.elapsed().as_secs_f64();
+        }
+        Ok((shaped, shaping))
     }
 
     fn shaped_by_attributes(self, settings: &Settings) -> (FrameParticles, Shaping) {
         match self {
             FrameParticles::InMemory(cloud) => {
-                let (cloud, mut shaping) = skin::shape_by_attributes(cloud, settings);
-                if shaping.small_radius_count > 0
-                    && let Some(own) = &settings.own_radii
-                {
-                    let least = own_radii_min(&cloud, own).into_iter().reduce(f64::min);
-                    shaping.small_radius_min = least.unwrap_or(0.0);
-                }
+                let (cloud, shaping) = skin::shape_by_attributes(cloud, settings);
                 (FrameParticles::InMemory(cloud), shaping)
             }
             // What needs attributes is never read in batches.
@@ -153,8 +152,8 @@ impl ParticleSource for FrameParticles {
                 let mut batch = ParticleBatch::default();
                 file.batches.read_batch(index, &mut batch).map_err(|error| file.cause(error))?;
                 Ok(match batch.positions {
-                    Positions::F32(positions) => particles::Positions::Single(Cow::Owned(positions)),
-                    Positions::F64(positions) => particles::Positions::Double(Cow::Owned(positions)),
+                    Positions::F32(positions) => particles::Positions::F32(Cow::Owned(positions)),
+                    Positions::F64(positions) => particles::Positions::F64(Cow::Owned(positions)),
                 })
             }
         }

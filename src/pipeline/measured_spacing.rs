@@ -22,7 +22,7 @@ use crate::surface::spacing::{
 };
 use crate::surface::words::significant;
 
-use super::attributes::{Wanted, own_radii_min};
+use super::attributes::Wanted;
 use super::frame::{FrameError, Stage};
 use super::frame_particles::{FileParticles, FrameParticles};
 use super::reading::{InputFile, ReadFrame, parse_particles, read_file};
@@ -223,7 +223,7 @@ fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> O
         (None, Some((_, spacing))) => (of_radius(spacing), None),
         (None, None) => return None,
     };
-    let radius_median = own_radii.and_then(|own| median(own_radii_min(&read.cloud, own)));
+    let radius_median = own_radii.and_then(|own| median(own.radii_min(&read.cloud.attributes)));
     Some(Measured { path: path.to_owned(), estimate, doubted, radius_median })
 }
 

@@ -3,6 +3,7 @@
 use std::fs::File;
 use std::io;
 use std::path::Path;
+use std::time::Instant;
 
 use crate::surface::options::Settings;
 use crate::surface::skin::tiled::{self, TiledError, TiledFrame};
@@ -116,16 +117,19 @@ impl Method for LevelSetSkinning {
         plan: &Plan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause> {
+        let started = Instant::now();
         let (particles, shaping) = particles.shaped(settings)?;
         let Some(tile_leaves) = plan.tile_leaves else {
-            let rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
+            let mut rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
+            rasterized.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
             particles.given().check_unchanged()?;
             return Ok(Skinned::Whole(rasterized, settings.attributes.is_some().then_some(particles)));
         };
         let storages =
             (0..SHELF_COUNT).map(|_| ScratchFile::storage(scratch)).collect::<io::Result<Vec<_>>>();
         let storages = storages.map_err(Cause::Scratch)?;
-        let frame = tiled::rasterize(particles, settings, shaping, obstacles, tile_leaves, storages)?;
+        let mut frame = tiled::rasterize(particles, settings, shaping, obstacles, tile_leaves, storages)?;
+        frame.report_mut().seconds.rasterize = started.elapsed().as_secs_f64();
         // It will be read once more; but what follows takes a while.
         frame.source().given().check_unchanged()?;
         Ok(Skinned::Tiled(Box::new(frame)))
@@ -141,12 +145,16 @@ impl Method for LevelSetSkinning {
         settings: &Settings,
         advanced: &mut dyn FnMut(f64),
     ) -> Result<Self::Smoothed, Cause> {
+        let started = Instant::now();
         Ok(match rasterized {
             Skinned::Whole(rasterized, particles) => {
-                Skinned::Whole(skin::smooth_observed(rasterized, settings, advanced), particles)
+                let mut smoothed = skin::smooth_observed(rasterized, settings, advanced);
+                smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
+                Skinned::Whole(smoothed, particles)
             }
             Skinned::Tiled(frame) => {
-                let smoothed = tiled::smooth(*frame, settings, advanced).map_err(Cause::Scratch)?;
+                let mut smoothed = tiled::smooth(*frame, settings, advanced).map_err(Cause::Scratch)?;
+                smoothed.report_mut().seconds.smooth = started.elapsed().as_secs_f64();
                 Skinned::Tiled(Box::new(smoothed))
             }
         })
@@ -158,6 +166,7 @@ impl Method for LevelSetSkinning {
         settings: &Settings,
         outputs: &OutputOptions,
     ) -> Result<Surface, Cause> {
+        let started = Instant::now();
         let (mut surface, particles) = match smoothed {
             Skinned::Whole(smoothed, particles) => {
                 (skin::contour(smoothed, settings, &stored(outputs)), particles)
@@ -168,6 +177,7 @@ impl Method for LevelSetSkinning {
                 (surface, Some(particles))
             }
         };
+        surface.report.seconds.contour = started.elapsed().as_secs_f64();
         // Those on disk have no attributes that are wanted.
         let in_memory = |given| match given {
             FrameParticles::InMemory(cloud) => Some(cloud),
@@ -176,7 +186,11 @@ impl Method for LevelSetSkinning {
         let is_wanted = settings.attributes.is_some();
         let cloud = particles.filter(|_| is_wanted).and_then(|particles| particles.into_cloud(in_memory));
         if let Some(cloud) = cloud {
+            let started = Instant::now();
             skin::transfer(&mut surface, &cloud, settings, targets(outputs));
+            if let Some(transfer) = &mut surface.report.transfer {
+                transfer.seconds = started.elapsed().as_secs_f64();
+            }
         }
         Ok(surface)
     }

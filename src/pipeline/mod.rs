@@ -89,6 +89,7 @@ mod out_folder;
 mod output_states;
 mod outputs;
 mod particles_only;
+mod phase_timer;
 mod picture;
 mod picture_file;
 mod provenance;
@@ -140,6 +141,7 @@ pub use outputs::{
     Conflict, METERS_PER_UNIT, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path,
 };
 pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
+pub use phase_timer::PhaseTimer;
 pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{

@@ -130,10 +130,8 @@ fn box_of(particles: &FrameParticles) -> Result<Option<[DVec3; 2]>, Cause> {
     }
     let of_batch = |batch: usize| {
         Ok(match particles.batch(batch)? {
-            Positions::Single(points) => {
-                around(points.iter().map(|&point| glam::Vec3::from(point).as_dvec3()))
-            }
-            Positions::Double(points) => around(points.iter().map(|&point| DVec3::from(point))),
+            Positions::F32(points) => around(points.iter().map(|&point| glam::Vec3::from(point).as_dvec3())),
+            Positions::F64(points) => around(points.iter().map(|&point| DVec3::from(point))),
         })
     };
     let of_batches = (0..particles.batch_count()).into_par_iter().map(of_batch);

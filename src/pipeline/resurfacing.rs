@@ -22,6 +22,7 @@ use super::level_set_file::{LevelSetFile, level_set_limits};
 use super::notes::fault;
 use super::obstacles::ObstacleFiles;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
+use super::phase_timer::PhaseTimer;
 use super::provenance::{level_set_provenance, provenance_kind, records};
 use super::reading::read_unchanged;
 use super::stages::{Conduct, OnError};
@@ -119,7 +120,11 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     let needed = conduct.pool.install(|| resurfacing_bytes(file.band(), slack, &frame.settings));
     limits.check_level_set(needed, "").map_err(failed)?;
     let band = file.into_band();
-    let surface = conduct.pool.install(|| resurface(band, origin, slack, &frame.settings, &stored));
+    let mut timer = PhaseTimer::default();
+    let mut entered = |phase| timer.enter(phase);
+    let mut surface =
+        conduct.pool.install(|| resurface(band, origin, slack, &frame.settings, &stored, &mut entered));
+    surface.report.seconds = timer.finish();
     notes.extend(surface_notes(&surface, &frame.outputs, &frame.settings));
     let surface = Arc::new(surface);
     let tasks = Tasks::default();

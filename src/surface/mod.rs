@@ -1,33 +1,91 @@
-//! The method: particles in, a smooth surface out. No files, no clock of its own, no threads but those of the rayon pool
-//! that the caller is in.
+//! The method: particles in, a smooth surface out. It opens no file, has no clock, and computes in the rayon pool that the
+//! caller is in.
+//!
+//! [`reconstruct`] makes the surface of one frame. A [`Reconstructor`] makes those of a sequence, with attributes,
+//! obstacles, a progress callback, cancellation and a memory limit. [`Options`] has every option of the method; its defaults
+//! are for liquids. [`Surface`] is a mesh with absolute positions, its level set, and a [`Report`] of what was measured and
+//! [checked](Certificate).
+//!
+//! All lengths are in world units unless a field says voxels (h) or particle spacings (d).
 
+mod cancel;
+mod error;
+mod reconstruct;
+
+pub use cancel::CancelToken;
+pub use error::Error;
+pub use reconstruct::{MEMORY_LIMIT, Progress, Reconstructor, Surface, reconstruct};
+
+#[doc(inline)]
+pub use self::{
+    attributes::TransferCounts,
+    contour::Contouring,
+    grid::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Topology},
+    level_set::NarrowBand,
+    mesh::MeshMeasures,
+    obstacle::{ContactTally, DepthTally, LevelSetSource, MeshFindings, Obstacle, Sampled, Shape, Solid},
+    options::{
+        Anisotropy, AnisotropyKind, AttributeSelection, Choices as Options, ClipBox, OwnRadii, Preset,
+        Settings, SettingsError,
+    },
+    particles::{Attribute, AttributeValues, Meaning, Positions},
+    report::{EditReport, Phase, Shaping, SkinReport as Report, StageSeconds, TransferReport},
+    skin::Storage,
+    smooth::{Convergence, Integrator},
+    spacing::{Estimate, SequenceEstimate, combine_estimates, estimate_spacing},
+    validation::{Certificate, ParticlesOutside},
+};
+
+// The modules below are public for the tests, benchmarks and experiments of this repository, and for the other parts of
+// this crate. They are no part of the API: anything in them may change in any version.
+
+#[doc(hidden)]
 pub mod skin;
 
+#[doc(hidden)]
 pub mod options;
+#[doc(hidden)]
 pub mod report;
 
+#[doc(hidden)]
 pub mod validation;
 
+#[doc(hidden)]
 pub mod anisotropy;
+#[doc(hidden)]
 pub mod attributes;
+#[doc(hidden)]
 pub mod contour;
+#[doc(hidden)]
 pub mod edits;
+#[doc(hidden)]
 pub mod flicker;
+#[doc(hidden)]
 pub mod rasterize;
+#[doc(hidden)]
 pub mod smooth;
+#[doc(hidden)]
 pub mod spacing;
 
+#[doc(hidden)]
 pub mod obstacle;
 
+#[doc(hidden)]
 pub mod level_set;
 
+#[doc(hidden)]
 pub mod grid;
+#[doc(hidden)]
 pub mod neighbors;
 
+#[doc(hidden)]
 pub mod mesh;
+#[doc(hidden)]
 pub mod particles;
+#[doc(hidden)]
 pub mod space;
 
+#[doc(hidden)]
 pub mod simd;
 
 pub(crate) mod words;

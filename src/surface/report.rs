@@ -10,6 +10,7 @@ pub use crate::surface::validation::{Certificate, ParticlesOutside};
 
 /// Everything measured while skinning one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct SkinReport {
     /// Particles that were skinned.
     pub particle_count: usize,
@@ -41,7 +42,7 @@ pub struct SkinReport {
     pub convergence: Option<Convergence>,
     /// Explicit steps whose CFL bound (Eq. 8) was exceeded.
     pub cfl_exceeded_count: usize,
-    /// Seconds in each stage.
+    /// Seconds in each stage, where the caller measured them: the method has no clock.
     pub seconds: StageSeconds,
     /// What was checked of the result.
     pub certificate: Certificate,
@@ -59,6 +60,7 @@ pub struct SkinReport {
 
 /// What a surface got of the particles' attributes.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct TransferReport {
     /// The names of the attributes.
     pub attributes: Vec<String>,
@@ -66,12 +68,13 @@ pub struct TransferReport {
     pub vertices: TransferCounts,
     /// At the places in the band that voxels have their values from.
     pub band: TransferCounts,
-    /// Seconds that it took.
+    /// Seconds that it took, where the caller measured them.
     pub seconds: f64,
 }
 
 /// What was done to give particles shapes of their own.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Shaping {
     /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
     pub small_radius_count: usize,
@@ -90,12 +93,13 @@ pub struct Shaping {
     pub near_count: usize,
     /// The longest half axis, in units of the settings' radii.
     pub longest: f32,
-    /// Seconds that it took; those of rasterization have them, too.
+    /// Seconds that it took, where the caller measured them; those of rasterization include them.
     pub seconds: f64,
 }
 
 /// What was taken from the surface, or added, because somebody asked for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct EditReport {
     /// Pieces that were dropped: they had too few particles.
     pub island_count: usize,
@@ -113,12 +117,29 @@ pub struct EditReport {
     pub decimation_error_voxels: f64,
 }
 
+/// The phases of a reconstruction, in their order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
+pub enum Phase {
+    /// Checks the input, and estimates the particle spacing where the options need it.
+    Prepare,
+    /// Particles to level sets; what neighbours do to the shapes of particles is part of it.
+    Rasterize,
+    /// Smooths the level set within its bounds: usually most of the time.
+    Smooth,
+    /// Level set to mesh, with its measures and checks.
+    Contour,
+    /// Attributes of the particles to the vertices of the mesh.
+    Interpolate,
+}
+
 /// Wall-clock seconds in each stage of the method.
 ///
 /// When several frames are under way in one pool of threads, each has fewer of them than it would have
 /// alone, and a stage that waits for a part of its work may wait for another frame's stage, too. Only of
 /// a frame that runs alone is this the cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct StageSeconds {
     /// Particles to level sets.
     pub rasterize: f64,

@@ -18,7 +18,7 @@ fn a_folder_becomes_what_convert_makes_of_it() {
     let path = |name: &str| folder.path().join(name);
     fs::create_dir(path("in")).expect("made");
     write_sequence(&path("in"), 9, 11);
-    assert_eq!(example::skin_folder(&path("in"), &path("example")).expect("skinned"), 3);
+    assert_eq!(example::convert_folder(&path("in"), &path("example")).expect("converted"), 3);
     assert_eq!(meniscus(folder.path(), &["convert", "in", "--out", "command"]).status, 0);
     let names = names_in(&path("command"));
     assert_eq!(names.len(), 6);
@@ -35,7 +35,7 @@ fn a_frame_becomes_a_mesh() {
     let folder = tempdir().expect("a folder");
     write_sequence(folder.path(), 1, 1);
     let (from, to) = (folder.path().join("dam.1.ply"), folder.path().join("dam.glb"));
-    example::skin_file(&from, &to).expect("skinned");
+    example::reconstruct_file(&from, &to).expect("converted");
     let mesh = read_mesh(&fs::read(to).expect("readable"), &Limits::default()).expect("a mesh");
     assert!(mesh.triangles.len() > 100);
 }

@@ -88,7 +88,8 @@ pub(crate) fn tetrahedron(count: usize, settings: &Settings) -> Surface {
     let mut phi = Field::splat(1, 6.0);
     phi.leaves[0].values[0] = -1.0;
     let band = NarrowBand { topology, phi, half_width: 6.0 };
-    let report = SkinReport { particle_count: count, ..SkinReport::default() };
+    let mut report = SkinReport::default();
+    report.particle_count = count;
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 

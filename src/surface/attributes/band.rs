@@ -9,7 +9,7 @@ use super::source::Source;
 use super::{Reach, TransferCounts, at_places};
 use crate::surface::grid::{LEAF_VOXELS, NO_LEAF, Topology};
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::{Attribute, AttributeValues, Meaning, Particles};
+use crate::surface::particles::{Attribute, AttributeValues, Meaning, Positions};
 use crate::surface::simd::{Kernel, Lanes, dispatch};
 use crate::surface::space::Lattice;
 
@@ -40,22 +40,22 @@ struct Nodes {
 /// Those attributes of the particles that are numbers, where |φ| is less than the half width.
 ///
 /// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
-pub fn to_band(
-    particles: &Particles,
-    attributes: &[&Attribute],
+pub fn to_band<'a>(
+    particles: impl Into<Positions<'a>>,
+    attributes: &[&'a Attribute],
     (band, lattice): (&NarrowBand, &Lattice),
     half_width_voxels: f32,
-    reach: Reach,
+    reach: Reach<'a>,
 ) -> (Vec<BandAttribute>, TransferCounts) {
-    let is_numbers = |attribute: &&&Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
-    let attributes: Vec<&Attribute> = attributes.iter().filter(is_numbers).copied().collect();
+    let is_numbers = |attribute: &&&'a Attribute| matches!(attribute.values, AttributeValues::Numbers(_));
+    let attributes: Vec<&'a Attribute> = attributes.iter().filter(is_numbers).copied().collect();
     let needed = needed_nodes(band, half_width_voxels);
     let places = node_places(band, lattice, &needed);
     let place_of = |place: usize| places[place];
     // Some places do not come as near to the surface as they should.
     let margin_world = reach.margin_world + f64::from(half_width_voxels) * lattice.voxel_size;
     let reach = Reach { margin_world, ..reach };
-    let source = Source::new(particles, attributes, reach, (places.len(), &place_of));
+    let source = Source::new(particles.into(), attributes, reach, (places.len(), &place_of));
     let (blended, counts) = at_places(&source, places.len(), &place_of);
     let mut end = 0;
     let starts = needed.iter().map(|nodes| {

@@ -38,7 +38,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::surface::mesh::Mesh;
-use crate::surface::particles::{Attribute, AttributeValues, Particles, Shapes};
+use crate::surface::particles::{Attribute, AttributeValues, Positions, Shapes};
 
 pub use band::{BandAttribute, to_band};
 
@@ -68,6 +68,7 @@ impl Reach<'_> {
 
 /// What happened on the way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct TransferCounts {
     /// Places that got values: vertices, or voxels for which a mean was taken.
     pub place_count: usize,
@@ -82,14 +83,14 @@ pub struct TransferCounts {
 /// The attributes of the vertices of a mesh, in the order of those of the particles.
 ///
 /// Panics if an attribute has not one value for each component of each particle, or particles lack shapes.
-pub fn to_vertices(
-    particles: &Particles,
-    attributes: &[&Attribute],
+pub fn to_vertices<'a>(
+    particles: impl Into<Positions<'a>>,
+    attributes: &[&'a Attribute],
     mesh: &Mesh,
-    reach: Reach,
+    reach: Reach<'a>,
 ) -> (Vec<Attribute>, TransferCounts) {
     let place_of = |vertex: usize| mesh.origin + mesh.positions[vertex].as_dvec3();
-    let source = Source::new(particles, attributes.to_vec(), reach, (mesh.positions.len(), &place_of));
+    let source = Source::new(particles.into(), attributes.to_vec(), reach, (mesh.positions.len(), &place_of));
     let (blended, counts) = at_places(&source, mesh.positions.len(), &place_of);
     let mut numbers = blended.numbers.into_iter();
     let mut values_of = |attribute: &Attribute| match &attribute.values {

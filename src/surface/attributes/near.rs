@@ -13,12 +13,12 @@ use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 
 use super::PIECE;
-use crate::surface::particles::Particles;
+use crate::surface::particles::Positions;
 use crate::surface::space::Lattice;
 
 /// The indices of the particles that are within `radius_world` of some place, and of others, in order.
 pub(super) fn near_particles(
-    particles: &Particles,
+    particles: &Positions<'_>,
     radius_world: f64,
     (count, place_of): (usize, &(impl Fn(usize) -> DVec3 + Sync)),
 ) -> Vec<u32> {

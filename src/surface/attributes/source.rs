@@ -13,11 +13,11 @@ use rayon::prelude::*;
 use super::near::near_particles;
 use super::{NO_PARTICLE, Reach};
 use crate::surface::neighbors::Neighbors;
-use crate::surface::particles::{Attribute, AttributeValues, Particles};
+use crate::surface::particles::{Attribute, AttributeValues, Particles, Positions};
 
 /// What values are taken from.
 pub(super) struct Source<'a> {
-    pub(super) particles: &'a Particles,
+    pub(super) particles: Positions<'a>,
     pub(super) attributes: Vec<&'a Attribute>,
     pub(super) reach: Reach<'a>,
     /// The particles near the places, in cells of the radius.
@@ -43,7 +43,7 @@ pub(super) struct Numbers<'a> {
 impl<'a> Source<'a> {
     /// What is near these places.
     pub(super) fn new(
-        particles: &'a Particles,
+        particles: Positions<'a>,
         attributes: Vec<&'a Attribute>,
         reach: Reach<'a>,
         places: (usize, &(impl Fn(usize) -> DVec3 + Sync)),
@@ -52,8 +52,8 @@ impl<'a> Source<'a> {
             let (found, arity) = (attribute.values.len(), attribute.arity);
             assert!(0 < arity && found == particles.len() * arity, "{found} values of {}", attribute.name);
         }
-        let indices = near_particles(particles, reach.radius_world, places);
-        let neighbors = Neighbors::new(&subset(particles, &indices), reach.radius_world);
+        let indices = near_particles(&particles, reach.radius_world, places);
+        let neighbors = Neighbors::new(&subset(&particles, &indices), reach.radius_world);
         let mut numbers: Vec<Numbers> =
             attributes.iter().filter_map(|attribute| numbers_of(attribute)).collect();
         let mut left_out_count = 0;
@@ -77,12 +77,12 @@ impl<'a> Source<'a> {
     }
 }
 
-fn subset(particles: &Particles, indices: &[u32]) -> Particles {
+fn subset(particles: &Positions<'_>, indices: &[u32]) -> Particles {
     match particles {
-        Particles::Single(positions) => {
+        Positions::F32(positions) => {
             Particles::Single(indices.par_iter().map(|&index| positions[index as usize]).collect())
         }
-        Particles::Double(positions) => {
+        Positions::F64(positions) => {
             Particles::Double(indices.par_iter().map(|&index| positions[index as usize]).collect())
         }
     }

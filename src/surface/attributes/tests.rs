@@ -7,7 +7,7 @@ use glam::{DVec3, IVec3, Vec3};
 use super::{to_vertices as to_vertices_of, *};
 use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
 use crate::surface::level_set::NarrowBand;
-use crate::surface::particles::Meaning;
+use crate::surface::particles::{Meaning, Particles};
 use crate::surface::space::Lattice;
 
 const REACH: Reach =

@@ -6,7 +6,7 @@ use glam::{DVec3, Vec3};
 
 use super::tree::{Seen, Tree};
 use super::*;
-use crate::surface::particles::Meaning;
+use crate::surface::particles::{Meaning, Particles};
 
 const RADIUS: f64 = 0.26;
 

@@ -54,6 +54,7 @@ pub struct Mesh {
 
 /// What [`Mesh::measure`] finds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct MeshMeasures {
     /// Area, world units squared.
     pub area: f64,

@@ -39,6 +39,7 @@ use crate::surface::simd::{self, Kernel, Lanes};
 
 /// What obstacles changed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ContactTally {
     /// Voxels between surface and obstacle that were filled.
     pub void_count: u64,

@@ -22,11 +22,11 @@ impl Obstacles {
         let of_batch = |batch: usize| {
             let mut known = Known { obstacles: self, lattice, half_width, last: None };
             Ok(match source.batch(batch)? {
-                Positions::Single(positions) => positions
+                Positions::F32(positions) => positions
                     .iter()
                     .filter(|position| known.is_inside(glam::Vec3::from(**position).as_dvec3()))
                     .count(),
-                Positions::Double(positions) => {
+                Positions::F64(positions) => {
                     positions.iter().filter(|position| known.is_inside(DVec3::from(**position))).count()
                 }
             })

@@ -17,6 +17,7 @@ use crate::surface::space::Lattice;
 
 /// What was found of vertices.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct DepthTally {
     /// The deepest vertex inside an obstacle, in voxels; 0 if none is.
     pub deepest_voxels: f64,

@@ -74,6 +74,13 @@ pub struct Obstacle {
 }
 
 impl Obstacle {
+    /// What a triangle mesh in world units encloses. It may have holes, repeated vertices and triangles that face the wrong way;
+    /// triangles that cannot be part of a surface are left out. [`Solid::findings`] says what was found. Distances around it
+    /// are cached in up to 64 MiB.
+    pub fn from_mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Obstacle {
+        Obstacle::new(Shape::Solid(Solid::new(positions, triangles)), CACHED_BYTES_MAX)
+    }
+
     /// An obstacle whose leaves are kept, in at most so many bytes: a frame asks for them more than once, and if
     /// the obstacle stands still the next frame asks for the same.
     pub fn new(shape: Shape, kept_bytes_max: usize) -> Obstacle {
@@ -113,6 +120,9 @@ impl Obstacle {
         }
     }
 }
+
+/// What an obstacle keeps of its distances, at most, unless the caller says otherwise.
+const CACHED_BYTES_MAX: usize = 64 << 20;
 
 /// All obstacles of a frame.
 #[derive(Clone, Default)]

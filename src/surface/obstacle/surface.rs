@@ -25,6 +25,7 @@ use super::winding::{WINDING_ERROR, winding};
 
 /// What was found in a mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct MeshFindings {
     /// Triangles that bound the obstacle.
     pub triangle_count: usize,

@@ -10,6 +10,7 @@ mod presets;
 use std::fmt;
 
 pub use crate::surface::contour::Contouring;
+use crate::surface::particles::{Attribute, attribute_of};
 use crate::surface::smooth::EIGENVALUE_MAX;
 pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
@@ -20,6 +21,7 @@ pub use presets::{Measured, Preset};
 
 /// All settings of a sequence, checked.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Settings {
     /// Distance d between neighbouring particles, world units.
     pub spacing: f64,
@@ -79,11 +81,22 @@ pub struct Settings {
 
 /// Where particles have radii of their own.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct OwnRadii {
     /// The attribute that tells them, world units.
     pub attribute: String,
     /// A particle's r_min in units of its own radius.
     pub scale: f64,
+}
+
+impl OwnRadii {
+    /// r_min of each particle whose own radius is a positive number, world units.
+    pub fn radii_min(&self, attributes: &[Attribute]) -> Vec<f64> {
+        let attribute = attribute_of(attributes, &self.attribute, 1);
+        let radii = attribute.and_then(|attribute| attribute.values.numbers()).unwrap_or_default();
+        let radii = radii.iter().map(|&radius| self.scale * f64::from(radius));
+        radii.filter(|radius| radius.is_finite() && *radius > 0.0).collect()
+    }
 }
 
 /// What stretches particles (paper, Eq. 1 and 16, Fig. 11).
@@ -171,6 +184,7 @@ const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
 /// Why choices make no settings.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SettingsError {
     /// What is wrong, and what would be right.
     pub what: String,

@@ -141,22 +141,127 @@ impl<S: ParticleSource> ParticleSource for &S {
     }
 }
 
-/// The positions of a batch in world units, in the precision they came in.
+/// Positions in world units, in the precision they came in: borrowed from the caller, or owned.
+///
+/// Functions that take `impl Into<Positions>` accept `&[[f32; 3]]` and `&[[f64; 3]]`, `&Vec` and `&[_; N]` of
+/// these (nothing is copied), and vectors of them.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Positions<'a> {
     /// 32-bit positions.
-    Single(Cow<'a, [[f32; 3]]>),
+    F32(Cow<'a, [[f32; 3]]>),
     /// 64-bit positions.
-    Double(Cow<'a, [[f64; 3]]>),
+    F64(Cow<'a, [[f64; 3]]>),
+}
+
+/// The conversions into [`Positions`] of everything that holds positions of one precision.
+macro_rules! positions_from {
+    ($number:ty, $variant:ident) => {
+        impl<'a> From<&'a [[$number; 3]]> for Positions<'a> {
+            fn from(positions: &'a [[$number; 3]]) -> Positions<'a> {
+                Positions::$variant(Cow::Borrowed(positions))
+            }
+        }
+
+        impl<'a> From<&'a Vec<[$number; 3]>> for Positions<'a> {
+            fn from(positions: &'a Vec<[$number; 3]>) -> Positions<'a> {
+                Positions::$variant(Cow::Borrowed(positions))
+            }
+        }
+
+        impl<'a, const N: usize> From<&'a [[$number; 3]; N]> for Positions<'a> {
+            fn from(positions: &'a [[$number; 3]; N]) -> Positions<'a> {
+                Positions::$variant(Cow::Borrowed(positions))
+            }
+        }
+
+        impl From<Vec<[$number; 3]>> for Positions<'_> {
+            fn from(positions: Vec<[$number; 3]>) -> Self {
+                Positions::$variant(Cow::Owned(positions))
+            }
+        }
+    };
+}
+
+positions_from!(f32, F32);
+positions_from!(f64, F64);
+
+impl<'a> From<&'a Particles> for Positions<'a> {
+    fn from(particles: &'a Particles) -> Positions<'a> {
+        match particles {
+            Particles::Single(positions) => positions.into(),
+            Particles::Double(positions) => positions.into(),
+        }
+    }
+}
+
+impl From<Particles> for Positions<'_> {
+    fn from(particles: Particles) -> Self {
+        match particles {
+            Particles::Single(positions) => positions.into(),
+            Particles::Double(positions) => positions.into(),
+        }
+    }
+}
+
+impl From<Positions<'_>> for Particles {
+    fn from(positions: Positions<'_>) -> Particles {
+        match positions {
+            Positions::F32(positions) => Particles::Single(positions.into_owned()),
+            Positions::F64(positions) => Particles::Double(positions.into_owned()),
+        }
+    }
+}
+
+/// Particles in a batch of what is in memory.
+const BATCH: usize = 1 << 14;
+
+impl Positions<'_> {
+    /// The number of particles.
+    pub fn len(&self) -> usize {
+        match self {
+            Positions::F32(positions) => positions.len(),
+            Positions::F64(positions) => positions.len(),
+        }
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The position of particle `index`.
+    ///
+    /// Panics if there is no such particle.
+    pub fn position(&self, index: usize) -> DVec3 {
+        match self {
+            Positions::F32(positions) => glam::Vec3::from(positions[index]).as_dvec3(),
+            Positions::F64(positions) => DVec3::from(positions[index]),
+        }
+    }
+
+    /// The same positions, borrowed.
+    pub(crate) fn borrowed(&self) -> Positions<'_> {
+        self.part(0..self.len())
+    }
+
+    /// The positions in this range.
+    fn part(&self, range: Range<usize>) -> Positions<'_> {
+        match self {
+            Positions::F32(positions) => Positions::F32(Cow::Borrowed(&positions[range])),
+            Positions::F64(positions) => Positions::F64(Cow::Borrowed(&positions[range])),
+        }
+    }
+
+    /// The indices of the particles of a batch.
+    pub(crate) fn range_of(&self, batch: usize) -> Range<usize> {
+        batch * BATCH..self.len().min((batch + 1) * BATCH)
+    }
 }
 
 impl Particles {
     /// The number of particles.
     pub fn len(&self) -> usize {
-        match self {
-            Particles::Single(positions) => positions.len(),
-            Particles::Double(positions) => positions.len(),
-        }
+        Positions::from(self).len()
     }
 
     /// Whether there is no particle.
@@ -173,46 +278,35 @@ impl Particles {
     }
 
     /// The position of particle `index`.
+    #[inline]
     pub fn position(&self, index: usize) -> DVec3 {
         match self {
             Particles::Single(positions) => glam::Vec3::from(positions[index]).as_dvec3(),
             Particles::Double(positions) => DVec3::from(positions[index]),
         }
     }
-}
 
-impl Particles {
     /// The indices of the particles of a batch.
-    pub(crate) fn range_of(&self, batch: usize) -> Range<usize> {
-        batch * BATCH..self.len().min((batch + 1) * BATCH)
+    fn range_of(&self, batch: usize) -> Range<usize> {
+        Positions::from(self).range_of(batch)
     }
 }
 
-impl Positions<'_> {
-    /// The number of particles.
-    pub fn len(&self) -> usize {
-        match self {
-            Positions::Single(positions) => positions.len(),
-            Positions::Double(positions) => positions.len(),
-        }
+impl ParticleSource for Positions<'_> {
+    type Error = Infallible;
+
+    fn batch_count(&self) -> usize {
+        self.len().div_ceil(BATCH)
     }
 
-    /// Whether there is no particle.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
+        Ok(self.part(self.range_of(batch)))
     }
 
-    /// The position of particle `place` of the batch.
-    pub fn position(&self, place: usize) -> DVec3 {
-        match self {
-            Positions::Single(positions) => glam::Vec3::from(positions[place]).as_dvec3(),
-            Positions::Double(positions) => DVec3::from(positions[place]),
-        }
+    fn count_of(&self, batch: usize) -> usize {
+        self.range_of(batch).len()
     }
 }
-
-/// Particles in a batch of what is in memory.
-const BATCH: usize = 1 << 14;
 
 impl ParticleSource for Particles {
     type Error = Infallible;
@@ -224,8 +318,8 @@ impl ParticleSource for Particles {
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
         let range = self.range_of(batch);
         Ok(match self {
-            Particles::Single(positions) => Positions::Single(Cow::Borrowed(&positions[range])),
-            Particles::Double(positions) => Positions::Double(Cow::Borrowed(&positions[range])),
+            Particles::Single(positions) => Positions::from(&positions[range]),
+            Particles::Double(positions) => Positions::from(&positions[range]),
         })
     }
 

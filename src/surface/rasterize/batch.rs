@@ -39,8 +39,8 @@ impl LeafBatch {
     /// Sorts a batch. Particles of a leaf keep their order. `with_places` where it will matter which particle is which.
     pub(super) fn new(positions: &Positions, lattice: &Lattice, with_places: bool) -> LeafBatch {
         let placed = match positions {
-            Positions::Single(positions) => Placed::new(positions, lattice),
-            Positions::Double(positions) => Placed::new(positions, lattice),
+            Positions::F32(positions) => Placed::new(positions, lattice),
+            Positions::F64(positions) => Placed::new(positions, lattice),
         };
         let mut origins: Vec<IVec3> = Vec::new();
         let mut starts = vec![0u32];
@@ -72,8 +72,8 @@ impl LeafBatch {
         }
         let dropped_count = placed.locals.len() - locals.len();
         let position = |place: usize| match positions {
-            Positions::Single(positions) => Vec3::from(positions[place]).as_dvec3(),
-            Positions::Double(positions) => DVec3::from(positions[place]),
+            Positions::F32(positions) => Vec3::from(positions[place]).as_dvec3(),
+            Positions::F64(positions) => DVec3::from(positions[place]),
         };
         let is_beyond = |place: &usize| placed.locals[*place].is_nan() && position(*place).is_finite();
         let beyond_grid = (dropped_count > 0).then(|| (0..placed.locals.len()).find(is_beyond)).flatten();

@@ -226,7 +226,7 @@ mod tests {
         }
 
         fn batch(&self, batch: usize) -> Result<Positions<'_>, &'static str> {
-            if batch == 2 { Err("the end is missing") } else { Ok(Positions::Single(vec![[0.0; 3]].into())) }
+            if batch == 2 { Err("the end is missing") } else { Ok(Positions::F32(vec![[0.0; 3]].into())) }
         }
 
         fn count_of(&self, _batch: usize) -> usize {

@@ -34,7 +34,7 @@ impl ParticleSource for Small<'_> {
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, Infallible> {
         let Some(positions) = self.0.chunks(7).nth(batch) else { unreachable!("there are not so many") };
-        Ok(Positions::Single(positions.into()))
+        Ok(Positions::F32(positions.into()))
     }
 
     fn count_of(&self, batch: usize) -> usize {

@@ -11,7 +11,7 @@
 //!                      └─ Baseline   4 on x86-64 (SSE2) and on aarch64 (NEON)
 //! ```
 //!
-//! This is the only module with unsafe code: calling a function that was compiled for more than the
+//! In `surface` this is the only module with unsafe code: calling a function that was compiled for more than the
 //! baseline is safe only after the processor was asked.
 
 mod lanes;

@@ -1,12 +1,11 @@
 //! What the simulation knows of its particles, on the surface that was made of them.
 
 use std::borrow::Cow;
-use std::time::Instant;
 
 use super::{Surface, lattice};
 use crate::surface::attributes::{BandAttribute, Reach, to_band, to_vertices};
 use crate::surface::options::Settings;
-use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Shapes};
+use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Positions, Shapes};
 use crate::surface::report::TransferReport;
 
 /// What is known of a surface beside where it is.
@@ -42,27 +41,36 @@ pub struct Targets {
 
 /// Gives a surface those attributes of its particles that the settings ask for.
 pub fn transfer(surface: &mut Surface, cloud: &Cloud, settings: &Settings, targets: Targets) {
+    let particles = (Positions::from(&cloud.positions), &cloud.shapes, &*cloud.attributes);
+    transfer_from(particles, surface, settings, targets);
+}
+
+/// The same of particles that may be borrowed: their positions, their shapes and their attributes.
+pub(crate) fn transfer_from(
+    (positions, shapes, attributes): (Positions<'_>, &Shapes, &[Attribute]),
+    surface: &mut Surface,
+    settings: &Settings,
+    targets: Targets,
+) {
     let Some(selection) = &settings.attributes else { return };
-    let started = Instant::now();
     let selected: Vec<&Attribute> =
-        cloud.attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
-    let reach = reach(settings, &cloud.shapes);
+        attributes.iter().filter(|attribute| selection.selects(attribute)).collect();
+    let reach = reach(settings, shapes);
     let mut report = TransferReport {
         attributes: selected.iter().map(|attribute| attribute.name.clone()).collect(),
         ..TransferReport::default()
     };
     if targets.vertices {
-        let (vertices, counts) = to_vertices(&cloud.positions, &selected, &surface.mesh, reach);
+        let (vertices, counts) = to_vertices(positions.borrowed(), &selected, &surface.mesh, reach);
         (surface.attributes.vertices, report.vertices) = (vertices, counts);
     }
     if let Some(half_width_voxels) = targets.band_half_width_voxels {
         let grids: Vec<Cow<Attribute>> = selected.iter().copied().filter_map(of_grid).collect();
         let grids: Vec<&Attribute> = grids.iter().map(Cow::as_ref).collect();
         let band = (&surface.band, &lattice(settings));
-        let (found, counts) = to_band(&cloud.positions, &grids, band, half_width_voxels, reach);
+        let (found, counts) = to_band(positions, &grids, band, half_width_voxels, reach);
         (surface.attributes.band, report.band) = (found, counts);
     }
-    report.seconds = started.elapsed().as_secs_f64();
     surface.report.transfer = Some(report);
 }
 

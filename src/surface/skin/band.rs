@@ -9,7 +9,6 @@
 //! is to itself.
 
 use std::convert::Infallible;
-use std::time::Instant;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -23,7 +22,7 @@ use crate::surface::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count,
 };
 use crate::surface::options::Settings;
-use crate::surface::report::SkinReport;
+use crate::surface::report::{Phase, SkinReport};
 use crate::surface::smooth;
 use crate::surface::validation::{Part, certificate};
 
@@ -38,15 +37,17 @@ const MARGIN: f32 = 5.0;
 
 /// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
 /// is nowhere farther than that from the given one, before it is moved by the settings' offset. Of the settings those of particles have no say.
-/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked.
+/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked. `entered` is
+/// called as each phase begins.
 pub fn resurface(
     band: NarrowBand,
     translation: DVec3,
     slack_voxels: f32,
     settings: &Settings,
     stored: &[Stored],
+    entered: &mut dyn FnMut(Phase),
 ) -> Surface {
-    let started = Instant::now();
+    entered(Phase::Rasterize);
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
     let offset = (settings.offset / settings.voxel_size) as f32;
     let mut band = match working_half_width(&band, slack, offset) {
@@ -55,8 +56,7 @@ pub fn resurface(
     };
     let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
     let mut report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
-    report.seconds.rasterize = started.elapsed().as_secs_f64();
-    let started = Instant::now();
+    entered(Phase::Smooth);
     if slack > 0.0 {
         let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
         report.free_voxel_count = smoothed.free_voxel_count;
@@ -66,8 +66,7 @@ pub fn resurface(
         report.convergence = smoothed.convergence;
         report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
     }
-    report.seconds.smooth = started.elapsed().as_secs_f64();
-    let started = Instant::now();
+    entered(Phase::Contour);
     let bound_violation_count = bounds.violation_count(&band.phi);
     drop(bounds);
     if offset != 0.0 {
@@ -84,7 +83,6 @@ pub fn resurface(
     let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
     let counts = (bound_violation_count, 0);
     report.certificate = certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
-    report.seconds.contour = started.elapsed().as_secs_f64();
     Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
 }
 
@@ -179,7 +177,8 @@ mod tests {
         let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
         let settings = Settings::paper(0.01, &Choices::default()).expect("sound");
         let flat_count = |translation: DVec3| {
-            let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            let surface =
+                resurface(band.clone(), translation, 0.0, &settings, &[world_positions], &mut |_| {});
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);

@@ -2,7 +2,7 @@
 //!
 //! The calls are separate so that a pipeline can have a different frame in each of them; [`skin`]
 //! is the three in a row. None of them starts threads of its own or opens a file: loops run in
-//! whatever rayon pool the caller is in. [`plan`] tells what a frame will take, and [`tiled`] has the same
+//! whatever rayon pool the caller is in. `plan` tells what a frame will take, and `tiled` has the same
 //! three calls for one that is larger than memory.
 
 mod attributes;
@@ -16,13 +16,15 @@ pub mod tiled;
 mod tiles;
 
 use std::convert::Infallible;
-use std::time::Instant;
+use std::ops::ControlFlow;
 
+pub(crate) use attributes::transfer_from;
 pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use band::{SLACK_MAX_VOXELS, resurface, resurfacing_bytes};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use finish::Stored;
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
+pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};
 pub use shelves::{SHELF_COUNT, Storage};
 
@@ -34,7 +36,7 @@ use crate::surface::obstacle::{ContactTally, Obstacles};
 use crate::surface::options::Settings;
 use crate::surface::particles::{Cloud, ParticleSource, Particles};
 use crate::surface::rasterize::{self, ParticleBins, Radii, Scene};
-use crate::surface::report::{Shaping, SkinReport};
+use crate::surface::report::{Phase, Shaping, SkinReport};
 use crate::surface::smooth;
 use crate::surface::space::{CoordBox, Lattice};
 use crate::surface::validation::{GivenPlace, MeshCells, Part, certificate, doubtful_places, given_outside};
@@ -86,9 +88,23 @@ pub struct Smoothed {
     report: SkinReport,
 }
 
+impl Rasterized {
+    /// What was measured so far; callers that have a clock add seconds.
+    pub fn report_mut(&mut self) -> &mut SkinReport {
+        &mut self.report
+    }
+}
+
+impl Smoothed {
+    /// What was measured so far; callers that have a clock add seconds.
+    pub fn report_mut(&mut self) -> &mut SkinReport {
+        &mut self.report
+    }
+}
+
 /// Skins one frame: shape by neighbours, rasterize, smooth, contour. In the rayon pool that it is called in; the same particles and settings
 /// give the same bits on any number of threads. Particles that are not finite, or too far away for the grid, are left out
-/// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; [`plan`] tells of voxels that are too small for a frame.
+/// and counted in the report, and so are a few that are more than 2²⁰ voxels from all others; `plan` tells of voxels that are too small for a frame.
 ///
 /// Positions are in world units, as the voxel size and the radii of the settings are; `docs/method.md` has the method, after
 /// Bhattacharya, Gao and Bargteil.
@@ -106,9 +122,18 @@ pub struct Smoothed {
 /// # Ok::<(), meniscus::surface::options::SettingsError>(())
 /// ```
 pub fn skin(particles: &Particles, settings: &Settings) -> Surface {
+    skin_observed(particles, settings, &mut |_| {})
+}
+
+/// The same; `entered` is called as each phase begins.
+pub fn skin_observed(particles: &Particles, settings: &Settings, entered: &mut dyn FnMut(Phase)) -> Surface {
+    entered(Phase::Rasterize);
     let Ok((shaped, shaping)) = shape_by_neighbors(particles, Shaping::default(), settings);
     let Ok(rasterized) = rasterize(&shaped, settings, shaping, Obstacles::default());
-    contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
+    entered(Phase::Smooth);
+    let smoothed = smooth(rasterized, settings);
+    entered(Phase::Contour);
+    contour(smoothed, settings, &[Stored::AsTheyAre])
 }
 
 /// Skins one frame whose particles have attributes, among obstacles: shape, rasterize, smooth, contour; and gives the
@@ -126,7 +151,7 @@ pub fn skin_cloud(cloud: Cloud, settings: &Settings, obstacles: &Obstacles) -> S
     surface
 }
 
-/// The first stage: particles to level sets. `shaping` tells how they got their [shapes](shape).
+/// The first stage: particles to level sets. `shaping` tells how they got their shapes.
 ///
 /// # Errors
 /// Those of the source; what is in memory has none.
@@ -136,7 +161,6 @@ pub fn rasterize<S: ParticleSource>(
     shaping: Shaping,
     obstacles: Obstacles,
 ) -> Result<Rasterized, S::Error> {
-    let started = Instant::now();
     let scene = scene(settings, &obstacles);
     let rasterize::Rasterized { bins, band, bounds, contact } = rasterize::rasterize(source, &scene)?;
     let contact = ContactTally { particle_count: inside_obstacles(source, &scene)?, ..contact };
@@ -147,7 +171,7 @@ pub fn rasterize<S: ParticleSource>(
         }
         false => None,
     };
-    let mut report = SkinReport {
+    let report = SkinReport {
         particle_count: bins.particle_count,
         dropped_count: bins.dropped_count,
         stray: bins.stray,
@@ -156,7 +180,6 @@ pub fn rasterize<S: ParticleSource>(
         contact,
         ..SkinReport::default()
     };
-    report.seconds.rasterize = started.elapsed().as_secs_f64() + shaping.seconds;
     Ok(Rasterized { bins, band, bounds, obstacles, given, report })
 }
 
@@ -171,12 +194,24 @@ pub fn smooth_observed(
     settings: &Settings,
     advanced: &mut dyn FnMut(f64),
 ) -> Smoothed {
-    let started = Instant::now();
+    let mut advanced = |fraction| {
+        advanced(fraction);
+        ControlFlow::Continue(())
+    };
+    let ControlFlow::Continue(smoothed) = smooth_while::<Infallible>(rasterized, settings, &mut advanced);
+    smoothed
+}
+
+/// The second stage, which `advanced` may break off.
+pub(crate) fn smooth_while<B>(
+    rasterized: Rasterized,
+    settings: &Settings,
+    advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
+) -> ControlFlow<B, Smoothed> {
     let Rasterized { bins, mut band, bounds, obstacles, given, mut report } = rasterized;
-    let smoothed = smooth::smooth_observed(&mut band, &bounds, &smooth_config(settings), advanced);
+    let smoothed = smooth::smooth_while(&mut band, &bounds, &smooth_config(settings), advanced)?;
     report_smoothing(&mut report, smoothed, settings);
-    report.seconds.smooth = started.elapsed().as_secs_f64();
-    Smoothed { bins, band, bounds, obstacles, given, report }
+    ControlFlow::Continue(Smoothed { bins, band, bounds, obstacles, given, report })
 }
 
 fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, settings: &Settings) {
@@ -195,7 +230,18 @@ fn report_smoothing(report: &mut SkinReport, smoothed: smooth::SmoothReport, set
 
 /// The third stage: the mesh, its measures and the certificate, which is about the mesh as each file stores it.
 pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Surface {
-    let started = Instant::now();
+    let ControlFlow::Continue(surface) =
+        contour_while::<Infallible>(smoothed, settings, stored, &|| ControlFlow::Continue(()));
+    surface
+}
+
+/// The third stage, which `go_on` may break off between its parts.
+pub(crate) fn contour_while<B>(
+    smoothed: Smoothed,
+    settings: &Settings,
+    stored: &[Stored],
+    go_on: &dyn Fn() -> ControlFlow<B>,
+) -> ControlFlow<B, Surface> {
     let Smoothed { bins, mut band, bounds, obstacles, given, mut report } = smoothed;
     let scene = scene(settings, &obstacles);
     let Scene { lattice, radii, .. } = scene;
@@ -206,24 +252,31 @@ pub fn contour(smoothed: Smoothed, settings: &Settings, stored: &[Stored]) -> Su
         true => finish::edit(&mut band, bins.leaves(), (&scene, settings), &mut report.edits),
         false => Edits::default(),
     };
+    go_on()?;
     let mut mesh = finish::mesh(&band, &edits, (&scene, settings), &mut report.depth);
     report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
     let (exempt, owned) = (&Exemptions { scene: &scene, edits: &edits }, CoordBox::ALL);
     let how = (settings, stored);
-    let Ok(checks) = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+    let settled = finish::settle(&mut mesh, how, &mut report, |checked, check| {
+        if let ControlFlow::Break(broken) = go_on() {
+            return Err(broken);
+        }
         let Checked { mesh, rounding } = *checked;
         let (bins, band, lattice) = (&bins, &band, &lattice);
         let cells = &MeshCells::new(mesh, band, lattice);
         check(&Part { bins, radii, band, mesh, cells, rounding, lattice, owned, exempt });
-        Ok::<(), Infallible>(())
+        Ok(())
     });
+    let checks = match settled {
+        Ok(checks) => checks,
+        Err(broken) => return ControlFlow::Break(broken),
+    };
     let counts = (bound_violation_count, report.dropped_count);
     report.certificate =
         certificate(checks, counts, (Some(&radii), settings.offset), &mesh, &report.mesh, &lattice);
     report.certificate.given_outside =
         given.map(|given| given_outside(&given, &band, (&lattice, radii.offset), exempt));
-    report.seconds.contour = started.elapsed().as_secs_f64();
-    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+    ControlFlow::Continue(Surface { band, mesh, attributes: SurfaceAttributes::default(), report })
 }
 
 fn lattice(settings: &Settings) -> Lattice {

@@ -21,6 +21,7 @@ const ITERATIONS_MAX: usize = 1500;
 
 /// How the linear solver fared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Convergence {
     /// Iterations of conjugate gradients.
     pub iterations: usize,

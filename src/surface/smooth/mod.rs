@@ -26,6 +26,9 @@ pub use acts::{Act, FieldSet, Memory, Tally, Work, acts};
 pub use biharmonic::EIGENVALUE_MAX;
 pub use implicit::Convergence;
 
+use std::convert::Infallible;
+use std::ops::ControlFlow;
+
 use rayon::prelude::*;
 
 use crate::surface::grid::Field;
@@ -93,16 +96,19 @@ pub struct SmoothReport {
 
 /// Smooths `band` within `bounds`.
 pub fn smooth(band: &mut NarrowBand, bounds: &Bounds, config: &Config) -> SmoothReport {
-    smooth_observed(band, bounds, config, &mut |_| {})
+    let ControlFlow::Continue(report) =
+        smooth_while::<Infallible>(band, bounds, config, &mut |_| ControlFlow::Continue(()));
+    report
 }
 
-/// Smooths `band` within `bounds`. `advanced` hears how much of it is done, from 0 to 1.
-pub fn smooth_observed(
+/// Smooths `band` within `bounds`. `advanced` is called with the fraction that is done, from 0 to 1, and may break off; then
+/// `band` is in between.
+pub fn smooth_while<B>(
     band: &mut NarrowBand,
     bounds: &Bounds,
     config: &Config,
-    advanced: &mut dyn FnMut(f64),
-) -> SmoothReport {
+    advanced: &mut dyn FnMut(f64) -> ControlFlow<B>,
+) -> ControlFlow<B, SmoothReport> {
     let mut report = SmoothReport::new(config);
     let mut memory = Memory::new(band.topology.len());
     let acts = acts(config, u32::MAX);
@@ -110,9 +116,9 @@ pub fn smooth_observed(
     for (index, act) in acts.into_iter().enumerate() {
         let tally = Work { config, band, bounds, memory: &mut memory, own: None }.perform(act);
         report.add(act, tally);
-        advanced((index + 1) as f64 / act_count);
+        advanced((index + 1) as f64 / act_count)?;
     }
-    report
+    ControlFlow::Continue(report)
 }
 
 /// Moves values off zero, unless their bounds demand that they are as near.

@@ -88,10 +88,10 @@ fn gathered<S: ParticleSource>(
             }
         };
         match source.batch(batch)? {
-            Positions::Single(positions) => {
+            Positions::F32(positions) => {
                 positions.iter().for_each(|&[x, y, z]| take([x, y, z].map(f64::from)))
             }
-            Positions::Double(positions) => positions.iter().for_each(|&position| take(position)),
+            Positions::F64(positions) => positions.iter().for_each(|&position| take(position)),
         }
     }
     Ok(Particles::Double(gathered))

@@ -25,7 +25,7 @@ mod tree;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::surface::particles::Particles;
+use crate::surface::particles::Positions;
 
 pub(crate) use bounded::Sample;
 use local::Local;
@@ -62,6 +62,7 @@ pub const CONFIDENCE_MIN: f64 = 0.5;
 
 /// The spacing of the particles of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Estimate {
     /// The distance between neighbouring particles, world units; positive.
     pub spacing: f64,
@@ -74,8 +75,8 @@ pub struct Estimate {
 ///
 /// `None` where fewer than two distinct finite positions are there to measure it on, or when the
 /// spacing has no place in the range of a 64-bit real.
-pub fn estimate_spacing(particles: &Particles) -> Option<Estimate> {
-    let mut points = finite_positions(particles);
+pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estimate> {
+    let mut points = finite_positions(&positions.into());
     let sample = sample(&points, SAMPLE_COUNT);
     let tree = Node::build(&mut points);
     let measure = |&point: &DVec3| Local::among(&tree.neighbors(point, NEIGHBOR_COUNT));
@@ -90,6 +91,7 @@ pub fn estimate_spacing(particles: &Particles) -> Option<Estimate> {
 
 /// The spacing of the particles of a sequence.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SequenceEstimate {
     /// The distance between neighbouring particles, world units: the median of the frames by their confidence.
     pub spacing: f64,
@@ -202,10 +204,10 @@ pub(crate) fn median(mut numbers: Vec<f64>) -> Option<f64> {
     Some(*numbers.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-fn finite_positions(particles: &Particles) -> Vec<DVec3> {
-    (0..particles.len())
+fn finite_positions(positions: &Positions<'_>) -> Vec<DVec3> {
+    (0..positions.len())
         // Adding zero makes −0 and 0 one position bit for bit.
-        .map(|index| particles.position(index) + DVec3::ZERO)
+        .map(|index| positions.position(index) + DVec3::ZERO)
         .filter(|point| point.is_finite())
         .collect()
 }

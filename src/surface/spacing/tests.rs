@@ -1,5 +1,6 @@
 use super::sample::mix;
 use super::*;
+use crate::surface::particles::Particles;
 
 fn lattice(edge_count: usize, spacing: f64) -> Vec<[f64; 3]> {
     let along = |index: usize| index as f64 * spacing;

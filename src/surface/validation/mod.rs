@@ -47,6 +47,7 @@ use crate::surface::space::Lattice;
 /// What is checked of every result. Distances are in voxels, to the nearest particle's centre. What is said of r_min and
 /// r_max is, of particles with shapes of their own, said of their surfaces.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Certificate {
     /// Voxels where φ leaves its bounds (Eq. 6), before the surface is moved by an offset. Always 0.
     pub bound_violation_count: usize,
@@ -116,6 +117,7 @@ impl Certificate {
 
 /// Particles outside a surface.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct ParticlesOutside {
     /// How many.
     pub count: usize,

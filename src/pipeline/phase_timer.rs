@@ -1,0 +1,37 @@
+//! How long each phase of the method takes: the method itself has no clock.
+
+use std::time::Instant;
+
+use crate::surface::report::{Phase, StageSeconds};
+
+/// Measures phases by the moments at which they begin.
+#[derive(Debug, Default)]
+pub struct PhaseTimer {
+    seconds: StageSeconds,
+    current: Option<(Phase, Instant)>,
+}
+
+impl PhaseTimer {
+    /// Ends the phase before, if there is one, and begins this one.
+    pub fn enter(&mut self, phase: Phase) {
+        self.end();
+        self.current = Some((phase, Instant::now()));
+    }
+
+    /// Ends the last phase: the seconds of each.
+    pub fn finish(mut self) -> StageSeconds {
+        self.end();
+        self.seconds
+    }
+
+    fn end(&mut self) {
+        let Some((phase, started)) = self.current.take() else { return };
+        let seconds = match phase {
+            Phase::Rasterize => &mut self.seconds.rasterize,
+            Phase::Smooth => &mut self.seconds.smooth,
+            Phase::Contour => &mut self.seconds.contour,
+            _ => return,
+        };
+        *seconds += started.elapsed().as_secs_f64();
+    }
+}

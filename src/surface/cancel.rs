@@ -1,0 +1,109 @@
+//! Cancelling a reconstruction from anywhere.
+
+use std::io;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use glam::DVec3;
+
+use crate::surface::error::Error;
+use crate::surface::particles::{ParticleSource, Positions, Shapes};
+use crate::surface::skin::Storage;
+
+/// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its progress
+/// callback. Clones cancel the same work. A cancelled token stays cancelled: make a new one for the next frame.
+///
+/// The work stops between batches of particles while it rasterizes, between steps while it smooths, and between passes
+/// over the mesh while it contours: usually within a tenth of the time of the frame.
+#[derive(Clone, Debug, Default)]
+pub struct CancelToken(Arc<AtomicBool>);
+
+impl CancelToken {
+    /// A token that is not cancelled.
+    pub fn new() -> CancelToken {
+        CancelToken::default()
+    }
+
+    /// Cancels all work that was given this token or a clone of it. It returns at once, and may be called repeatedly.
+    pub fn cancel(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether it was cancelled.
+    pub fn is_cancelled(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// [`Error::Cancelled`] if it was cancelled.
+    pub(super) fn check(&self) -> Result<(), Error> {
+        if self.is_cancelled() { Err(Error::Cancelled) } else { Ok(()) }
+    }
+
+    /// The same for callbacks.
+    pub(super) fn flow(&self) -> ControlFlow<Error> {
+        self.check().map_or_else(ControlFlow::Break, ControlFlow::Continue)
+    }
+}
+
+/// Particles of which no batch can be had once the token is cancelled.
+#[derive(Clone, Debug)]
+pub(super) struct CancellableParticles<'a> {
+    pub(super) positions: Positions<'a>,
+    pub(super) shapes: Shapes,
+    pub(super) token: CancelToken,
+}
+
+impl ParticleSource for CancellableParticles<'_> {
+    type Error = Error;
+
+    fn batch_count(&self) -> usize {
+        self.positions.batch_count()
+    }
+
+    fn batch(&self, batch: usize) -> Result<Positions<'_>, Error> {
+        self.token.check()?;
+        let Ok(positions) = self.positions.batch(batch);
+        Ok(positions)
+    }
+
+    fn count_of(&self, batch: usize) -> usize {
+        self.positions.count_of(batch)
+    }
+
+    fn has_shapes(&self) -> bool {
+        !self.shapes.are_balls()
+    }
+
+    fn shapes_of(&self, batch: usize) -> Shapes {
+        self.shapes.in_range(self.positions.range_of(batch))
+    }
+
+    fn given_of(&self, _batch: usize) -> Result<Vec<[DVec3; 2]>, Error> {
+        Ok(Vec::new())
+    }
+}
+
+/// Storage that fails once the token is cancelled.
+pub(super) struct CancellableStorage {
+    pub(super) storage: Box<dyn Storage>,
+    pub(super) token: CancelToken,
+}
+
+impl CancellableStorage {
+    fn check(&self) -> io::Result<()> {
+        self.token.check().map_err(io::Error::other)
+    }
+}
+
+impl Storage for CancellableStorage {
+    fn read(&self, offset: u64, bytes: &mut [u8]) -> io::Result<()> {
+        self.check()?;
+        self.storage.read(offset, bytes)
+    }
+
+    fn write(&self, offset: u64, bytes: &[u8]) -> io::Result<()> {
+        self.check()?;
+        self.storage.write(offset, bytes)
+    }
+}

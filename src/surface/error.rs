@@ -1,0 +1,114 @@
+//! Why there is no surface.
+
+use std::fmt;
+use std::io;
+
+use crate::surface::options::SettingsError;
+
+/// Why [`reconstruct`](crate::surface::reconstruct()) returned no surface.
+///
+/// The text of each is one sentence without a full stop that names what is wrong and what to change.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Error {
+    /// An option is out of its range, or two contradict each other. The text names the option, its value and its range.
+    Options(SettingsError),
+    /// Neither [`spacing`](crate::surface::Options::spacing) nor a voxel size is given, and the spacing cannot be
+    /// measured: fewer than two particles have different finite positions.
+    UnknownSpacing,
+    /// No particle can be part of a surface: the input is empty, or every position is not finite or too far away for
+    /// the grid.
+    NoParticles {
+        /// The particles that were given.
+        given: usize,
+    },
+    /// The options name an attribute that the particles lack, or that has another number of values per particle.
+    MissingAttribute {
+        /// The name in the options.
+        name: String,
+        /// The values per particle that it must have.
+        arity: usize,
+    },
+    /// The number of values of an attribute is not its arity times the number of particles.
+    AttributeLength {
+        /// The name of the attribute.
+        name: String,
+        /// The values that it must have.
+        expected: usize,
+        /// The values that it has.
+        found: usize,
+    },
+    /// The voxels are so small that 32-bit positions, or the indices of the grid, cannot tell them apart over the whole
+    /// frame: usually a mistake in the unit of length.
+    VoxelTooSmall {
+        /// The voxel size, world units.
+        voxel_size: f64,
+        /// The smallest voxel size that this frame allows, world units.
+        least: f64,
+    },
+    /// The frame needs more memory than the
+    /// [limit](crate::surface::Reconstructor::memory_limit): raise it, or choose larger voxels.
+    MemoryLimit {
+        /// The memory that is needed, in bytes: an upper estimate.
+        needed_bytes: u64,
+        /// The limit, in bytes.
+        limit_bytes: u64,
+    },
+    /// The [scratch storage](crate::surface::Reconstructor::scratch) cannot be made, read or written.
+    Scratch(io::Error),
+    /// The [token](crate::surface::CancelToken) was cancelled.
+    Cancelled,
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Error::Options(error) => error.fmt(f),
+            Error::UnknownSpacing => f.write_str(
+                "the particle spacing cannot be measured on fewer than two particles in different places: \
+                 set `spacing` or `voxel_size`",
+            ),
+            Error::NoParticles { given: 0 } => f.write_str("there are no particles"),
+            Error::NoParticles { given } => {
+                write!(f, "none of the {given} particles has a finite position within the grid")
+            }
+            Error::MissingAttribute { name, arity } => {
+                let numbers = if *arity == 1 { "number" } else { "numbers" };
+                write!(f, "the particles have no attribute `{name}` with {arity} {numbers} each")
+            }
+            Error::AttributeLength { name, expected, found } => {
+                write!(f, "the attribute `{name}` has {found} values; it must have {expected}")
+            }
+            Error::VoxelTooSmall { voxel_size, least } => write!(
+                f,
+                "the voxel size {voxel_size} is too small for this frame; it must be at least {least}"
+            ),
+            Error::MemoryLimit { needed_bytes, limit_bytes } => write!(
+                f,
+                "the frame needs {} MiB of memory and the limit is {} MiB: raise the limit or choose larger voxels",
+                needed_bytes.div_ceil(MEBIBYTE),
+                limit_bytes / MEBIBYTE
+            ),
+            Error::Scratch(error) => write!(f, "scratch storage: {error}"),
+            Error::Cancelled => f.write_str("cancelled"),
+        }
+    }
+}
+
+const MEBIBYTE: u64 = 1 << 20;
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Error::Options(error) => Some(error),
+            Error::Scratch(error) => Some(error),
+            _ => None,
+        }
+    }
+}
+
+impl From<SettingsError> for Error {
+    fn from(error: SettingsError) -> Error {
+        Error::Options(error)
+    }
+}
