@@ -22,7 +22,7 @@ use crate::surface::level_set::{
     Bounds, NarrowBand, WIDENED_MAX, offset_surface, widened, widened_leaf_count,
 };
 use crate::surface::options::Settings;
-use crate::surface::report::{Phase, SkinReport};
+use crate::surface::report::SkinReport;
 use crate::surface::smooth;
 use crate::surface::validation::{Part, certificate};
 
@@ -37,53 +37,87 @@ const MARGIN: f32 = 5.0;
 
 /// The surface of a level set with values in voxels of the settings' size. With a slack, in voxels, it is the smoothest one that
 /// is nowhere farther than that from the given one, before it is moved by the settings' offset. Of the settings those of particles have no say.
-/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked. `entered` is
-/// called as each phase begins.
+/// Its voxel (0, 0, 0) is at `translation`, in world units. `stored` says how files store the mesh: so it is checked.
 pub fn resurface(
     band: NarrowBand,
     translation: DVec3,
     slack_voxels: f32,
     settings: &Settings,
     stored: &[Stored],
-    entered: &mut dyn FnMut(Phase),
 ) -> Surface {
-    entered(Phase::Rasterize);
+    bound(band, translation, slack_voxels, settings).smooth(settings, &mut |_| {}).contour(settings, stored)
+}
+
+/// A level set between two stages of [`resurface`], and the bounds that its surface must keep.
+#[derive(Clone, Debug)]
+pub struct BoundedBand {
+    band: NarrowBand,
+    bounds: Bounds,
+    slack: f32,
+    translation: DVec3,
+    report: SkinReport,
+}
+
+/// The first stage of [`resurface`]: a band that is wide enough, and the bounds around it.
+pub fn bound(band: NarrowBand, translation: DVec3, slack_voxels: f32, settings: &Settings) -> BoundedBand {
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
-    let offset = (settings.offset / settings.voxel_size) as f32;
-    let mut band = match working_half_width(&band, slack, offset) {
+    let band = match working_half_width(&band, slack, offset_voxels(settings)) {
         Some(half_width) => widened(&band, half_width),
         None => band,
     };
     let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
     let mut report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
-    entered(Phase::Smooth);
-    if slack > 0.0 {
-        let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
-        report.free_voxel_count = smoothed.free_voxel_count;
-        report.pass_count = smoothed.pass_count;
-        report.moved_count = smoothed.moved_count;
-        report.reach_voxels = smoothed.reach_voxels;
-        report.convergence = smoothed.convergence;
-        report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+    BoundedBand { band, bounds, slack, translation, report }
+}
+
+impl BoundedBand {
+    /// What was measured so far.
+    pub fn report_mut(&mut self) -> &mut SkinReport {
+        &mut self.report
     }
-    entered(Phase::Contour);
-    let bound_violation_count = bounds.violation_count(&band.phi);
-    drop(bounds);
-    if offset != 0.0 {
-        let half_width = band.half_width - offset.abs().ceil();
-        offset_surface(&mut band, offset, half_width, |_| None);
+
+    /// The second stage: smoothed within the bounds, if there is any slack; `advanced` hears how much of it is done, from 0 to 1.
+    pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
+        let BoundedBand { band, bounds, slack, report, .. } = &mut self;
+        if *slack > 0.0 {
+            let smoothed = smooth::smooth_observed(band, bounds, &smooth_config(settings), advanced);
+            report.free_voxel_count = smoothed.free_voxel_count;
+            report.pass_count = smoothed.pass_count;
+            report.moved_count = smoothed.moved_count;
+            report.reach_voxels = smoothed.reach_voxels;
+            report.convergence = smoothed.convergence;
+            report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+        }
+        self
     }
-    let lattice = lattice(settings);
-    let mut mesh = contour::contour(&band, &lattice, settings.contouring);
-    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    // Files may store world positions: what they make of the mesh depends on where it is.
-    mesh.origin += translation;
-    // There is no particle to ask about.
-    let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
-    let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
-    let counts = (bound_violation_count, 0);
-    report.certificate = certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
-    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+
+    /// The third stage: the mesh and its checks, for files that store it so.
+    pub fn contour(self, settings: &Settings, stored: &[Stored]) -> Surface {
+        let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
+        let bound_violation_count = bounds.violation_count(&band.phi);
+        drop(bounds);
+        let offset = offset_voxels(settings);
+        if offset != 0.0 {
+            let half_width = band.half_width - offset.abs().ceil();
+            offset_surface(&mut band, offset, half_width, |_| None);
+        }
+        let lattice = lattice(settings);
+        let mut mesh = contour::contour(&band, &lattice, settings.contouring);
+        report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+        // Files may store world positions: what they make of the mesh depends on where it is.
+        mesh.origin += translation;
+        // There is no particle to ask about.
+        let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+        let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
+        let counts = (bound_violation_count, 0);
+        report.certificate =
+            certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
+        Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+    }
+}
+
+fn offset_voxels(settings: &Settings) -> f32 {
+    (settings.offset / settings.voxel_size) as f32
 }
 
 /// The half width of the band that is worked on; `None` for that of the given one. Where the surface is moved, the file's values
@@ -103,8 +137,7 @@ fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32>
 /// does.
 pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
-    let offset = (settings.offset / settings.voxel_size) as f32;
-    let (leaves, widening) = match working_half_width(band, slack_voxels, offset) {
+    let (leaves, widening) = match working_half_width(band, slack_voxels, offset_voxels(settings)) {
         Some(_) => {
             let wide = widened_leaf_count(band) as f64;
             // The given band, two fields of the wide one, and the list that its leaves are found by.
@@ -178,7 +211,7 @@ mod tests {
         let settings = Settings::paper(0.01, &Choices::default()).expect("sound");
         let flat_count = |translation: DVec3| {
             let surface =
-                resurface(band.clone(), translation, 0.0, &settings, &[world_positions], &mut |_| {});
+                resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);
