@@ -42,7 +42,7 @@ pub(super) fn why(args: &WhyArgs, console: &mut Console) -> Result<Verdict> {
         Some(ref state) => state,
         None => &read_journal(&journal)?,
     };
-    let record = state.frames.get(&frame);
+    let record = state.frames.get(&*frame).map(|record| &**record);
     if let [first, .., last] = &frames_in(&frame).unwrap_or_default()[..] {
         let [first, last] = [first, last].map(|step| step.display());
         console.say(format_args!(

@@ -21,7 +21,7 @@ use meniscus_formats::packing::unpacked_name;
 
 use super::frame_number::{frame_number, numbers_behind_shots, varying_number, without_numbers};
 use super::outputs::OutputFormat;
-use super::steps::{STEP, frame_name, step_of};
+use super::steps::{STEP, name_of, step_in, step_of};
 
 /// A file that holds, or should hold, a frame of particles; or a step of one.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,28 +34,37 @@ pub struct FrameFile {
     is_number_given: bool,
     /// What its outputs are called, where that is not what the file is called.
     output_stem: Option<String>,
+    /// Whether it is a step of a file; the file system is asked once.
+    is_step: bool,
 }
 
 impl FrameFile {
     /// A file whose name says which number is the frame's.
     pub fn new(path: PathBuf) -> FrameFile {
-        let number_span = match step_of(&path) {
-            None => frame_number(numbered_part(&frame_name(&path))),
+        let is_step = step_of(&path).is_some();
+        FrameFile::known(path, is_step)
+    }
+
+    /// The same where it is known whether the path is that of a step: the file system is not asked.
+    pub fn known(path: PathBuf, is_step: bool) -> FrameFile {
+        let name = name_of(&path, is_step);
+        let number_span = match step_in(&path, is_step) {
+            None => frame_number(numbered_part(&name)),
             // What follows a dot tells steps of one number apart.
             Some((_, step)) => {
-                let name = frame_name(&path);
                 let start = name.len() - step.len();
                 let digits = step.find('.').unwrap_or(step.len());
                 let is_number = digits > 0 && step.as_bytes()[..digits].iter().all(u8::is_ascii_digit);
                 is_number.then_some(start..start + digits)
             }
         };
-        FrameFile { path, number_span, is_number_given: false, output_stem: None }
+        FrameFile { path, number_span, is_number_given: false, output_stem: None, is_step }
     }
 
     /// A file whose frame number stands at a known place: bytes of the file name, all digits.
     pub fn with_number_at(path: PathBuf, number_span: Range<usize>) -> FrameFile {
-        FrameFile { path, number_span: Some(number_span), is_number_given: true, output_stem: None }
+        let is_step = step_of(&path).is_some();
+        FrameFile { path, number_span: Some(number_span), is_number_given: true, output_stem: None, is_step }
     }
 
     /// The same file, with outputs of this name.
@@ -65,7 +74,12 @@ impl FrameFile {
 
     /// The file name, without its folder; of a step, what tells it from others behind that.
     pub fn name(&self) -> String {
-        frame_name(&self.path)
+        name_of(&self.path, self.is_step)
+    }
+
+    /// The file of a step, and what tells it from others of this file; `None` for a frame that is a file.
+    fn step(&self) -> Option<(&Path, &str)> {
+        step_in(&self.path, self.is_step)
     }
 
     /// What outputs are called: the file name without its extension, unless another name was given.
@@ -73,8 +87,8 @@ impl FrameFile {
         if let Some(stem) = &self.output_stem {
             return stem.clone();
         }
-        match step_of(&self.path) {
-            Some((file, step)) => format!("{}.{step}", stem(&frame_name(file))),
+        match self.step() {
+            Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
             None => {
                 let name = self.name();
                 // Level sets are no frames of particles, and lose their extension all the same.
@@ -105,7 +119,7 @@ impl FrameFile {
     /// The folder, and the name without its numbers: what files share that differ in their numbers only. `None` where a
     /// pattern says which number is the frame's, of steps, and of names without a number.
     pub fn kin(&self) -> Option<(PathBuf, String)> {
-        if self.is_number_given || self.number_span.is_none() || step_of(&self.path).is_some() {
+        if self.is_number_given || self.number_span.is_none() || self.is_step {
             return None;
         }
         Some((self.path.parent().map(Path::to_owned).unwrap_or_default(), without_numbers(&self.name())))
@@ -113,10 +127,10 @@ impl FrameFile {
 
     /// What the files of a sequence share: their folder, and the name with `{}` for the frame's number.
     pub fn sequence(&self) -> (PathBuf, String) {
-        if let Some((file, _)) = step_of(&self.path) {
+        if let Some((file, _)) = self.step() {
             return (
                 file.parent().map(Path::to_owned).unwrap_or_default(),
-                format!("{}/{STEP}{{}}", frame_name(file)),
+                format!("{}/{STEP}{{}}", name_of(file, false)),
             );
         }
         let mut name = self.name();

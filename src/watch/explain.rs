@@ -16,18 +16,18 @@ use std::time::Instant;
 
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::{FrameFile, file_of, is_missing_step, outputs_made_from, read_file};
+use crate::pipeline::{FrameFile, ObstacleFiles, file_of, is_missing_step, outputs_made_from, read_file};
 
 use super::config::{Patience, Watch};
-use super::decision::{ConvertReason, Decision, OutputsNow, SkipReason, decide, decide_by_content};
-use super::evidence::{completeness_of, sentinel_of};
-use super::journal::FrameRecord;
-use super::mounts::network_file_system;
-use super::readiness::{Candidate, Readiness, WaitReason};
-use super::scan::{Seen, look};
-use super::selection::{Content, PatternError, Selection, content};
-
-pub use super::sequences::remembered_fingerprint;
+use super::core::completeness::Seen;
+use super::core::completeness::{Candidate, Readiness, WaitReason};
+use super::core::decision::{ConvertReason, Decision, OutputsNow, SkipReason, decide, decide_by_content};
+use super::core::sequences::{SequenceSettings, choices_fingerprint, fingerprint_with};
+use super::io::evidence::{completeness_of, sentinel_of};
+use super::io::mounts::network_file_system;
+use super::io::scan::look;
+use super::io::selection::{Content, PatternError, Selection, content};
+use super::journal::{FrameRecord, SequenceKey, State};
 
 /// A frame, and what the loop would go by.
 #[derive(Clone, Copy, Debug)]
@@ -101,6 +101,22 @@ pub enum Verdict {
     Found(Vec<PathBuf>),
     /// It is, or will be, converted. The decision says why.
     Converted(Decision),
+}
+
+/// What the journal knows the settings by that a frame would be converted with now; `None` where the
+/// particle spacing is needed, and neither given nor remembered.
+pub fn remembered_fingerprint(watch: &Watch, frame: &Path, state: &State) -> Option<String> {
+    let file = FrameFile::new(frame.to_owned());
+    let (folder, name) = file.sequence();
+    let key = SequenceKey { folder, name, choices: choices_fingerprint(watch) };
+    match SequenceSettings::new(watch, state.sequences.get(&key)) {
+        SequenceSettings::Fixed(settings, fingerprint) => {
+            let obstacles = ObstacleFiles::new(watch.obstacles.clone());
+            let stamps = (!obstacles.is_empty()).then(|| obstacles.stamps(file.number()));
+            Some(fingerprint_with(&settings, &fingerprint, stamps.as_ref()))
+        }
+        _ => None,
+    }
 }
 
 /// Looks at a frame as the loop would.
@@ -270,8 +286,8 @@ mod tests {
 
     use crate::pipeline::{OutputFormat, OutputOptions};
     use crate::surface::options::Choices;
+    use crate::watch::core::completeness::Proof;
     use crate::watch::journal::{OutputRecord, Standing};
-    use crate::watch::readiness::Proof;
 
     const FRAME: &[u8] = b"ply\nformat ascii 1.0\nelement vertex 1\n\
         property float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n";

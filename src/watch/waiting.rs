@@ -21,12 +21,13 @@ use std::time::{Duration, Instant};
 use crate::pipeline::{FileStamp, file_of};
 
 use super::config::{Patience, Watch};
-use super::evidence::{completeness_of, sentinel_of};
+use super::core::completeness::Seen;
+use super::core::completeness::{Candidate, Readiness, WaitReason};
 use super::explain::trust_clock;
+use super::io::evidence::{completeness_of, sentinel_of};
+use super::io::scan::scan;
+use super::io::selection::{Content, Selection, content};
 use super::journal::{PlanRecord, State};
-use super::readiness::{Candidate, Readiness, WaitReason};
-use super::scan::{Seen, scan};
-use super::selection::{Content, Selection, content};
 
 /// Files that wait for their writers.
 #[derive(Debug, Default, PartialEq)]

@@ -7,6 +7,8 @@
 #![cfg(target_os = "linux")]
 
 mod disk; // a disk that fills up, or has too little room from the start
+mod fuse; // a file system whose server can be stopped
+mod hangs; // file systems that stop answering
 mod memory; // large frames through little memory
 mod mounts; // tests that mount file systems of their own
 mod poll; // looking by itself, where the system tells nothing

@@ -50,13 +50,19 @@ pub(crate) struct Daemon {
 impl Daemon {
     /// Starts `meniscus watch` in `folder`, and does not wait for anything.
     pub(crate) fn start(folder: &Path, arguments: &[&str]) -> Daemon {
+        Daemon::start_as(meniscus(folder).arg("watch").args(arguments).args(["--log", "json"]))
+    }
+
+    /// The same with a watchdog, which is to hear from it every two seconds.
+    pub(crate) fn start_watched(folder: &Path, arguments: &[&str]) -> Daemon {
+        Daemon::start_as(meniscus(folder).arg("watch").args(arguments).env("WATCHDOG_USEC", "2000000"))
+    }
+
+    fn start_as(command: &mut Command) -> Daemon {
         let socket_folder = tempfile::tempdir().expect("a folder");
         let socket_path = socket_folder.path().join("notify");
         let socket = UnixDatagram::bind(&socket_path).expect("a socket");
-        let mut child = meniscus(folder)
-            .arg("watch")
-            .args(arguments)
-            .args(["--log", "json"])
+        let mut child = command
             .env("NOTIFY_SOCKET", &socket_path)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -133,6 +139,25 @@ impl Daemon {
     pub(crate) fn has_status(&self, text: &str) -> bool {
         let mut statuses = self.notices.iter().filter(|notice| notice.contains("STATUS="));
         statuses.next_back().is_some_and(|status| status.contains(text))
+    }
+
+    /// How often the watchdog has heard from it.
+    pub(crate) fn signs_of_life(&self) -> usize {
+        self.notices.iter().filter(|notice| notice.contains("WATCHDOG=1")).count()
+    }
+
+    /// Where the status page is, as `host:port`.
+    pub(crate) fn window_address(&mut self) -> String {
+        self.until("the window is open", |daemon| daemon.count_logged("the window is open") > 0);
+        let line = self.log.iter().find(|line| message(line) == "the window is open").expect("logged");
+        let address = line["address"].as_str().expect("an address");
+        address.trim_start_matches("http://").trim_end_matches('/').to_owned()
+    }
+
+    /// Waits until it has ended, in good order or not.
+    pub(crate) fn until_ended(&mut self) {
+        self.until("it ends", |daemon| daemon.has_ended);
+        self.child.wait().expect("it ended");
     }
 
     pub(crate) fn pid(&self) -> u32 {

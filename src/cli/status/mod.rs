@@ -11,6 +11,7 @@ mod text;
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, Result, bail};
 use serde::{Serialize, Serializer};
@@ -198,7 +199,7 @@ impl StatusRecord {
             frames.sort_by(|(a, _), (b, _)| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
             frames
         };
-        let told = |frames: &[(&PathBuf, &FrameRecord)]| {
+        let told = |frames: &[(&Arc<Path>, &Arc<FrameRecord>)]| {
             frames.iter().map(|(input, frame)| FrameStatus::new(input, frame)).collect()
         };
         let retrying = in_standing(Standing::Retrying);

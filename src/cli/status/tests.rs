@@ -30,7 +30,8 @@ fn daemon(state: DaemonState) -> DaemonRecord {
 /// A journal of 30 frames that are done, 25 that failed, and others.
 fn state() -> State {
     let mut state = State { daemon: Some(daemon(DaemonState::Running)), ..State::default() };
-    let mut add = |name: String, record| state.frames.insert(Path::new("/sim").join(name), record);
+    let mut add =
+        |name: String, record| state.frames.insert(Path::new("/sim").join(name).into(), Arc::new(record));
     for number in 1..=30 {
         let outputs =
             vec![OutputRecord { path: format!("/out/dam.{number}.glb").into(), size_bytes: 1, state: None }];
@@ -117,7 +118,7 @@ fn text_tells_what_json_tells() {
     );
     let mut flawed = state();
     let two = flawed.frames.get_mut(Path::new("/sim/dam.2.ply")).expect("a frame");
-    two.flaws = vec!["1 particle left out".into(), "the result breaks a guarantee".into()];
+    Arc::make_mut(two).flaws = vec!["1 particle left out".into(), "the result breaks a guarantee".into()];
     let text = record(&flawed, Holder::Nobody).lines(64_000).join("\n");
     let marked = "done, and not as it should be:\n  /sim/dam.2.ply: 250000 particles, 2.25 s, 1m 2s ago; \
                   1 particle left out; the result breaks a guarantee";

@@ -67,7 +67,7 @@ pub(super) fn watch(args: &WatchArgs) -> Result<Verdict> {
             Notice::Overdue => give_up_what_is_under_way(args.once),
             notice => service.tell(&notice),
         };
-        let summary = match watch::run(&plan.config, board.as_deref(), &commands, &mut notices) {
+        let summary = match watch::run(&plan.config, board.as_ref(), &commands, &mut notices) {
             Ok(summary) => summary,
             // What could be read again may still be impossible: somebody else has the new output.
             Err(error) => match previous.take() {

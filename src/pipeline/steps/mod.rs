@@ -47,9 +47,15 @@ pub fn file_of(frame: &Path) -> &Path {
 
 /// The file of a step, and what tells it from others of this file; `None` for a frame that is a file.
 pub fn step_of(frame: &Path) -> Option<(&Path, &str)> {
-    let step = frame.file_name()?.to_str()?.strip_prefix(STEP).filter(|step| may_be_named(step))?;
     // A folder has files, and no steps, whatever these are called.
-    let file = frame.parent().filter(|file| file.file_name().is_some() && !file.is_dir())?;
+    step_in(frame, true).filter(|(file, _)| !file.is_dir())
+}
+
+/// The same by the path alone, where it is known whether it is that of a step.
+pub(super) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
+    let step =
+        frame.file_name()?.to_str()?.strip_prefix(STEP).filter(|step| is_step && may_be_named(step))?;
+    let file = frame.parent().filter(|file| file.file_name().is_some())?;
     Some((file, step))
 }
 
@@ -63,10 +69,15 @@ fn may_be_named(step: &str) -> bool {
 
 /// What a frame is called, without the folder of its file.
 pub fn frame_name(frame: &Path) -> String {
-    let name = text_of_name(file_of(frame).file_name().unwrap_or_default());
-    match step_of(frame) {
-        Some((_, step)) => format!("{name}/{STEP}{step}"),
-        None => name,
+    name_of(frame, step_of(frame).is_some())
+}
+
+/// The same where it is known whether the path is that of a step.
+pub(super) fn name_of(frame: &Path, is_step: bool) -> String {
+    let name = |file: &Path| text_of_name(file.file_name().unwrap_or_default());
+    match step_in(frame, is_step) {
+        Some((file, step)) => format!("{}/{STEP}{step}", name(file)),
+        None => name(frame),
     }
 }
 

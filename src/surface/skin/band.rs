@@ -9,6 +9,7 @@
 //! is to itself.
 
 use std::convert::Infallible;
+use std::ops::ControlFlow;
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -66,7 +67,7 @@ pub fn bound(band: NarrowBand, translation: DVec3, slack_voxels: f32, settings: 
         None => band,
     };
     let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
-    let mut report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
+    let report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
     BoundedBand { band, bounds, slack, translation, report }
 }
 
@@ -80,7 +81,13 @@ impl BoundedBand {
     pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
         let BoundedBand { band, bounds, slack, report, .. } = &mut self;
         if *slack > 0.0 {
-            let smoothed = smooth::smooth_observed(band, bounds, &smooth_config(settings), advanced);
+            let mut advanced = |fraction| {
+                advanced(fraction);
+                ControlFlow::Continue(())
+            };
+            let config = smooth_config(settings);
+            let ControlFlow::Continue(smoothed) =
+                smooth::smooth_while::<Infallible>(band, bounds, &config, &mut advanced);
             report.free_voxel_count = smoothed.free_voxel_count;
             report.pass_count = smoothed.pass_count;
             report.moved_count = smoothed.moved_count;
@@ -210,8 +217,7 @@ mod tests {
         let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
         let settings = Settings::paper(0.01, &Choices::default()).expect("sound");
         let flat_count = |translation: DVec3| {
-            let surface =
-                resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
+            let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count
         };
         assert_eq!(flat_count(DVec3::ZERO), 0);

@@ -32,8 +32,8 @@ use crate::pipeline::{FileStamp, Framed, OutputState};
 
 use super::plan::WirePlan;
 use super::state::{
-    DaemonRecord, DaemonState, Entry, EntryRef, FrameRecord, OutputRecord, SequenceCamera, SequenceKey,
-    SequenceRecord, Standing,
+    DaemonRecord, DaemonState, Entry, FrameRecord, OutputRecord, SequenceCamera, SequenceKey, SequenceRecord,
+    Standing,
 };
 
 /// Digits of a checksum.
@@ -43,7 +43,7 @@ const CHECKSUM_DIGITS: usize = 16;
 ///
 /// # Errors
 /// When the record has no form in JSON; `out` is as it was then.
-pub(super) fn push_line(out: &mut Vec<u8>, entry: EntryRef<'_>) -> io::Result<()> {
+pub(super) fn push_line(out: &mut Vec<u8>, entry: &Entry) -> io::Result<()> {
     let record = serde_json::to_vec(&WireEntry::from(entry))?;
     let checksum = XxHash3_64::oneshot(&record);
     out.extend_from_slice(format!("{checksum:0CHECKSUM_DIGITS$x} ").as_bytes());
@@ -177,13 +177,13 @@ pub(super) enum WirePath {
     Units(Vec<u16>),
 }
 
-impl From<EntryRef<'_>> for WireEntry {
-    fn from(entry: EntryRef<'_>) -> WireEntry {
+impl From<&Entry> for WireEntry {
+    fn from(entry: &Entry) -> WireEntry {
         match entry {
-            EntryRef::Frame(input, record) => WireEntry::Frame(WireFrame::of(input, record)),
-            EntryRef::Sequence(key, record) => WireEntry::Sequence(WireSequence::of(key, record)),
-            EntryRef::Daemon(record) => WireEntry::Daemon(WireDaemon::of(record)),
-            EntryRef::Plan(record) => WireEntry::Plan(WirePlan::of(record)),
+            Entry::Frame(input, record) => WireEntry::Frame(WireFrame::of(input, record)),
+            Entry::Sequence(key, record) => WireEntry::Sequence(WireSequence::of(key, record)),
+            Entry::Daemon(record) => WireEntry::Daemon(WireDaemon::of(record)),
+            Entry::Plan(record) => WireEntry::Plan(WirePlan::of(record)),
         }
     }
 }
@@ -266,7 +266,7 @@ impl WireFrame {
             flaws: self.flaws,
             figures: self.figures.and_then(|figures| serde_json::from_value(figures).ok()).map(Arc::new),
         };
-        Some(Entry::Frame(self.input.into_path()?, record))
+        Some(Entry::Frame(self.input.into_path()?.into(), Arc::new(record)))
     }
 }
 
@@ -428,13 +428,7 @@ mod tests {
     #[track_caller]
     fn comes_back(entry: &Entry) {
         let mut line = Vec::new();
-        let entry_ref = match entry {
-            Entry::Frame(input, record) => EntryRef::Frame(input, record),
-            Entry::Sequence(key, record) => EntryRef::Sequence(key, record),
-            Entry::Daemon(record) => EntryRef::Daemon(record),
-            Entry::Plan(record) => EntryRef::Plan(record),
-        };
-        push_line(&mut line, entry_ref).expect("a line");
+        push_line(&mut line, entry).expect("a line");
         let end = line.iter().position(|&byte| byte == b'\n').expect("an end");
         assert_eq!(end + 1, line.len(), "one line, and only one");
         assert_eq!(parse_line(&line[..end]).as_ref(), Some(entry));
@@ -475,7 +469,7 @@ mod tests {
             flaws: vec!["1 particle left out".to_owned()],
             figures: Some(Arc::new(Figures { particles: 250_000, vertices: 3, ..Figures::default() })),
         };
-        Entry::Frame(input.into(), record)
+        Entry::Frame(input.into().into(), Arc::new(record))
     }
 
     #[test]
@@ -500,9 +494,9 @@ mod tests {
             seconds: None,
             flaws: Vec::new(),
             figures: None,
-            ..record
+            ..(*record).clone()
         };
-        comes_back(&Entry::Frame(input, bare));
+        comes_back(&Entry::Frame(input, Arc::new(bare)));
     }
 
     #[test]
@@ -519,9 +513,10 @@ mod tests {
     fn paths_that_are_no_text_come_back() {
         use std::os::unix::ffi::OsStringExt;
         let path = PathBuf::from(OsString::from_vec((1..=255).collect()));
-        let Entry::Frame(_, mut record) = frame("", Standing::Done) else { unreachable!() };
+        let Entry::Frame(_, record) = frame("", Standing::Done) else { unreachable!() };
+        let mut record = (*record).clone();
         record.outputs[0].path.clone_from(&path);
-        comes_back(&Entry::Frame(path, record));
+        comes_back(&Entry::Frame(path.into(), Arc::new(record)));
     }
 
     #[test]

@@ -41,7 +41,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use crate::pipeline::{FileStamp, has_other_names, is_disk_full, open_own, replace_own};
 
 use line::{parse_line, push_line};
-use state::{Entry, Key};
+pub(in crate::watch) use state::Entry;
+use state::Key;
 
 pub use state::{
     DaemonRecord, DaemonState, FrameRecord, OutputCheck, OutputRecord, PlanRecord, SequenceCamera,
@@ -59,7 +60,7 @@ pub fn now_ms() -> u64 {
 }
 
 /// The journal in its folder.
-pub(super) const FILE_NAME: &str = "journal";
+pub(in crate::watch) const FILE_NAME: &str = "journal";
 /// One of another version.
 const SET_ASIDE_NAME: &str = "journal.old-version";
 
@@ -156,41 +157,36 @@ impl Journal {
         self.is_held = is_held;
     }
 
-    /// Remembers what became of a frame.
+    /// Adds a record, in place of the one before it.
     ///
     /// # Errors
     /// When it is not on the disk. It is in the state all the same, and will be written with the next
     /// record.
+    pub(in crate::watch) fn note(&mut self, entry: Entry) -> io::Result<()> {
+        self.pending.insert(entry.key());
+        self.state.take(entry);
+        if self.is_held {
+            return Ok(());
+        }
+        self.write_pending()?;
+        self.compact();
+        Ok(())
+    }
+
+    /// Remembers what became of a frame.
+    ///
+    /// # Errors
+    /// When it is not on the disk.
     pub fn note_frame(&mut self, input: &Path, record: FrameRecord) -> io::Result<()> {
-        self.state.take(Entry::Frame(input.to_owned(), record));
-        self.note(Key::Frame(input.to_owned()))
-    }
-
-    /// Remembers the settings of a sequence.
-    ///
-    /// # Errors
-    /// As those of [`Journal::note_frame`].
-    pub fn note_sequence(&mut self, key: &SequenceKey, record: SequenceRecord) -> io::Result<()> {
-        self.state.take(Entry::Sequence(key.clone(), record));
-        self.note(Key::Sequence(key.clone()))
-    }
-
-    /// Remembers what the daemon itself is doing.
-    ///
-    /// # Errors
-    /// As those of [`Journal::note_frame`].
-    pub fn note_daemon(&mut self, record: DaemonRecord) -> io::Result<()> {
-        self.state.take(Entry::Daemon(record));
-        self.note(Key::Daemon)
+        self.note(Entry::Frame(input.into(), record.into()))
     }
 
     /// Remembers what the daemon was asked for.
     ///
     /// # Errors
-    /// As those of [`Journal::note_frame`].
+    /// When it is not on the disk.
     pub fn note_plan(&mut self, record: PlanRecord) -> io::Result<()> {
-        self.state.take(Entry::Plan(record));
-        self.note(Key::Plan)
+        self.note(Entry::Plan(record))
     }
 
     /// Writes what is pending and waits until all of it is on the disk: for the end of a run.
@@ -205,16 +201,6 @@ impl Journal {
         }
     }
 
-    fn note(&mut self, key: Key) -> io::Result<()> {
-        self.pending.insert(key);
-        if self.is_held {
-            return Ok(());
-        }
-        self.write_pending()?;
-        self.compact();
-        Ok(())
-    }
-
     /// Adds the lines of all pending records, in one write. Nothing waits for the disk: a record that
     /// the system has taken outlives this process, and one that is lost with the machine only costs
     /// work.
@@ -223,7 +209,7 @@ impl Journal {
         let Some(mut file) = self.take_file()? else { return self.rewrite() };
         let mut lines = Vec::new();
         for entry in self.pending.iter().filter_map(|key| self.state.entry(key)) {
-            push_line(&mut lines, entry)?;
+            push_line(&mut lines, &entry)?;
         }
         file.write_all(&lines)?;
         self.file = Some(file);
@@ -363,7 +349,7 @@ fn write_fresh(out: &mut impl Write, state: &State) -> io::Result<u64> {
     let mut line = Vec::new();
     for entry in state.entries() {
         line.clear();
-        push_line(&mut line, entry)?;
+        push_line(&mut line, &entry)?;
         out.write_all(&line)?;
         whole_bytes += line.len() as u64;
     }

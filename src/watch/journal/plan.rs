@@ -193,7 +193,7 @@ fn number(text: Option<String>) -> Option<Option<f64>> {
 #[cfg(test)]
 mod tests {
     use super::super::line::{parse_line, push_line};
-    use super::super::state::{Entry, EntryRef};
+    use super::super::state::Entry;
     use super::*;
 
     #[track_caller]
@@ -205,7 +205,7 @@ mod tests {
         };
         let plan = PlanRecord { watches: vec![watch], patience };
         let mut line = Vec::new();
-        push_line(&mut line, EntryRef::Plan(&plan)).expect("a line");
+        push_line(&mut line, &Entry::Plan(plan.clone())).expect("a line");
         assert_eq!(parse_line(line.strip_suffix(b"\n").expect("an end")), Some(Entry::Plan(plan)));
     }
 

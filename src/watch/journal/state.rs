@@ -15,7 +15,7 @@ use crate::watch::config::{Patience, Watch};
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// By the path of the input.
-    pub frames: HashMap<PathBuf, FrameRecord>,
+    pub frames: HashMap<Arc<Path>, Arc<FrameRecord>>,
     /// The settings that sequences were given by their first frame.
     pub sequences: HashMap<SequenceKey, SequenceRecord>,
     /// The daemon that wrote last. That it says "running" is no proof that it is.
@@ -207,33 +207,35 @@ impl fmt::Display for DaemonState {
 /// What a record is about: a later one of the same key replaces an earlier one.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Key {
-    Frame(PathBuf),
+    Frame(Arc<Path>),
     Sequence(SequenceKey),
     Daemon,
     Plan,
 }
 
-/// One record, as a line holds it.
+/// One record, as a line has it. Cheap to clone: one is kept in memory, and one is written.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Entry {
-    Frame(PathBuf, FrameRecord),
+pub(in crate::watch) enum Entry {
+    Frame(Arc<Path>, Arc<FrameRecord>),
     Sequence(SequenceKey, SequenceRecord),
     Daemon(DaemonRecord),
     Plan(PlanRecord),
 }
 
-/// One record, where it lies in the state.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum EntryRef<'a> {
-    Frame(&'a Path, &'a FrameRecord),
-    Sequence(&'a SequenceKey, &'a SequenceRecord),
-    Daemon(&'a DaemonRecord),
-    Plan(&'a PlanRecord),
+impl Entry {
+    pub(super) fn key(&self) -> Key {
+        match self {
+            Entry::Frame(input, _) => Key::Frame(Arc::clone(input)),
+            Entry::Sequence(key, _) => Key::Sequence(key.clone()),
+            Entry::Daemon(_) => Key::Daemon,
+            Entry::Plan(_) => Key::Plan,
+        }
+    }
 }
 
 impl State {
     /// Takes a record in, in place of the one before it.
-    pub(super) fn take(&mut self, entry: Entry) {
+    pub(in crate::watch) fn take(&mut self, entry: Entry) {
         match entry {
             Entry::Frame(input, record) => {
                 self.frames.insert(input, record);
@@ -247,21 +249,21 @@ impl State {
     }
 
     /// The record of this key.
-    pub(super) fn entry<'a>(&'a self, key: &'a Key) -> Option<EntryRef<'a>> {
+    pub(super) fn entry(&self, key: &Key) -> Option<Entry> {
         match key {
-            Key::Frame(input) => self.frames.get(input).map(|record| EntryRef::Frame(input, record)),
-            Key::Sequence(key) => self.sequences.get(key).map(|record| EntryRef::Sequence(key, record)),
-            Key::Daemon => self.daemon.as_ref().map(EntryRef::Daemon),
-            Key::Plan => self.plan.as_ref().map(EntryRef::Plan),
+            Key::Frame(input) => self.frames.get_key_value(input).map(frame_entry),
+            Key::Sequence(key) => self.sequences.get_key_value(key).map(sequence_entry),
+            Key::Daemon => self.daemon.clone().map(Entry::Daemon),
+            Key::Plan => self.plan.clone().map(Entry::Plan),
         }
     }
 
     /// Every record, in no order.
-    pub(super) fn entries(&self) -> impl Iterator<Item = EntryRef<'_>> {
-        let frames = self.frames.iter().map(|(input, record)| EntryRef::Frame(input, record));
-        let sequences = self.sequences.iter().map(|(key, record)| EntryRef::Sequence(key, record));
-        let plan = self.plan.as_ref().map(EntryRef::Plan);
-        frames.chain(sequences).chain(plan).chain(self.daemon.as_ref().map(EntryRef::Daemon))
+    pub(super) fn entries(&self) -> impl Iterator<Item = Entry> + '_ {
+        let frames = self.frames.iter().map(frame_entry);
+        let sequences = self.sequences.iter().map(sequence_entry);
+        let plan = self.plan.clone().map(Entry::Plan);
+        frames.chain(sequences).chain(plan).chain(self.daemon.clone().map(Entry::Daemon))
     }
 
     /// How many records there are.
@@ -269,4 +271,12 @@ impl State {
         let of_daemon = usize::from(self.daemon.is_some()) + usize::from(self.plan.is_some());
         self.frames.len() + self.sequences.len() + of_daemon
     }
+}
+
+fn frame_entry((input, record): (&Arc<Path>, &Arc<FrameRecord>)) -> Entry {
+    Entry::Frame(Arc::clone(input), Arc::clone(record))
+}
+
+fn sequence_entry((key, record): (&SequenceKey, &SequenceRecord)) -> Entry {
+    Entry::Sequence(key.clone(), record.clone())
 }

@@ -23,11 +23,20 @@ use meniscus_formats::Completeness;
 
 use crate::pipeline::{FileStamp, FrameFile};
 
-use super::config::Patience;
-use super::scan::Seen;
+use crate::watch::config::{Patience, Watch};
 
 /// The name of a sentinel where nobody gave one.
 pub const DEFAULT_SENTINEL: &str = "{stem}.done";
+
+/// A file as it was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seen {
+    /// What tells whether it changes.
+    pub stamp: FileStamp,
+    /// How long ago it changed last, in its content or in anything else, by the clock of this machine.
+    /// `None` where that clock is not the file system's, or the change is yet to come.
+    pub age: Option<Duration>,
+}
 
 /// A file that may become a frame, as it was seen last, and since when it has not changed.
 #[derive(Clone, Copy, Debug)]
@@ -239,9 +248,25 @@ pub fn sentinel_path(frame: &Path, pattern: &str) -> PathBuf {
     frame.with_file_name(sentinel)
 }
 
+/// The file that says that a frame is complete.
+pub(in crate::watch) fn path_of_sentinel(watch: &Watch, frame: &Path) -> PathBuf {
+    sentinel_path(frame, sentinel_pattern(watch))
+}
+
+/// Whether some frame's sentinel could have this name.
+pub(in crate::watch) fn may_be_sentinel(watch: &Watch, path: &Path) -> bool {
+    let pattern = sentinel_pattern(watch);
+    let end = pattern.rsplit('}').next().unwrap_or(pattern);
+    path.as_os_str().as_encoded_bytes().ends_with(end.as_bytes())
+}
+
+fn sentinel_pattern(watch: &Watch) -> &str {
+    watch.sentinel.as_deref().unwrap_or(DEFAULT_SENTINEL)
+}
+
 /// The name of a frame's file without what says that it is one of particles, be it text or not.
 fn stem(frame: &Path) -> OsString {
-    let file = FrameFile::new(frame.to_owned());
+    let file = FrameFile::known(frame.to_owned(), false);
     let dots = |name: &str| name.matches('.').count();
     let extension_count = dots(&file.name()) - dots(&file.stem());
     let mut stem = PathBuf::from(frame.file_name().unwrap_or_default());

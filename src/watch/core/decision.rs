@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 
 use crate::pipeline::FileStamp;
 
-use super::journal::{FrameRecord, Standing};
+use crate::watch::journal::{FrameRecord, Standing};
 
 /// What is to become of a frame, and why. Displays as the reason: a clause without its full stop.
 #[derive(Clone, Debug, PartialEq, Eq)]

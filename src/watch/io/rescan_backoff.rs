@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 /// When the next scan after a loss is due.
 #[derive(Debug, Default)]
-pub(super) struct RescanPace {
+pub(in crate::watch) struct RescanBackoff {
     /// When, if one is wanted.
-    pub(super) due_at: Option<Instant>,
+    pub(in crate::watch) due_at: Option<Instant>,
     last_at: Option<Instant>,
     in_a_row: u32,
 }
@@ -24,9 +24,9 @@ const WAIT_MAX: Duration = Duration::from_secs(10);
 /// After so long without a loss, all is forgotten.
 const CALM: Duration = Duration::from_secs(60);
 
-impl RescanPace {
+impl RescanBackoff {
     /// Events were lost.
-    pub(super) fn ask(&mut self, now: Instant) {
+    pub(in crate::watch) fn ask(&mut self, now: Instant) {
         if self.due_at.is_some() {
             return;
         }
@@ -42,7 +42,7 @@ impl RescanPace {
     }
 
     /// Whether it is time; then the scan counts as done.
-    pub(super) fn is_due(&mut self, now: Instant) -> bool {
+    pub(in crate::watch) fn is_due(&mut self, now: Instant) -> bool {
         let is_due = self.due_at.is_some_and(|due_at| due_at <= now);
         if is_due {
             self.due_at = None;
@@ -58,7 +58,7 @@ mod tests {
 
     /// The waits of so many losses, each right after the scan of the one before.
     fn waits(count: usize) -> Vec<u128> {
-        let mut pace = RescanPace::default();
+        let mut pace = RescanBackoff::default();
         let mut now = Instant::now();
         let mut waits = Vec::new();
         for _ in 0..count {
@@ -79,7 +79,7 @@ mod tests {
 
     #[test]
     fn losses_while_a_scan_is_due_change_nothing() {
-        let mut pace = RescanPace::default();
+        let mut pace = RescanBackoff::default();
         let now = Instant::now();
         for _ in 0..100 {
             pace.ask(now);

@@ -17,17 +17,9 @@ use std::time::{Duration, SystemTime};
 
 use crate::pipeline::{FileStamp, file_of, is_link_loop};
 
-use super::selection::{Selection, is_hidden};
+use crate::watch::core::completeness::Seen;
 
-/// A file as it was found.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Seen {
-    /// What tells whether it changes.
-    pub stamp: FileStamp,
-    /// How long ago it changed last, in its content or in anything else, by the clock of this machine.
-    /// `None` where that clock is not the file system's, or the change is yet to come.
-    pub age: Option<Duration>,
-}
+use super::selection::{Selection, is_hidden};
 
 /// All that was found.
 #[derive(Debug, Default)]
@@ -62,8 +54,19 @@ pub fn look(path: &Path, trust_clock: bool) -> io::Result<Option<Seen>> {
 /// # Errors
 /// When `folder` itself cannot be looked into. Whatever else cannot is told in [`Scan::problems`].
 pub fn scan(folder: &Path, root: &Path, selection: &Selection, trust_clock: bool) -> io::Result<Scan> {
+    scan_with(folder, root, selection, trust_clock, &|| {})
+}
+
+/// The same; `progress` is called for every file that was looked at.
+pub(super) fn scan_with(
+    folder: &Path,
+    root: &Path,
+    selection: &Selection,
+    trust_clock: bool,
+    progress: &dyn Fn(),
+) -> io::Result<Scan> {
     let edges = Edges::new(root, selection)?;
-    let mut walk = Walk { root, selection, trust_clock, edges, scan: Scan::default() };
+    let mut walk = Walk { root, selection, trust_clock, progress, edges, scan: Scan::default() };
     if folder != root && !selection.enters(root, folder) {
         return Ok(walk.scan);
     }
@@ -94,6 +97,7 @@ struct Walk<'a> {
     root: &'a Path,
     selection: &'a Selection,
     trust_clock: bool,
+    progress: &'a dyn Fn(),
     edges: Edges,
     scan: Scan,
 }
@@ -115,6 +119,7 @@ impl Walk<'_> {
         self.scan.folders.push(folder.to_owned());
         for entry in entries {
             let entry = entry?;
+            (self.progress)();
             if is_hidden(&entry.file_name()) {
                 continue;
             }
@@ -186,7 +191,7 @@ impl Edges {
 
 /// Which folder it is, by whatever way it was reached.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct FolderIdentity {
+pub(in crate::watch) struct FolderIdentity {
     #[cfg(unix)]
     device_and_inode: (u64, u64),
     #[cfg(not(unix))]
@@ -195,14 +200,14 @@ pub(super) struct FolderIdentity {
 
 impl FolderIdentity {
     #[cfg(unix)]
-    pub(super) fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(in crate::watch) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         use std::os::unix::fs::MetadataExt;
         let metadata = fs::metadata(folder)?;
         Ok(FolderIdentity { device_and_inode: (metadata.dev(), metadata.ino()) })
     }
 
     #[cfg(not(unix))]
-    pub(super) fn of(folder: &Path) -> io::Result<FolderIdentity> {
+    pub(in crate::watch) fn of(folder: &Path) -> io::Result<FolderIdentity> {
         Ok(FolderIdentity { path: folder.canonicalize()? })
     }
 }

@@ -19,10 +19,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::pipeline::{FileStamp, has_other_names, open_own};
 
-use super::journal::STATE_FOLDER;
+use crate::watch::journal::STATE_FOLDER;
 
 /// The file that is locked, in the folder of what the daemon keeps for itself.
-pub(super) const FILE_NAME: &str = "lock";
+pub(in crate::watch) const FILE_NAME: &str = "lock";
 
 /// Whoever only looks whether the lock is held has it for a moment.
 const ATTEMPTS_MAX: usize = 5;

@@ -25,7 +25,7 @@ use crate::pipeline::{
     are_particles, has_particle_extension, is_level_set, open_regular, promises_particles,
 };
 
-use super::config::names_level_sets;
+use crate::watch::config::names_level_sets;
 
 /// Which files are frames, as far as their names tell.
 #[derive(Clone, Debug)]
@@ -89,7 +89,7 @@ impl Selection {
     }
 
     /// Whether its name, and the way to it from the root, say that a file is a frame.
-    pub(super) fn takes_name(&self, within: &Path) -> bool {
+    pub(in crate::watch) fn takes_name(&self, within: &Path) -> bool {
         let name = within.file_name().unwrap_or_default().to_string_lossy();
         if is_level_set(within) && !names_level_sets(self.pattern.as_ref().map(Pattern::as_str)) {
             return false;
@@ -102,17 +102,17 @@ impl Selection {
     }
 
     /// Whether a folder within the root is looked into, as far as its name tells.
-    pub(super) fn enters(&self, root: &Path, folder: &Path) -> bool {
+    pub(in crate::watch) fn enters(&self, root: &Path, folder: &Path) -> bool {
         folder.strip_prefix(root).is_ok_and(|within| self.recursive && !is_hidden_path(within))
     }
 
     /// Whether sub-folders are looked into.
-    pub(super) fn is_recursive(&self) -> bool {
+    pub(in crate::watch) fn is_recursive(&self) -> bool {
         self.recursive
     }
 
     /// Folders whose files are no frames.
-    pub(super) fn excluded(&self) -> &[PathBuf] {
+    pub(in crate::watch) fn excluded(&self) -> &[PathBuf] {
         &self.excluded
     }
 }
@@ -150,7 +150,7 @@ pub fn content(path: &Path) -> io::Result<Content> {
 }
 
 /// Whether a name is one that listings leave out.
-pub(super) fn is_hidden(name: &OsStr) -> bool {
+pub(in crate::watch) fn is_hidden(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(b".")
 }
 

@@ -1,24 +1,25 @@
 //! Sequences get their settings: which frames are measured, and what follows from it.
 
-use std::path::PathBuf;
+use std::sync::Arc;
 
-use crate::pipeline::{FileStamp, FrameFile, natural_order, order_subframes, single_frames_note};
+use crate::pipeline::{FileStamp, natural_order, order_subframes, single_frames_note};
+use crate::watch::config::Watch;
+use crate::watch::journal::{Entry, SequenceRecord, Standing};
 
-use super::config::Watch;
+use super::events::{Log, RootRequest};
 use super::frames::{FrameId, FrameState, Phase};
-use super::journal::{SequenceRecord, Standing};
-use super::rounds::Daemon;
 use super::sequences::{MeasureOrder, Measured, SequenceSettings, framing_of};
+use super::state::Core;
 
-impl Daemon<'_> {
+impl Core {
     /// The index of the sequence that a file belongs to.
     pub(super) fn sequence_of(&mut self, id: &FrameId) -> usize {
         let watch = &self.config.watches[id.root];
-        let remembered = &self.stores.of_watch(id.root).journal.state().sequences;
+        let remembered = &self.outputs[self.output_of[id.root]].journal.sequences;
         let known_count = self.sequences.len();
         let index = self.sequences.index(id, watch, |key| remembered.get(key).cloned());
         if index == known_count {
-            self.show_sequence(index);
+            self.changed_sequences.push(index);
         }
         index
     }
@@ -29,7 +30,8 @@ impl Daemon<'_> {
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.newly_fallen_apart(count_min) {
             if self.config.watches[root].needs_spacing() {
-                tracing::warn!(folder = %folder.display(), "{}", single_frames_note(count));
+                let note = single_frames_note(count);
+                self.log(move || tracing::warn!(folder = %folder.display(), "{note}"));
             }
         }
     }
@@ -37,15 +39,17 @@ impl Daemon<'_> {
     /// Has the sequences measured that wait for it and can be.
     pub(super) fn resolve_sequences(&mut self) {
         for index in std::mem::take(&mut self.dirty_sequences) {
-            if self.config.once && self.awaits_frames(index) {
+            // Which frames are complete is known when all inspections have ended.
+            let is_inspecting = self.frames.is_inspecting(Some(index));
+            if is_inspecting || self.config.once && self.awaits_frames(index) {
                 self.dirty_sequences.insert(index);
                 continue;
             }
             if let Some(order) = self.what_to_measure(index) {
                 self.sequences.get_mut(index).settings = SequenceSettings::BeingMeasured;
                 self.measuring_count += 1;
-                // The thread at the other end lives as long as the loop.
-                let _ = self.to_measure.send(order);
+                let root = self.sequences.get(index).root;
+                self.request(root, RootRequest::Measure(Box::new(order)));
             }
         }
     }
@@ -54,7 +58,7 @@ impl Daemon<'_> {
     fn awaits_frames(&self, index: usize) -> bool {
         let awaited = |frame: &FrameState| match frame.phase {
             Phase::Settling(_) => !frame.is_stuck(),
-            Phase::GoneThrough(_) | Phase::Retrying(..) => true,
+            Phase::FindingSteps(_) | Phase::Retrying(..) => true,
             _ => false,
         };
         matches!(self.sequences.get(index).settings, SequenceSettings::Unknown(_))
@@ -72,52 +76,50 @@ impl Daemon<'_> {
             .filter(|(id, frame)| frame.sequence == index && !sequence.sparse.contains(*id))
             .filter_map(|(id, frame)| match frame.phase {
                 Phase::Held(stamp) => Some((id, Some(stamp))),
-                Phase::Settling(_) | Phase::GoneThrough(_) | Phase::Retrying(..) => Some((id, None)),
+                Phase::Settling(_) | Phase::FindingSteps(_) | Phase::Retrying(..) => Some((id, None)),
                 _ => None,
             })
             .collect();
         members.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
-        order_subframes(&mut members, |(id, _)| FrameFile::new(id.path.to_path_buf()));
-        let files: Vec<(PathBuf, FileStamp)> =
-            members.into_iter().map_while(|(id, stamp)| Some((id.path.to_path_buf(), stamp?))).collect();
+        order_subframes(&mut members, |(id, _)| id.frame_file());
+        let files: Vec<(FrameId, FileStamp)> =
+            members.into_iter().map_while(|(id, stamp)| Some((id.clone(), stamp?))).collect();
         let watch = self.config.watches[sequence.root].clone();
-        let remembered =
-            self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key).cloned();
+        let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key).cloned();
         let given = (!watch.needs_spacing()).then(SequenceRecord::default);
         let (own_radii, known) = (own_radii.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
 
     /// A sequence was measured, or could not be.
-    pub(super) fn measured(&mut self, measured: Measured) {
+    pub(super) fn on_measured(&mut self, measured: Measured) {
         self.measuring_count -= 1;
         let Measured { sequence: index, record, sparse, unreadable, changed, warnings } = measured;
         let root = self.sequences.get(index).root;
         // Of a file that was written again since, this says nothing.
-        let sparse = sparse.iter().filter(|(path, stamp)| self.is_held(&FrameId::new(root, path), stamp));
-        let sparse: Vec<FrameId> = sparse.map(|(path, _)| FrameId::new(root, path)).collect();
+        let sparse = sparse.into_iter().filter(|(id, stamp)| self.is_held(id, stamp));
+        let sparse: Vec<FrameId> = sparse.map(|(id, _)| id).collect();
         let sequence = self.sequences.get_mut(index);
         sequence.sparse.extend(sparse.iter().cloned());
         let watch = &self.config.watches[root];
         sequence.settings = SequenceSettings::new(watch, record.as_ref());
         sequence.framing = framing_of(watch, record.as_ref());
         if record.is_none() {
-            self.tell_of_sparse(index, &sparse);
+            self.log_sparse(index, &sparse);
         }
-        for (path, stamp, error) in &unreadable {
-            let id = FrameId::new(root, path);
-            if self.is_held(&id, stamp) {
-                self.failed_frame(&id, *stamp, error);
+        for (id, stamp, error) in &unreadable {
+            if self.is_held(id, stamp) {
+                self.failed_frame(id, *stamp, error, None);
             }
         }
-        if let Some(path) = changed {
-            self.look_again(&FrameId::new(root, &path));
+        if let Some(id) = changed {
+            self.check_stamp(&id);
         }
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
-            self.stores.of_watch_mut(root).write_down(|journal| journal.note_sequence(&key, record));
-            self.tell_settings(index, &warnings);
-            self.show_sequence(index);
+            let log = self.log_of_settings(index, warnings);
+            self.record(self.output_of[root], Entry::Sequence(key, record), log);
+            self.changed_sequences.push(index);
             for id in self.held_frames(index) {
                 self.release(&id);
             }
@@ -131,27 +133,25 @@ impl Daemon<'_> {
         let sequence = self.sequences.get(index);
         let Some(framed) = sequence.framing.as_ref().map(|framing| framing.framed()) else { return };
         let (root, key) = (sequence.root, sequence.key.clone());
-        let records = &self.stores.of_watch(root).journal.state().sequences;
-        let Some(mut record) = records.get(&key).cloned() else { return };
+        let Some(mut record) = self.output(root).journal.sequences.get(&key).cloned() else { return };
         let Some(camera) = record.camera.as_mut().filter(|camera| camera.framed != framed) else { return };
         camera.framed = framed;
-        tracing::info!(
-            sequence = %key.folder.join(&key.name).display(),
-            "a frame leaves the picture: the camera is refitted for it and for later ones"
-        );
-        self.stores.of_watch_mut(root).write_down(|journal| journal.note_sequence(&key, record));
+        let path = key.folder.join(&key.name);
+        let log = Log::new(move || {
+            let what = "a frame leaves the picture: the camera is refitted for it and for later ones";
+            tracing::info!(sequence = %path.display(), "{what}");
+        });
+        self.record(self.output_of[root], Entry::Sequence(key, record), Some(log));
     }
 
     /// Frames wait for another one, which whoever waits for them should know.
-    fn tell_of_sparse(&mut self, index: usize, sparse: &[FrameId]) {
+    fn log_sparse(&mut self, index: usize, sparse: &[FrameId]) {
         let root = self.sequences.get(index).root;
         let why = why_held(&self.config.watches[root]);
         let sequence = self.sequences.get_mut(index);
         if !sparse.is_empty() && !std::mem::replace(&mut sequence.is_told, true) {
-            tracing::warn!(
-                sequence = %sequence.key.folder.join(&sequence.key.name).display(),
-                "{why}"
-            );
+            let path = sequence.key.folder.join(&sequence.key.name);
+            self.log(move || tracing::warn!(sequence = %path.display(), "{why}"));
         }
         for id in sparse {
             if let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) {
@@ -160,23 +160,27 @@ impl Daemon<'_> {
         }
     }
 
-    fn tell_settings(&self, index: usize, warnings: &[String]) {
+    fn log_of_settings(&self, index: usize, warnings: Vec<String>) -> Option<Log> {
         let sequence = self.sequences.get(index);
-        let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return };
-        tracing::info!(
-            sequence = %sequence.key.folder.join(&sequence.key.name).display(),
-            spacing = six_digits(settings.spacing),
-            voxel_size = six_digits(settings.voxel_size),
-            radius_min = six_digits(settings.radius_min),
-            radius_init = six_digits(settings.radius_init),
-            radius_max = six_digits(settings.radius_max),
-            "measured the particle spacing, for all frames of the sequence"
-        );
-        for warning in
-            warnings.iter().cloned().chain(settings.warnings().iter().map(|warning| warning.to_string()))
-        {
-            tracing::warn!(sequence = %sequence.key.name, "{warning}");
-        }
+        let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
+        let (settings, key) = (Arc::clone(settings), sequence.key.clone());
+        Some(Log::new(move || {
+            tracing::info!(
+                sequence = %key.folder.join(&key.name).display(),
+                spacing = six_digits(settings.spacing),
+                voxel_size = six_digits(settings.voxel_size),
+                radius_min = six_digits(settings.radius_min),
+                radius_init = six_digits(settings.radius_init),
+                radius_max = six_digits(settings.radius_max),
+                "measured the particle spacing, for all frames of the sequence"
+            );
+            for warning in warnings {
+                tracing::warn!(sequence = %key.name, "{warning}");
+            }
+            for warning in settings.warnings() {
+                tracing::warn!(sequence = %key.name, "{warning}");
+            }
+        }))
     }
 
     /// Whether a frame waits for the settings of its sequence, and is still this file.

@@ -32,7 +32,7 @@ use crate::pipeline::FileStamp;
 
 /// What may have changed.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub enum Hint {
+pub enum FsEvent {
     /// A file appeared, grew, or went.
     Changed(PathBuf),
     /// A file was renamed to this name, and has all that it had under the other one.
@@ -42,6 +42,10 @@ pub enum Hint {
     /// Hints were lost: only looking everywhere tells.
     Rescan,
 }
+
+/// The events of a folder that is not watched: none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum NoEvents {}
 
 /// Why a folder cannot be watched.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -80,11 +84,11 @@ impl Watcher {
     ///
     /// # Errors
     /// When the system has no more of what it takes.
-    pub fn new() -> Result<(Watcher, Receiver<Hint>), WatchError> {
+    pub fn new() -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         Watcher::with_capacity(CAPACITY)
     }
 
-    fn with_capacity(capacity: usize) -> Result<(Watcher, Receiver<Hint>), WatchError> {
+    fn with_capacity(capacity: usize) -> Result<(Watcher, Receiver<FsEvent>), WatchError> {
         let (queue, hints) = bounded(capacity);
         let folders = Arc::new(Mutex::new(Folders::default()));
         let mut listener = Listener { queue, capacity, last: None, folders: folders.clone() };
@@ -195,21 +199,21 @@ fn lock(folders: &Mutex<Folders>) -> MutexGuard<'_, Folders> {
 
 /// What notify's thread calls. It alone puts hints into the queue.
 struct Listener {
-    queue: Sender<Hint>,
+    queue: Sender<FsEvent>,
     capacity: usize,
     /// The hint that was put into the queue last.
-    last: Option<Hint>,
+    last: Option<FsEvent>,
     folders: Arc<Mutex<Folders>>,
 }
 
 impl Listener {
     fn hear(&mut self, event: notify::Result<Event>) {
         match event {
-            Ok(event) if event.need_rescan() => self.tell(Hint::Rescan),
+            Ok(event) if event.need_rescan() => self.tell(FsEvent::Rescan),
             Ok(event) => self.hear_event(event),
             Err(error) => {
                 tracing::warn!(%error, "the system's word on changes was lost");
-                self.tell(Hint::Rescan);
+                self.tell(FsEvent::Rescan);
             }
         }
     }
@@ -217,18 +221,18 @@ impl Listener {
     fn hear_event(&mut self, event: Event) {
         let Some(meaning) = meaning(event.kind) else { return };
         if event.paths.is_empty() {
-            self.tell(Hint::Rescan);
+            self.tell(FsEvent::Rescan);
         }
         for path in event.paths {
             // Followed, as a link to a folder is one. What is gone was one if it was watched.
             let is_there = meaning != Meaning::Went && path.is_dir();
-            let hints: Vec<Hint> = {
+            let hints: Vec<FsEvent> = {
                 let folders = lock(&self.folders);
                 let hint = |path: PathBuf| match meaning {
-                    _ if is_there || folders.place_of.contains_key(&path) => Hint::Folder(path),
-                    Meaning::FolderChanged => Hint::Folder(path),
-                    Meaning::Renamed => Hint::Renamed(path),
-                    Meaning::Changed | Meaning::Went => Hint::Changed(path),
+                    _ if is_there || folders.place_of.contains_key(&path) => FsEvent::Folder(path),
+                    Meaning::FolderChanged => FsEvent::Folder(path),
+                    Meaning::Renamed => FsEvent::Renamed(path),
+                    Meaning::Changed | Meaning::Went => FsEvent::Changed(path),
                 };
                 folders.asked_for(&path).into_iter().map(hint).collect()
             };
@@ -237,12 +241,12 @@ impl Listener {
     }
 
     /// Puts a hint into the queue, or, if there is one place left, that hints were lost.
-    fn tell(&mut self, hint: Hint) {
+    fn tell(&mut self, hint: FsEvent) {
         // The same one is there already, and nobody has acted on it.
         if !self.queue.is_empty() && self.last.as_ref() == Some(&hint) {
             return;
         }
-        let hint = if self.queue.len() + 1 < self.capacity { hint } else { Hint::Rescan };
+        let hint = if self.queue.len() + 1 < self.capacity { hint } else { FsEvent::Rescan };
         // Only `Rescan` takes the last place: if there is none left, it is the last in the queue.
         if self.queue.try_send(hint.clone()).is_ok() {
             self.last = Some(hint);
@@ -305,7 +309,7 @@ mod tests {
     /// A watched folder, one beside it that is not watched, and what is heard.
     struct Bench {
         watcher: Watcher,
-        hints: Receiver<Hint>,
+        hints: Receiver<FsEvent>,
         folder: PathBuf,
         beside: PathBuf,
         marker_count: usize,
@@ -330,7 +334,7 @@ mod tests {
         }
 
         /// All hints up to the expected one.
-        fn until(&self, expected: &Hint) -> Vec<Hint> {
+        fn until(&self, expected: &FsEvent) -> Vec<FsEvent> {
             let mut heard = Vec::new();
             while heard.last() != Some(expected) {
                 let next = self.hints.recv_timeout(Duration::from_secs(300));
@@ -340,13 +344,13 @@ mod tests {
         }
 
         /// All hints so far: those before that of a file that is made now, and those of such files.
-        fn so_far(&mut self) -> Vec<Hint> {
+        fn so_far(&mut self) -> Vec<FsEvent> {
             self.marker_count += 1;
             let marker = self.path(&format!("{MARKER}{}", self.marker_count));
             File::create(&marker).expect("made");
-            let mut heard = self.until(&Hint::Changed(marker));
+            let mut heard = self.until(&FsEvent::Changed(marker));
             heard.retain(
-                |hint| !matches!(hint, Hint::Changed(path) if path.to_string_lossy().contains(MARKER)),
+                |hint| !matches!(hint, FsEvent::Changed(path) if path.to_string_lossy().contains(MARKER)),
             );
             heard
         }
@@ -357,28 +361,28 @@ mod tests {
         let bench = Bench::new(CAPACITY);
         let written = bench.path("written.ply");
         fs::write(&written, b"ply").expect("written");
-        bench.until(&Hint::Changed(written.clone()));
+        bench.until(&FsEvent::Changed(written.clone()));
 
         let renamed = bench.path("renamed.ply");
         fs::rename(&written, &renamed).expect("renamed");
-        let heard = bench.until(&Hint::Renamed(renamed.clone()));
-        assert!(heard.contains(&Hint::Changed(written)), "the old name: {heard:?}");
+        let heard = bench.until(&FsEvent::Renamed(renamed.clone()));
+        assert!(heard.contains(&FsEvent::Changed(written)), "the old name: {heard:?}");
 
         let elsewhere = bench.beside.join("a.ply");
         let moved = bench.path("moved.ply");
         fs::write(&elsewhere, b"ply").expect("written");
         fs::rename(&elsewhere, &moved).expect("renamed");
-        bench.until(&Hint::Renamed(moved));
+        bench.until(&FsEvent::Renamed(moved));
 
         let linked = bench.path("linked.ply");
         fs::hard_link(&renamed, &linked).expect("linked");
         fs::remove_file(&renamed).expect("removed");
-        bench.until(&Hint::Changed(linked));
-        bench.until(&Hint::Changed(renamed));
+        bench.until(&FsEvent::Changed(linked));
+        bench.until(&FsEvent::Changed(renamed));
 
         let link = bench.path("link.ply");
         symlink("linked.ply", &link).expect("linked");
-        bench.until(&Hint::Changed(link));
+        bench.until(&FsEvent::Changed(link));
     }
 
     #[test]
@@ -389,11 +393,11 @@ mod tests {
         bench.so_far();
         let append = || File::options().append(true).open(&path).expect("a file");
         append().set_len(10).expect("longer");
-        assert!(bench.so_far().contains(&Hint::Changed(path.clone())));
+        assert!(bench.so_far().contains(&FsEvent::Changed(path.clone())));
         append().set_modified(std::time::UNIX_EPOCH).expect("set");
-        assert!(bench.so_far().contains(&Hint::Changed(path.clone())));
+        assert!(bench.so_far().contains(&FsEvent::Changed(path.clone())));
         fs::remove_file(&path).expect("removed");
-        assert!(bench.so_far().contains(&Hint::Changed(path)));
+        assert!(bench.so_far().contains(&FsEvent::Changed(path)));
     }
 
     /// Else every look would cause the next.
@@ -413,30 +417,30 @@ mod tests {
         let mut bench = Bench::new(CAPACITY);
         let made = bench.path("made");
         fs::create_dir(&made).expect("made");
-        bench.until(&Hint::Folder(made.clone()));
+        bench.until(&FsEvent::Folder(made.clone()));
         bench.watcher.watch(&made).expect("watched");
         fs::write(made.join("a.ply"), b"ply").expect("written");
-        bench.until(&Hint::Changed(made.join("a.ply")));
+        bench.until(&FsEvent::Changed(made.join("a.ply")));
 
         let (elsewhere, moved) = (bench.beside.join("sub"), bench.path("moved"));
         fs::create_dir(&elsewhere).expect("made");
         fs::rename(&elsewhere, &moved).expect("renamed");
-        bench.until(&Hint::Folder(moved.clone()));
+        bench.until(&FsEvent::Folder(moved.clone()));
         bench.watcher.watch(&moved).expect("watched");
         fs::rename(&moved, &elsewhere).expect("renamed");
-        bench.until(&Hint::Folder(moved));
+        bench.until(&FsEvent::Folder(moved));
 
         let link = bench.path("link");
         symlink(&elsewhere, &link).expect("linked");
-        bench.until(&Hint::Folder(link.clone()));
+        bench.until(&FsEvent::Folder(link.clone()));
         bench.watcher.watch(&link).expect("watched");
         fs::write(elsewhere.join("b.ply"), b"ply").expect("written");
-        bench.until(&Hint::Changed(link.join("b.ply")));
+        bench.until(&FsEvent::Changed(link.join("b.ply")));
         fs::remove_file(&link).expect("removed");
-        bench.until(&Hint::Folder(link));
+        bench.until(&FsEvent::Folder(link));
 
         fs::remove_dir_all(&made).expect("removed");
-        bench.until(&Hint::Folder(made));
+        bench.until(&FsEvent::Folder(made));
     }
 
     #[test]
@@ -444,7 +448,7 @@ mod tests {
         let mut bench = Bench::new(CAPACITY);
         let root = bench.folder.clone();
         fs::remove_dir(&root).expect("removed");
-        bench.until(&Hint::Folder(root.clone()));
+        bench.until(&FsEvent::Folder(root.clone()));
         assert_eq!(bench.watcher.watch(&root), Err(WatchError::Gone));
         fs::create_dir(&root).expect("made");
         bench.watcher.watch(&root).expect("watched");
@@ -453,12 +457,12 @@ mod tests {
         // Another folder in its place, while the first one lives on.
         let away = bench.beside.join("away");
         fs::rename(&root, &away).expect("renamed");
-        bench.until(&Hint::Folder(root.clone()));
+        bench.until(&FsEvent::Folder(root.clone()));
         fs::create_dir(&root).expect("made");
         bench.watcher.watch(&root).expect("watched");
         fs::write(away.join("a.ply"), b"ply").expect("written");
         let heard = bench.so_far();
-        assert!(!heard.contains(&Hint::Changed(root.join("a.ply"))), "{heard:?}");
+        assert!(!heard.contains(&FsEvent::Changed(root.join("a.ply"))), "{heard:?}");
     }
 
     #[test]
@@ -470,18 +474,18 @@ mod tests {
         fs::write(bench.path("a.ply"), b"ply").expect("written");
         let heard = bench.so_far();
         for path in [bench.path("a.ply"), other.join("a.ply")] {
-            assert!(heard.contains(&Hint::Changed(path)), "{heard:?}");
+            assert!(heard.contains(&FsEvent::Changed(path)), "{heard:?}");
         }
         bench.watcher.unwatch(&other);
         fs::write(bench.path("b.ply"), b"ply").expect("written");
         let heard = bench.so_far();
-        assert!(heard.contains(&Hint::Changed(bench.path("b.ply"))), "{heard:?}");
-        assert!(!heard.contains(&Hint::Changed(other.join("b.ply"))), "{heard:?}");
+        assert!(heard.contains(&FsEvent::Changed(bench.path("b.ply"))), "{heard:?}");
+        assert!(!heard.contains(&FsEvent::Changed(other.join("b.ply"))), "{heard:?}");
         bench.watcher.unwatch(&bench.folder);
         fs::write(bench.path("c.ply"), b"ply").expect("written");
         bench.watcher.watch(&bench.folder).expect("watched");
         let heard = bench.so_far();
-        assert!(!heard.contains(&Hint::Changed(bench.path("c.ply"))), "{heard:?}");
+        assert!(!heard.contains(&FsEvent::Changed(bench.path("c.ply"))), "{heard:?}");
     }
 
     #[test]
@@ -499,13 +503,13 @@ mod tests {
         for index in (0..100_000).take_while(|_| !bench.hints.is_full()) {
             fs::write(bench.path(&format!("{index}.ply")), b"ply").expect("written");
         }
-        assert_eq!(bench.until(&Hint::Rescan).len(), 4);
+        assert_eq!(bench.until(&FsEvent::Rescan).len(), 4);
     }
 
     /// The queue with events of our own making.
     struct Ear {
         listener: Listener,
-        hints: Receiver<Hint>,
+        hints: Receiver<FsEvent>,
     }
 
     impl Ear {
@@ -521,15 +525,15 @@ mod tests {
             self.listener.hear(Ok(Event::new(kind).add_path(Path::new("/true").join(name))));
         }
 
-        fn heard(&self) -> Vec<Hint> {
+        fn heard(&self) -> Vec<FsEvent> {
             self.hints.try_iter().collect()
         }
     }
 
     const WRITTEN: EventKind = EventKind::Access(AccessKind::Close(AccessMode::Write));
 
-    fn changed(name: &str) -> Hint {
-        Hint::Changed(Path::new("/f").join(name))
+    fn changed(name: &str) -> FsEvent {
+        FsEvent::Changed(Path::new("/f").join(name))
     }
 
     #[test]
@@ -537,12 +541,12 @@ mod tests {
         let mut ear = Ear::new(4);
         let names = ["a", "b", "c", "d", "e", "f"];
         names.iter().for_each(|name| ear.hear(WRITTEN, name));
-        assert_eq!(ear.heard(), [changed("a"), changed("b"), changed("c"), Hint::Rescan]);
+        assert_eq!(ear.heard(), [changed("a"), changed("b"), changed("c"), FsEvent::Rescan]);
         // Lost once more while the word of the first loss is still waiting.
         names.iter().for_each(|name| ear.hear(WRITTEN, name));
         assert_eq!(ear.hints.try_recv(), Ok(changed("a")));
         names.iter().for_each(|name| ear.hear(WRITTEN, name));
-        assert_eq!(ear.heard().last(), Some(&Hint::Rescan));
+        assert_eq!(ear.heard().last(), Some(&FsEvent::Rescan));
         ear.hear(WRITTEN, "g");
         assert_eq!(ear.heard(), [changed("g")]);
     }
@@ -563,11 +567,11 @@ mod tests {
     fn losses_of_others_are_told() {
         let mut ear = Ear::new(8);
         ear.listener.hear(Ok(Event::new(EventKind::Other).set_flag(notify::event::Flag::Rescan)));
-        assert_eq!(ear.heard(), [Hint::Rescan]);
+        assert_eq!(ear.heard(), [FsEvent::Rescan]);
         ear.listener.hear(Err(notify::Error::generic("lost")));
-        assert_eq!(ear.heard(), [Hint::Rescan]);
+        assert_eq!(ear.heard(), [FsEvent::Rescan]);
         ear.listener.hear(Ok(Event::new(EventKind::Any)));
-        assert_eq!(ear.heard(), [Hint::Rescan], "something happened, nobody knows where");
+        assert_eq!(ear.heard(), [FsEvent::Rescan], "something happened, nobody knows where");
     }
 
     #[test]

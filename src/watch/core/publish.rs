@@ -1,42 +1,48 @@
-//! Shows what the loop knows, for whoever looks: frame by frame, as each changes.
+//! What users see of the daemon: views of frames, sequences and of the daemon itself, built from what the core knows.
 //!
-//! Nothing here decides anything. Without a board nothing is shown, and nothing else changes.
+//! Nothing here decides anything.
 
 use std::path::{Component, Path};
 
 use serde_json::{Value, json};
 
-use crate::pipeline::{FrameFile, FrameReport, SequenceRecord, file_of, resident_memory_bytes, text_of_name};
-use crate::watch::board::{Board, Figures, FrameState, FrameSummary, FrameView, OutputView, Status, now_ms};
+use crate::pipeline::{SequenceRecord, text_of_name};
+use crate::watch::board::{FrameState, FrameSummary, FrameView, OutputView, Status};
+use crate::watch::config::{Config, Order, Poll, Watch};
+use crate::watch::journal::{FrameRecord, Standing};
 
-use super::config::{Config, Order, Poll, Watch};
-use super::frames::{FrameId, Phase};
-use super::journal::{FrameRecord, Standing};
-use super::mounts::free_bytes;
-use super::rounds::Daemon;
+use super::frames::{FrameCounts, FrameId, Phase};
 use super::sequences::SequenceSettings;
+use super::state::Core;
 
-impl Daemon<'_> {
-    /// Shows a frame that was converted, and counts it.
-    pub(super) fn show_converted(&self, id: &FrameId, report: &FrameReport) {
-        let Some(board) = self.board else { return };
-        let (input_bytes, output_bytes) = (report.input.stamp.size, report.output_bytes.iter().sum());
-        board.count(|counters| counters.add_converted(&Figures::of(report), input_bytes, output_bytes));
-        self.show(id);
+/// A frame as it is to be shown.
+pub(in crate::watch) enum Shown {
+    Frame(Box<FrameView>),
+    /// It is gone, or is no frame.
+    Removed(String),
+}
+
+impl Core {
+    /// The frames that have changed since this was called last.
+    pub(in crate::watch) fn take_changed_frames(&mut self) -> Vec<Shown> {
+        let changed = std::mem::take(&mut self.changed);
+        changed.iter().map(|id| self.shown(id)).collect()
     }
 
-    /// Takes a frame off the board.
-    pub(super) fn unshow(&self, id: &FrameId) {
-        if let Some(board) = self.board {
-            board.remove(&self.shown_name(id, &self.roots[id.root].path, &id.path));
-        }
+    /// The sequences that have got settings since this was called last, by name.
+    pub(in crate::watch) fn take_changed_sequences(&mut self) -> Vec<(String, SequenceRecord)> {
+        let changed = std::mem::take(&mut self.changed_sequences);
+        changed.into_iter().filter_map(|index| self.shown_sequence(index)).collect()
     }
 
-    /// Shows how far a frame is.
-    pub(super) fn show(&self, id: &FrameId) {
-        let (Some(board), Some(frame)) = (self.board, self.frames.get(id)) else { return };
-        let Some(state) = state_of(&frame.phase) else { return self.unshow(id) };
-        let record = self.stores.of_watch(id.root).journal.state().frames.get(&*id.path);
+    fn shown(&self, id: &FrameId) -> Shown {
+        let name = self.shown_name(id.root, self.root_path(id.root), &id.path);
+        let frame = self.frames.get(id);
+        let Some((frame, state)) = frame.and_then(|frame| Some((frame, state_of(&frame.phase)?))) else {
+            return Shown::Removed(name);
+        };
+        // Only a pipeline knows the stage of a frame that it has.
+        let record = self.record_of(id).map(|record| &**record);
         // That of an earlier file, or of an earlier failure, says nothing of this one.
         let record = record.filter(|record| is_about(record, &frame.phase));
         let done = record.filter(|_| state == FrameState::Done);
@@ -46,13 +52,13 @@ impl Daemon<'_> {
         let named = |ending: &str| outputs.iter().find(|output| output.name.ends_with(ending));
         let [surface, picture] =
             [".glb", ".png"].map(|ending| named(ending).map(|output| output.name.clone()));
-        board.show(FrameView {
+        Shown::Frame(Box::new(FrameView {
             summary: FrameSummary {
-                name: self.shown_name(id, &self.roots[id.root].path, &id.path).into(),
+                name: name.into(),
                 state,
                 stage: None,
                 reason: reason.filter(|_| state != FrameState::Done),
-                since_ms: done.map_or_else(now_ms, |done| done.at_ms),
+                since_ms: done.map_or(self.now.unix_ms, |done| done.at_ms),
                 particles: done.and_then(|record| record.particle_count),
                 seconds: done.and_then(|record| record.seconds),
                 surface,
@@ -62,17 +68,17 @@ impl Daemon<'_> {
             input_bytes: frame.phase.stamp().size,
             outputs,
             figures: done.and_then(|record| record.figures.clone()),
-            stem: self.shown_stem(id),
-        });
+            stem: self.claimed_stem(id),
+        }))
     }
 
     /// Outputs as they are shown. One that is elsewhere, which the journal may say, has no name here, and nobody is to
     /// read it through the board.
     fn shown_outputs(&self, id: &FrameId, record: &FrameRecord) -> Vec<OutputView> {
-        let folder = &self.stores.of_watch(id.root).folder;
+        let folder = &self.output(id.root).folder;
         let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
         let shown = inside.map(|output| OutputView {
-            name: self.shown_name(id, folder, &output.path),
+            name: self.shown_name(id.root, folder, &output.path),
             size_bytes: output.size_bytes,
             path: output.path.clone(),
         });
@@ -81,68 +87,87 @@ impl Daemon<'_> {
 
     /// What a file is called on the board: its path within the folder, and where there are several, the number of the
     /// watched one before it.
-    fn shown_name(&self, id: &FrameId, folder: &Path, path: &Path) -> String {
+    fn shown_name(&self, root: usize, folder: &Path, path: &Path) -> String {
         let within = text_of_name(path.strip_prefix(folder).unwrap_or(path).as_os_str());
         match self.roots.len() {
             1 => within,
-            _ => format!("{}/{within}", id.root + 1),
+            _ => format!("{}/{within}", root + 1),
         }
     }
 
-    /// What a frame's outputs are called, but for their extensions.
-    fn shown_stem(&self, id: &FrameId) -> std::path::PathBuf {
-        let root = &self.roots[id.root].path;
-        let folder = &self.stores.of_watch(id.root).folder;
-        let within = file_of(&id.path).parent().and_then(|folder| folder.strip_prefix(root).ok());
-        let folder = within.map_or_else(|| folder.clone(), |within| folder.join(within));
-        folder.join(FrameFile::new(id.path.to_path_buf()).stem())
+    /// What the daemon was asked for.
+    pub(in crate::watch) fn plan(&self) -> Value {
+        plan_of(&self.config)
     }
 
-    /// Shows what the daemon was asked for, in place of all that was shown.
-    pub(super) fn show_plan(&self) {
-        if let Some(board) = self.board {
-            let watches: Vec<&Watch> = self.roots.iter().map(|root| root.watch).collect();
-            board.begin(plan_of(self.config, &watches));
-        }
-    }
-
-    /// Shows the settings of a sequence, if it has any.
-    pub(super) fn show_sequence(&self, index: usize) {
+    fn shown_sequence(&self, index: usize) -> Option<(String, SequenceRecord)> {
         let sequence = self.sequences.get(index);
-        let (Some(board), SequenceSettings::Fixed(settings, _)) = (self.board, &sequence.settings) else {
-            return;
-        };
-        let place = sequence.key.folder.join(&sequence.key.name);
-        let id = FrameId::new(sequence.root, &place);
-        let name = self.shown_name(&id, &self.roots[sequence.root].path, &place);
-        let watch = &self.config.watches[sequence.root];
-        let made = (&watch.outputs, &*self.obstacles[sequence.root]);
-        let remembered = self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key);
+        let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
+        let path = sequence.key.folder.join(&sequence.key.name);
+        let name = self.shown_name(sequence.root, self.root_path(sequence.root), &path);
+        let watch = self.watch(sequence.root);
+        let made = (&watch.outputs, &*self.roots[sequence.root].obstacles);
+        let remembered = self.output(sequence.root).journal.sequences.get(&sequence.key);
         let measured = remembered.filter(|_| watch.needs_spacing());
         let measured = measured.and_then(|record| record.measured.as_ref());
-        board.show_sequence(name.clone(), SequenceRecord::new(&name, &watch.job(), settings, measured, made));
+        let record = SequenceRecord::new(&name, &watch.job(), settings, measured, made);
+        Some((name, record))
     }
 
-    /// Shows how the daemon is.
-    pub(super) fn show_status(&self, stopping: bool) {
-        let Some(board) = self.board else { return };
-        let unavailable = self.roots.iter().filter_map(|root| {
-            root.unavailable.as_ref().map(|why| format!("{}: {why}", root.path.display()))
+    /// How the daemon is.
+    pub(in crate::watch) fn status(&self, memory_bytes: Option<u64>) -> Status {
+        Status {
+            paused: self.guard.reason(),
+            unavailable: self.unavailable().map(|(path, why)| format!("{}: {why}", path.display())).collect(),
+            stopping: self.is_stopping,
+            disk_free_bytes: self.outputs.iter().filter_map(|output| output.free_bytes).min(),
+            memory_bytes,
+        }
+    }
+
+    /// Folders that cannot be used now, and why.
+    fn unavailable(&self) -> impl Iterator<Item = (&Path, &str)> {
+        let roots = self.roots.iter().filter_map(|root| {
+            let stalled = root.stalled_since.map(|_| STALLED);
+            Some((&*root.path, stalled.or(root.unavailable.as_deref())?))
         });
-        board.tell(Status {
-            paused: self.room.shortage(),
-            unavailable: unavailable.collect(),
-            stopping,
-            disk_free_bytes: self.stores.iter().filter_map(|store| free_bytes(&store.folder).ok()).min(),
-            memory_bytes: resident_memory_bytes(),
-        });
+        let stalled = self.outputs.iter().filter(|output| output.stalled_since.is_some());
+        roots.chain(stalled.map(|output| (&*output.folder, STALLED)))
+    }
+
+    /// How the daemon is, in one line.
+    pub(in crate::watch) fn status_line(&self) -> String {
+        let FrameCounts { settling, held, queued, finding_steps, retrying, done, failed, .. } =
+            self.frames.counts();
+        let mut status = format!("{done} done, {queued} queued");
+        for (count, what) in [
+            (settling, "being written"),
+            (finding_steps, "gone through for steps"),
+            (held, "without settings yet"),
+            (retrying, "to retry"),
+            (failed, "failed"),
+        ] {
+            if count > 0 {
+                status += &format!(", {count} {what}");
+            }
+        }
+        for (path, _) in self.unavailable() {
+            status += &format!("; {} is unavailable", path.display());
+        }
+        if let Some(why) = self.guard.reason() {
+            status += &format!("; paused: {why}");
+        }
+        status
     }
 }
+
+/// Why a folder cannot be used whose file system hangs.
+const STALLED: &str = "its file system does not answer";
 
 /// How far a frame is; `None` if it is no frame.
 fn state_of(phase: &Phase) -> Option<FrameState> {
     Some(match phase {
-        Phase::Settling(_) | Phase::Held(_) | Phase::GoneThrough(_) => FrameState::Waiting,
+        Phase::Settling(_) | Phase::Held(_) | Phase::FindingSteps(_) => FrameState::Waiting,
         Phase::Queued(_) => FrameState::Queued,
         Phase::Retrying(..) => FrameState::Retrying,
         Phase::Done(_) => FrameState::Done,
@@ -168,8 +193,8 @@ fn is_about(record: &FrameRecord, phase: &Phase) -> bool {
 }
 
 /// What the daemon was asked for. Times in seconds, sizes in bytes.
-fn plan_of(config: &Config, watches: &[&Watch]) -> Value {
-    let watch = |watch: &&Watch| {
+fn plan_of(config: &Config) -> Value {
+    let watch = |watch: &Watch| {
         let choices: serde_json::Map<String, Value> = watch
             .choices
             .to_pairs()
@@ -206,15 +231,8 @@ fn plan_of(config: &Config, watches: &[&Watch]) -> Value {
             Poll::Every(time) => Some(time.as_secs_f64()),
         },
         "rescan_s": config.rescan_every.as_secs_f64(),
-        "watches": watches.iter().map(watch).collect::<Vec<_>>(),
+        "watches": config.watches.iter().map(watch).collect::<Vec<_>>(),
     })
-}
-
-/// Counts something, if there is a board.
-pub(super) fn count(board: Option<&Board>, count: impl FnOnce(&mut crate::watch::board::Counters)) {
-    if let Some(board) = board {
-        board.count(count);
-    }
 }
 
 #[cfg(test)]

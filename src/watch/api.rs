@@ -1,0 +1,111 @@
+//! What the daemon and its caller say to each other.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use crate::pipeline::OutFolderError;
+
+use super::io::lock::LockError;
+use super::io::selection::PatternError;
+
+/// What may be asked of a running daemon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Finish the frames under way, and end.
+    Finish,
+    /// The same, to begin again with another configuration.
+    Reload,
+}
+
+/// What a running daemon tells whoever runs it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// Everything was looked at once, and from now on changes are heard.
+    Ready,
+    /// Where it is, in one line.
+    Status(String),
+    /// It is not stuck. Comes at least every two seconds.
+    Alive,
+    /// No further frame is begun.
+    Stopping,
+    /// The time for finishing the frames under way is over: whoever is in a hurry may end the process.
+    Overdue,
+}
+
+/// What came of a run.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// Why it ended.
+    pub ended: Ended,
+    /// Frames whose outputs are there: made in this run, or found done.
+    pub done_count: usize,
+    /// Those among them whose results break a guarantee.
+    pub broken_count: usize,
+    /// Each frame that failed, in natural order.
+    pub failed: Vec<FailedFrame>,
+    /// Frames that were seen and are left for the next time.
+    pub left_count: usize,
+}
+
+/// A frame that failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FailedFrame {
+    /// A sentence: which frame, and why.
+    pub what: String,
+    /// How many frames were finished since that was told; `None` if it was known from an earlier run, and not told in
+    /// this one.
+    pub frames_since: Option<usize>,
+}
+
+/// Why a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// Everything that was there is done, and that was all that was asked for.
+    Drained,
+    /// By [`Command::Finish`].
+    Finish,
+    /// By [`Command::Reload`].
+    Reload,
+}
+
+/// Why a daemon cannot run.
+#[derive(Debug)]
+pub enum DaemonError {
+    /// A folder takes no outputs.
+    Out(OutFolderError),
+    /// A folder of outputs cannot be looked at, or its journal not be opened.
+    Folder {
+        /// Which.
+        folder: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Somebody else has the folder of the outputs.
+    Locked(LockError),
+    /// A pattern is none.
+    Pattern(PatternError),
+    /// A folder that is to be converted once is not there.
+    Unavailable {
+        /// Which.
+        folder: PathBuf,
+        /// Why.
+        why: String,
+    },
+    /// The system refuses to start threads, or one has ended before its time.
+    Threads(String),
+}
+
+impl fmt::Display for DaemonError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            DaemonError::Out(error) => write!(f, "{error}"),
+            DaemonError::Folder { folder, source } => write!(f, "{}: {source}", folder.display()),
+            DaemonError::Locked(error) => write!(f, "{error}"),
+            DaemonError::Pattern(error) => write!(f, "{error}"),
+            DaemonError::Unavailable { folder, why } => write!(f, "{}: {why}", folder.display()),
+            DaemonError::Threads(why) => write!(f, "the threads: {why}"),
+        }
+    }
+}
+
+impl std::error::Error for DaemonError {}

@@ -1,0 +1,195 @@
+//! Whether outputs can be written: no frame begins without free space, and one that ran out of it waits for more.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Stops the start of frames while their outputs could not be written.
+#[derive(Debug)]
+pub(in crate::watch) struct DiskGuard {
+    floor_bytes: u64,
+    block: Option<WriteBlock>,
+    /// The next wait after a full disk.
+    backoff: Duration,
+}
+
+/// Why outputs cannot be written.
+#[derive(Debug)]
+enum WriteBlock {
+    /// There is not enough free space.
+    Full(Full),
+    /// The folder is missing: its file system is not mounted.
+    Unmounted(PathBuf),
+    /// The system refuses for a reason other than space. It is tried again at this time.
+    Refused(String, Instant),
+}
+
+#[derive(Debug)]
+struct Full {
+    folder: PathBuf,
+    wanted_bytes: u64,
+    /// When it is tried again, whatever is free; `None` below the floor, where only space helps.
+    retry_at: Option<Instant>,
+    free_bytes: u64,
+}
+
+/// A folder of outputs as it was found last.
+#[derive(Clone, Debug)]
+pub(in crate::watch) struct FoundSpace<'a> {
+    pub(in crate::watch) folder: &'a Path,
+    /// Whether the folder is mounted.
+    pub(in crate::watch) is_there: bool,
+    /// Free bytes, if the file system says.
+    pub(in crate::watch) free_bytes: Option<u64>,
+}
+
+/// More than this must have become free before a disk that was full is tried again at once.
+const MARGIN_BYTES: u64 = 1 << 20;
+
+const BACKOFF_FIRST: Duration = Duration::from_secs(5);
+const BACKOFF_MAX: Duration = Duration::from_secs(300);
+
+impl DiskGuard {
+    pub(in crate::watch) fn new(floor_bytes: u64) -> DiskGuard {
+        DiskGuard { floor_bytes, block: None, backoff: BACKOFF_FIRST }
+    }
+
+    /// A frame found the disk of this folder full, with so much free.
+    pub(in crate::watch) fn on_full(&mut self, folder: &Path, free_bytes: Option<u64>, now: Instant) {
+        let free_bytes = free_bytes.unwrap_or(0);
+        // Frames that are under way together find the disk full one after the other: one wait for all of them.
+        let retry_at = match &self.block {
+            Some(WriteBlock::Full(Full { retry_at: Some(at), .. })) => *at,
+            _ => now + self.next_backoff(),
+        };
+        self.block = Some(WriteBlock::Full(Full {
+            folder: folder.to_owned(),
+            wanted_bytes: self.floor_bytes.max(free_bytes.saturating_add(MARGIN_BYTES)),
+            retry_at: Some(retry_at),
+            free_bytes,
+        }));
+    }
+
+    /// The system refuses to write, for this reason.
+    pub(in crate::watch) fn on_refusal(&mut self, reason: String, now: Instant) {
+        let wait = self.next_backoff();
+        self.block = Some(WriteBlock::Refused(reason, now + wait));
+    }
+
+    /// A frame was written: the next wait is a short one.
+    pub(in crate::watch) fn on_success(&mut self) {
+        self.backoff = BACKOFF_FIRST;
+    }
+
+    fn next_backoff(&mut self) -> Duration {
+        let doubled = (self.backoff * 2).min(BACKOFF_MAX);
+        std::mem::replace(&mut self.backoff, doubled)
+    }
+
+    /// Decides again, by the folders as they are now. A folder of which the free space is unknown does not block:
+    /// writing into it will say what is wrong.
+    pub(in crate::watch) fn check(&mut self, found: &[FoundSpace<'_>], now: Instant) {
+        if let Some(absent) = found.iter().find(|found| !found.is_there) {
+            self.block = Some(WriteBlock::Unmounted(absent.folder.to_owned()));
+            return;
+        }
+        match &mut self.block {
+            Some(WriteBlock::Full(full)) => {
+                let of_disk = found.iter().find(|found| full.folder.starts_with(found.folder));
+                full.free_bytes = of_disk.and_then(|found| found.free_bytes).unwrap_or(u64::MAX);
+                let is_time = full.retry_at.is_some_and(|at| at <= now);
+                if full.free_bytes < full.wanted_bytes && !is_time {
+                    return;
+                }
+            }
+            Some(WriteBlock::Refused(_, at)) if now < *at => return,
+            _ => {}
+        }
+        let below_floor = |found: &FoundSpace<'_>| {
+            let free_bytes = found.free_bytes.unwrap_or(u64::MAX);
+            (free_bytes < self.floor_bytes).then(|| Full {
+                folder: found.folder.to_owned(),
+                wanted_bytes: self.floor_bytes,
+                retry_at: None,
+                free_bytes,
+            })
+        };
+        self.block = found.iter().find_map(below_floor).map(WriteBlock::Full);
+    }
+
+    /// Why no frame begins; `None` if frames may begin.
+    pub(in crate::watch) fn reason(&self) -> Option<String> {
+        Some(match self.block.as_ref()? {
+            WriteBlock::Refused(reason, _) => format!("{reason}; trying again before long"),
+            WriteBlock::Unmounted(folder) => format!("{} is not mounted; waiting for it", folder.display()),
+            WriteBlock::Full(Full { folder, wanted_bytes, free_bytes, .. }) => format!(
+                "{} has {} free; waiting for {}",
+                folder.display(),
+                bytesize::ByteSize(*free_bytes),
+                bytesize::ByteSize(*wanted_bytes)
+            ),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OUT: &str = "/out";
+
+    fn found(free_bytes: u64) -> [FoundSpace<'static>; 1] {
+        [FoundSpace { folder: Path::new(OUT), is_there: true, free_bytes: Some(free_bytes) }]
+    }
+
+    #[test]
+    fn unmounted_folder_blocks_until_it_is_back() {
+        let now = Instant::now();
+        let mut guard = DiskGuard::new(0);
+        guard.check(&[FoundSpace { is_there: false, ..found(0)[0].clone() }], now);
+        assert!(guard.reason().is_some_and(|why| why.ends_with("is not mounted; waiting for it")));
+        guard.check(&found(0), now);
+        assert_eq!(guard.reason(), None);
+    }
+
+    #[test]
+    fn below_the_floor_only_space_helps() {
+        let now = Instant::now();
+        let mut guard = DiskGuard::new(100);
+        for hours in [0, 1, 1000] {
+            guard.check(&found(99), now + Duration::from_secs(3600 * hours));
+            assert!(guard.reason().is_some_and(|why| why.starts_with(OUT)));
+        }
+        guard.check(&found(100), now);
+        assert_eq!(guard.reason(), None);
+    }
+
+    #[test]
+    fn full_disk_is_retried_less_and_less_often() {
+        let mut now = Instant::now();
+        let mut guard = DiskGuard::new(0);
+        for expected in [5, 10, 20, 40, 80, 160, 300, 300] {
+            // By several frames that were under way together.
+            for _ in 0..3 {
+                guard.on_full(Path::new("/out/sub"), Some(7), now);
+            }
+            guard.check(&found(7 + MARGIN_BYTES - 1), now + Duration::from_secs(expected - 1));
+            assert!(guard.reason().is_some(), "{expected}");
+            now += Duration::from_secs(expected);
+            guard.check(&found(7), now);
+            assert_eq!(guard.reason(), None, "{expected}");
+        }
+        guard.on_success();
+        guard.on_full(Path::new(OUT), None, now);
+        guard.check(&found(0), now + BACKOFF_FIRST);
+        assert_eq!(guard.reason(), None);
+    }
+
+    #[test]
+    fn freed_space_is_used_at_once() {
+        let now = Instant::now();
+        let mut guard = DiskGuard::new(0);
+        guard.on_full(Path::new(OUT), Some(7), now);
+        guard.check(&found(7 + MARGIN_BYTES), now);
+        assert_eq!(guard.reason(), None);
+    }
+}

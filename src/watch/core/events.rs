@@ -1,0 +1,275 @@
+//! What the core hears, and what it asks for.
+//!
+//! ```text
+//!   workers, pipeline, commands ──Event──▶ Core::handle ──Effect──▶ workers, pipeline, journal, log
+//! ```
+//!
+//! Every event about a file may come late, twice or never: each says what the file was at some time, and results of
+//! requests carry the number of the request.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::pipeline::{FileStamp, Frame, ObstacleStamps, Outcome};
+use crate::surface::options::Settings;
+use crate::watch::journal::{Entry, FrameRecord, OutputCheck, OutputRecord};
+
+use super::completeness::{Candidate, Proof, Seen, WaitReason};
+use super::frames::FrameId;
+use super::sequences::{MeasureOrder, Measured};
+use super::steps::{FoundSteps, StepsOrder};
+
+/// The time, by both clocks.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::watch) struct Now {
+    pub(in crate::watch) at: Instant,
+    /// Milliseconds since 1970, for records.
+    pub(in crate::watch) unix_ms: u64,
+}
+
+/// Something that happened outside of the core.
+#[derive(Debug)]
+pub(in crate::watch) enum Event {
+    /// A file was found, at a time that may be a little in the past.
+    FileSeen { id: FrameId, seen: Seen, at: Instant, renamed: bool },
+    /// A file is gone.
+    FileGone(FrameId),
+    /// The system refuses to say what a file is.
+    FileUnreadable(FrameId, io::Error),
+    /// A file changed that may be the sentinel of a frame.
+    SentinelSeen(usize, PathBuf),
+    /// All files in one folder of a root.
+    FolderScanned { root: usize, files: Vec<(PathBuf, Seen)>, at: Instant },
+    /// All files of a root, or why it is unavailable.
+    RootScanned { root: usize, found: Result<RootScan, String>, at: Instant },
+    /// The result of [`RootRequest::Inspect`].
+    Inspected(Box<Inspected>),
+    /// The result of [`RootRequest::StampObstacles`].
+    ObstaclesStamped { root: usize, stamps: FoundObstacleStamps },
+    /// A sequence was measured.
+    Measured(Measured),
+    /// A file was searched for steps.
+    StepsFound(FoundSteps),
+    /// A pipeline has room for one more frame.
+    FrameWanted { pipeline: usize },
+    /// A pipeline cannot begin a frame that it got, because its outputs cannot be written now.
+    FrameReturned { id: FrameId, frame: Box<Frame>, found: OutputDirState },
+    /// A pipeline has finished with a frame.
+    FrameFinished(Box<Finished>),
+    /// All frames of a pipeline are finished, and it has ended.
+    PipelineEnded { pipeline: usize },
+    /// The state of a folder of outputs.
+    OutputDirChecked(OutputDirState),
+    /// The journal of a folder of outputs is on the disk.
+    JournalSynced,
+    /// A worker has not answered for a long time.
+    WorkerStalled(Worker),
+    /// A worker that had stalled has answered.
+    WorkerAnswered(Worker),
+}
+
+/// A thread that does the I/O of one watched folder or of one folder of outputs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(in crate::watch) enum Worker {
+    /// Of the root with this index.
+    Root(usize),
+    /// Of the folder of outputs with this index.
+    Output(usize),
+}
+
+/// What a scan of a root found.
+#[derive(Debug, Default)]
+pub(in crate::watch) struct RootScan {
+    /// The files that the selection takes, in no order.
+    pub(in crate::watch) files: Vec<(PathBuf, Seen)>,
+    /// Paths that could not be examined, and why.
+    pub(in crate::watch) problems: Vec<(PathBuf, String)>,
+    /// Links whose target is missing.
+    pub(in crate::watch) dangling: Vec<PathBuf>,
+    /// Whether it was made because events were lost.
+    pub(in crate::watch) after_loss: bool,
+}
+
+/// A folder of outputs as it was found.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::watch) struct OutputDirState {
+    pub(in crate::watch) output: usize,
+    pub(in crate::watch) presence: Presence,
+    /// Free bytes, if the file system says.
+    pub(in crate::watch) free_bytes: Option<u64>,
+}
+
+/// Whether a folder of outputs is the one that was opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::watch) enum Presence {
+    There,
+    /// It was removed, and was made again: what was in it is gone.
+    MadeAgain,
+    /// Another file system is in its place: its own is not mounted.
+    Away,
+}
+
+/// The obstacles of frames, by the frames' numbers.
+#[derive(Debug)]
+pub(in crate::watch) enum FoundObstacleStamps {
+    /// The same for all frames.
+    Same(Arc<ObstacleStamps>),
+    PerNumber(std::collections::HashMap<Option<u64>, Arc<ObstacleStamps>>),
+}
+
+/// A frame that a pipeline has finished with.
+#[derive(Debug)]
+pub(in crate::watch) struct Finished {
+    pub(in crate::watch) id: FrameId,
+    /// Its outputs, if they are there.
+    pub(in crate::watch) outputs: Vec<OutputRecord>,
+    pub(in crate::watch) outcome: Outcome,
+    /// Of a frame that failed because the disk is full: free bytes there.
+    pub(in crate::watch) free_bytes: Option<u64>,
+}
+
+/// Asks what a file is now. The answer comes as soon as the first of these says no.
+#[derive(Debug)]
+pub(in crate::watch) struct Inspect {
+    pub(in crate::watch) id: FrameId,
+    /// The number of this request.
+    pub(in crate::watch) number: u64,
+    /// What the file was when this was asked.
+    pub(in crate::watch) stamp: FileStamp,
+    /// If only this is asked: whether it is still the same file.
+    pub(in crate::watch) only_stamp: bool,
+    /// What the journal says of it, if the frame stays as it is while this holds.
+    pub(in crate::watch) recorded: Option<Recorded>,
+    /// The file may still be written.
+    pub(in crate::watch) candidate: Option<Candidate>,
+    /// The files that the frame becomes.
+    pub(in crate::watch) outputs: Vec<PathBuf>,
+}
+
+/// A frame that stays as it is while its outputs are as they were written, and its obstacles too.
+#[derive(Debug)]
+pub(in crate::watch) struct Recorded {
+    pub(in crate::watch) record: Arc<FrameRecord>,
+    /// The settings of its sequence, if only its obstacles can tell whether they are those recorded.
+    pub(in crate::watch) settings: Option<(Arc<Settings>, Arc<str>)>,
+}
+
+/// The answer to [`Inspect`].
+#[derive(Debug)]
+pub(in crate::watch) struct Inspected {
+    pub(in crate::watch) id: FrameId,
+    pub(in crate::watch) number: u64,
+    pub(in crate::watch) found: Found,
+    /// The files of its obstacles; `None` without obstacles.
+    pub(in crate::watch) obstacles: Option<Arc<ObstacleStamps>>,
+}
+
+/// What an inspection found.
+#[derive(Debug)]
+pub(in crate::watch) enum Found {
+    /// The file is gone.
+    Gone,
+    /// The system refuses to say what it is.
+    Unreadable(io::Error),
+    /// It is another file than was asked about.
+    Changed(Seen, Instant),
+    /// It is the same file, and more was not asked.
+    Same,
+    /// Outputs and obstacles are as recorded.
+    AsRecorded,
+    /// Its outputs are missing because their folder is not mounted.
+    OutputsAway,
+    /// It is not complete.
+    Waiting { until: Option<Instant>, why: WaitReason },
+    /// It is complete.
+    Complete(Complete),
+}
+
+/// A file that is complete.
+#[derive(Debug)]
+pub(in crate::watch) struct Complete {
+    /// Why it is complete, if that was asked.
+    pub(in crate::watch) proof: Option<Proof>,
+    /// A recorded output that is not as it was written.
+    pub(in crate::watch) changed_output: Option<(PathBuf, OutputCheck)>,
+    pub(in crate::watch) contents: Contents,
+    /// A file that its outputs would replace: why the frame is refused.
+    pub(in crate::watch) conflict: Option<String>,
+}
+
+/// What a file is, by its first bytes.
+#[derive(Debug)]
+pub(in crate::watch) enum Contents {
+    /// A frame, or a step of a file.
+    Frame,
+    /// Of a kind that may have several steps.
+    MaybeSteps,
+    /// No particles: some other file, or an output of this program.
+    NotParticles,
+    Unreadable(io::Error),
+}
+
+/// Something for the worker of a root to do.
+#[derive(Debug)]
+pub(in crate::watch) enum RootRequest {
+    Inspect(Box<Inspect>),
+    /// Scan everything.
+    Scan,
+    /// Look at the obstacles of frames with these numbers.
+    StampObstacles(BTreeSet<Option<u64>>),
+    Measure(Box<MeasureOrder>),
+    FindSteps(StepsOrder),
+}
+
+/// Something for the worker of a folder of outputs to do.
+#[derive(Debug)]
+pub(in crate::watch) enum OutputRequest {
+    /// Add a record to the journal, and then log this: what the log says is in the journal.
+    Record(Entry, Option<Log>),
+    /// Look at the folder now.
+    Check,
+    /// Write the journal to the disk: the daemon ends.
+    Sync,
+}
+
+/// A line of the log, which is written after the state that it is about can be seen.
+pub(in crate::watch) struct Log(Box<dyn FnOnce() + Send>);
+
+impl Log {
+    pub(in crate::watch) fn new(write: impl FnOnce() + Send + 'static) -> Log {
+        Log(Box::new(write))
+    }
+
+    pub(in crate::watch) fn write(self) {
+        (self.0)();
+    }
+}
+
+impl fmt::Debug for Log {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Log")
+    }
+}
+
+/// Something that the core wants done. Effects are carried out in order.
+#[derive(Debug)]
+pub(in crate::watch) enum Effect {
+    Root(usize, RootRequest),
+    Output(usize, OutputRequest),
+    /// Give a frame to a pipeline that wants one.
+    Start {
+        pipeline: usize,
+        id: FrameId,
+        frame: Box<Frame>,
+        known_outputs: Vec<OutputRecord>,
+    },
+    /// Start a pipeline beside those that hang.
+    StartPipeline(usize),
+    /// Tell a pipeline that there are no more frames.
+    EndPipeline(usize),
+    Log(Log),
+}

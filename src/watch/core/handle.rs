@@ -1,0 +1,277 @@
+//! One event after the other: what each changes, and what is to be done for it.
+
+use std::collections::HashSet;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::pipeline::{breaks_guarantee, natural_order};
+
+use super::completeness::path_of_sentinel;
+use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Worker};
+use super::frames::{FrameCounts, FrameId, FrameState, Phase};
+use super::state::{Core, Count, Failure, STALL_AFTER};
+
+/// What came of all frames.
+#[derive(Debug)]
+pub(in crate::watch) struct Tally {
+    pub(in crate::watch) done_count: usize,
+    pub(in crate::watch) broken_count: usize,
+    /// Sentences, and how many frames were finished since each was logged.
+    pub(in crate::watch) failed: Vec<(String, Option<usize>)>,
+    pub(in crate::watch) left_count: usize,
+}
+
+impl Core {
+    /// Takes in an event. What is to be done for it is returned by [`Core::take_effects`].
+    pub(in crate::watch) fn handle(&mut self, event: Event, now: Now) {
+        self.now = now;
+        match event {
+            Event::FileSeen { id, seen, at, renamed } => self.on_file_seen(&id, &seen, at, renamed),
+            Event::FileGone(id) => self.forget(&id),
+            Event::FileUnreadable(id, error) => self.on_file_unreadable(&id, error),
+            Event::SentinelSeen(root, path) => self.on_sentinel_seen(root, &path),
+            Event::FolderScanned { root, files, at } => self.on_files_scanned(root, files, at),
+            Event::RootScanned { root, found, at } => self.on_root_scanned(root, found, at),
+            Event::Inspected(inspected) => self.on_inspected(*inspected),
+            Event::ObstaclesStamped { root, stamps } => self.on_obstacles_stamped(root, &stamps),
+            Event::Measured(measured) => self.on_measured(measured),
+            Event::StepsFound(found) => self.on_steps_found(found),
+            Event::FrameWanted { pipeline } => self.wanting.push_back(pipeline),
+            Event::FrameReturned { id, frame, found } => {
+                self.under_way.remove(&id);
+                if let Some(stamp) = self.frames.get(&id).map(|state| state.phase.stamp()) {
+                    self.queue.push(&id, frame, stamp.modified_ns);
+                }
+                self.on_output_dir_checked(found);
+            }
+            Event::FrameFinished(finished) => self.on_finished(*finished),
+            Event::PipelineEnded { pipeline } => self.wanting.retain(|wanting| *wanting != pipeline),
+            Event::OutputDirChecked(found) => self.on_output_dir_checked(found),
+            Event::WorkerStalled(worker) => self.set_stalled(worker, Some(now.at)),
+            Event::WorkerAnswered(worker) => self.set_stalled(worker, None),
+            Event::JournalSynced => {}
+        }
+    }
+
+    /// Does what is due, and what several events together make possible. To be called after each batch of events, and
+    /// when [`Core::next_deadline`] has come.
+    pub(in crate::watch) fn settle_batch(&mut self, now: Now) {
+        self.now = now;
+        while let Some(id) = self.frames.next_alarm(now.at) {
+            self.on_alarm(&id);
+        }
+        self.check_space();
+        self.resolve_sequences();
+        self.replace_stalled_pipeline();
+        self.start_frames();
+    }
+
+    /// When something is due next.
+    pub(in crate::watch) fn next_deadline(&self) -> Option<Instant> {
+        self.frames.alarm_at()
+    }
+
+    /// What is to be done, in this order.
+    pub(in crate::watch) fn take_effects(&mut self) -> Vec<Effect> {
+        std::mem::take(&mut self.effects)
+    }
+
+    /// What is to be counted.
+    pub(in crate::watch) fn take_counts(&mut self) -> Vec<Count> {
+        std::mem::take(&mut self.counts)
+    }
+
+    /// Gives frames to the pipelines that want one.
+    fn start_frames(&mut self) {
+        while let Some(&pipeline) = self.wanting.front() {
+            // One that was replaced because it hung has come back: what it has is finished, and it ends.
+            if self.is_stopping || pipeline != self.pipeline {
+                self.wanting.pop_front();
+                self.effects.push(Effect::EndPipeline(pipeline));
+                continue;
+            }
+            if self.guard.reason().is_some() {
+                return;
+            }
+            let may_begin: Vec<bool> = (0..self.roots.len()).map(|root| self.may_begin(root)).collect();
+            let Some((id, frame)) = self.queue.pop(|root| may_begin[root]) else { return };
+            self.wanting.pop_front();
+            self.under_way.insert(id.clone(), pipeline);
+            let record = self.record_of(&id);
+            let known_outputs = record.map_or(Vec::new(), |record| record.outputs.clone());
+            self.effects.push(Effect::Start { pipeline, id, frame, known_outputs });
+        }
+    }
+
+    /// Frames whose folder hangs hold up the pipeline that has them: then another one goes on with the rest.
+    fn replace_stalled_pipeline(&mut self) {
+        let hangs =
+            |(id, pipeline): (&FrameId, &usize)| *pipeline == self.pipeline && !self.may_begin(id.root);
+        let may_others_begin = (0..self.roots.len()).any(|root| self.may_begin(root));
+        if self.is_stopping || !may_others_begin || !self.under_way.iter().any(hangs) {
+            return;
+        }
+        self.pipeline += 1;
+        self.log(|| tracing::warn!("frames under way hang with their folder: others go on without them"));
+        self.effects.push(Effect::StartPipeline(self.pipeline));
+    }
+
+    fn set_stalled(&mut self, worker: Worker, since: Option<Instant>) {
+        let (path, stalled) = match worker {
+            Worker::Root(root) => {
+                let root = &mut self.roots[root];
+                (root.path.clone(), &mut root.stalled_since)
+            }
+            Worker::Output(output) => {
+                let output = &mut self.outputs[output];
+                (output.folder.clone(), &mut output.stalled_since)
+            }
+        };
+        *stalled = since;
+        self.log(move || match since {
+            Some(_) => tracing::warn!(
+                folder = %path.display(),
+                "unavailable: its file system has not answered for {STALL_AFTER:?}; other folders go on"
+            ),
+            None => tracing::info!(folder = %path.display(), "answers again"),
+        });
+    }
+
+    fn on_output_dir_checked(&mut self, found: OutputDirState) {
+        let OutputDirState { output, presence, free_bytes } = found;
+        let dir = &mut self.outputs[output];
+        (dir.is_there, dir.free_bytes) = (presence != Presence::Away, free_bytes);
+        if presence == Presence::MadeAgain {
+            let folder = dir.folder.clone();
+            self.log(move || tracing::warn!(folder = %folder.display(), "was gone, and is taken again"));
+            // What was in it may be gone as well.
+            self.scan_all();
+        }
+        self.check_space();
+    }
+
+    /// Whether everything was looked at once; folders that hang are not waited for.
+    pub(in crate::watch) fn is_ready(&self) -> bool {
+        let is_waiting = self.roots.iter().any(|root| !root.was_scanned && root.stalled_since.is_none());
+        let hangs = self.roots.iter().any(|root| root.stalled_since.is_some());
+        !is_waiting && (hangs || !self.frames.is_inspecting(None))
+    }
+
+    /// The first root that cannot be scanned, and why.
+    pub(in crate::watch) fn unavailable_root(&self) -> Option<(usize, String)> {
+        let why = |(index, root): (usize, &super::state::RootState)| Some((index, root.unavailable.clone()?));
+        self.roots.iter().enumerate().find_map(why)
+    }
+
+    /// Whether nothing is left that can be done. Frames whose settings cannot be measured fail for it; those that wait for
+    /// a file are left, and so are frames that wait for their settings.
+    pub(in crate::watch) fn is_drained(&mut self) -> bool {
+        let is_busy = self.frames.is_inspecting(None) || !self.dirty_sequences.is_empty();
+        if !self.is_ready() || self.queue.len() > 0 || !self.under_way.is_empty() || is_busy {
+            return false;
+        }
+        let FrameCounts { settling, stuck, queued, finding_steps, retrying, held, .. } = self.frames.counts();
+        let left_count = settling - stuck + queued + finding_steps + retrying + self.measuring_count;
+        if left_count > 0 {
+            return false;
+        }
+        let stuck = self.log_stuck();
+        if held > 0 {
+            self.give_up_on_held(&stuck);
+        }
+        true
+    }
+
+    /// Names the frames that are left because their sentinels are missing. Returns their sequences.
+    fn log_stuck(&mut self) -> HashSet<usize> {
+        let stuck = self.frames.iter().filter(|(_, frame)| frame.is_stuck());
+        let stuck: Vec<(FrameId, usize)> = stuck.map(|(id, frame)| (id.clone(), frame.sequence)).collect();
+        for (id, _) in &stuck {
+            let sentinel = path_of_sentinel(self.watch(id.root), &id.path);
+            let path = Arc::clone(&id.path);
+            self.log(move || {
+                tracing::warn!(frame = %path.display(), "left: there is no newer {}", sentinel.display());
+            });
+        }
+        stuck.into_iter().map(|(_, sequence)| sequence).collect()
+    }
+
+    fn give_up_on_held(&mut self, stuck_sequences: &HashSet<usize>) {
+        let held = self.frames.iter().filter_map(|(id, frame)| match frame.phase {
+            Phase::Held(stamp) if !stuck_sequences.contains(&frame.sequence) => Some((id.clone(), stamp)),
+            _ => None,
+        });
+        for (id, stamp) in held.collect::<Vec<_>>() {
+            self.refuse(&id, stamp, TOO_SPARSE.to_owned());
+        }
+    }
+
+    /// Begins no further frame.
+    pub(in crate::watch) fn stop(&mut self) {
+        self.is_stopping = true;
+    }
+
+    /// Whether frames are under way that do not hang.
+    pub(in crate::watch) fn has_frames_under_way(&self, with_stalled: bool) -> bool {
+        self.under_way.keys().any(|id| with_stalled || self.may_begin(id.root))
+    }
+
+    pub(in crate::watch) fn is_stopping(&self) -> bool {
+        self.is_stopping
+    }
+
+    /// Whether a folder hangs.
+    pub(in crate::watch) fn has_stalled(&self) -> bool {
+        let roots = self.roots.iter().any(|root| root.stalled_since.is_some());
+        roots || self.outputs.iter().any(|output| output.stalled_since.is_some())
+    }
+
+    /// Has all journals written to the disk; returns how many there are.
+    pub(in crate::watch) fn sync_journals(&mut self) -> usize {
+        for output in 0..self.outputs.len() {
+            self.effects.push(Effect::Output(output, OutputRequest::Sync));
+        }
+        self.outputs.len()
+    }
+
+    /// What came of all frames; failures in natural order.
+    pub(in crate::watch) fn tally(&mut self) -> Tally {
+        let counts = self.frames.counts();
+        let mut failed: Vec<(FrameId, Failure)> = std::mem::take(&mut self.failed).into_iter().collect();
+        failed.sort_by(|(a, _), (b, _)| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
+        let failed = failed.into_iter().map(|(id, Failure { reason, logged_at })| {
+            (about(&id.path, reason), logged_at.map(|logged_at| self.finished_count - logged_at))
+        });
+        let unreadable = self.roots.iter().flat_map(|root| &root.unreadable);
+        let unreadable = unreadable.map(|(path, why)| (about(path, why.clone()), Some(self.finished_count)));
+        let left_count =
+            counts.settling + counts.held + counts.queued + counts.finding_steps + counts.retrying;
+        Tally {
+            done_count: counts.done,
+            broken_count: self.broken_count(),
+            failed: failed.chain(unreadable).collect(),
+            left_count,
+        }
+    }
+
+    /// How many of the frames that are done break a guarantee, as the journal has it.
+    fn broken_count(&self) -> usize {
+        let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
+            let flaws = self.record_of(id).map(|record| &record.flaws);
+            matches!(frame.phase, Phase::Done(_))
+                && flaws.is_some_and(|flaws| flaws.iter().any(|flaw| breaks_guarantee(flaw)))
+        };
+        self.frames.iter().filter(is_broken).count()
+    }
+}
+
+/// A reason that names the frame it is about.
+fn about(path: &Path, reason: String) -> String {
+    let path = path.display().to_string();
+    if reason.contains(&path) { reason } else { format!("{path}: {reason}") }
+}
+
+/// Why a frame has no settings when all is said and done; convert says the same.
+const TOO_SPARSE: &str = "no frame of its sequence has two particles in different places to measure \
+                          their spacing on: give --spacing";

@@ -1,0 +1,514 @@
+//! From a file that was seen to a frame that is queued, or to the reason why it is not.
+//!
+//! ```text
+//!   on_file_seen ──▶ inspect ··▶ on_inspected ──▶ on_complete ──▶ hold ──▶ release ──▶ enqueue
+//!        │                            │                │                     │
+//!        │                            │                │                     └ its sequence has no settings yet: held
+//!        │                            │                ├ it may have several steps: these are found first
+//!        │                            │                └ no particles, or its outputs are another's
+//!        │                            └ known from the journal, or still being written
+//!        └ seen before, and unchanged
+//! ```
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::pipeline::{FileStamp, Frame, FrameError, Job, ObstacleStamps, OutputOptions, Stage, output_path};
+use crate::surface::options::Settings;
+use crate::watch::journal::{FrameRecord, OutputCheck, Standing};
+
+use super::completeness::{Candidate, Seen, path_of_sentinel};
+use super::decision::{Decision, OutputsNow, decide};
+use super::events::{
+    Complete, Contents, Found, FoundObstacleStamps, Inspect, Inspected, Recorded, RootRequest, RootScan,
+};
+use super::frames::{FrameId, FrameState, Phase};
+use super::sequences::SequenceSettings;
+use super::state::{Core, Failure};
+
+/// How soon a frame whose outputs are not mounted is inspected again.
+const AWAY_RETRY: Duration = Duration::from_secs(1);
+
+impl Core {
+    /// A file of a root was seen.
+    pub(super) fn on_file_seen(&mut self, id: &FrameId, seen: &Seen, at: Instant, renamed: bool) {
+        if let Some(file) = id.file() {
+            return self.on_step_seen(&file, id, seen, at);
+        }
+        let candidate = Candidate::new(at, seen, renamed);
+        let scan_count = self.scan_count;
+        let Some(frame) = self.frames.get_mut(id) else {
+            let sequence = self.sequence_of(id);
+            self.frames.insert(id, sequence, candidate, scan_count);
+            self.changed.insert(id.clone());
+            return self.inspect_candidate(id);
+        };
+        frame.scan_count = scan_count;
+        let is_same = frame.phase.stamp() == seen.stamp;
+        match &mut frame.phase {
+            Phase::Settling(candidate) => candidate.see(at, seen, renamed),
+            Phase::Done(_) if is_same => return self.check_outputs(id),
+            Phase::Steps(_) if is_same => return self.check_steps(id),
+            _ if is_same => return,
+            // Under way: it is inspected again when its outcome comes.
+            Phase::Queued(stamp) if !self.queue.remove(id, stamp.modified_ns) => return,
+            Phase::Steps(_) => {
+                self.unqueue_steps(id, seen, at);
+                self.settle(id, candidate);
+            }
+            _ => self.settle(id, candidate),
+        }
+        self.inspect_candidate(id);
+    }
+
+    /// Everything in a root was looked at, or could not be.
+    pub(super) fn on_root_scanned(&mut self, root: usize, found: Result<RootScan, String>, at: Instant) {
+        self.scan_count += 1;
+        self.count(|counters| counters.scans += 1);
+        let is_first = !std::mem::replace(&mut self.roots[root].was_scanned, true);
+        let RootScan { files, problems, dangling, after_loss } = match found {
+            Ok(found) => found,
+            Err(why) => return self.lose_root(root, why),
+        };
+        if after_loss && !is_first {
+            self.count(|counters| counters.rescans += 1);
+        }
+        if self.roots[root].unavailable.take().is_some() {
+            let path = self.root_path(root).to_owned();
+            self.log(move || tracing::info!(folder = %path.display(), "is there again"));
+        }
+        self.note_unreadable(root, &problems, dangling);
+        self.on_files_scanned(root, files, at);
+        self.warn_of_single_frames();
+        self.stamp_obstacles(root);
+        let count = self.scan_count;
+        // Nothing is known of what lies where the scan could not look.
+        let is_hidden = |id: &FrameId| problems.iter().any(|(path, _)| id.path.starts_with(path));
+        let is_gone = |id: &FrameId, frame: &FrameState| {
+            // A step goes with its file.
+            id.root == root && !id.is_step() && frame.scan_count != count && !is_hidden(id)
+        };
+        let gone = self.frames.iter().filter(|(id, frame)| is_gone(id, frame));
+        for id in gone.map(|(id, _)| id.clone()).collect::<Vec<_>>() {
+            self.forget(&id);
+        }
+    }
+
+    /// Takes in what a scan found.
+    pub(super) fn on_files_scanned(&mut self, root: usize, mut files: Vec<(PathBuf, Seen)>, at: Instant) {
+        let records = &self.output(root).journal.frames;
+        let is_done = |path: &Path| records.get(path).is_some_and(|record| record.standing == Standing::Done);
+        // Frames that have their outputs keep them, whatever other frame would have the same.
+        files.sort_by_cached_key(|(path, _)| (!is_done(path), path.clone()));
+        for (path, seen) in &files {
+            self.on_file_seen(&FrameId::new(root, path), seen, at, false);
+        }
+    }
+
+    /// Notes the paths that a scan could not examine; each is logged when it is new, and fails the run if it is still so at
+    /// its end. A link without a target waits for it, unless the daemon is to end when all is done.
+    fn note_unreadable(&mut self, root: usize, problems: &[(PathBuf, String)], dangling: Vec<PathBuf>) {
+        let dangling = dangling.into_iter().filter(|_| self.config.once);
+        let dangling = dangling.map(|path| (path, "the target of this link is missing".to_owned()));
+        let unreadable = problems.iter().cloned().chain(dangling).collect();
+        let known = std::mem::replace(&mut self.roots[root].unreadable, unreadable);
+        let is_new = |(path, why): &(&PathBuf, &String)| known.get(*path) != Some(why);
+        let news: Vec<(PathBuf, String)> = self.roots[root]
+            .unreadable
+            .iter()
+            .filter(is_new)
+            .map(|(path, why)| (path.clone(), why.clone()))
+            .collect();
+        for (path, why) in news {
+            self.log(move || tracing::error!(path = %path.display(), "cannot be read: {why}"));
+        }
+    }
+
+    /// A root is gone, or came up empty: nothing is forgotten, and the daemon waits for it.
+    fn lose_root(&mut self, root: usize, why: String) {
+        if self.roots[root].unavailable.as_ref() != Some(&why) {
+            let (path, reason) = (self.root_path(root).to_owned(), why.clone());
+            if !self.config.once {
+                self.log(move || {
+                    tracing::warn!(folder = %path.display(), "unavailable: {reason}; waiting for it");
+                });
+            }
+            self.roots[root].unavailable = Some(why);
+        }
+    }
+
+    /// A file may be the sentinel of frames that wait.
+    pub(super) fn on_sentinel_seen(&mut self, root: usize, path: &Path) {
+        let watch = &self.config.watches[root];
+        let is_waiting = |id: &FrameId, frame: &FrameState| {
+            matches!(frame.phase, Phase::Settling(_))
+                && id.root == root
+                && id.path.parent() == path.parent()
+                && path_of_sentinel(watch, &id.path) == path
+        };
+        let waiting = self.frames.iter().filter(|(id, frame)| is_waiting(id, frame));
+        for id in waiting.map(|(id, _)| id.clone()).collect::<Vec<_>>() {
+            self.inspect_candidate(&id);
+        }
+    }
+
+    /// A file changed: whatever is known of the frame is of an earlier one.
+    pub(super) fn settle(&mut self, id: &FrameId, candidate: Candidate) {
+        self.set_phase(id, Phase::Settling(candidate));
+        self.failed.remove(id);
+        self.refused.remove(id);
+        if let Some(frame) = self.frames.get_mut(id) {
+            frame.attempt_count = 0;
+            self.sequences.get_mut(frame.sequence).sparse.remove(id);
+        }
+    }
+
+    /// A file is not there any more. A frame that is under way is finished: its outcome says what to do.
+    pub(super) fn forget(&mut self, id: &FrameId) {
+        let Some(frame) = self.frames.get(id) else { return };
+        if let Phase::Queued(stamp) = frame.phase
+            && !self.queue.remove(id, stamp.modified_ns)
+        {
+            return;
+        }
+        // Frames that waited for its settings need not wait any longer.
+        self.dirty_sequences.insert(frame.sequence);
+        self.frames.remove(id);
+        self.failed.remove(id);
+        self.refused.remove(id);
+        self.changed.insert(id.clone());
+        self.release_claim(id);
+        self.forget_steps(id);
+    }
+
+    /// This frame will have no outputs: a frame that was refused their names may have them.
+    pub(super) fn release_claim(&mut self, id: &FrameId) {
+        let claimed = self.claimed_stem(id);
+        if self.claims.get(&claimed) != Some(id) {
+            return;
+        }
+        self.claims.remove(&claimed);
+        for rival in self.refused.iter().cloned().collect::<Vec<_>>() {
+            if self.claimed_stem(&rival) == claimed && self.frames.get(&rival).is_some() {
+                self.refused.remove(&rival);
+                self.failed.remove(&rival);
+                self.inspect(&rival, None, None);
+            }
+        }
+    }
+
+    /// Inspects a file that may still be written.
+    pub(super) fn inspect_candidate(&mut self, id: &FrameId) {
+        if let Some(frame) = self.frames.get(id)
+            && let Phase::Settling(candidate) = frame.phase
+        {
+            // The file of a step is inspected instead of the step.
+            let candidate = (!id.is_step()).then_some(candidate);
+            let recorded = self.recorded(id);
+            self.inspect(id, candidate, recorded);
+        }
+    }
+
+    /// Inspects the outputs of a frame that is done.
+    pub(super) fn check_outputs(&mut self, id: &FrameId) {
+        let record = self.output(id.root).journal.frames.get(&*id.path);
+        if let Some(record) = record.filter(|_| self.output(id.root).is_there).map(Arc::clone) {
+            // The settings are those of this run. Obstacles have an inspection of their own.
+            self.inspect(id, None, Some(Recorded { record, settings: None }));
+        }
+    }
+
+    /// Inspects whether a file is still what it was.
+    pub(super) fn check_stamp(&mut self, id: &FrameId) {
+        self.request_inspection(id, |inspect| Inspect { only_stamp: true, ..inspect });
+    }
+
+    /// Inspects a file: whether it may stay as it is recorded, then whether it is complete, then what it is.
+    pub(super) fn inspect(&mut self, id: &FrameId, candidate: Option<Candidate>, recorded: Option<Recorded>) {
+        self.request_inspection(id, |inspect| Inspect { candidate, recorded, ..inspect });
+    }
+
+    fn request_inspection(&mut self, id: &FrameId, with: impl FnOnce(Inspect) -> Inspect) {
+        let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) else { return };
+        let outputs = self.output_paths(id);
+        let Some(number) = self.frames.begin_inspection(id) else { return };
+        let inspect = Inspect {
+            id: id.clone(),
+            number,
+            stamp,
+            only_stamp: false,
+            recorded: None,
+            candidate: None,
+            outputs,
+        };
+        self.request(id.root, RootRequest::Inspect(Box::new(with(inspect))));
+    }
+
+    /// What the journal says of exactly this file, if it stays as it is while its outputs and obstacles are as recorded.
+    fn recorded(&mut self, id: &FrameId) -> Option<Recorded> {
+        let wanted = self.output_paths(id);
+        let record = Arc::clone(self.output(id.root).journal.frames.get(&*id.path)?);
+        let frame = self.frames.get(id)?;
+        // The record may be of the same file in another root, whose outputs lie elsewhere.
+        let is_recorded = |path: &PathBuf| record.outputs.iter().any(|output| output.path == *path);
+        let unrecorded = wanted.iter().find(|path| !is_recorded(path));
+        let outputs = unrecorded.map_or(OutputsNow::AsRecorded, |path| OutputsNow::Missing(path));
+        let sequence = self.sequences.get(frame.sequence);
+        let settings = match &sequence.settings {
+            SequenceSettings::Fixed(settings, fingerprint) if !self.roots[id.root].obstacles.is_empty() => {
+                Some((Arc::clone(settings), Arc::clone(fingerprint)))
+            }
+            _ => None,
+        };
+        let fingerprint = match settings {
+            Some(_) => record.settings.clone(),
+            None => sequence.fingerprint(None),
+        };
+        let decision = decide(Some(&*record), &frame.phase.stamp(), &fingerprint, outputs);
+        matches!(decision, Decision::Skip(_)).then_some(Recorded { record, settings })
+    }
+
+    /// An inspection has ended.
+    pub(super) fn on_inspected(&mut self, inspected: Inspected) {
+        let Inspected { id, number, found, obstacles } = inspected;
+        if !self.frames.take_inspection(&id, number) {
+            return;
+        }
+        let Some(frame) = self.frames.get_mut(&id) else { return };
+        let stamp = frame.phase.stamp();
+        let is_settling = matches!(frame.phase, Phase::Settling(_));
+        frame.obstacles = obstacles;
+        // Its sequence may have waited for this.
+        self.dirty_sequences.insert(frame.sequence);
+        match found {
+            Found::Gone => self.forget(&id),
+            Found::Unreadable(error) => self.on_file_unreadable(&id, error),
+            Found::Changed(seen, at) => self.on_file_seen(&id, &seen, at, false),
+            Found::AsRecorded if is_settling => self.take_record(&id, stamp),
+            Found::OutputsAway if is_settling => self.frames.set_alarm(&id, self.now.at + AWAY_RETRY),
+            Found::Same | Found::AsRecorded | Found::OutputsAway => {}
+            Found::Waiting { until, why } => {
+                let path = Arc::clone(&id.path);
+                self.log(move || {
+                    tracing::debug!(frame = %path.display(), bytes = stamp.size, "waiting because {why}");
+                });
+                if let Some(until) = until {
+                    self.frames.set_alarm(&id, until);
+                }
+            }
+            Found::Complete(complete) => self.on_complete(&id, stamp, complete),
+        }
+    }
+
+    /// A frame is as the journal says.
+    fn take_record(&mut self, id: &FrameId, stamp: FileStamp) {
+        let Some(record) = self.record_of(id).map(Arc::clone) else { return };
+        if record.standing == Standing::Done {
+            // Its outputs are its own, also when another input comes that would have the same.
+            match self.free_stem(id) {
+                Ok(claimed) => self.claims.insert(claimed, id.clone()),
+                Err(conflict) => return self.refuse(id, stamp, conflict),
+            };
+        } else {
+            let reason = record.reason.clone().unwrap_or_default();
+            self.failed.insert(id.clone(), Failure { reason, logged_at: None });
+        }
+        // Obstacles may be written again later.
+        if !self.roots[id.root].obstacles.is_empty()
+            && let Some(frame) = self.frames.get_mut(id)
+        {
+            frame.made_with.clone_from(&record.settings);
+        }
+        let is_done = record.standing == Standing::Done;
+        self.set_phase(id, if is_done { Phase::Done(stamp) } else { Phase::Failed(stamp) });
+    }
+
+    /// A file is complete.
+    fn on_complete(&mut self, id: &FrameId, stamp: FileStamp, complete: Complete) {
+        let Complete { proof, changed_output, contents, conflict } = complete;
+        let path = Arc::clone(&id.path);
+        let is_done = matches!(self.frames.get(id).map(|frame| &frame.phase), Some(Phase::Done(_)));
+        match (proof, changed_output) {
+            (Some(proof), _) => self.log(move || tracing::debug!(frame = %path.display(), "ready: {proof}")),
+            (None, Some((output, OutputCheck::Missing))) if is_done => self.log(move || {
+                tracing::info!(frame = %path.display(), "{} is gone: converted again", output.display());
+            }),
+            (None, Some((output, _))) if is_done => self.log(move || {
+                let what = "has changed: its content is compared";
+                tracing::info!(frame = %path.display(), "{} {what}", output.display());
+            }),
+            _ => {}
+        }
+        match contents {
+            Contents::NotParticles => {
+                self.forget_steps(id);
+                self.set_phase(id, Phase::Ignored(stamp));
+            }
+            Contents::MaybeSteps => self.find_steps(id, stamp, conflict),
+            // It may pass: the steps are not forgotten for it.
+            Contents::Unreadable(error) => {
+                self.failed_frame(id, stamp, &FrameError::file(&id.path, Stage::Read, error), None);
+            }
+            Contents::Frame => {
+                if !id.is_step() {
+                    self.forget_steps(id);
+                }
+                self.hold(id, stamp, conflict);
+            }
+        }
+    }
+
+    /// A frame is there to be converted, unless its outputs would replace another file.
+    pub(super) fn hold(&mut self, id: &FrameId, stamp: FileStamp, conflict: Option<String>) {
+        match self.free_stem(id).and_then(|claimed| conflict.map_or(Ok(claimed), Err)) {
+            Ok(claimed) => self.claims.insert(claimed, id.clone()),
+            Err(conflict) => return self.refuse(id, stamp, conflict),
+        };
+        self.set_phase(id, Phase::Held(stamp));
+        self.release(id);
+    }
+
+    /// Queues a frame that is held, if its sequence has settings.
+    pub(super) fn release(&mut self, id: &FrameId) {
+        let Some(frame) = self.frames.get(id) else { return };
+        let (sequence, stamp) = (frame.sequence, frame.phase.stamp());
+        match &self.sequences.get(sequence).settings {
+            SequenceSettings::Fixed(settings, _) => {
+                let settings = Arc::clone(settings);
+                self.enqueue(id, stamp, settings);
+            }
+            SequenceSettings::Impossible(why) => {
+                let why = why.clone();
+                self.fail_for_good(id, stamp, why);
+            }
+            SequenceSettings::Unknown(_) | SequenceSettings::BeingMeasured => {
+                self.dirty_sequences.insert(sequence);
+            }
+        }
+    }
+
+    fn enqueue(&mut self, id: &FrameId, stamp: FileStamp, settings: Arc<Settings>) {
+        let Some(frame) = self.frames.get_mut(id) else { return };
+        let sequence = self.sequences.get(frame.sequence);
+        frame.made_with = sequence.fingerprint(frame.obstacles.as_deref());
+        let framing = sequence.framing.clone();
+        let file = id.frame_file();
+        let frame = Frame {
+            input: id.path.to_path_buf(),
+            job: Job::of(&id.path),
+            stem: file.stem(),
+            settings,
+            outputs: self.outputs(id),
+            number: file.number(),
+            obstacles: Arc::clone(&self.roots[id.root].obstacles),
+            framing,
+        };
+        self.set_phase(id, Phase::Queued(stamp));
+        self.note(id, Standing::Queued, stamp, None);
+        self.queue.push(id, Box::new(frame), stamp.modified_ns);
+    }
+
+    /// Asks for the obstacles of the frames of a root that have ended: of those that went around obstacles, or failed for
+    /// them, some may have been written again since. No events come for obstacles.
+    fn stamp_obstacles(&mut self, root: usize) {
+        if self.roots[root].obstacles.is_empty() || !self.output(root).is_there {
+            return;
+        }
+        let frames = self.frames.iter().filter(|(id, frame)| id.root == root && has_ended(frame));
+        let numbers: BTreeSet<Option<u64>> = frames.map(|(id, _)| id.frame_file().number()).collect();
+        self.request(root, RootRequest::StampObstacles(numbers));
+    }
+
+    /// Frames are converted again if an obstacle of theirs was written since.
+    pub(super) fn on_obstacles_stamped(&mut self, root: usize, stamps: &FoundObstacleStamps) {
+        let is_stale = |id: &FrameId, frame: &FrameState| {
+            let was_begun = !frame.made_with.is_empty() && !self.refused.contains(id);
+            if id.root != root || !has_ended(frame) || !was_begun {
+                return false;
+            }
+            let of_frame: Option<&Arc<ObstacleStamps>> = match stamps {
+                FoundObstacleStamps::Same(stamps) => Some(stamps),
+                FoundObstacleStamps::PerNumber(stamps) => stamps.get(&id.frame_file().number()),
+            };
+            // An obstacle that was removed makes no difference: what was made with it stays.
+            of_frame.filter(|stamps| stamps.are_all_there).is_some_and(|stamps| {
+                self.sequences.get(frame.sequence).fingerprint(Some(stamps.as_ref())) != frame.made_with
+            })
+        };
+        let stale = self.frames.iter().filter(|(id, frame)| is_stale(id, frame));
+        let mut stale: Vec<FrameId> = stale.map(|(id, _)| id.clone()).collect();
+        stale.sort();
+        for id in stale {
+            let path = Arc::clone(&id.path);
+            self.log(move || {
+                tracing::info!(frame = %path.display(), "an obstacle was written again: converted again");
+            });
+            self.failed.remove(&id);
+            if let Some(frame) = self.frames.get_mut(&id) {
+                frame.attempt_count = 0;
+            }
+            self.inspect(&id, None, None);
+        }
+    }
+
+    /// What is written of a frame, and where: its sub-folder is mirrored below that of the outputs.
+    fn outputs(&mut self, id: &FrameId) -> Arc<OutputOptions> {
+        let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
+        let options = &self.config.watches[id.root].outputs;
+        let mirrored = self.outputs_of.entry((id.root, folder)).or_insert_with_key(|(_, folder)| {
+            Arc::new(OutputOptions { folder: folder.clone(), ..options.clone() })
+        });
+        Arc::clone(mirrored)
+    }
+
+    /// The files that a frame becomes.
+    fn output_paths(&mut self, id: &FrameId) -> Vec<PathBuf> {
+        let outputs = self.outputs(id);
+        let stem = id.frame_file().stem();
+        outputs.formats.iter().map(|&format| output_path(&outputs.folder, &stem, format)).collect()
+    }
+
+    /// What a frame's outputs are called, if no other frame's are called so.
+    fn free_stem(&mut self, id: &FrameId) -> Result<PathBuf, String> {
+        let claimed = self.claimed_stem(id);
+        let is_another = |owner: &&FrameId| *owner != id && self.frames.get(owner).is_some();
+        match self.claims.get(&claimed).filter(is_another) {
+            None => Ok(claimed),
+            Some(owner) => Err(format!(
+                "{} and {} would both become {}.*; the first of them has it",
+                owner.path.display(),
+                id.path.display(),
+                claimed.display(),
+            )),
+        }
+    }
+
+    /// What the outputs of a frame are called, but for their extensions.
+    pub(super) fn claimed_stem(&self, id: &FrameId) -> PathBuf {
+        let folder = id.mirrored_folder(self.root_path(id.root), &self.output(id.root).folder);
+        folder.join(id.frame_file().stem())
+    }
+
+    pub(super) fn set_phase(&mut self, id: &FrameId, phase: Phase) {
+        self.frames.end_inspection(id);
+        let Some(frame) = self.frames.get_mut(id) else { return };
+        frame.phase = phase;
+        // Others may have waited for this one, to be measured after it.
+        if matches!(self.sequences.get(frame.sequence).settings, SequenceSettings::Unknown(_)) {
+            self.dirty_sequences.insert(frame.sequence);
+        }
+        self.changed.insert(id.clone());
+    }
+
+    /// The record of a frame, if there is one.
+    pub(super) fn record_of(&self, id: &FrameId) -> Option<&Arc<FrameRecord>> {
+        self.output(id.root).journal.frames.get(&*id.path)
+    }
+}
+
+/// Whether a frame is done, or has failed.
+fn has_ended(frame: &FrameState) -> bool {
+    matches!(frame.phase, Phase::Done(_) | Phase::Failed(_))
+}

@@ -1,0 +1,161 @@
+//! Frames that are ready, until the pipeline has room for them.
+//!
+//! The pipeline asks for a frame only when it can begin it. So the order is decided at the last
+//! moment: a frame that arrives late may still be the next.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+
+use crate::pipeline::{Frame, natural_order};
+use crate::watch::config::Order;
+
+use super::frames::FrameId;
+
+/// Frames that wait for the pipeline, in the order in which they are converted.
+#[derive(Debug)]
+pub(in crate::watch) struct Queue {
+    order: Order,
+    waiting: BTreeMap<Rank, Box<Frame>>,
+}
+
+/// Where a frame stands among those that wait.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Rank {
+    /// Smaller is sooner, before anything else counts.
+    urgency: i64,
+    id: FrameId,
+}
+
+impl Queue {
+    pub(in crate::watch) fn new(order: Order) -> Queue {
+        Queue { order, waiting: BTreeMap::new() }
+    }
+
+    /// Adds a frame whose file was last written at `modified_ns`, in place of the one with this id.
+    pub(in crate::watch) fn push(&mut self, id: &FrameId, frame: Box<Frame>, modified_ns: i64) {
+        self.waiting.insert(self.rank(id, modified_ns), frame);
+    }
+
+    /// Removes a frame; `false` if it does not wait.
+    pub(in crate::watch) fn remove(&mut self, id: &FrameId, modified_ns: i64) -> bool {
+        self.waiting.remove(&self.rank(id, modified_ns)).is_some()
+    }
+
+    /// Removes the first frame of a root that may begin.
+    pub(in crate::watch) fn pop(
+        &mut self,
+        may_begin: impl Fn(usize) -> bool,
+    ) -> Option<(FrameId, Box<Frame>)> {
+        let rank = self.waiting.keys().find(|rank| may_begin(rank.id.root))?.clone();
+        let frame = self.waiting.remove(&rank)?;
+        Some((rank.id, frame))
+    }
+
+    /// How many frames wait.
+    pub(in crate::watch) fn len(&self) -> usize {
+        self.waiting.len()
+    }
+
+    fn rank(&self, id: &FrameId, modified_ns: i64) -> Rank {
+        let urgency = match self.order {
+            Order::Natural => 0,
+            Order::Latest => -modified_ns,
+        };
+        Rank { urgency, id: id.clone() }
+    }
+}
+
+impl Ord for Rank {
+    fn cmp(&self, other: &Rank) -> Ordering {
+        let (one, two) = (&self.id, &other.id);
+        let by_name = || natural_order(&one.path.to_string_lossy(), &two.path.to_string_lossy());
+        // Names that are not text may look alike.
+        let by_path = || one.path.cmp(&two.path).then_with(|| one.root.cmp(&two.root));
+        self.urgency.cmp(&other.urgency).then_with(by_name).then_with(by_path)
+    }
+}
+
+impl PartialOrd for Rank {
+    fn partial_cmp(&self, other: &Rank) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{Job, OutputOptions};
+    use crate::surface::options::{Choices, Settings};
+    use meniscus_formats::{gltf, vdb};
+    use std::path::{Path, PathBuf};
+    use std::sync::Arc;
+
+    fn id(name: &str) -> FrameId {
+        FrameId::new(0, Path::new(name))
+    }
+
+    fn frame(name: &str) -> Box<Frame> {
+        let settings = Settings::paper(0.1, &Choices::default()).expect("settings");
+        let outputs = OutputOptions {
+            folder: PathBuf::new(),
+            formats: Vec::new(),
+            up: gltf::UpAxis::Y,
+            meters_per_unit: 1.0,
+            quantize: false,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::None,
+            picture: crate::pipeline::PictureOptions::default(),
+        };
+        Box::new(Frame {
+            input: name.into(),
+            job: Job::default(),
+            stem: name.to_owned(),
+            settings: Arc::new(settings),
+            outputs: Arc::new(outputs),
+            number: None,
+            obstacles: Arc::default(),
+            framing: None,
+        })
+    }
+
+    /// The stems of the frames in the order in which they leave the queue.
+    fn order_of(order: Order, frames: &[(&str, i64)]) -> Vec<String> {
+        let mut queue = Queue::new(order);
+        for (name, modified_ns) in frames {
+            queue.push(&id(name), frame(name), *modified_ns);
+        }
+        std::iter::from_fn(|| queue.pop(|_| true)).map(|(_, frame)| frame.stem).collect()
+    }
+
+    #[test]
+    fn frames_leave_by_number_or_the_latest_first() {
+        let frames = [("a.10", 5), ("a.9", 7), ("a.2", 6), ("b.1", 7)];
+        assert_eq!(order_of(Order::Natural, &frames), ["a.2", "a.9", "a.10", "b.1"]);
+        assert_eq!(order_of(Order::Latest, &frames), ["a.9", "b.1", "a.2", "a.10"]);
+    }
+
+    #[test]
+    fn late_frame_may_be_the_next() {
+        let mut queue = Queue::new(Order::Natural);
+        queue.push(&id("a.2"), frame("a.2"), 0);
+        queue.push(&id("a.3"), frame("a.3"), 0);
+        let next = |queue: &mut Queue| queue.pop(|_| true).map(|(_, frame)| frame.stem);
+        assert_eq!(next(&mut queue).as_deref(), Some("a.2"));
+        queue.push(&id("a.1"), frame("a.1"), 0);
+        queue.push(&id("a.3"), frame("a.3"), 0);
+        assert_eq!(queue.len(), 2);
+        assert!(queue.remove(&id("a.3"), 0) && !queue.remove(&id("a.3"), 0));
+        assert_eq!(next(&mut queue).as_deref(), Some("a.1"));
+        assert_eq!(next(&mut queue), None);
+    }
+
+    #[test]
+    fn frames_of_a_root_that_may_not_begin_stay() {
+        let mut queue = Queue::new(Order::Natural);
+        queue.push(&id("a.1"), frame("a.1"), 0);
+        queue.push(&FrameId::new(1, Path::new("a.2")), frame("a.2"), 0);
+        assert_eq!(queue.pop(|root| root != 0).map(|(id, _)| id.root), Some(1));
+        assert!(queue.pop(|root| root != 0).is_none());
+        assert_eq!(queue.pop(|_| true).map(|(id, _)| id.root), Some(0));
+    }
+}

@@ -1,0 +1,144 @@
+//! What may pass by itself is tried again: soon at first, then less and less often, and not forever.
+
+use std::io;
+use std::time::Duration;
+
+use meniscus_formats::Error;
+
+use crate::pipeline::{Cause, FrameError, ObstacleError, Stage};
+
+/// What to do about a frame that failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(in crate::watch) enum Recovery {
+    /// The file is gone: forget it.
+    Forget,
+    /// Nothing can be written into the folder of the outputs: wait until that has changed, then go on.
+    AwaitSpace,
+    /// It may pass by itself.
+    Retry,
+    /// Nothing helps but another file, or another start: that may allow what this one does not.
+    AwaitRestart,
+    /// Nothing helps but another file.
+    GiveUp,
+}
+
+/// What to do about this error.
+pub(in crate::watch) fn recovery(error: &FrameError) -> Recovery {
+    match &error.cause {
+        _ if error.is_disk_full() => Recovery::AwaitSpace,
+        Cause::File(source) => recovery_of_file(error.during, source),
+        // These are where the outputs will be: who cannot write them could not write those.
+        Cause::Scratch(refusal) if concerns_all(refusal.kind()) => Recovery::AwaitSpace,
+        Cause::Scratch(_) | Cause::Changed => Recovery::Retry,
+        Cause::Obstacle(error) => recovery_of_obstacle(error),
+        Cause::TooLarge(_) => Recovery::AwaitRestart,
+        Cause::TooFine(_) | Cause::Missing(_) | Cause::Panic(_) => Recovery::GiveUp,
+    }
+}
+
+/// An obstacle that is not there may come, or be written yet; nobody watches for another one.
+fn recovery_of_obstacle(error: &ObstacleError) -> Recovery {
+    match &error.source {
+        Some(source) if !matches!(source, Error::Io(_)) && !source.is_short() => Recovery::AwaitRestart,
+        _ => Recovery::Retry,
+    }
+}
+
+fn recovery_of_file(during: Stage, source: &Error) -> Recovery {
+    match source {
+        Error::Io(refusal) if during == Stage::Read && refusal.kind() == io::ErrorKind::NotFound => {
+            Recovery::Forget
+        }
+        Error::Io(refusal) if during == Stage::Write && concerns_all(refusal.kind()) => Recovery::AwaitSpace,
+        Error::Io(_) => Recovery::Retry,
+        source if source.is_short() => Recovery::Retry,
+        _ => Recovery::GiveUp,
+    }
+}
+
+/// Whether what the system refused to write for one frame it would refuse for every other.
+fn concerns_all(kind: io::ErrorKind) -> bool {
+    matches!(
+        kind,
+        io::ErrorKind::ReadOnlyFilesystem
+            | io::ErrorKind::StaleNetworkFileHandle
+            | io::ErrorKind::NotConnected
+            | io::ErrorKind::HostUnreachable
+            | io::ErrorKind::NetworkUnreachable
+            | io::ErrorKind::TimedOut
+    )
+}
+
+/// How long to wait after the `attempt_count`-th failure in a row; `None`: no more.
+pub(in crate::watch) fn backoff(attempt_count: u32, once: bool) -> Option<Duration> {
+    // Whoever wants the work done and the program ended does not wait for minutes.
+    let attempts_max = if once { ATTEMPTS_MAX_ONCE } else { ATTEMPTS_MAX };
+    let doublings = attempt_count.saturating_sub(1);
+    (attempt_count < attempts_max)
+        .then(|| BACKOFF_FIRST.saturating_mul(1 << doublings.min(16)).min(BACKOFF_MAX))
+}
+
+const BACKOFF_FIRST: Duration = Duration::from_millis(500);
+const BACKOFF_MAX: Duration = Duration::from_secs(60);
+
+/// In all about five minutes.
+const ATTEMPTS_MAX: u32 = 12;
+
+/// In all three and a half seconds.
+const ATTEMPTS_MAX_ONCE: u32 = 4;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::skin::TooLarge;
+    use meniscus_formats::Place;
+    use std::path::Path;
+
+    fn after(during: Stage, source: Error) -> Recovery {
+        recovery(&FrameError::file(Path::new("a"), during, source))
+    }
+
+    #[test]
+    fn each_error_has_its_recovery() {
+        let io = |kind: io::ErrorKind| Error::Io(kind.into());
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::NotFound)), Recovery::Forget);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::NotFound)), Recovery::Retry);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::PermissionDenied)), Recovery::Retry);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::StorageFull)), Recovery::AwaitSpace);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::QuotaExceeded)), Recovery::AwaitSpace);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::ReadOnlyFilesystem)), Recovery::AwaitSpace);
+        assert_eq!(after(Stage::Read, io(io::ErrorKind::StaleNetworkFileHandle)), Recovery::Retry);
+        assert_eq!(after(Stage::Write, io(io::ErrorKind::IsADirectory)), Recovery::Retry);
+        assert_eq!(after(Stage::Read, Error::invalid("PLY", Place::File, "no")), Recovery::GiveUp);
+        assert_eq!(after(Stage::Read, Error::unsupported("PLY", "no")), Recovery::GiveUp);
+        assert_eq!(after(Stage::Read, Error::too_large("PLY", "no")), Recovery::GiveUp);
+        let smoothing = |cause| recovery(&FrameError { path: "a".into(), during: Stage::Smooth, cause });
+        let scratch = |kind: io::ErrorKind| smoothing(Cause::Scratch(kind.into()));
+        assert_eq!(scratch(io::ErrorKind::StorageFull), Recovery::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::QuotaExceeded), Recovery::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::ReadOnlyFilesystem), Recovery::AwaitSpace);
+        assert_eq!(scratch(io::ErrorKind::PermissionDenied), Recovery::Retry);
+        assert_eq!(scratch(io::ErrorKind::NotFound), Recovery::Retry);
+        assert_eq!(smoothing(Cause::Changed), Recovery::Retry);
+        let too_large = TooLarge { least_bytes: 2, allowed_bytes: 1, is_coupled: false };
+        assert_eq!(smoothing(Cause::TooLarge(too_large)), Recovery::AwaitRestart);
+        assert_eq!(smoothing(Cause::Panic("no".into())), Recovery::GiveUp);
+        let obstacle =
+            |source| smoothing(Cause::Obstacle(Box::new(ObstacleError { path: "b".into(), source })));
+        assert_eq!(obstacle(Some(io(io::ErrorKind::NotFound))), Recovery::Retry);
+        assert_eq!(obstacle(None), Recovery::Retry);
+        let invalid = Error::invalid("OBJ", Place::Line(3), "no");
+        assert_eq!(obstacle(Some(invalid)), Recovery::AwaitRestart);
+    }
+
+    #[test]
+    fn waits_double_up_to_a_minute_and_end() {
+        let waits = |once| -> Vec<f64> {
+            (1..).map_while(|attempt| backoff(attempt, once)).map(|wait| wait.as_secs_f64()).collect()
+        };
+        assert_eq!(waits(true), [0.5, 1.0, 2.0]);
+        assert_eq!(waits(false)[..9], [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]);
+        assert_eq!(waits(false).len(), ATTEMPTS_MAX as usize - 1);
+        assert_eq!(backoff(u32::MAX, false), None);
+    }
+}

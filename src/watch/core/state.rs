@@ -1,0 +1,276 @@
+//! Everything that the daemon knows.
+
+use std::collections::{BTreeMap, HashMap, HashSet, VecDeque};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::pipeline::{ObstacleFiles, OutputOptions};
+use crate::watch::board::Counters;
+use crate::watch::config::{Config, Watch};
+use crate::watch::journal::{DaemonRecord, DaemonState, Entry, PlanRecord, State as JournalState};
+
+use super::disk_guard::{DiskGuard, FoundSpace};
+use super::events::{Effect, Log, Now, OutputRequest, RootRequest};
+use super::frames::{FrameId, Frames};
+use super::queue::Queue;
+use super::sequences::Sequences;
+use super::steps::FileSteps;
+
+/// The state of the daemon, and what it decides: pure, so no file, clock or thread is used here. Time comes with each
+/// event; what is to be done is collected as effects.
+pub(in crate::watch) struct Core {
+    pub(super) config: Arc<Config>,
+    /// Which daemon this is, for the journal.
+    identity: DaemonRecord,
+    pub(super) roots: Vec<RootState>,
+    pub(super) outputs: Vec<OutputDir>,
+    /// The index of the folder of outputs of each watch.
+    pub(super) output_of: Vec<usize>,
+    pub(super) frames: Frames,
+    /// The steps of each file that has several.
+    pub(super) steps_of: HashMap<FrameId, FileSteps>,
+    pub(super) sequences: Sequences,
+    /// Sequences that may have become measurable.
+    pub(super) dirty_sequences: HashSet<usize>,
+    pub(super) measuring_count: usize,
+    /// Which input owns the outputs of this stem.
+    pub(super) claims: HashMap<PathBuf, FrameId>,
+    /// The options of each mirrored sub-folder.
+    pub(super) outputs_of: HashMap<(usize, PathBuf), Arc<OutputOptions>>,
+    pub(super) queue: Queue,
+    /// Frames that a pipeline has, and which pipeline.
+    pub(super) under_way: HashMap<FrameId, usize>,
+    /// Pipelines that want a frame.
+    pub(super) wanting: VecDeque<usize>,
+    /// The pipeline that gets frames. Earlier ones hang, and end when they come back.
+    pub(super) pipeline: usize,
+    pub(super) guard: DiskGuard,
+    pub(super) scan_count: u64,
+    /// Frames that failed.
+    pub(super) failed: HashMap<FrameId, Failure>,
+    /// How many frames the pipelines have finished with.
+    pub(super) finished_count: usize,
+    /// Frames that were refused on account of other files.
+    pub(super) refused: HashSet<FrameId>,
+    pub(super) is_stopping: bool,
+    /// What is to be counted.
+    pub(super) counts: Vec<Count>,
+    pub(super) now: Now,
+    pub(super) effects: Vec<Effect>,
+    /// Frames that look different now, or are gone.
+    pub(super) changed: HashSet<FrameId>,
+    /// Sequences that got settings.
+    pub(super) changed_sequences: Vec<usize>,
+    last_state: DaemonState,
+}
+
+/// Counts something.
+pub(in crate::watch) type Count = Box<dyn FnOnce(&mut Counters) + Send>;
+
+/// A watched folder.
+pub(in crate::watch) struct RootState {
+    /// Absolute.
+    pub(super) path: PathBuf,
+    pub(super) obstacles: Arc<ObstacleFiles>,
+    /// Why it cannot be scanned, while it cannot.
+    pub(super) unavailable: Option<String>,
+    /// Since when its worker does not answer.
+    pub(super) stalled_since: Option<Instant>,
+    pub(super) was_scanned: bool,
+    /// Paths in it that the last scan could not examine, and why.
+    pub(super) unreadable: BTreeMap<PathBuf, String>,
+}
+
+/// A folder of outputs.
+pub(in crate::watch) struct OutputDir {
+    /// Absolute.
+    pub(super) folder: PathBuf,
+    pub(super) journal: JournalState,
+    pub(super) is_there: bool,
+    pub(super) free_bytes: Option<u64>,
+    pub(super) stalled_since: Option<Instant>,
+}
+
+/// Why a frame failed.
+#[derive(Debug)]
+pub(in crate::watch) struct Failure {
+    pub(super) reason: String,
+    /// How many frames were finished when it was logged; `None` if it was not logged in this run.
+    pub(super) logged_at: Option<usize>,
+}
+
+/// A worker that does not answer for so long has stalled.
+pub(in crate::watch) const STALL_AFTER: Duration = Duration::from_secs(5);
+
+impl Core {
+    /// The state at the start: `roots` are the absolute paths of the watched folders, and `outputs` the folders of outputs
+    /// with their journals.
+    pub(in crate::watch) fn new(
+        config: Arc<Config>,
+        identity: DaemonRecord,
+        roots: Vec<(PathBuf, Arc<ObstacleFiles>)>,
+        outputs: Vec<(PathBuf, JournalState)>,
+        output_of: Vec<usize>,
+        now: Now,
+    ) -> Core {
+        let new_root = |(path, obstacles)| RootState {
+            path,
+            obstacles,
+            unavailable: None,
+            stalled_since: None,
+            was_scanned: false,
+            unreadable: BTreeMap::new(),
+        };
+        let new_output = |(folder, journal)| OutputDir {
+            folder,
+            journal,
+            is_there: true,
+            free_bytes: None,
+            stalled_since: None,
+        };
+        Core {
+            queue: Queue::new(config.order),
+            guard: DiskGuard::new(config.disk_floor_bytes),
+            config,
+            identity,
+            roots: roots.into_iter().map(new_root).collect(),
+            outputs: outputs.into_iter().map(new_output).collect(),
+            output_of,
+            frames: Frames::default(),
+            steps_of: HashMap::new(),
+            sequences: Sequences::default(),
+            dirty_sequences: HashSet::new(),
+            measuring_count: 0,
+            claims: HashMap::new(),
+            outputs_of: HashMap::new(),
+            under_way: HashMap::new(),
+            wanting: VecDeque::new(),
+            pipeline: 0,
+            scan_count: 0,
+            failed: HashMap::new(),
+            finished_count: 0,
+            refused: HashSet::new(),
+            is_stopping: false,
+            counts: Vec::new(),
+            now,
+            effects: Vec::new(),
+            changed: HashSet::new(),
+            changed_sequences: Vec::new(),
+            last_state: DaemonState::Running,
+        }
+    }
+
+    /// Records what is watched, and that the daemon runs; logs the folders, and asks for the first look at everything.
+    pub(in crate::watch) fn start(&mut self) {
+        let of_root =
+            |(root, watch): (&RootState, &Watch)| Watch { input: root.path.clone(), ..watch.clone() };
+        let watches: Vec<Watch> = self.roots.iter().zip(&self.config.watches).map(of_root).collect();
+        for output in 0..self.outputs.len() {
+            let of_output = watches.iter().zip(&self.output_of).filter(|(_, of)| **of == output);
+            let watches = of_output.map(|(watch, _)| watch.clone()).collect();
+            let patience = self.config.patience;
+            self.record(output, Entry::Plan(PlanRecord { watches, patience }), None);
+            // Before anything is queued: no frame begins below the floor.
+            self.effects.push(Effect::Output(output, OutputRequest::Check));
+        }
+        self.record_daemon(DaemonState::Running);
+        for watch in watches {
+            self.log(move || {
+                tracing::info!(
+                    folder = %watch.input.display(),
+                    outputs = %watch.outputs.folder.display(),
+                    version = env!("CARGO_PKG_VERSION"),
+                    "watching"
+                );
+            });
+        }
+        self.scan_all();
+        self.effects.push(Effect::StartPipeline(self.pipeline));
+    }
+
+    pub(super) fn watch(&self, root: usize) -> &Watch {
+        &self.config.watches[root]
+    }
+
+    /// The folder of outputs of a root.
+    pub(super) fn output(&self, root: usize) -> &OutputDir {
+        &self.outputs[self.output_of[root]]
+    }
+
+    pub(super) fn log(&mut self, write: impl FnOnce() + Send + 'static) {
+        self.effects.push(Effect::Log(Log::new(write)));
+    }
+
+    /// Forgets what is to be shown: there are no users.
+    pub(in crate::watch) fn forget_changes(&mut self) {
+        self.changed.clear();
+        self.changed_sequences.clear();
+        self.counts.clear();
+    }
+
+    pub(super) fn count(&mut self, count: impl FnOnce(&mut Counters) + Send + 'static) {
+        self.counts.push(Box::new(count));
+    }
+
+    pub(super) fn request(&mut self, root: usize, request: RootRequest) {
+        self.effects.push(Effect::Root(root, request));
+    }
+
+    /// Keeps a record, and has it written to the journal; the line is logged after that.
+    pub(super) fn record(&mut self, output: usize, entry: Entry, log: Option<Log>) {
+        self.outputs[output].journal.take(entry.clone());
+        self.effects.push(Effect::Output(output, OutputRequest::Record(entry, log)));
+    }
+
+    /// Records what the daemon itself is doing.
+    pub(in crate::watch) fn record_daemon(&mut self, state: DaemonState) {
+        for output in 0..self.outputs.len() {
+            let record =
+                DaemonRecord { state: state.clone(), at_ms: self.now.unix_ms, ..self.identity.clone() };
+            self.record(output, Entry::Daemon(record), None);
+        }
+        self.last_state = state;
+    }
+
+    /// Records whether the daemon is paused, if that has changed.
+    pub(in crate::watch) fn record_pause(&mut self) {
+        let state = self.guard.reason().map_or(DaemonState::Running, DaemonState::Paused);
+        if state != self.last_state && !self.is_stopping {
+            self.record_daemon(state);
+        }
+    }
+
+    /// Asks for a look at everything.
+    pub(super) fn scan_all(&mut self) {
+        for root in 0..self.roots.len() {
+            self.request(root, RootRequest::Scan);
+        }
+    }
+
+    /// Decides again whether frames may begin.
+    pub(super) fn check_space(&mut self) {
+        let was_blocked = self.guard.reason().is_some();
+        let found: Vec<FoundSpace<'_>> = self
+            .outputs
+            .iter()
+            .map(|dir| FoundSpace { folder: &dir.folder, is_there: dir.is_there, free_bytes: dir.free_bytes })
+            .collect();
+        self.guard.check(&found, self.now.at);
+        match self.guard.reason() {
+            Some(why) if !was_blocked => self.log(move || tracing::warn!("paused: {why}")),
+            None if was_blocked => self.log(|| tracing::info!("there is room again: going on")),
+            _ => {}
+        }
+    }
+
+    /// Whether frames of a root may begin.
+    pub(super) fn may_begin(&self, root: usize) -> bool {
+        self.roots[root].stalled_since.is_none() && self.output(root).stalled_since.is_none()
+    }
+
+    /// The absolute path of a root.
+    pub(super) fn root_path(&self, root: usize) -> &Path {
+        &self.roots[root].path
+    }
+}

@@ -1,0 +1,681 @@
+//! The core by itself: events in, effects out; time is what the tests say it is.
+
+use std::collections::{HashMap, HashSet};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use meniscus_formats::Error;
+
+use crate::pipeline::{
+    FileStamp, Frame, FrameError, FrameReport, MeasuredSpacing, Outcome, OutputFormat, OutputOptions,
+    ReadInput, Stage,
+};
+use crate::surface::options::Choices;
+use crate::watch::config::{Config, Order, Patience, Poll, Watch};
+use crate::watch::journal::{
+    DaemonRecord, DaemonState, Entry, FrameRecord, OutputCheck, OutputRecord, SequenceRecord, Standing,
+    State as JournalState,
+};
+
+use super::completeness::{Proof, Seen, WaitReason};
+use super::events::{
+    Complete, Contents, Effect, Event, Finished, Found, Inspect, Inspected, Now, OutputDirState,
+    OutputRequest, Presence, RootRequest, RootScan, Worker,
+};
+use super::frames::FrameId;
+use super::sequences::{MeasureOrder, Measured};
+use super::state::Core;
+
+const GIB: u64 = 1 << 30;
+
+/// A core, the files that it could see, and what it wants done.
+struct Rig {
+    core: Core,
+    now: Now,
+    /// Files, by path; of those that are not complete, why.
+    files: HashMap<PathBuf, (FileStamp, Option<WaitReason>)>,
+    /// Outputs that are there.
+    outputs: HashSet<PathBuf>,
+    /// Outputs that would replace a file of the user.
+    conflicts: HashMap<PathBuf, String>,
+    /// Inspections are answered only when a test says so.
+    holds_inspections: bool,
+    inspections: Vec<Inspect>,
+    started: Vec<(usize, FrameId, Box<Frame>)>,
+    orders: Vec<MeasureOrder>,
+    records: Vec<Entry>,
+    pipelines: Vec<usize>,
+    ended_pipelines: Vec<usize>,
+}
+
+fn config(root_count: usize, choices: &Choices) -> Config {
+    let watch = |root: usize| Watch {
+        input: format!("/in{root}").into(),
+        pattern: None,
+        recursive: false,
+        sentinel: None,
+        outputs: OutputOptions::new(format!("/out{root}"), &[OutputFormat::Glb]),
+        choices: choices.clone(),
+        obstacles: Vec::new(),
+    };
+    Config {
+        watches: (0..root_count).map(watch).collect(),
+        once: false,
+        order: Order::Natural,
+        threads: 1,
+        in_flight: 2,
+        memory_bytes: GIB,
+        disk_floor_bytes: GIB,
+        patience: Patience {
+            settle: Duration::from_millis(500),
+            unproven: Duration::from_secs(2),
+            stalled: Duration::from_secs(10),
+        },
+        poll: Poll::Auto,
+        rescan_every: Duration::from_secs(30),
+        journal: None,
+        stop_deadline: Duration::from_secs(30),
+    }
+}
+
+impl Rig {
+    /// Roots `/in0` and so on with outputs in `/out0` and so on, all settings known, and one pipeline.
+    fn new(root_count: usize) -> Rig {
+        let choices = Choices { spacing: Some(0.1), ..Choices::default() };
+        Rig::with(config(root_count, &choices), JournalState::default())
+    }
+
+    fn with(config: Config, journal: JournalState) -> Rig {
+        let now = Now { at: Instant::now(), unix_ms: 1000 };
+        let count = config.watches.len();
+        let identity = DaemonRecord {
+            pid: 1,
+            host: "a".to_owned(),
+            started_ms: 0,
+            state: DaemonState::Running,
+            at_ms: 0,
+        };
+        let roots = (0..count).map(|root| (format!("/in{root}").into(), Arc::default())).collect();
+        let outputs = (0..count).map(|root| (format!("/out{root}").into(), journal.clone())).collect();
+        let mut core = Core::new(Arc::new(config), identity, roots, outputs, (0..count).collect(), now);
+        core.start();
+        let mut rig = Rig {
+            core,
+            now,
+            files: HashMap::new(),
+            outputs: HashSet::new(),
+            conflicts: HashMap::new(),
+            holds_inspections: false,
+            inspections: Vec::new(),
+            started: Vec::new(),
+            orders: Vec::new(),
+            records: Vec::new(),
+            pipelines: Vec::new(),
+            ended_pipelines: Vec::new(),
+        };
+        rig.settle();
+        rig
+    }
+
+    /// Hands an event to the core, and answers what follows from it.
+    fn event(&mut self, event: Event) {
+        self.core.handle(event, self.now);
+        self.settle();
+    }
+
+    fn settle(&mut self) {
+        loop {
+            self.core.settle_batch(self.now);
+            let effects = self.core.take_effects();
+            if effects.is_empty() && (self.holds_inspections || self.inspections.is_empty()) {
+                return;
+            }
+            for effect in effects {
+                match effect {
+                    Effect::Root(_, RootRequest::Inspect(inspect)) => self.inspections.push(*inspect),
+                    Effect::Root(_, RootRequest::Measure(order)) => self.orders.push(*order),
+                    Effect::Output(_, OutputRequest::Record(entry, _)) => self.records.push(entry),
+                    Effect::Start { pipeline, id, frame, .. } => self.started.push((pipeline, id, frame)),
+                    Effect::StartPipeline(pipeline) => self.pipelines.push(pipeline),
+                    Effect::EndPipeline(pipeline) => self.ended_pipelines.push(pipeline),
+                    Effect::Root(..) | Effect::Output(..) | Effect::Log(_) => {}
+                }
+            }
+            if !self.holds_inspections {
+                for inspect in std::mem::take(&mut self.inspections) {
+                    let answer = self.answer(&inspect);
+                    self.core.handle(answer, self.now);
+                }
+            }
+        }
+    }
+
+    /// What a worker would answer.
+    fn answer(&self, inspect: &Inspect) -> Event {
+        let found = match self.files.get(&*inspect.id.path) {
+            None => Found::Gone,
+            Some((stamp, _)) if *stamp != inspect.stamp => Found::Changed(seen(*stamp), self.now.at),
+            Some(_) if inspect.only_stamp => Found::Same,
+            Some((_, waits)) => self.found(inspect, *waits),
+        };
+        let (id, number) = (inspect.id.clone(), inspect.number);
+        Event::Inspected(Box::new(Inspected { id, number, found, obstacles: None }))
+    }
+
+    fn found(&self, inspect: &Inspect, waits: Option<WaitReason>) -> Found {
+        let mut changed_output = None;
+        if let Some(recorded) = &inspect.recorded {
+            let gone = recorded.record.outputs.iter().find(|output| !self.outputs.contains(&output.path));
+            match gone {
+                None => return Found::AsRecorded,
+                Some(gone) => changed_output = Some((gone.path.clone(), OutputCheck::Missing)),
+            }
+        }
+        if let Some(why) = waits.filter(|_| inspect.candidate.is_some()) {
+            return Found::Waiting { until: Some(self.now.at + Duration::from_secs(1)), why };
+        }
+        let conflict = inspect.outputs.iter().find_map(|output| self.conflicts.get(output)).cloned();
+        let proof = inspect.candidate.map(|_| Proof::Format);
+        Found::Complete(Complete { proof, changed_output, contents: Contents::Frame, conflict })
+    }
+
+    fn pass(&mut self, time: Duration) {
+        self.now.at += time;
+        self.now.unix_ms += u64::try_from(time.as_millis()).expect("soon");
+        self.settle();
+    }
+
+    /// A file is written, and an event tells of it.
+    fn put(&mut self, path: &str, version: u64) {
+        self.files.insert(path.into(), (stamp(version), None));
+        self.tell(path);
+    }
+
+    /// An event tells of a file as it is now.
+    fn tell(&mut self, path: &str) {
+        let (id, at) = (id(path), self.now.at);
+        let event = match self.files.get(Path::new(path)) {
+            Some((stamp, _)) => Event::FileSeen { id, seen: seen(*stamp), at, renamed: false },
+            None => Event::FileGone(id),
+        };
+        self.event(event);
+    }
+
+    fn scan(&mut self, root: usize) {
+        let folder = format!("/in{root}");
+        let files = self.files.iter().filter(|(path, _)| path.starts_with(&folder));
+        let files = files.map(|(path, (stamp, _))| (path.clone(), seen(*stamp))).collect();
+        let found = Ok(RootScan { files, ..RootScan::default() });
+        self.event(Event::RootScanned { root, found, at: self.now.at });
+    }
+
+    fn want(&mut self, pipeline: usize) {
+        self.event(Event::FrameWanted { pipeline });
+    }
+
+    /// The names of the frames that were started since this was asked last.
+    fn started(&mut self) -> Vec<String> {
+        self.started.drain(..).map(|(_, id, _)| name(&id)).collect()
+    }
+
+    fn finish(&mut self, path: &str, outcome: Outcome) {
+        let outputs = match &outcome {
+            Outcome::Converted(_) | Outcome::AlreadyDone { .. } => vec![self.output_of(path)],
+            _ => Vec::new(),
+        };
+        self.outputs.extend(outputs.iter().map(|output| output.path.clone()));
+        let finished = Finished { id: id(path), outputs, outcome, free_bytes: Some(0) };
+        self.event(Event::FrameFinished(Box::new(finished)));
+    }
+
+    fn output_of(&self, path: &str) -> OutputRecord {
+        let path = path.replace("/in", "/out").replace(".ply", ".glb");
+        OutputRecord { path: path.into(), size_bytes: 1, state: None }
+    }
+
+    fn convert(&mut self, path: &str) {
+        let stamp = self.files.get(Path::new(path)).expect("there").0;
+        let input = ReadInput { stamp, hash: 7 };
+        self.finish(path, Outcome::Converted(Box::new(FrameReport { input, ..FrameReport::default() })));
+    }
+
+    fn fail(&mut self, path: &str, during: Stage, kind: io::ErrorKind) {
+        let of_file = if during == Stage::Write { "/out0/a.1.glb" } else { path };
+        let error = FrameError::file(Path::new(of_file), during, Error::Io(kind.into()));
+        self.finish(path, Outcome::Failed(error));
+    }
+
+    fn output_dir(&mut self, output: usize, presence: Presence, free_bytes: u64) {
+        let found = OutputDirState { output, presence, free_bytes: Some(free_bytes) };
+        self.event(Event::OutputDirChecked(found));
+    }
+
+    /// The standings that were recorded of a frame, in order.
+    fn standings(&self, path: &str) -> Vec<Standing> {
+        let of_frame = |entry: &Entry| match entry {
+            Entry::Frame(input, record) if **input == *Path::new(path) => Some(record.standing),
+            _ => None,
+        };
+        self.records.iter().filter_map(of_frame).collect()
+    }
+
+    fn status(&self) -> String {
+        self.core.status_line()
+    }
+}
+
+fn id(path: &str) -> FrameId {
+    let root = path["/in".len()..].split('/').next().expect("a root").parse().expect("a number");
+    FrameId::new(root, Path::new(path))
+}
+
+fn name(id: &FrameId) -> String {
+    id.path.file_name().expect("a name").to_string_lossy().into_owned()
+}
+
+fn stamp(version: u64) -> FileStamp {
+    FileStamp { size: 100, modified_ns: version as i64, inode: version, changed_ns: None }
+}
+
+fn seen(stamp: FileStamp) -> Seen {
+    Seen { stamp, age: Some(Duration::from_secs(60)) }
+}
+
+const SECOND: Duration = Duration::from_secs(1);
+
+#[test]
+fn complete_frame_goes_to_the_pipeline_that_wants_it() {
+    let mut rig = Rig::new(1);
+    assert_eq!(rig.pipelines, [0]);
+    rig.put("/in0/a.2.ply", 1);
+    rig.put("/in0/a.10.ply", 1);
+    rig.put("/in0/a.1.ply", 1);
+    assert!(rig.started().is_empty(), "no pipeline wants a frame");
+    rig.want(0);
+    rig.want(0);
+    assert_eq!(rig.started(), ["a.1.ply", "a.2.ply"]);
+    rig.convert("/in0/a.1.ply");
+    assert_eq!(rig.status(), "1 done, 2 queued");
+    assert_eq!(rig.standings("/in0/a.1.ply"), [Standing::Queued, Standing::Done]);
+}
+
+#[test]
+fn events_that_are_lost_doubled_or_late_change_nothing() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    for _ in 0..3 {
+        rig.put("/in0/a.1.ply", 1);
+    }
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.convert("/in0/a.1.ply");
+    rig.want(0);
+    // Doubled: of a frame that is done.
+    rig.tell("/in0/a.1.ply");
+    assert!(rig.started().is_empty());
+    // Lost: nobody tells of this one but a scan.
+    rig.files.insert("/in0/a.2.ply".into(), (stamp(1), None));
+    rig.scan(0);
+    assert_eq!(rig.started(), ["a.2.ply"]);
+    rig.convert("/in0/a.2.ply");
+    // Late: it tells of a version that was replaced since.
+    rig.want(0);
+    rig.files.insert("/in0/a.1.ply".into(), (stamp(3), None));
+    let late =
+        Event::FileSeen { id: id("/in0/a.1.ply"), seen: seen(stamp(2)), at: rig.now.at, renamed: false };
+    rig.event(late);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.convert("/in0/a.1.ply");
+    assert_eq!(rig.status(), "2 done, 0 queued");
+    // Of a file that is gone, and of one that was never there.
+    rig.files.clear();
+    rig.tell("/in0/a.1.ply");
+    rig.tell("/in0/never.ply");
+    assert_eq!(rig.status(), "1 done, 0 queued");
+}
+
+#[test]
+fn result_of_an_earlier_inspection_is_disregarded() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.holds_inspections = true;
+    rig.put("/in0/a.1.ply", 1);
+    let early = rig.answer(&rig.inspections[0]);
+    rig.files.insert("/in0/a.1.ply".into(), (stamp(2), Some(WaitReason::Changing)));
+    rig.tell("/in0/a.1.ply");
+    assert_eq!(rig.inspections.len(), 2);
+    rig.event(early);
+    assert!(rig.started().is_empty(), "the file is being written again");
+    rig.holds_inspections = false;
+    rig.settle();
+    assert!(rig.started().is_empty());
+    rig.files.insert("/in0/a.1.ply".into(), (stamp(2), None));
+    rig.pass(SECOND);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn file_that_changes_while_it_is_converted_is_converted_again() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.put("/in0/a.1.ply", 2);
+    rig.want(0);
+    assert!(rig.started().is_empty(), "it is under way");
+    let input = ReadInput { stamp: stamp(1), hash: 7 };
+    rig.finish("/in0/a.1.ply", Outcome::Converted(Box::new(FrameReport { input, ..FrameReport::default() })));
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.finish("/in0/a.1.ply", Outcome::Changed);
+    rig.want(0);
+    rig.pass(SECOND);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn failures_are_retried_with_growing_waits_and_not_for_ever() {
+    let mut rig = Rig::new(1);
+    rig.put("/in0/a.1.ply", 1);
+    let mut waits = Vec::new();
+    for _ in 0..12 {
+        rig.want(0);
+        let mut waited = 0.0;
+        while rig.started().is_empty() {
+            assert!(waited < 100.0, "after {waits:?}");
+            rig.pass(Duration::from_millis(250));
+            waited += 0.25;
+        }
+        waits.push(waited);
+        rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::PermissionDenied);
+    }
+    assert_eq!(waits[..6], [0.0, 0.5, 1.0, 2.0, 4.0, 8.0]);
+    assert_eq!(rig.standings("/in0/a.1.ply").last(), Some(&Standing::GivenUp));
+    rig.want(0);
+    rig.pass(Duration::from_secs(3600));
+    assert!(rig.started().is_empty());
+    // Another file is another chance.
+    rig.put("/in0/a.1.ply", 2);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    // One that is gone when it is read is no failure.
+    rig.files.clear();
+    rig.fail("/in0/a.1.ply", Stage::Read, io::ErrorKind::NotFound);
+    assert_eq!(rig.status(), "0 done, 0 queued");
+}
+
+#[test]
+fn low_disk_space_pauses_until_there_is_more() {
+    let mut rig = Rig::new(1);
+    rig.output_dir(0, Presence::There, GIB - 1);
+    rig.put("/in0/a.1.ply", 1);
+    rig.want(0);
+    assert!(rig.started().is_empty());
+    assert!(rig.status().contains("paused: /out0 has"), "{}", rig.status());
+    rig.output_dir(0, Presence::There, GIB);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+
+    // A disk that was full is tried again when something was freed, or after a while.
+    rig.fail("/in0/a.1.ply", Stage::Write, io::ErrorKind::StorageFull);
+    rig.want(0);
+    rig.output_dir(0, Presence::There, GIB - 1);
+    rig.pass(4 * SECOND);
+    assert!(rig.started().is_empty());
+    assert_eq!(rig.standings("/in0/a.1.ply").last(), Some(&Standing::Queued));
+    rig.output_dir(0, Presence::There, 2 * GIB);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn frame_that_cannot_begin_is_queued_again() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    let (_, id, frame) = rig.started.pop().expect("started");
+    let found = OutputDirState { output: 0, presence: Presence::Away, free_bytes: None };
+    rig.event(Event::FrameReturned { id, frame, found });
+    rig.want(0);
+    assert!(rig.started().is_empty());
+    assert!(rig.status().contains("/out0 is not mounted"), "{}", rig.status());
+    rig.output_dir(0, Presence::There, 2 * GIB);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn unmounted_outputs_are_waited_for_and_removed_ones_made_again() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.convert("/in0/a.1.ply");
+    rig.started();
+    let outputs = std::mem::take(&mut rig.outputs);
+    rig.output_dir(0, Presence::Away, 0);
+    rig.want(0);
+    rig.scan(0);
+    assert!(rig.started().is_empty(), "what is not mounted is not missing");
+    assert_eq!(rig.core.tally().done_count, 1);
+    rig.outputs = outputs;
+    rig.output_dir(0, Presence::There, 2 * GIB);
+    rig.scan(0);
+    assert!(rig.started().is_empty());
+
+    rig.outputs.clear();
+    rig.output_dir(0, Presence::MadeAgain, 2 * GIB);
+    rig.scan(0);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn unmounted_root_forgets_nothing() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.convert("/in0/a.1.ply");
+    rig.started();
+    for _ in 0..2 {
+        let found = Err("it is empty and was not before".to_owned());
+        rig.event(Event::RootScanned { root: 0, found, at: rig.now.at });
+    }
+    assert_eq!(rig.status(), "1 done, 0 queued; /in0 is unavailable");
+    rig.files.insert("/in0/a.2.ply".into(), (stamp(1), None));
+    rig.want(0);
+    rig.scan(0);
+    assert_eq!(rig.started(), ["a.2.ply"]);
+    assert_eq!(rig.status(), "1 done, 1 queued");
+}
+
+#[test]
+fn output_that_is_removed_is_made_again() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.convert("/in0/a.1.ply");
+    rig.want(0);
+    rig.started();
+    rig.outputs.clear();
+    rig.scan(0);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn outputs_claimed_twice_belong_to_the_first_until_it_is_gone() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.put("/in0/a.1.csv", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    assert_eq!(rig.standings("/in0/a.1.csv"), [Standing::Refused]);
+    rig.convert("/in0/a.1.ply");
+    rig.files.remove(Path::new("/in0/a.1.ply"));
+    rig.tell("/in0/a.1.ply");
+    assert_eq!(rig.started(), ["a.1.csv"]);
+    let refused = rig.core.tally().failed;
+    assert!(refused.is_empty(), "{refused:?}");
+}
+
+#[test]
+fn files_of_the_user_are_not_replaced() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.conflicts.insert("/out0/a.1.glb".into(), "its output would replace a file of particles".to_owned());
+    rig.put("/in0/a.1.ply", 1);
+    assert!(rig.started().is_empty());
+    assert_eq!(rig.standings("/in0/a.1.ply"), [Standing::Refused]);
+}
+
+/// A journal that knows one frame in this standing.
+fn journal(standing: Standing) -> JournalState {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.convert("/in0/a.1.ply");
+    let Some(Entry::Frame(path, record)) = rig.records.pop() else { panic!("no record") };
+    let mut journal = JournalState::default();
+    journal.take(Entry::Frame(path, Arc::new(FrameRecord { standing, ..(*record).clone() })));
+    journal
+}
+
+#[test]
+fn after_a_reload_only_unfinished_frames_are_converted() {
+    let choices = Choices { spacing: Some(0.1), ..Choices::default() };
+    for (standing, has_output, expected) in [
+        (Standing::Done, true, 0),
+        (Standing::Done, false, 1),
+        (Standing::Failed, true, 0),
+        (Standing::Queued, true, 1),
+        (Standing::Retrying, true, 1),
+        (Standing::GivenUp, true, 1),
+        (Standing::Refused, true, 1),
+    ] {
+        let mut rig = Rig::with(config(1, &choices), journal(standing));
+        rig.want(0);
+        rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
+        if has_output {
+            rig.outputs.insert("/out0/a.1.glb".into());
+        }
+        rig.scan(0);
+        assert!(rig.core.is_ready());
+        assert_eq!(rig.started().len(), expected, "{standing:?}");
+    }
+    // Other settings are another thing.
+    let other = Choices { spacing: Some(0.2), ..Choices::default() };
+    let mut rig = Rig::with(config(1, &other), journal(Standing::Done));
+    rig.outputs.insert("/out0/a.1.glb".into());
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+}
+
+#[test]
+fn run_that_ends_when_all_is_done_waits_for_all_of_it() {
+    let choices = Choices { spacing: Some(0.1), ..Choices::default() };
+    let mut rig = Rig::with(Config { once: true, ..config(1, &choices) }, JournalState::default());
+    assert!(!rig.core.is_drained(), "nothing was looked at yet");
+    rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
+    rig.holds_inspections = true;
+    rig.scan(0);
+    assert!(!rig.core.is_ready() && !rig.core.is_drained());
+    rig.holds_inspections = false;
+    rig.settle();
+    assert!(rig.core.is_ready() && !rig.core.is_drained(), "one is queued");
+    rig.want(0);
+    assert!(!rig.core.is_drained(), "one is under way");
+    rig.convert("/in0/a.1.ply");
+    assert!(rig.core.is_drained());
+}
+
+#[test]
+fn stopping_begins_no_further_frame() {
+    let mut rig = Rig::new(1);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    rig.put("/in0/a.2.ply", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.core.stop();
+    rig.want(0);
+    assert_eq!(rig.ended_pipelines, [0]);
+    assert!(rig.core.has_frames_under_way(true));
+    rig.convert("/in0/a.1.ply");
+    assert!(!rig.core.has_frames_under_way(true) && rig.started().is_empty());
+    let tally = rig.core.tally();
+    assert_eq!((tally.done_count, tally.left_count), (1, 1));
+}
+
+#[test]
+fn folder_that_hangs_holds_up_its_own_frames_only() {
+    let mut rig = Rig::new(2);
+    rig.want(0);
+    rig.put("/in0/a.1.ply", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    rig.put("/in0/a.2.ply", 1);
+    rig.put("/in1/b.1.ply", 1);
+    // Pipeline 0 hangs with its frame: it wants no other.
+    rig.event(Event::WorkerStalled(Worker::Root(0)));
+    assert_eq!(rig.pipelines, [0, 1]);
+    assert!(rig.status().ends_with("/in0 is unavailable"), "{}", rig.status());
+    rig.want(1);
+    rig.want(1);
+    assert_eq!(rig.started(), ["b.1.ply"]);
+    rig.convert("/in1/b.1.ply");
+    assert!(!rig.core.has_frames_under_way(false) && rig.core.has_frames_under_way(true));
+    // It is back: what it had is finished, and it ends; the rest goes on in the other.
+    rig.event(Event::WorkerAnswered(Worker::Root(0)));
+    assert_eq!(rig.started(), ["a.2.ply"]);
+    rig.convert("/in0/a.1.ply");
+    rig.want(0);
+    assert_eq!(rig.ended_pipelines, [0]);
+    rig.convert("/in0/a.2.ply");
+    assert_eq!(rig.status(), "3 done, 0 queued");
+    assert_eq!(rig.pipelines, [0, 1]);
+}
+
+#[test]
+fn outputs_that_hang_hold_up_the_frames_that_go_there() {
+    let mut rig = Rig::new(2);
+    rig.event(Event::WorkerStalled(Worker::Output(1)));
+    rig.want(0);
+    rig.put("/in1/b.1.ply", 1);
+    assert!(rig.started().is_empty());
+    rig.put("/in0/a.1.ply", 1);
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    assert_eq!(rig.pipelines, [0], "none of its frames was under way");
+}
+
+#[test]
+fn sequence_is_measured_when_all_its_frames_were_looked_at() {
+    let mut rig = Rig::with(config(1, &Choices::default()), JournalState::default());
+    rig.want(0);
+    rig.files.extend((1..=3).map(|number| (format!("/in0/a.{number}.ply").into(), (stamp(1), None))));
+    rig.holds_inspections = true;
+    rig.scan(0);
+    let inspections = std::mem::take(&mut rig.inspections);
+    for (index, inspect) in inspections.iter().enumerate() {
+        assert!(rig.orders.is_empty(), "measured after {index} frames");
+        let answer = rig.answer(inspect);
+        rig.event(answer);
+    }
+    rig.holds_inspections = false;
+    let order = rig.orders.pop().expect("an order");
+    assert_eq!(
+        order.files.iter().map(|(id, _)| name(id)).collect::<Vec<_>>(),
+        ["a.1.ply", "a.2.ply", "a.3.ply"]
+    );
+    assert!(rig.started().is_empty());
+    let measured = MeasuredSpacing {
+        spacing: 0.1,
+        confidence: 1.0,
+        radius_median: None,
+        measured_on: "/in0/a.1.ply".into(),
+        warnings: Vec::new(),
+    };
+    rig.event(Event::Measured(Measured {
+        sequence: order.sequence,
+        record: Some(SequenceRecord { measured: Some(measured), camera: None }),
+        sparse: Vec::new(),
+        unreadable: Vec::new(),
+        changed: None,
+        warnings: Vec::new(),
+    }));
+    assert_eq!(rig.started(), ["a.1.ply"]);
+    assert_eq!(rig.status(), "0 done, 3 queued");
+}

@@ -1,0 +1,340 @@
+//! The event loop: hands events to the core, carries out what it decides, and gives signs of life. It never waits for a file
+//! system: others do that.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Weak};
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
+
+use crate::pipeline::resident_memory_bytes;
+
+use super::api::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
+use super::board::Board;
+use super::config::Config;
+use super::core::Tally;
+use super::core::events::{Effect, Event, RootRequest};
+use super::core::publish::Shown;
+use super::core::state::Core;
+use super::io::pipeline::{Start, Surroundings, start as start_pipeline};
+use super::io::start::{Workers, now, start};
+use super::journal::DaemonState;
+
+/// Watches and converts until a command ends it, or, where that is all that was asked for, until
+/// everything is converted. What there is to see of it is shown on the `board`, if there is one.
+///
+/// # Errors
+/// When it cannot begin. What happens to single frames is no error here: it is logged, kept in the
+/// journal and counted.
+pub fn run(
+    config: &Config,
+    board: Option<&Arc<Board>>,
+    commands: &Receiver<Command>,
+    notices: &mut dyn FnMut(Notice),
+) -> Result<Summary, DaemonError> {
+    let config = Arc::new(config.clone());
+    let (to_loop, events) = unbounded();
+    let (core, workers, surroundings) = start(&config, board.cloned(), &to_loop)?;
+    EventLoop::new(core, workers, surroundings, events, notices).run(commands)
+}
+
+/// Everything that the loop has.
+struct EventLoop<'a> {
+    core: Core,
+    workers: Workers,
+    surroundings: Surroundings,
+    /// Where each pipeline gets its frames from; no longer after it was told to end.
+    pipelines: HashMap<usize, Option<Sender<Start>>>,
+    events: Receiver<Event>,
+    notices: &'a mut dyn FnMut(Notice),
+    last_status: String,
+    last_tick: Option<Instant>,
+    unsynced_count: usize,
+}
+
+/// The loop gives a sign of life so often.
+const TICK: Duration = Duration::from_secs(1);
+
+/// So many events are taken before it is decided what follows from them.
+const BATCH: usize = 4096;
+
+/// How long it waits at the end for a worker that hangs.
+const GRACE: Duration = Duration::from_millis(100);
+
+impl<'a> EventLoop<'a> {
+    fn new(
+        core: Core,
+        workers: Workers,
+        surroundings: Surroundings,
+        events: Receiver<Event>,
+        notices: &'a mut dyn FnMut(Notice),
+    ) -> EventLoop<'a> {
+        EventLoop {
+            core,
+            workers,
+            surroundings,
+            pipelines: HashMap::new(),
+            events,
+            notices,
+            last_status: String::new(),
+            last_tick: None,
+            unsynced_count: 0,
+        }
+    }
+
+    /// Runs until a command ends it or nothing is left to do.
+    fn run(mut self, commands: &Receiver<Command>) -> Result<Summary, DaemonError> {
+        if let Some(board) = &self.surroundings.board {
+            board.begin(self.core.plan());
+        }
+        let once = self.surroundings.config.once;
+        let mut commands = commands.clone();
+        let mut is_ready = false;
+        self.core.start();
+        loop {
+            self.settle_batch()?;
+            if once && let Some((root, why)) = self.core.unavailable_root() {
+                let folder = self.surroundings.config.watches[root].input.clone();
+                self.end()?;
+                return Err(DaemonError::Unavailable { folder, why });
+            }
+            if !is_ready && self.core.is_ready() {
+                is_ready = true;
+                (self.notices)(Notice::Ready);
+                if let Some(board) = &self.surroundings.board {
+                    board.set_ready();
+                }
+            }
+            if once && self.core.is_drained() {
+                return self.finish(Ended::Drained);
+            }
+            select! {
+                recv(self.events) -> event => self.take_batch(event.ok())?,
+                recv(commands) -> command => match command {
+                    Ok(command) => return self.shut_down(command, &commands),
+                    // Whoever could send commands is gone: then there are none.
+                    Err(_) => commands = never(),
+                },
+                default(self.wait()) => {}
+            }
+            self.tick();
+        }
+    }
+
+    /// Takes this event and those that wait behind it.
+    fn take_batch(&mut self, first: Option<Event>) -> Result<(), DaemonError> {
+        let rest: Vec<Event> = self.events.try_iter().take(BATCH).collect();
+        for event in first.into_iter().chain(rest) {
+            match &event {
+                Event::PipelineEnded { pipeline } => {
+                    let is_wanted = self.pipelines.remove(pipeline).flatten().is_some();
+                    if is_wanted && !self.core.is_stopping() {
+                        return Err(DaemonError::Threads("the pipeline has ended".to_owned()));
+                    }
+                }
+                Event::JournalSynced => self.unsynced_count = self.unsynced_count.saturating_sub(1),
+                _ if self.core.is_stopping() && !is_of_frames(&event) => continue,
+                _ => {}
+            }
+            self.core.handle(event, now());
+        }
+        Ok(())
+    }
+
+    /// Does what several events together make possible, shows it, and carries out what was decided.
+    fn settle_batch(&mut self) -> Result<(), DaemonError> {
+        self.core.settle_batch(now());
+        self.carry_out()
+    }
+
+    fn carry_out(&mut self) -> Result<(), DaemonError> {
+        match &self.surroundings.board {
+            Some(board) => publish(&mut self.core, board),
+            None => self.core.forget_changes(),
+        }
+        // Workers live as long as the loop: what cannot be sent has no one to do it.
+        for effect in self.core.take_effects() {
+            match effect {
+                Effect::Root(root, request @ (RootRequest::Measure(_) | RootRequest::FindSteps(_))) => {
+                    let _ = self.workers.slow[root].send(request);
+                }
+                Effect::Root(root, request) => drop(self.workers.roots[root].send(request)),
+                Effect::Output(output, request) => drop(self.workers.outputs[output].send(request)),
+                Effect::Start { pipeline, id, frame, known_outputs } => {
+                    if let Some(Some(sender)) = self.pipelines.get(&pipeline) {
+                        let _ = sender.try_send(Start { id, frame, known_outputs });
+                    }
+                }
+                Effect::StartPipeline(pipeline) => {
+                    let sender = start_pipeline(pipeline, self.surroundings.clone());
+                    let sender = sender.map_err(|error| DaemonError::Threads(error.to_string()))?;
+                    self.pipelines.insert(pipeline, Some(sender));
+                }
+                Effect::EndPipeline(pipeline) => {
+                    if let Some(sender) = self.pipelines.get_mut(&pipeline) {
+                        *sender = None;
+                    }
+                }
+                Effect::Log(log) => log.write(),
+            }
+        }
+        Ok(())
+    }
+
+    /// How long there is nothing to do.
+    fn wait(&self) -> Duration {
+        let now = Instant::now();
+        let until_tick = self.last_tick.map_or(Duration::ZERO, |at| TICK.saturating_sub(now - at));
+        let deadline = self.core.next_deadline();
+        deadline.map_or(until_tick, |at| at.saturating_duration_since(now).min(until_tick))
+    }
+
+    /// Gives a sign of life, and says how things stand, once a second.
+    fn tick(&mut self) {
+        if self.last_tick.is_some_and(|at| at.elapsed() < TICK) {
+            return;
+        }
+        self.last_tick = Some(Instant::now());
+        (self.notices)(Notice::Alive);
+        let now = now();
+        for event in self.workers.monitors.iter_mut().filter_map(|monitor| monitor.check(now.at)) {
+            self.core.handle(event, now);
+        }
+        if let Some(board) = &self.surroundings.board {
+            board.tell(self.core.status(resident_memory_bytes()));
+        }
+        let status = self.core.status_line();
+        if status != self.last_status && !self.core.is_stopping() {
+            (self.notices)(Notice::Status(status.clone()));
+            self.last_status = status;
+        }
+        self.core.record_pause();
+    }
+
+    /// Finishes what is under way. A reload may be upgraded to an end meanwhile.
+    fn shut_down(
+        mut self,
+        mut command: Command,
+        commands: &Receiver<Command>,
+    ) -> Result<Summary, DaemonError> {
+        let stop_deadline = self.surroundings.config.stop_deadline;
+        let mut commands = commands.clone();
+        (self.notices)(Notice::Stopping);
+        self.core.stop();
+        let mut overdue_at = Some(Instant::now() + stop_deadline);
+        self.last_tick = None;
+        loop {
+            self.settle_batch()?;
+            // A pipeline that hangs is left to itself after the deadline.
+            let is_abandoned = overdue_at.is_none() && !self.core.has_frames_under_way(false);
+            if self.pipelines.is_empty() || is_abandoned {
+                break;
+            }
+            self.tick();
+            let until_overdue = overdue_at.map(|at| at.saturating_duration_since(Instant::now()));
+            select! {
+                recv(self.events) -> event => self.take_batch(event.ok())?,
+                recv(commands) -> another => match another {
+                    Ok(Command::Finish) if command == Command::Reload => {
+                        command = Command::Finish;
+                        (self.notices)(Notice::Stopping);
+                        overdue_at = Some(Instant::now() + stop_deadline);
+                    }
+                    Ok(_) => {}
+                    Err(_) => commands = never(),
+                },
+                default(until_overdue.map_or(TICK, |wait| wait.min(TICK))) => {}
+            }
+            if overdue_at.is_some_and(|at| at <= Instant::now()) {
+                overdue_at = None;
+                tracing::warn!("frames under way are not finished within {stop_deadline:?}");
+                self.core.record_daemon(DaemonState::Stopped);
+                self.sync_journals()?;
+                (self.notices)(Notice::Overdue);
+            }
+        }
+        self.finish(match command {
+            Command::Finish => Ended::Finish,
+            Command::Reload => Ended::Reload,
+        })
+    }
+
+    /// Writes that the daemon has stopped, waits for the journals, and ends the workers.
+    fn end(&mut self) -> Result<Tally, DaemonError> {
+        self.core.record_daemon(DaemonState::Stopped);
+        self.sync_journals()?;
+        Ok(self.core.tally())
+    }
+
+    /// Waits until all journals are on the disk, but not for a folder that hangs.
+    fn sync_journals(&mut self) -> Result<(), DaemonError> {
+        self.unsynced_count = self.core.sync_journals();
+        self.carry_out()?;
+        let until = Instant::now() + self.surroundings.config.stop_deadline.max(TICK);
+        while self.unsynced_count > 0 && Instant::now() < until && !self.core.has_stalled() {
+            let event = self.events.recv_timeout(self.wait().max(Duration::from_millis(1)));
+            self.take_batch(event.ok())?;
+            self.tick();
+        }
+        Ok(())
+    }
+
+    fn finish(mut self, ended: Ended) -> Result<Summary, DaemonError> {
+        let Tally { done_count, broken_count, failed, left_count } = self.end()?;
+        let failed = failed.into_iter().map(|(what, frames_since)| FailedFrame { what, frames_since });
+        let summary = Summary { ended, done_count, broken_count, failed: failed.collect(), left_count };
+        // The next run takes the locks that these threads hold.
+        let has_stalled = self.core.has_stalled();
+        let wait = if has_stalled { GRACE } else { self.surroundings.config.stop_deadline };
+        let EventLoop { workers, surroundings, pipelines, notices, .. } = self;
+        let guards = workers.guards.clone();
+        drop((workers, surroundings, pipelines));
+        let (began, mut alive_at) = (Instant::now(), Instant::now());
+        while guards.iter().any(|guard: &Weak<_>| guard.strong_count() > 0) && began.elapsed() < wait {
+            if alive_at.elapsed() >= TICK {
+                alive_at = Instant::now();
+                notices(Notice::Alive);
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        Ok(summary)
+    }
+}
+
+/// Shows what has changed.
+fn publish(core: &mut Core, board: &Board) {
+    core.take_counts().into_iter().for_each(|count| board.count(count));
+    for frame in core.take_changed_frames() {
+        match frame {
+            Shown::Frame(view) => board.show(*view),
+            Shown::Removed(name) => board.remove(&name),
+        }
+    }
+    for (name, record) in core.take_changed_sequences() {
+        board.show_sequence(name, record);
+    }
+}
+
+/// Whether an event still matters when no further frame begins.
+fn is_of_frames(event: &Event) -> bool {
+    match event {
+        Event::FrameWanted { .. }
+        | Event::FrameReturned { .. }
+        | Event::FrameFinished(_)
+        | Event::PipelineEnded { .. }
+        | Event::OutputDirChecked(_)
+        | Event::JournalSynced
+        | Event::WorkerStalled(_)
+        | Event::WorkerAnswered(_) => true,
+        Event::FileSeen { .. }
+        | Event::FileGone(_)
+        | Event::FileUnreadable(..)
+        | Event::SentinelSeen(..)
+        | Event::FolderScanned { .. }
+        | Event::RootScanned { .. }
+        | Event::Inspected(_)
+        | Event::ObstaclesStamped { .. }
+        | Event::Measured(_)
+        | Event::StepsFound(_) => false,
+    }
+}

@@ -1,0 +1,96 @@
+//! Measures sequences: reads frames, on a thread where that may take its time.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use crate::pipeline::{Attempt, FileStamp, Framed, measure_sequence, sequence_bounds};
+use crate::surface::options::{self, Settings};
+use crate::watch::core::frames::FrameId;
+use crate::watch::core::sequences::{MeasureOrder, Measured, asked_camera};
+use crate::watch::journal::{SequenceCamera, SequenceRecord};
+
+/// Measures the spacing, unless the voxel size is known, and places the camera of pictures.
+pub(super) fn measure(order: MeasureOrder) -> Measured {
+    let mut measured = Measured {
+        sequence: order.sequence,
+        record: None,
+        sparse: Vec::new(),
+        unreadable: Vec::new(),
+        changed: None,
+        warnings: Vec::new(),
+    };
+    let record = match &order.known {
+        Some(record) => Some(record.clone()),
+        None => {
+            let paths: Vec<&Path> = order.files.iter().map(|(id, _)| &*id.path).collect();
+            let note = |path: &Path, attempt: Attempt| note(&mut measured, path, attempt, &order);
+            let found = measure_sequence(&paths, order.own_radii.as_ref(), note);
+            found.map(|found| {
+                measured.warnings.clone_from(&found.warnings);
+                SequenceRecord { measured: Some(found), camera: None }
+            })
+        }
+    };
+    let record = match record {
+        Some(record) if order.watch.outputs.needs_camera() => with_camera(record, &order, &mut measured),
+        record => record,
+    };
+    measured.record = record.filter(|_| measured.changed.is_none());
+    measured
+}
+
+/// Notes what came of a frame, unless it has changed since it was found complete.
+fn note(measured: &mut Measured, path: &Path, attempt: Attempt, order: &MeasureOrder) {
+    let found = order.files.iter().find(|(id, _)| &*id.path == path);
+    let Some((id, stamp)) = found else { return };
+    if FileStamp::of_path(id.file_path()).ok() != Some(*stamp) {
+        measured.changed.get_or_insert_with(|| id.clone());
+        return;
+    }
+    match attempt {
+        Attempt::Measured => {}
+        Attempt::Sparse => measured.sparse.push((id.clone(), *stamp)),
+        Attempt::Unreadable(error) => measured.unreadable.push((id.clone(), *stamp, error)),
+    }
+}
+
+/// The record with the camera that the first frame asks for, of those that were not skipped when the spacing was measured;
+/// `None` if there is no such frame.
+fn with_camera(
+    record: SequenceRecord,
+    order: &MeasureOrder,
+    measured: &mut Measured,
+) -> Option<SequenceRecord> {
+    let outputs = &order.watch.outputs;
+    // Settings that make no sense end the sequence in another place.
+    let spacing = record.measured.as_ref().map(options::Measured::from);
+    let settings = Settings::resolve(&order.watch.choices, spacing);
+    let radius = settings.map_or(0.0, |settings| settings.resting_height());
+    let measured_on = record.measured.as_ref().map(|measured| &measured.measured_on);
+    let measured_here = measured_on.filter(|_| order.known.is_none());
+    let is_before = |id: &FrameId| measured_here.is_some_and(|first| *id.path != **first);
+    for (id, _) in order.files.iter().skip_while(|(id, _)| is_before(id)) {
+        let (attempt, bounds) = match sequence_bounds(&[&*id.path], radius) {
+            Ok(Some(bounds)) => (Attempt::Measured, Some(bounds)),
+            Ok(None) => (Attempt::Sparse, None),
+            Err(error) => (Attempt::Unreadable(error), None),
+        };
+        note(measured, &id.path, attempt, order);
+        if let Some(bounds) = bounds {
+            let framed = Framed::around(widened(bounds, outputs.up().direction()), outputs);
+            let camera = Some(SequenceCamera { asked: asked_camera(outputs), framed });
+            return Some(SequenceRecord { camera, ..record });
+        }
+        if measured.changed.is_some() {
+            return None;
+        }
+    }
+    None
+}
+
+/// A box that holds what a fluid in this one may come to: it is wider by half its height on each side.
+fn widened([least, greatest]: [DVec3; 2], up: DVec3) -> [DVec3; 2] {
+    let aside = (DVec3::ONE - up) * (0.5 * (greatest - least).dot(up));
+    [least - aside, greatest + aside]
+}

@@ -1,0 +1,26 @@
+//! Everything that may block: files, folders, mounts, the journal on the disk, and the pipelines.
+//!
+//! ```text
+//!   root         a watched folder: scans, events, inspections     slow         measuring, finding steps
+//!   output_dir   a folder of outputs: journal, lock, free space   pipeline     converts frames
+//!   worker       the thread of either, and whether it is stuck
+//!   inspect, evidence, scan, selection, fs_events, mounts, lock, canonical_path   what they do
+//! ```
+
+pub mod canonical_path;
+pub(in crate::watch) mod evidence;
+mod find_steps;
+pub mod fs_events;
+mod inspect;
+pub mod lock;
+mod measure;
+pub mod mounts;
+mod output_dir;
+pub(in crate::watch) mod pipeline;
+mod rescan_backoff;
+mod root;
+pub mod scan;
+pub mod selection;
+mod slow;
+pub(in crate::watch) mod start;
+pub(in crate::watch) mod worker;

@@ -1,0 +1,256 @@
+//! A folder of outputs: locked, swept, and with its journal. Its thread writes the journal and looks whether the folder is
+//! there and has space; a file system that hangs holds up nothing else.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::pipeline::{make_out_folder, remove_left_behind, sweep_temporaries};
+use crate::watch::api::DaemonError;
+use crate::watch::config::Config;
+use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
+use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
+
+use super::fs_events::NoEvents;
+use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
+use super::mounts::{RootIdentity, free_bytes};
+use super::worker::Work;
+
+/// A folder of outputs that is this daemon's alone.
+pub(super) struct OutputDir {
+    index: usize,
+    guard: Arc<OutputGuard>,
+    journal: Journal,
+    /// When the journal could not be written, if it could not the last time.
+    journal_failed_at: Option<Instant>,
+    /// Nothing is written into what is in its place.
+    is_there: bool,
+    next_check: Instant,
+    /// The lock of a journal that lies elsewhere: it, too, is written by one daemon only.
+    _journal_lock: Option<OutputLock>,
+}
+
+/// Knows whether a folder of outputs is the one that was opened.
+#[derive(Debug)]
+pub(in crate::watch) struct OutputGuard {
+    /// Absolute.
+    pub(in crate::watch) folder: PathBuf,
+    floor_bytes: u64,
+    held: Mutex<Held>,
+}
+
+#[derive(Debug)]
+struct Held {
+    lock: OutputLock,
+    /// Which file system the folder was on when it was opened.
+    identity: RootIdentity,
+}
+
+/// How often a folder of outputs is looked at.
+const CHECK_EVERY: Duration = Duration::from_millis(500);
+
+/// All folders of outputs, and the index of that of each watch.
+///
+/// Makes the folders, locks them, reads their journals, and removes what an earlier run that was killed left half written.
+///
+/// # Errors
+/// When a folder cannot be made, or another daemon has it.
+pub(super) fn open_outputs(config: &Config) -> Result<(Vec<OutputDir>, Vec<usize>), DaemonError> {
+    let (mut all, mut output_of): (Vec<OutputDir>, Vec<usize>) = (Vec::new(), Vec::new());
+    for watch in &config.watches {
+        let folder = open_folder(&watch.outputs.folder)?;
+        let known = all.iter().position(|output| output.guard.folder == folder);
+        if known.is_none() {
+            all.push(OutputDir::open(all.len(), folder, config)?);
+        }
+        output_of.push(known.unwrap_or(all.len() - 1));
+    }
+    Ok((all, output_of))
+}
+
+fn open_folder(folder: &Path) -> Result<PathBuf, DaemonError> {
+    make_out_folder(folder).map_err(DaemonError::Out)?;
+    folder.canonicalize().map_err(|source| DaemonError::Folder { folder: folder.to_owned(), source })
+}
+
+impl OutputDir {
+    fn open(index: usize, folder: PathBuf, config: &Config) -> Result<OutputDir, DaemonError> {
+        let lock = OutputLock::take(&folder).map_err(DaemonError::Locked)?;
+        // What was asked for may be a link, and what has a name of ours may not.
+        let asked = config.journal.as_deref();
+        let asked = asked.map(|asked| asked.canonicalize().unwrap_or_else(|_| asked.to_owned()));
+        let journal_folder = asked.unwrap_or_else(|| folder.join(STATE_FOLDER));
+        let is_elsewhere = journal_folder.canonicalize().is_ok_and(|journal| !journal.starts_with(&folder));
+        let journal_lock = match is_elsewhere || !journal_folder.exists() {
+            true => Some(OutputLock::take(&journal_folder).map_err(DaemonError::Locked)?),
+            false => None,
+        };
+        let failed = |source| DaemonError::Folder { folder: folder.clone(), source };
+        let identity = RootIdentity::of(&folder).map_err(failed)?;
+        let journal = Journal::open(&journal_folder).map_err(|source| DaemonError::Folder {
+            folder: journal_folder.join(JOURNAL_FILE_NAME),
+            source,
+        })?;
+        match sweep(&folder) + sweep_one(&journal_folder) {
+            0 => {}
+            count => tracing::info!(folder = %folder.display(), "removed {count} half-written files"),
+        }
+        let held = Mutex::new(Held { lock, identity });
+        Ok(OutputDir {
+            index,
+            guard: Arc::new(OutputGuard { folder, floor_bytes: config.disk_floor_bytes, held }),
+            journal,
+            journal_failed_at: None,
+            is_there: true,
+            next_check: Instant::now(),
+            _journal_lock: journal_lock,
+        })
+    }
+
+    pub(super) fn guard(&self) -> &Arc<OutputGuard> {
+        &self.guard
+    }
+
+    pub(super) fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    fn check(&mut self, report: &dyn Fn(Event)) {
+        self.next_check = Instant::now() + CHECK_EVERY;
+        let found = self.guard.check(self.index);
+        self.is_there = found.presence != Presence::Away;
+        report(Event::OutputDirChecked(found));
+    }
+
+    /// Adds a record to the journal. A journal that cannot be written costs work after a restart and nothing
+    /// else; that is logged once, not for every record, and once more when it can be written again.
+    fn write(&mut self, write: impl FnOnce(&mut Journal) -> io::Result<()>) {
+        let is_too_soon = self.journal_failed_at.is_some_and(|at| at.elapsed() < JOURNAL_RETRY);
+        let is_held = !self.is_there || is_too_soon;
+        self.journal.hold(is_held);
+        let written = write(&mut self.journal);
+        if is_held {
+            return;
+        }
+        let folder = self.guard.folder.display();
+        match (written, self.journal_failed_at) {
+            (Ok(()), None) => {}
+            (Ok(()), Some(_)) => {
+                tracing::info!(%folder, "the journal is written again");
+                self.journal_failed_at = None;
+            }
+            (Err(error), failed_at) => {
+                if failed_at.is_none() {
+                    tracing::warn!(%folder, "cannot write the journal: {error}");
+                }
+                self.journal_failed_at = Some(Instant::now());
+            }
+        }
+    }
+}
+
+impl Work for OutputDir {
+    type Request = OutputRequest;
+    type Hint = NoEvents;
+
+    fn handle(&mut self, request: OutputRequest, report: &dyn Fn(Event)) {
+        match request {
+            OutputRequest::Record(entry, log) => {
+                // Nothing is written into what may be another folder by now.
+                self.is_there &= self.guard.is_in_place();
+                self.write(|journal| journal.note(entry));
+                if let Some(log) = log {
+                    log.write();
+                }
+            }
+            OutputRequest::Check => self.check(report),
+            OutputRequest::Sync => {
+                self.write(Journal::sync);
+                report(Event::JournalSynced);
+            }
+        }
+    }
+
+    fn on_time(&mut self, report: &dyn Fn(Event)) {
+        self.check(report);
+        remove_left_behind();
+    }
+
+    fn next_time(&self) -> Instant {
+        self.next_check
+    }
+}
+
+impl OutputGuard {
+    /// Whether the folder is there, as it was opened.
+    pub(in crate::watch) fn is_in_place(&self) -> bool {
+        self.held().lock.is_in_place(&self.folder)
+    }
+
+    /// Whether frames with outputs here may begin.
+    pub(in crate::watch) fn may_begin(&self) -> bool {
+        self.is_in_place() && free_bytes(&self.folder).map_or(true, |free| free >= self.floor_bytes)
+    }
+
+    /// Looks at the folder. One that was removed is made again, and locked.
+    pub(in crate::watch) fn check(&self, output: usize) -> OutputDirState {
+        let presence = self.find();
+        let free_bytes = free_bytes(&self.folder).ok();
+        OutputDirState { output, presence, free_bytes }
+    }
+
+    fn find(&self) -> Presence {
+        let mut held = self.held();
+        if held.lock.is_in_place(&self.folder) {
+            return Presence::There;
+        }
+        let nearest = self.folder.ancestors().find_map(|folder| RootIdentity::of(folder).ok());
+        // `convert --skip-done` makes a folder of this name as well; these files are the daemon's alone.
+        let state = self.folder.join(STATE_FOLDER);
+        let is_back = [LOCK_FILE_NAME, JOURNAL_FILE_NAME].iter().any(|name| state.join(name).is_file());
+        // What was in a folder whose file system was unmounted will come back with it; what was removed is gone.
+        if nearest != Some(held.identity) && !is_back {
+            return Presence::Away;
+        }
+        // Where that fails, the folder is waited for, and that is logged once, as why nothing begins.
+        let Ok(lock) = OutputLock::take(&self.folder) else { return Presence::Away };
+        let identity = RootIdentity::of(&self.folder).unwrap_or(held.identity);
+        *held = Held { lock, identity };
+        Presence::MadeAgain
+    }
+
+    fn held(&self) -> MutexGuard<'_, Held> {
+        // It is replaced as a whole.
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// How soon a journal that could not be written is tried again.
+const JOURNAL_RETRY: Duration = Duration::from_secs(1);
+
+/// Removes the temporaries of a folder and all below it that nobody is writing; how many there were. A
+/// folder that cannot be looked into keeps its own.
+fn sweep(folder: &Path) -> usize {
+    let mut count = sweep_one(folder);
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    // Links are not followed: what they lead to is not ours to sweep.
+    let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
+    for inner in folders.filter(|entry| !entry.file_name().as_encoded_bytes().starts_with(b".")) {
+        count += sweep(&inner.path());
+    }
+    count
+}
+
+/// The same of a folder without those below it.
+fn sweep_one(folder: &Path) -> usize {
+    let cannot = |error| {
+        tracing::warn!(folder = %folder.display(), "cannot look for half-written files: {error}");
+    };
+    let swept = sweep_temporaries(folder).map_err(cannot).unwrap_or_default();
+    for warning in swept.warnings {
+        tracing::warn!("{warning}");
+    }
+    swept.count
+}

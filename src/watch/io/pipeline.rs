@@ -1,0 +1,154 @@
+//! Pipelines: threads that convert the frames that the core gives them.
+//!
+//! One runs at a time, unless it hangs with its frames: then another one takes over the rest. So each has threads of its
+//! own, and nobody waits for them to end.
+
+use std::io;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread;
+
+use crossbeam::channel::{Receiver, Sender, bounded};
+use rayon::ThreadPoolBuilder;
+
+use crate::pipeline::{
+    Frame, FrameError, LevelSetSkinning, Observer, OnError, Outcome, OutputStates, PipelineOptions, Stage,
+    StepsFoundBy, stream,
+};
+use crate::watch::board::Board;
+use crate::watch::config::Config;
+use crate::watch::core::events::{Event, Finished};
+use crate::watch::core::frames::FrameId;
+use crate::watch::journal::OutputRecord;
+
+use super::mounts::free_bytes;
+use super::output_dir::OutputGuard;
+
+/// A frame to convert, and what is known of the outputs that it has.
+pub(in crate::watch) struct Start {
+    pub(in crate::watch) id: FrameId,
+    pub(in crate::watch) frame: Box<Frame>,
+    pub(in crate::watch) known_outputs: Vec<OutputRecord>,
+}
+
+/// What all pipelines have in common.
+#[derive(Clone)]
+pub(in crate::watch) struct Surroundings {
+    pub(in crate::watch) config: Arc<Config>,
+    pub(in crate::watch) board: Option<Arc<Board>>,
+    /// The folder of outputs of each root, and its index.
+    pub(in crate::watch) outputs: Arc<Vec<(usize, Arc<OutputGuard>)>>,
+    pub(in crate::watch) events: Sender<Event>,
+}
+
+/// Starts a pipeline. It asks for frames by [`Event::FrameWanted`], and ends when the sender that is returned is dropped.
+///
+/// # Errors
+/// When the system has no more threads.
+pub(in crate::watch) fn start(index: usize, surroundings: Surroundings) -> io::Result<Sender<Start>> {
+    let pool = ThreadPoolBuilder::new()
+        .num_threads(surroundings.config.threads)
+        .thread_name(|index| format!("compute {index}"))
+        .build()
+        .map_err(io::Error::other)?;
+    let (sender, frames) = bounded(1);
+    thread::Builder::new().name(format!("pipeline {index}")).spawn(move || {
+        // Whatever ends it: the core must know.
+        let _ended = Ended(index, surroundings.events.clone());
+        run(index, &pool, &frames, &surroundings);
+    })?;
+    Ok(sender)
+}
+
+struct Ended(usize, Sender<Event>);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        // Nobody listens only when the daemon has ended.
+        let _ = self.1.send(Event::PipelineEnded { pipeline: self.0 });
+    }
+}
+
+fn run(
+    index: usize,
+    pool: &rayon::ThreadPool,
+    frames: &Receiver<Start>,
+    Surroundings { config, board, outputs, events }: &Surroundings,
+) {
+    let mirrors: Vec<PathBuf> = outputs.iter().map(|(_, guard)| guard.folder.clone()).collect();
+    let output_states = OutputStates::default();
+    let options = PipelineOptions {
+        pool,
+        on_error: OnError::Continue,
+        skip_done: true,
+        certificates: false,
+        in_flight: config.in_flight,
+        memory_bytes: config.memory_bytes,
+        // There is a thread for that.
+        steps_found_by: StepsFoundBy::Another,
+        mirrors: &mirrors,
+        output_states: Some(&output_states),
+        observer: board.as_ref().map(|board| &**board as &dyn Observer),
+    };
+    let next = || {
+        loop {
+            events.send(Event::FrameWanted { pipeline: index }).ok()?;
+            let Start { id, frame, known_outputs } = frames.recv().ok()?;
+            let (output, guard) = &outputs[id.root];
+            // Asked at the last moment: nothing is written into what is in the place of a folder that is not mounted.
+            if !guard.may_begin() {
+                let found = guard.check(*output);
+                events.send(Event::FrameReturned { id, frame, found }).ok()?;
+                continue;
+            }
+            for output in known_outputs {
+                if let Some(state) = output.state {
+                    output_states.put(&output.path, state);
+                }
+            }
+            return Some((id, *frame));
+        }
+    };
+    stream(&LevelSetSkinning, next, &options, |id, frame, outcome| {
+        let finished = finished(id, &frame, outcome, &output_states);
+        // Nobody listens only when the daemon has ended.
+        let _ = events.send(Event::FrameFinished(Box::new(finished)));
+    });
+}
+
+impl Observer for Board {
+    fn began(&self, frame: &Frame, stage: Stage) {
+        self.stage_began(&frame.outputs.folder.join(&frame.stem), stage);
+    }
+}
+
+fn finished(id: FrameId, frame: &Frame, outcome: Outcome, output_states: &OutputStates) -> Finished {
+    let outputs = match &outcome {
+        Outcome::Converted(report) => {
+            let outputs = report.outputs.iter().zip(&report.output_bytes);
+            let record = |(path, &size_bytes): (&PathBuf, &u64)| OutputRecord {
+                path: path.clone(),
+                size_bytes,
+                state: output_states.take(path),
+            };
+            outputs.map(record).collect()
+        }
+        Outcome::AlreadyDone { .. } => {
+            let record = |path: PathBuf| {
+                let state = output_states.take(&path);
+                OutputRecord { path, size_bytes: state.map_or(0, |state| state.stamp.size), state }
+            };
+            frame.output_paths().into_iter().map(record).collect()
+        }
+        Outcome::Changed | Outcome::Failed(_) | Outcome::NotStarted => Vec::new(),
+    };
+    let free_bytes = match &outcome {
+        Outcome::Failed(error) if error.is_disk_full() => free_bytes_at(error),
+        _ => None,
+    };
+    Finished { id, outputs, outcome, free_bytes }
+}
+
+fn free_bytes_at(error: &FrameError) -> Option<u64> {
+    free_bytes(error.path.parent()?).ok()
+}

@@ -1,0 +1,47 @@
+//! The thread of a root for what takes long: measuring sequences, and going through files for their steps. Meanwhile the
+//! root's other thread goes on looking.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+
+use crossbeam::channel::{Sender, unbounded};
+use rayon::ThreadPoolBuilder;
+
+use crate::watch::core::events::{Event, RootRequest};
+
+use super::find_steps::find_steps;
+use super::measure::measure;
+
+/// Starts the thread; it ends when the sender that is returned is dropped, and `is_over` is set.
+///
+/// # Errors
+/// When the system has no more threads.
+pub(super) fn spawn(
+    name: &str,
+    threads: usize,
+    is_over: Arc<AtomicBool>,
+    events: Sender<Event>,
+) -> io::Result<Sender<RootRequest>> {
+    let (sender, requests) = unbounded();
+    thread::Builder::new().name(name.to_owned()).spawn(move || {
+        for request in requests {
+            if is_over.load(Ordering::Relaxed) {
+                return;
+            }
+            let event = match request {
+                RootRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
+                // In threads of its own: those of the pipeline must not hang with a file.
+                RootRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
+                    Ok(pool) => Event::Measured(pool.install(|| measure(*order))),
+                    Err(_) => Event::Measured(measure(*order)),
+                },
+                RootRequest::Inspect(_) | RootRequest::Scan | RootRequest::StampObstacles(_) => continue,
+            };
+            // Nobody listens only when the daemon has ended.
+            let _ = events.send(event);
+        }
+    })?;
+    Ok(sender)
+}

@@ -1,0 +1,142 @@
+//! Opens the folders, and starts the threads that look after them.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Weak};
+use std::time::Instant;
+
+use crossbeam::channel::Sender;
+
+use crate::pipeline::ObstacleFiles;
+use crate::watch::api::DaemonError;
+use crate::watch::board::Board;
+use crate::watch::config::Config;
+use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, Worker};
+use crate::watch::core::state::Core;
+use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
+
+use super::canonical_path::known_path;
+use super::fs_events::Watcher;
+use super::lock::host_name;
+use super::output_dir::{OutputGuard, open_outputs};
+use super::pipeline::Surroundings;
+use super::root::Root;
+use super::selection::Selection;
+use super::slow;
+use super::worker::{Pulse, StallMonitor, spawn};
+
+/// The threads that do I/O. They end when this is dropped, those that hang when they no longer do.
+pub(in crate::watch) struct Workers {
+    pub(in crate::watch) roots: Vec<Sender<RootRequest>>,
+    /// Of each root, for what takes long.
+    pub(in crate::watch) slow: Vec<Sender<RootRequest>>,
+    pub(in crate::watch) outputs: Vec<Sender<OutputRequest>>,
+    pub(in crate::watch) monitors: Vec<StallMonitor>,
+    /// What they hold: gone when they have ended.
+    pub(in crate::watch) guards: Vec<Weak<OutputGuard>>,
+    pub(in crate::watch) is_over: Arc<AtomicBool>,
+}
+
+impl Drop for Workers {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Opens all folders of outputs, and starts all workers. Returns the core with what the journals know, too, and what
+/// pipelines need.
+///
+/// # Errors
+/// When a folder of outputs cannot be had, a pattern is invalid, or the system has no more threads.
+pub(in crate::watch) fn start(
+    config: &Arc<Config>,
+    board: Option<Arc<Board>>,
+    events: &Sender<Event>,
+) -> Result<(Core, Workers, Surroundings), DaemonError> {
+    let (outputs, output_of) = open_outputs(config)?;
+    let guards: Vec<Arc<OutputGuard>> = outputs.iter().map(|output| Arc::clone(output.guard())).collect();
+    let folders: Vec<_> = guards.iter().map(|guard| guard.folder.clone()).collect();
+    let obstacles = config.watches.iter().map(|watch| ObstacleFiles::new(watch.obstacles.clone()));
+    let obstacles: Vec<Arc<ObstacleFiles>> = obstacles.map(Arc::new).collect();
+    let mut paths = Vec::new();
+    for watch in &config.watches {
+        let path = known_path(&watch.input).unwrap_or_else(|_| watch.input.clone());
+        let selection = Selection::new(watch.pattern.as_deref(), watch.recursive, folders.clone());
+        paths.push((path, selection.map_err(DaemonError::Pattern)?));
+    }
+    let journals =
+        outputs.iter().map(|output| (output.guard().folder.clone(), output.journal().state().clone()));
+    let roots =
+        paths.iter().zip(&obstacles).map(|((path, _), obstacles)| (path.clone(), Arc::clone(obstacles)));
+    let core = Core::new(
+        Arc::clone(config),
+        identity(),
+        roots.collect(),
+        journals.collect(),
+        output_of.clone(),
+        now(),
+    );
+    let outputs_of_roots = output_of.iter().map(|&output| (output, Arc::clone(&guards[output]))).collect();
+    let surroundings = Surroundings {
+        config: Arc::clone(config),
+        board,
+        outputs: Arc::new(outputs_of_roots),
+        events: events.clone(),
+    };
+    let mut workers = Workers {
+        roots: Vec::new(),
+        slow: Vec::new(),
+        outputs: Vec::new(),
+        monitors: Vec::new(),
+        guards: guards.iter().map(Arc::downgrade).collect(),
+        is_over: Arc::default(),
+    };
+    let failed = |error: std::io::Error| DaemonError::Threads(error.to_string());
+    for (index, output) in outputs.into_iter().enumerate() {
+        let pulse = workers.monitor(Worker::Output(index));
+        let sender = spawn(&format!("output {index}"), output, None, pulse, events.clone());
+        workers.outputs.push(sender.map_err(failed)?);
+    }
+    for (index, path_and_selection) in paths.into_iter().enumerate() {
+        // A run that ends when all is done needs no events.
+        let (watcher, hints) = match (!config.once).then(Watcher::new).transpose() {
+            Ok(Some((watcher, hints))) => (Ok(Some(watcher)), Some(hints)),
+            Ok(None) => (Ok(None), None),
+            Err(error) => (Err(error), None),
+        };
+        let pulse = workers.monitor(Worker::Root(index));
+        let guard = Arc::clone(&guards[output_of[index]]);
+        let obstacles = obstacles.clone();
+        let root = Root::new(index, path_and_selection, config, obstacles, guard, watcher, pulse.clone());
+        let sender = spawn(&format!("root {index}"), root, hints, pulse, events.clone());
+        workers.roots.push(sender.map_err(failed)?);
+        let is_over = Arc::clone(&workers.is_over);
+        let sender = slow::spawn(&format!("slow {index}"), config.threads, is_over, events.clone());
+        workers.slow.push(sender.map_err(failed)?);
+    }
+    Ok((core, workers, surroundings))
+}
+
+impl Workers {
+    /// The pulse of a worker that is watched from now on.
+    pub(in crate::watch) fn monitor(&mut self, worker: Worker) -> Pulse {
+        let pulse = Pulse::default();
+        self.monitors.push(StallMonitor::new(worker, pulse.clone(), Instant::now()));
+        pulse
+    }
+}
+
+/// Which daemon this is.
+fn identity() -> DaemonRecord {
+    DaemonRecord {
+        pid: std::process::id(),
+        host: host_name(),
+        started_ms: now_ms(),
+        state: DaemonState::Running,
+        at_ms: now_ms(),
+    }
+}
+
+/// The time.
+pub(in crate::watch) fn now() -> Now {
+    Now { at: Instant::now(), unix_ms: now_ms() }
+}

@@ -1,0 +1,155 @@
+//! A thread that does I/O for the core: requests in, events out. If its file system hangs, it hangs alone.
+//!
+//! ```text
+//!   core ──requests──▶ ┌────────┐ ──events──▶ core
+//!   system ──hints───▶ │ worker │
+//!   time ────────────▶ └────────┘ ──pulse───▶ the event loop sees whether it is stuck
+//! ```
+
+use std::collections::HashSet;
+use std::hash::Hash;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
+
+use crate::watch::core::events::{Event, Worker};
+use crate::watch::core::state::STALL_AFTER;
+
+/// What a worker does. Any of it may block for as long as the file system does.
+pub(in crate::watch) trait Work: Send {
+    /// What the core asks for.
+    type Request: Send;
+    /// What the system tells.
+    type Hint: Send + Eq + Hash + Clone;
+
+    /// Does what the core asks for.
+    fn handle(&mut self, request: Self::Request, report: &dyn Fn(Event));
+
+    /// Looks where the system says that something has changed.
+    fn hear(&mut self, _hint: Self::Hint, _report: &dyn Fn(Event)) {}
+
+    /// Does what is due by itself.
+    fn on_time(&mut self, report: &dyn Fn(Event));
+
+    /// When something is due next.
+    fn next_time(&self) -> Instant;
+}
+
+/// The life of a worker, for others to see.
+#[derive(Clone, Debug, Default)]
+pub(in crate::watch) struct Pulse(Arc<PulseState>);
+
+#[derive(Debug, Default)]
+struct PulseState {
+    is_busy: AtomicBool,
+    beats: AtomicU64,
+}
+
+impl Pulse {
+    /// The worker makes progress.
+    pub(in crate::watch) fn beat(&self) {
+        self.0.beats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    fn set_busy(&self, is_busy: bool) {
+        self.beat();
+        self.0.is_busy.store(is_busy, Ordering::Relaxed);
+    }
+}
+
+/// Finds out whether a worker is stuck.
+#[derive(Debug)]
+pub(in crate::watch) struct StallMonitor {
+    worker: Worker,
+    pulse: Pulse,
+    beats: u64,
+    since: Instant,
+    has_stalled: bool,
+}
+
+impl StallMonitor {
+    pub(in crate::watch) fn new(worker: Worker, pulse: Pulse, now: Instant) -> StallMonitor {
+        StallMonitor { worker, pulse, beats: 0, since: now, has_stalled: false }
+    }
+
+    /// Tells if the worker has stalled, or answers again.
+    pub(in crate::watch) fn check(&mut self, now: Instant) -> Option<Event> {
+        let PulseState { is_busy, beats } = &*self.pulse.0;
+        let (is_busy, beats) = (is_busy.load(Ordering::Relaxed), beats.load(Ordering::Relaxed));
+        if beats != self.beats || !is_busy {
+            (self.beats, self.since) = (beats, now);
+        }
+        let has_stalled = now.saturating_duration_since(self.since) >= STALL_AFTER;
+        if std::mem::replace(&mut self.has_stalled, has_stalled) == has_stalled {
+            return None;
+        }
+        Some(match has_stalled {
+            true => Event::WorkerStalled(self.worker),
+            false => Event::WorkerAnswered(self.worker),
+        })
+    }
+}
+
+/// So many hints are taken at once: equal ones are looked at once.
+const HINTS_PER_TURN: usize = 4096;
+
+/// Starts a worker. It ends when the sender that is returned is dropped, as soon as it does not hang.
+///
+/// # Errors
+/// When the system has no more threads.
+pub(in crate::watch) fn spawn<W: Work + 'static>(
+    name: &str,
+    mut work: W,
+    hints: Option<Receiver<W::Hint>>,
+    pulse: Pulse,
+    events: Sender<Event>,
+) -> io::Result<Sender<W::Request>> {
+    let (sender, requests) = unbounded::<W::Request>();
+    let run = move || {
+        // Nobody listens only when the daemon has ended.
+        let report = |event| drop(events.send(event));
+        let mut hints = hints.unwrap_or_else(never);
+        loop {
+            let wait = work.next_time().saturating_duration_since(Instant::now()).min(IDLE_MAX);
+            pulse.set_busy(false);
+            select! {
+                recv(requests) -> request => match request {
+                    Ok(request) => {
+                        pulse.set_busy(true);
+                        work.handle(request, &report);
+                    }
+                    Err(_) => return,
+                },
+                recv(hints) -> hint => match hint {
+                    Ok(first) => {
+                        pulse.set_busy(true);
+                        let mut known = HashSet::new();
+                        let rest: Vec<W::Hint> = hints.try_iter().take(HINTS_PER_TURN).collect();
+                        for hint in std::iter::once(first).chain(rest) {
+                            pulse.beat();
+                            if known.insert(hint.clone()) {
+                                work.hear(hint, &report);
+                            }
+                        }
+                    }
+                    // Scans will do.
+                    Err(_) => hints = never(),
+                },
+                default(wait) => {}
+            }
+            if work.next_time() <= Instant::now() {
+                pulse.set_busy(true);
+                work.on_time(&report);
+            }
+        }
+    };
+    thread::Builder::new().name(name.to_owned()).spawn(run)?;
+    Ok(sender)
+}
+
+/// The longest wait at a time.
+const IDLE_MAX: Duration = Duration::from_secs(3600);

@@ -1,0 +1,116 @@
+//! A file server that stops answering in the middle of a run: its own folder waits, and nothing else does.
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use tempfile::tempdir;
+
+use crate::fuse::Mount;
+use crate::mounts::with_own_mounts;
+use crate::scene::{Daemon, block_ply, frame_names, land, land_sequence, message, tell};
+
+/// Two folders; events of the second are heard, and the first, as all of its kind, is scanned often.
+const CONFIG: &str = r#"
+[daemon]
+log = "json"
+listen = "127.0.0.1:0"
+settle = "50ms"
+rescan = "1h"
+poll = "200ms"
+disk_floor = "0B"
+stop_deadline = "2s"
+
+[[watch]]
+input = "hanging"
+output = "out/hanging"
+
+[[watch]]
+input = "sound"
+output = "out/sound"
+"#;
+
+/// More time than a folder that hangs may take from others.
+const SOON: Duration = Duration::from_secs(60);
+
+#[test]
+fn a_file_system_that_hangs_holds_up_its_own_folder_only() {
+    with_own_mounts("hangs::a_file_system_that_hangs_holds_up_its_own_folder_only", || {
+        let folder = tempdir().expect("a folder");
+        let [disk, hanging, sound] = ["disk", "hanging", "sound"].map(|name| folder.path().join(name));
+        for path in [&disk, &hanging, &sound] {
+            fs::create_dir(path).expect("made");
+        }
+        fs::write(folder.path().join("meniscus.toml"), CONFIG).expect("written");
+        let Some(mount) = Mount::new(&disk, &hanging) else {
+            return tell("a file system that hangs: SKIPPED, there is no /dev/fuse");
+        };
+        land_sequence(&disk, 1, 3, 5);
+        land_drops(&sound, 1, 2);
+        let mut daemon = Daemon::start_watched(folder.path(), &["--config", "meniscus.toml"]);
+        daemon.until_converted(&frame_names(1, 3));
+        daemon.until_converted(&drops(1, 2));
+        let address = daemon.window_address();
+
+        // In the middle of a run: some of these are read, others wait.
+        land_sequence(&disk, 4, 60, 12);
+        daemon.until_converted(&frame_names(4, 4));
+        mount.stop();
+        let since = Instant::now();
+        land_drops(&sound, 3, 6);
+        daemon.until_converted(&drops(3, 6));
+        assert!(since.elapsed() < SOON, "the other folder waited for {:?}", since.elapsed());
+        daemon.until("it says which folder hangs", |daemon| daemon.has_status("hanging is unavailable"));
+        assert_eq!(daemon.count_logged("has not answered"), 1);
+        assert!(get(&address, "/api/status").contains("does not answer"));
+        let signs = daemon.signs_of_life();
+        daemon.listen_for(Duration::from_secs(5));
+        assert!(daemon.signs_of_life() >= signs + 3, "it gives no signs of life");
+
+        // What was held up goes on where it was.
+        mount.go_on();
+        daemon.until_converted(&frame_names(4, 60));
+        daemon.until("it is there again", |daemon| !daemon.has_status("is unavailable"));
+        let mut converted = daemon.converted();
+        converted.sort();
+        let mut wanted = [frame_names(1, 60), drops(1, 6)].concat();
+        wanted.sort();
+        assert_eq!(converted, wanted, "each once");
+
+        // It ends when asked, also with frames under way that hang.
+        land_sequence(&disk, 61, 90, 12);
+        daemon.until_converted(&frame_names(61, 61));
+        mount.stop();
+        daemon.listen_for(Duration::from_secs(1));
+        let since = Instant::now();
+        daemon.signal("TERM");
+        daemon.until_ended();
+        assert!(since.elapsed() < SOON, "it ended after {:?}", since.elapsed());
+        assert!(!daemon.log.iter().any(|line| message(line).contains("panicked")));
+        drop(mount);
+    });
+}
+
+/// The names of frames of the folder that does not hang.
+fn drops(first: usize, last: usize) -> Vec<String> {
+    (first..=last).map(|number| format!("drop.{number}.ply")).collect()
+}
+
+fn land_drops(folder: &Path, first: usize, last: usize) {
+    for (name, number) in drops(first, last).iter().zip(first..) {
+        land(folder, name, &block_ply(5, 0.025 * number as f32));
+    }
+}
+
+/// What the status page answers.
+fn get(address: &str, path: &str) -> String {
+    let mut stream = TcpStream::connect(address).expect("it listens");
+    stream.set_read_timeout(Some(SOON)).expect("a timeout");
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("sent");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("an answer");
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    answer
+}
