@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use meniscus::pipeline::{
-    Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, Wanted,
+    Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, PipelineOptions, Wanted,
     encode_level_set, mesh_view, parse_particles, read_file, run, write_whole,
 };
 use meniscus::surface::options::{Choices, Settings};
@@ -92,7 +92,7 @@ fn block(edge_count: usize, number: usize) -> Vec<[f32; 3]> {
 fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn Error>> {
     let start = Instant::now();
     let mut first = None;
-    let conduct = Conduct { memory_bytes: u64::MAX, ..Conduct::new(pool) };
+    let conduct = PipelineOptions { memory_bytes: u64::MAX, ..PipelineOptions::new(pool) };
     let mut failures = Vec::new();
     run(&LevelSetSkinning, frames, &conduct, |index, outcome| {
         first.get_or_insert_with(|| start.elapsed().as_secs_f64());

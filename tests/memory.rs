@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    Conduct, Frame, LevelSetSkinning, ObstacleFiles, Outcome, OutputFormat, OutputOptions, run,
+    Frame, Job, LevelSetSkinning, ObstacleFiles, Outcome, OutputFormat, OutputOptions, PipelineOptions, run,
 };
 use meniscus::surface::options::{Choices, ClipBox, Settings};
 use meniscus_formats::{ParticleFrame, Positions, bgeo};
@@ -60,6 +60,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
     });
     let frames: Vec<Frame> = (0..frame_count)
         .map(|number| Frame {
+            job: Job::Surface,
             input: inputs[number % inputs.len()].clone(),
             stem: number.to_string(),
             settings: settings[number / 2 % 2].clone(),
@@ -70,7 +71,7 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct = Conduct { in_flight: 8, memory_bytes, ..Conduct::new(&pool) };
+    let conduct = PipelineOptions { in_flight: 8, memory_bytes, ..PipelineOptions::new(&pool) };
     run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
         let Outcome::Converted(mut report) = outcome else { panic!("frame {index}: {outcome:?}") };
         // Spray that is full of holes is told of.

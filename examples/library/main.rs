@@ -15,7 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use meniscus::pipeline::{
-    self, Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions,
+    self, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, PipelineOptions,
 };
 use meniscus::surface::options::{Choices, Settings};
 use meniscus::surface::skin::skin;
@@ -67,7 +67,7 @@ pub(crate) fn skin_folder(from: &Path, to: &Path) -> Result<usize, Box<dyn Error
     }
     let pool = ThreadPoolBuilder::new().build()?;
     let mut failures = Vec::new();
-    pipeline::run(&LevelSetSkinning, &frames, &Conduct::new(&pool), |_, outcome| {
+    pipeline::run(&LevelSetSkinning, &frames, &PipelineOptions::new(&pool), |_, outcome| {
         if let Outcome::Failed(error) = outcome {
             failures.push(error.to_string());
         }

@@ -10,26 +10,26 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
-    Conduct, Frame, FrameState, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
+    Frame, FrameState, Job, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
     check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
 use crate::surface::simd::level_warning;
 
 use super::Verdict;
-use super::args::{ConvertArgs, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs};
+use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs};
 use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
 use super::console::Console;
 use super::destination::Destination;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::{self, OutFolder};
-use super::output_records::OutputRecords;
-use super::particles_only::write_particles;
 use super::print_settings::print_settings;
 use super::quantities::memory_bytes;
-use super::resolving::{Resolved, resolve_settings};
-use super::resurfacing::{are_level_sets, convert_level_sets};
-use super::run::{Run, Way};
-use super::selecting::{SelectedSequence, Selection, refuse_conflicts, refuse_report_of_plan, select_frames};
+use super::resolving::Resolved;
+use super::resurfacing::{refuse, refuse_of_particles, resolve_job, surface_job};
+use super::run::{Batch, RunOptions};
+use super::selecting::{
+    SelectedSequence, Selection, refuse_conflicts, refuse_level_sets, refuse_report_of_plan, select_frames,
+};
 use super::sequence::Shots;
 use super::standard_input::StandardInput;
 use super::wording::counted;
@@ -58,30 +58,29 @@ fn convert_to(
 ) -> Result<Verdict> {
     refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
     if args.particles_only {
-        return write_particles(args, destination, start, console);
+        refuse_beside_particles(args)?;
     }
     if args.print_settings && args.inputs.is_empty() {
         return print_settings(&[], args, &thread_pool(args.threads)?, console);
     }
     let selection = select(args, destination, console)?;
-    if are_level_sets(&selection, args)? {
-        return convert_level_sets(args, &selection, start, console);
-    }
+    let job = job_of(&selection, args)?;
     let Selection { sequences, found, .. } = selection;
-    // A .usda of the whole sequence says what a unit is, too.
-    let meters_per_unit = args.formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
-    let judged = FormatArgs { meters_per_unit, ..args.formats.clone() };
-    warn_of_ignored(&args.method, args.format.as_deref(), &judged, console);
-    if let Some(warning) = level_warning() {
-        console.warn(format_args!("warning: {warning}"));
+    if job != Job::Particles {
+        // A .usda of the whole sequence says what a unit is, too.
+        let meters_per_unit = args.formats.meters_per_unit.filter(|_| args.shot.sequence_usda.is_none());
+        let judged = FormatArgs { meters_per_unit, ..args.formats.clone() };
+        warn_of_ignored(&args.method, args.format.as_deref(), &judged, console);
+        if let Some(warning) = level_warning() {
+            console.warn(format_args!("warning: {warning}"));
+        }
     }
     if args.print_settings {
         let sequences: Vec<&Sequence> = sequences.iter().map(|selected| &selected.sequence).collect();
         return print_settings(&sequences, args, &thread_pool(args.threads)?, console);
     }
     let obstacles = Arc::new(obstacle_files(&args.method)?);
-    let folder = args.out.clone().context("--out is missing: the folder for the results")?;
-    let outputs = Arc::new(output_options(folder, args.format.as_deref(), &args.formats));
+    let outputs = Arc::new(outputs_of(args, job)?);
     let out_folder = OutFolder::make(&outputs.folder)?;
     let shots = Shots::asked_for(&args.shot, &outputs, sequences.len(), args.frames.is_some())?;
     let report = args.report.as_deref();
@@ -90,28 +89,77 @@ fn convert_to(
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;
 
-    let mut run = Run::new(pool.current_num_threads(), on_error(args), args.allow_violations);
+    let mut batch = Batch::new(pool.current_num_threads(), on_error(args), args.allow_violations);
     for sequence in &sequences {
-        let resolved = resolve_settings(sequence, &args.method, &outputs, &pool, console)?;
-        add(&mut run, sequence, resolved, &obstacles);
+        let resolved = resolve_job(sequence, job, &args.method, &outputs, &pool, console)?;
+        add(&mut batch, sequence, job, resolved, &obstacles);
     }
     out_folder.keep();
-    let way = Way { skip_done: args.skip_done, certificates: false, memory_bytes, pool: &pool };
-    run.convert(&way, console);
-    let (frames, frame_count) = (run.shot_frames().to_vec(), run.frame_count());
-    let verdict = run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console);
+    let options = RunOptions { skip_done: args.skip_done, certificates: false, memory_bytes, pool: &pool };
+    batch.convert(&options, console);
+    let (frames, frame_count) = (batch.shot_frames().to_vec(), batch.frame_count());
+    let verdict = batch.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console);
     Ok(pool.install(|| shots.write((&frames, frame_count), verdict, console)))
+}
+
+/// What is made of the selected files.
+///
+/// # Errors
+/// When they are of several kinds, or options do not apply to them.
+fn job_of(selection: &Selection, args: &ConvertArgs) -> Result<Job> {
+    if args.particles_only {
+        refuse_level_sets(selection, "--particles-only")?;
+        return Ok(Job::Particles);
+    }
+    let job = surface_job(selection, args.band_slack)?;
+    if let Job::LevelSet { slack_voxels, .. } = job {
+        refuse("it is about particles", &[("--print-settings", args.print_settings)])?;
+        refuse_of_particles(&args.method, slack_voxels)?;
+    }
+    Ok(job)
+}
+
+/// What is written: of particles as they are, .ply by default.
+fn outputs_of(args: &ConvertArgs, job: Job) -> Result<OutputOptions> {
+    let folder = args.out.clone().context("--out is missing: the folder for the results")?;
+    let formats = if job == Job::Particles { Some(particle_formats(args)?) } else { args.format.clone() };
+    Ok(output_options(folder, formats.as_deref(), &args.formats))
+}
+
+/// The formats for particles as they are.
+fn particle_formats(args: &ConvertArgs) -> Result<Vec<Format>> {
+    let formats = args.format.clone().unwrap_or_else(|| vec![Format::Ply]);
+    if formats.iter().any(|format| !matches!(format, Format::Ply | Format::Vtp)) {
+        bail!("--particles-only writes ply and vtp: the other formats are of surfaces");
+    }
+    Ok(formats)
+}
+
+/// Refuses what is about surfaces.
+fn refuse_beside_particles(args: &ConvertArgs) -> Result<()> {
+    let ConvertArgs { report, plan, band_slack, print_settings, method, formats, shot, .. } = args;
+    let is_alone = report.is_none()
+        && band_slack.is_none()
+        && plan.is_none()
+        && !print_settings
+        && *method == MethodArgs::default()
+        && *formats == FormatArgs::default()
+        && *shot == ShotArgs::default();
+    if !is_alone {
+        bail!(
+            "--particles-only writes particles as they are: beside it only INPUT, --out, --format, --frames, --skip-done, \
+             --threads, --memory and --on-error may be given; what is about surfaces, their files and reports makes no sense \
+             with it"
+        );
+    }
+    particle_formats(args).map(|_| ())
 }
 
 /// The frames to convert.
 ///
 /// # Errors
 /// When there are none, or several for one file, or when paths could not be read and the first failure is to be the end.
-pub(super) fn select(
-    args: &ConvertArgs,
-    destination: &Destination,
-    console: &mut Console,
-) -> Result<Selection> {
+fn select(args: &ConvertArgs, destination: &Destination, console: &mut Console) -> Result<Selection> {
     let mut selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
     if console.failed_count() > 0 && args.on_error == OnErrorChoice::Stop {
         bail!("nothing is converted, because of --on-error stop: make the paths above readable");
@@ -138,21 +186,6 @@ fn refuse_shots(
     Ok(())
 }
 
-/// How files that are converted by themselves, and not as frames of a sequence, go through.
-pub(super) fn conduct<'a>(
-    args: &ConvertArgs,
-    pool: &'a ThreadPool,
-    records: Option<&'a OutputRecords>,
-) -> Result<Conduct<'a>> {
-    Ok(Conduct {
-        output_states: records.map(OutputRecords::states),
-        on_error: on_error(args),
-        skip_done: args.skip_done,
-        memory_bytes: memory_bytes(args.memory)?,
-        ..Conduct::new(pool)
-    })
-}
-
 fn on_error(args: &ConvertArgs) -> OnError {
     match args.on_error {
         OnErrorChoice::Stop => OnError::Stop,
@@ -160,27 +193,29 @@ fn on_error(args: &ConvertArgs) -> OnError {
     }
 }
 
-/// Adds the frames of a sequence to a run.
+/// Adds the frames of a sequence to a batch.
 fn add(
-    run: &mut Run,
+    batch: &mut Batch,
     SelectedSequence { sequence, selected }: &SelectedSequence,
+    job: Job,
     resolved: Result<Resolved, String>,
     obstacles: &Arc<ObstacleFiles>,
 ) {
     let name = &sequence.name;
     let record = match &resolved {
         Ok(Resolved { settings, measured, outputs }) => {
-            SequenceRecord::new(name, settings, measured.as_ref(), (outputs, obstacles))
+            SequenceRecord::new(name, &job, settings, measured.as_ref(), (outputs, obstacles))
         }
         Err(why) => SequenceRecord::without_settings(name, why),
     };
-    let sequence_index = run.add_sequence(name, record);
+    let sequence_index = batch.add_sequence(name, record);
     for file in selected {
         let frame = |Resolved { settings, outputs, .. }: &Resolved| Frame {
+            job,
             obstacles: Arc::clone(obstacles),
             ..Frame::new(file, settings, outputs)
         };
-        run.add_frame(&file.path, sequence_index, resolved.as_ref().map(frame).map_err(String::clone));
+        batch.add_frame(&file.path, sequence_index, resolved.as_ref().map(frame).map_err(String::clone));
     }
 }
 
@@ -217,12 +252,17 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
     let pool = thread_pool(args.threads)?;
     let memory_bytes = memory_bytes(args.memory)?;
 
-    let mut run = Run::new(pool.current_num_threads(), on_error(args), args.allow_violations);
+    let mut batch = Batch::new(pool.current_num_threads(), on_error(args), args.allow_violations);
     for sequence in &plan.sequences {
         let files = (&*sequence.outputs, &*obstacles);
-        let record =
-            SequenceRecord::new(&sequence.name, &sequence.settings, sequence.measured.as_ref(), files);
-        run.add_sequence(&sequence.name, record);
+        let record = SequenceRecord::new(
+            &sequence.name,
+            &sequence.job,
+            &sequence.settings,
+            sequence.measured.as_ref(),
+            files,
+        );
+        batch.add_sequence(&sequence.name, record);
     }
     // Whether a result would replace another shard's input the plan was asked already, by name: looking at all
     // files of a shot from each of its shards would keep a file server busy.
@@ -247,13 +287,14 @@ fn convert_shard(args: &ConvertArgs, path: &Path, start: Instant, console: &mut 
                 "{}: done already; what it was made from is not there any more",
                 planned.stem
             ));
-            run.add_done(frame, planned.sequence, fault);
+            batch.add_done(frame, planned.sequence, fault);
             continue;
         }
-        run.add_frame(&planned.input, planned.sequence, Ok(frame));
+        batch.add_frame(&planned.input, planned.sequence, Ok(frame));
     }
-    run.convert(&Way { skip_done: true, certificates: true, memory_bytes, pool: &pool }, console);
-    Ok(run.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console))
+    let options = RunOptions { skip_done: true, certificates: true, memory_bytes, pool: &pool };
+    batch.convert(&options, console);
+    Ok(batch.finish(args.report.as_deref(), start.elapsed().as_secs_f64(), console))
 }
 
 /// Of a frame that cannot be made again, its input or an obstacle being gone, and need not be, as `verify` sees it: what its

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, anyhow, bail};
 
 use crate::farm::{Plan, PlannedFrame, PlannedSequence, deal};
-use crate::pipeline::{FrameFile, file_of, size_bytes};
+use crate::pipeline::{FrameFile, Job, file_of, size_bytes};
 use crate::surface::simd::level_warning;
 
 use super::Verdict;
@@ -18,8 +18,9 @@ use super::destination::refuse_file_name;
 use super::frame_selection::gaps;
 use super::interrupt::clean_up_when_interrupted;
 use super::out_folder::OutFolder;
-use super::resolving::{Resolved, resolve_settings};
-use super::selecting::{Selection, refuse_conflicts, refuse_level_sets, select_frames};
+use super::resolving::Resolved;
+use super::resurfacing::{refuse_of_particles, resolve_job, surface_job};
+use super::selecting::{Selection, refuse_conflicts, select_frames};
 use super::wording::{counted, counted_are};
 
 /// Writes the plan that the arguments ask for.
@@ -31,7 +32,10 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     refuse_idle_quantize(args.format.as_deref(), &args.formats)?;
     refuse_file_name(&args.out)?;
     let selection = select_frames(&args.inputs, args.frames.as_ref(), &args.method, console)?;
-    refuse_level_sets(&selection, "`meniscus plan`")?;
+    let job = surface_job(&selection, args.band_slack)?;
+    if let Job::LevelSet { slack_voxels, .. } = job {
+        refuse_of_particles(&args.method, slack_voxels)?;
+    }
     if !selection.is_complete {
         bail!(
             "no plan is written, because it would lack frames: make the paths above readable, then plan again"
@@ -58,7 +62,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
     };
     for selected in &sequences {
         let name = &selected.sequence.name;
-        let resolved = resolve_settings(selected, &args.method, &outputs, &pool, console)?;
+        let resolved = resolve_job(selected, job, &args.method, &outputs, &pool, console)?;
         let Resolved { settings, measured, outputs } = resolved.map_err(|why| anyhow!("{name}: {why}"))?;
         let measured = measured.map(|mut measured| {
             measured.measured_on = whole(&measured.measured_on)?;
@@ -76,6 +80,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
         }
         plan.sequences.push(PlannedSequence {
             name: name.clone(),
+            job,
             settings,
             measured: measured.transpose()?,
             outputs: Arc::clone(&outputs),

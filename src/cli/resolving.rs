@@ -96,7 +96,10 @@ pub(super) struct Resolved {
 }
 
 /// What is written of the frames of a sequence: all its pictures have the same camera, whichever are converted.
-fn outputs_of(
+///
+/// # Errors
+/// When none of the frames by which a camera is placed can be read.
+pub(super) fn outputs_of(
     sequence: &Sequence,
     settings: &Settings,
     outputs: &OutputOptions,

@@ -1,32 +1,24 @@
-//! `meniscus convert` of level sets in .vdb: contoured as they are, or smoothed within --band-slack.
+//! Level sets in .vdb as inputs: contoured as they are, or smoothed within --band-slack.
 
 use std::sync::Arc;
-use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use rayon::ThreadPool;
 
-use crate::pipeline::{BandToSurface, FrameReport, is_level_set, resurface_all};
-use crate::surface::options::{Choices, Preset, Settings};
-use crate::surface::simd::level_warning;
+use crate::pipeline::{Job, OutputOptions, is_level_set};
+use crate::surface::options::{Choices, Settings};
 
-use super::Verdict;
-use super::args::{
-    ConvertArgs, FirstArgs, MethodArgs, ObstacleArgs, ParticleArgs, ShotArgs, SolverArgs, SurfaceArgs,
-};
-use super::choices::{choices, obstacle_files, output_options, warn_of_ignored};
+use super::args::{FirstArgs, MethodArgs, ObstacleArgs, ParticleArgs, SolverArgs, SurfaceArgs};
+use super::choices::choices;
 use super::console::Console;
-use super::convert::{conduct, thread_pool};
-use super::out_folder::OutFolder;
-use super::output_records::OutputRecords;
-use super::selecting::{Selection, refuse_conflicts};
-use super::tally::Tally;
-use super::wording::counted;
+use super::resolving::{Resolved, outputs_of, resolve_settings};
+use super::selecting::{SelectedSequence, Selection};
 
-/// Whether the inputs are level sets, and no particles.
+/// How the selected files become surfaces, which are level sets or particles.
 ///
 /// # Errors
-/// When they are both.
-pub(super) fn are_level_sets(selection: &Selection, args: &ConvertArgs) -> Result<bool> {
+/// When they are both, or there is a slack for particles.
+pub(super) fn surface_job(selection: &Selection, band_slack: Option<f64>) -> Result<Job> {
     let mut files = selection.sequences.iter().flat_map(|sequence| &sequence.selected);
     let is_one = files.clone().any(|file| is_level_set(&file.path));
     match files.find(|file| is_level_set(&file.path) != is_one) {
@@ -36,89 +28,46 @@ pub(super) fn are_level_sets(selection: &Selection, args: &ConvertArgs) -> Resul
                 other.path.display()
             )
         }
-        _ if !is_one && args.band_slack.is_some() => bail!("--band-slack is for level sets in .vdb"),
-        _ => Ok(is_one),
+        _ if is_one => Ok(Job::level_set(band_slack.unwrap_or(0.0))),
+        _ if band_slack.is_some() => bail!("--band-slack is for level sets in .vdb"),
+        _ => Ok(Job::Surface),
     }
 }
 
-/// Writes the surfaces that the arguments ask for.
+/// What the frames of a sequence share, or why they cannot be converted.
 ///
 /// # Errors
-/// When nothing can be done at all. A file that fails is no error here: it is told, and counted.
-pub(super) fn convert_level_sets(
-    args: &ConvertArgs,
-    Selection { sequences, found, .. }: &Selection,
-    start: Instant,
+/// When the options make no sense for any frame.
+pub(super) fn resolve_job(
+    sequence: &SelectedSequence,
+    job: Job,
+    method: &MethodArgs,
+    outputs: &OutputOptions,
+    pool: &ThreadPool,
     console: &mut Console,
-) -> Result<Verdict> {
-    let slack_voxels = args.band_slack.unwrap_or(0.0);
-    refuse_of_particles(args, slack_voxels)?;
-    warn_of_ignored(&args.method, args.format.as_deref(), &args.formats, console);
-    if let Some(warning) = level_warning() {
-        console.warn(format_args!("warning: {warning}"));
-    }
-    let folder = args.out.clone().context("--out is missing: the folder for the results")?;
-    let outputs = output_options(folder, args.format.as_deref(), &args.formats);
-    let out_folder = OutFolder::make(&outputs.folder)?;
-    refuse_conflicts(sequences, found, &obstacle_files(&args.method)?, &outputs, None)?;
-    let (outputs, choices): (Arc<_>, Choices) = (Arc::new(outputs), choices(&args.method));
-    // What makes no sense with any voxel is no fault of a file.
-    Settings::check(&Choices { preset: Some(Preset::Paper), ..choices.clone() })?;
-    let bands: Vec<BandToSurface> = sequences
-        .iter()
-        .flat_map(|sequence| &sequence.selected)
-        .map(|file| BandToSurface {
-            input: file.path.clone(),
-            stem: file.stem(),
-            choices: choices.clone(),
-            slack_voxels,
-            outputs: Arc::clone(&outputs),
-        })
-        .collect();
-    let pool = thread_pool(args.threads)?;
-    let records = OutputRecords::load([outputs.folder.clone()]);
-    let conduct = conduct(args, &pool, Some(&records))?;
-    out_folder.keep();
-    let mut tally = Tally::of_surfaces(args.allow_violations);
-    let has_bar = console.show_bar(bands.len());
-    let described = |report: &FrameReport| {
-        let mesh = &report.skin.mesh;
-        let of_mesh =
-            format!("{}, {}", counted(mesh.vertex_count, "vertex"), counted(mesh.triangle_count, "triangle"));
-        match report.skin.certificate.holds() {
-            true => of_mesh,
-            false => format!("{of_mesh}; the certificate does not hold: {}", report.skin.certificate.fault()),
-        }
+) -> Result<Result<Resolved, String>> {
+    let settings = match job {
+        Job::Surface => return resolve_settings(sequence, method, outputs, pool, console),
+        Job::LevelSet { .. } => Settings::of_level_sets(&choices(method))?,
+        Job::Particles => Settings::of_level_sets(&Choices::default())?,
     };
-    resurface_all(&bands, &conduct, |index, outcome| {
-        tally.note(&bands[index].input, &outcome, described, (has_bar, console));
-        records.frame_finished();
+    let outputs = pool.install(|| outputs_of(&sequence.sequence, &settings, outputs));
+    let resolved = outputs.map(|outputs| Resolved {
+        settings: Arc::new(settings),
+        measured: None,
+        outputs: Arc::new(outputs),
     });
-    console.hide_bar();
-    records.save(console);
-    Ok(tally.finish(bands.len(), start.elapsed().as_secs_f64(), console))
+    Ok(resolved.map_err(|error| error.to_string()))
 }
 
-/// Refuses what needs particles, what needs a slack where there is none, and what level sets are not converted to.
-fn refuse_of_particles(args: &ConvertArgs, slack_voxels: f64) -> Result<()> {
-    let ShotArgs { sequence_glb, sequence_usda, fps } = &args.shot;
-    refuse_of_surfaces_of_particles(&args.method)?;
-    refuse(
-        "it is about frames of particles; what is made is told on the console",
-        &[("--report", args.report.is_some())],
-    )?;
-    refuse("it is about particles", &[("--print-settings", args.print_settings)])?;
-    refuse(
-        "`meniscus sequence` gathers what is made of it",
-        &[
-            ("--sequence-glb", sequence_glb.is_some()),
-            ("--sequence-usda", sequence_usda.is_some()),
-            ("--fps", fps.is_some()),
-        ],
-    )?;
-    refuse("`meniscus render` takes pictures of it", &[("--preview", args.formats.preview.is_some())])?;
+/// Refuses what needs particles, and what needs a slack where there is none.
+///
+/// # Errors
+/// Which of the options.
+pub(super) fn refuse_of_particles(method: &MethodArgs, slack_voxels: f64) -> Result<()> {
+    refuse_of_surfaces_of_particles(method)?;
     match slack_voxels == 0.0 {
-        true => refuse("without --band-slack it is not smoothed", &of_solver(&args.method.solver)),
+        true => refuse("without --band-slack it is not smoothed", &of_solver(&method.solver)),
         false => Ok(()),
     }
 }
@@ -202,7 +151,10 @@ fn of_solver(solver: &SolverArgs) -> [(&'static str, bool); 6] {
 }
 
 /// Refuses those of the options that are given, by name.
-fn refuse(why: &str, options: &[(&str, bool)]) -> Result<()> {
+///
+/// # Errors
+/// Which.
+pub(super) fn refuse(why: &str, options: &[(&str, bool)]) -> Result<()> {
     let given: Vec<&str> =
         options.iter().filter(|(_, is_given)| *is_given).map(|(option, _)| *option).collect();
     match given.is_empty() {

@@ -1,83 +1,82 @@
-//! Frames through the pipeline: what is told of each, in the order of the inputs, and what came of all.
+//! Frames through the pipeline: their outcomes on the console, in the order of the inputs, and a summary of all.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
 use rayon::ThreadPool;
 
 use crate::pipeline::{
-    self, Conduct, Frame, LevelSetSkinning, OnError, Outcome, OutputFormat, RunRecord, SequenceRecord,
-    ShotSource, gist, keeps_guarantees, notes, output_path, shown, standing_notes, velocity_hint,
+    self, Frame, FrameReport, Job, LevelSetSkinning, OnError, Outcome, OutputFormat, PipelineOptions,
+    RunRecord, SequenceRecord, ShotSource, gist, keeps_guarantees, notes, output_path, shown, standing_notes,
+    velocity_hint,
 };
 
 use super::Verdict;
 use super::console::Console;
 use super::output_records::OutputRecords;
 use super::progress::Progress;
-use super::tally::say_violations;
-use super::wording::{FRAMES_IN_VIEW, counted, described};
+use super::wording::{FRAMES_IN_VIEW, counted, described, failed_validation};
 
-/// A frame that was asked for.
-struct AskedFrame {
+/// A frame of a batch.
+struct BatchItem {
     input: PathBuf,
     /// Its sequence's index in the record.
     sequence_index: usize,
-    work: Work,
+    state: ItemState,
 }
 
 /// What to do with a frame.
-enum Work {
+enum ItemState {
     Convert(Frame),
-    /// Nothing: it is done, and cannot be compared with what it was made from; and what its certificate says does not hold.
-    IsDone(Frame, Option<String>),
-    /// Nothing, for its sequence has no settings, and why.
+    /// Nothing: its outputs are done, and its inputs are gone. If its certificate does not hold, why.
+    Done(Frame, Option<String>),
+    /// Nothing: its sequence has no settings, and why.
     Impossible(String),
 }
 
-/// How frames are converted.
-pub(super) struct Way<'a> {
-    /// Leave alone what is done.
+/// How a batch is converted.
+pub(super) struct RunOptions<'a> {
+    /// Skip frames that are done.
     pub(super) skip_done: bool,
     /// Write certificates beside the outputs.
     pub(super) certificates: bool,
-    /// What frames under way may take together.
+    /// Memory that the frames under way may take together.
     pub(super) memory_bytes: u64,
     /// Where all computing happens.
     pub(super) pool: &'a ThreadPool,
 }
 
-/// The frames on their way, and what became of them.
-pub(super) struct Run {
+/// Frames to convert, and their outcomes.
+pub(super) struct Batch {
     /// In the order of the inputs.
-    planned: Vec<AskedFrame>,
-    /// As many of them, from the first, have an outcome.
+    items: Vec<BatchItem>,
+    /// How many of them, from the first, have an outcome.
     noted_count: usize,
     sequence_names: Vec<String>,
     on_error: OnError,
     record: RunRecord,
     done_count: usize,
-    /// Those among them whose results break a guarantee, and whether that is no failure.
+    /// Frames that are done and break a guarantee, and whether that is a failure.
     broken_count: usize,
     allow_violations: bool,
     not_started_count: usize,
     failures: Vec<String>,
-    /// The gist of what was told of frames, each with its sequence, and how often it was not told again.
-    told: HashSet<(usize, String)>,
-    untold_count: usize,
+    /// How many frames had an outcome before the first failure.
+    failed_first: Option<usize>,
+    /// The gist of each warning that was printed, by sequence, and how many similar ones were not.
+    printed: HashSet<(usize, String)>,
+    suppressed_count: usize,
+    /// Whether the hint at velocities that are not used was printed.
+    is_velocity_hinted: bool,
     /// The .glb of each frame that is done, where there is one.
     shot_frames: Vec<ShotSource>,
-    /// Whether the hint at velocities that are not asked for was printed.
-    is_velocity_told: bool,
-    /// How many frames were noted before the first of these.
-    failed_first: Option<usize>,
 }
 
-impl Run {
-    /// A run that has not begun.
-    pub(super) fn new(thread_count: usize, on_error: OnError, allow_violations: bool) -> Run {
-        Run {
-            planned: Vec::new(),
+impl Batch {
+    /// An empty batch.
+    pub(super) fn new(thread_count: usize, on_error: OnError, allow_violations: bool) -> Batch {
+        Batch {
+            items: Vec::new(),
             noted_count: 0,
             sequence_names: Vec::new(),
             on_error,
@@ -87,11 +86,11 @@ impl Run {
             allow_violations,
             not_started_count: 0,
             failures: Vec::new(),
-            told: HashSet::new(),
-            untold_count: 0,
-            shot_frames: Vec::new(),
-            is_velocity_told: false,
             failed_first: None,
+            printed: HashSet::new(),
+            suppressed_count: 0,
+            is_velocity_hinted: false,
+            shot_frames: Vec::new(),
         }
     }
 
@@ -102,39 +101,35 @@ impl Run {
     }
 
     /// Adds a frame of a sequence, or why it cannot be converted.
-    pub(super) fn add_frame(&mut self, input: &Path, sequence_index: usize, work: Result<Frame, String>) {
-        let work = work.map_or_else(Work::Impossible, Work::Convert);
-        self.planned.push(AskedFrame { input: input.to_owned(), sequence_index, work });
+    pub(super) fn add_frame(&mut self, input: &Path, sequence_index: usize, frame: Result<Frame, String>) {
+        let state = frame.map_or_else(ItemState::Impossible, ItemState::Convert);
+        self.items.push(BatchItem { input: input.to_owned(), sequence_index, state });
     }
 
-    /// Adds a frame that is done, and cannot be compared with what it was made from. `fault` is what its certificate says
-    /// does not hold.
+    /// Adds a frame that is done and whose inputs are gone. `fault` is why its certificate does not hold.
     pub(super) fn add_done(&mut self, frame: Frame, sequence_index: usize, fault: Option<String>) {
-        self.planned.push(AskedFrame {
-            input: frame.input.clone(),
-            sequence_index,
-            work: Work::IsDone(frame, fault),
-        });
+        let input = frame.input.clone();
+        self.items.push(BatchItem { input, sequence_index, state: ItemState::Done(frame, fault) });
     }
 
     /// Converts all frames that were added.
-    pub(super) fn convert(&mut self, way: &Way<'_>, console: &mut Console) {
-        let &Way { skip_done, certificates, memory_bytes, pool } = way;
-        let planned = std::mem::take(&mut self.planned);
+    pub(super) fn convert(&mut self, options: &RunOptions<'_>, console: &mut Console) {
+        let &RunOptions { skip_done, certificates, memory_bytes, pool } = options;
+        let items = std::mem::take(&mut self.items);
         let begin_count = match self.on_error {
-            OnError::Continue => planned.len(),
-            // Nothing behind a frame that is known to fail is begun.
+            OnError::Continue => items.len(),
+            // No frame behind one that is known to fail is begun.
             OnError::Stop => {
-                let is_impossible = |asked: &AskedFrame| matches!(asked.work, Work::Impossible(_));
-                planned.iter().position(is_impossible).unwrap_or(planned.len())
+                let is_impossible = |item: &BatchItem| matches!(item.state, ItemState::Impossible(_));
+                items.iter().position(is_impossible).unwrap_or(items.len())
             }
         };
-        let (places, frames): (Vec<usize>, Vec<Frame>) = planned[..begin_count]
+        let (places, frames): (Vec<usize>, Vec<Frame>) = items[..begin_count]
             .iter()
             .enumerate()
-            .filter_map(|(place, planned)| match &planned.work {
-                Work::Convert(frame) => Some((place, frame.clone())),
-                Work::IsDone(..) | Work::Impossible(_) => None,
+            .filter_map(|(place, item)| match &item.state {
+                ItemState::Convert(frame) => Some((place, frame.clone())),
+                ItemState::Done(..) | ItemState::Impossible(_) => None,
             })
             .unzip();
         // A certificate has the hashes of the outputs, and says what does not hold.
@@ -142,21 +137,21 @@ impl Run {
             .then(|| OutputRecords::load(frames.iter().map(|frame| frame.outputs.folder.clone())));
         let has_bar = console.show_bar(frames.len());
         let progress = Progress::new(frames.len(), pool.current_num_threads(), console.bar());
-        let conduct = Conduct {
+        let options = PipelineOptions {
             on_error: self.on_error,
             skip_done,
             certificates,
             memory_bytes,
             output_states: records.as_ref().map(OutputRecords::states),
             observer: Some(&progress),
-            ..Conduct::new(pool)
+            ..PipelineOptions::new(pool)
         };
-        pipeline::run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
-            // The record and what is told have the order of the inputs.
+        pipeline::run(&LevelSetSkinning, &frames, &options, |index, outcome| {
+            // The record and the console have the order of the inputs.
             let report = if let Outcome::Converted(report) = &outcome { Some(&**report) } else { None };
             progress.finished(&frames[index], report);
-            self.note_without_outcome(&planned[self.noted_count..places[index]], console);
-            self.note(&frames[index], planned[places[index]].sequence_index, &outcome, has_bar, console);
+            self.note_without_outcome(&items[self.noted_count..places[index]], console);
+            self.note(&frames[index], items[places[index]].sequence_index, &outcome, has_bar, console);
             if let Some(records) = &records {
                 records.frame_finished();
             }
@@ -165,22 +160,22 @@ impl Run {
         if let Some(records) = &records {
             records.save(console);
         }
-        self.note_without_outcome(&planned[self.noted_count..], console);
+        self.note_without_outcome(&items[self.noted_count..], console);
     }
 
     /// Notes frames that never went into the pipeline.
-    fn note_without_outcome(&mut self, planned: &[AskedFrame], console: &Console) {
-        let mut told = None;
-        for AskedFrame { input, sequence_index, work } in planned {
+    fn note_without_outcome(&mut self, items: &[BatchItem], console: &Console) {
+        let mut printed = None;
+        for BatchItem { input, sequence_index, state } in items {
             let is_stopped = self.on_error == OnError::Stop && !self.failures.is_empty();
-            match work {
-                Work::IsDone(frame, fault) => {
+            match state {
+                ItemState::Done(frame, fault) => {
                     self.record.add_done(frame, *sequence_index);
                     self.note_done(input, fault.as_deref(), console);
                 }
-                Work::Impossible(why) if !is_stopped => {
+                ItemState::Impossible(why) if !is_stopped => {
                     // It is the same for all frames of a sequence.
-                    if told.replace(*sequence_index) != Some(*sequence_index) {
+                    if printed.replace(*sequence_index) != Some(*sequence_index) {
                         let name = &self.sequence_names[*sequence_index];
                         // What cannot be read is named by its path already.
                         let of = if why.contains(&**name) { String::new() } else { format!("{name}: ") };
@@ -189,13 +184,13 @@ impl Run {
                     self.record.add_failed(input, *sequence_index, why);
                     self.fail(format!("{}: {why}", shown(input)));
                 }
-                Work::Convert(_) | Work::Impossible(_) => {
+                ItemState::Convert(_) | ItemState::Impossible(_) => {
                     self.record.add_not_started(input, *sequence_index);
                     self.not_started_count += 1;
                 }
             }
         }
-        self.noted_count += planned.len();
+        self.noted_count += items.len();
     }
 
     fn note(
@@ -217,23 +212,9 @@ impl Run {
         }
         match outcome {
             Outcome::Converted(report) => {
-                self.done_count += 1;
-                self.broken_count += usize::from(!keeps_guarantees(report));
-                let standing = standing_notes(report).into_iter();
-                let is_new = |note: &String| self.told.insert((sequence_index, gist(note)));
-                let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
-                self.untold_count += known.len();
-                for note in new.into_iter().chain(notes(report)) {
-                    console.warn(format_args!("warning: {name}: {note}"));
-                }
-                // Once is enough.
-                if let Some(velocity) = &report.unused_velocity
-                    && !std::mem::replace(&mut self.is_velocity_told, true)
-                {
-                    console.say(format_args!("note: {}", velocity_hint(velocity)));
-                }
+                self.note_converted(frame, sequence_index, report, console);
                 if !has_bar {
-                    console.say(format_args!("{name}: {}", described(report)));
+                    console.say(format_args!("{name}: {}", described(&frame.job, report)));
                 }
             }
             Outcome::AlreadyDone { fault, .. } => {
@@ -256,7 +237,33 @@ impl Run {
         console.advance_bar();
     }
 
-    /// Notes a frame that was done before.
+    /// Counts a frame that was converted, and prints its warnings.
+    fn note_converted(
+        &mut self,
+        frame: &Frame,
+        sequence_index: usize,
+        report: &FrameReport,
+        console: &mut Console,
+    ) {
+        self.done_count += 1;
+        let has_surface = frame.job != Job::Particles;
+        self.broken_count += usize::from(has_surface && !keeps_guarantees(report));
+        let standing = standing_notes(report).into_iter();
+        let is_new = |note: &String| self.printed.insert((sequence_index, gist(note)));
+        let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
+        self.suppressed_count += known.len();
+        for note in new.into_iter().chain(notes(report)) {
+            console.warn(format_args!("warning: {}: {note}", shown(&frame.input)));
+        }
+        // Once is enough.
+        if let Some(velocity) = &report.unused_velocity
+            && !std::mem::replace(&mut self.is_velocity_hinted, true)
+        {
+            console.say(format_args!("note: {}", velocity_hint(velocity)));
+        }
+    }
+
+    /// Counts a frame that was done before.
     fn note_done(&mut self, input: &Path, fault: Option<&str>, console: &Console) {
         self.done_count += 1;
         if let Some(fault) = fault {
@@ -265,7 +272,7 @@ impl Run {
         }
     }
 
-    /// How many frames have ended, one way or the other.
+    /// How many frames have an outcome.
     pub(super) fn frame_count(&self) -> usize {
         self.noted_count
     }
@@ -280,26 +287,24 @@ impl Run {
         self.failures.push(failure);
     }
 
-    /// The summary, the report and the verdict. A report that cannot be written is told.
+    /// Prints the summary, writes the report, and returns the verdict.
     pub(super) fn finish(self, report: Option<&Path>, seconds: f64, console: &mut Console) -> Verdict {
         let failed_count = self.failures.len();
-        let frames = counted(self.noted_count, "frame");
-        let mut summary = format!("{frames}: {} done", self.done_count);
-        if failed_count > 0 {
-            summary += &format!(", {failed_count} failed");
-        }
-        if self.not_started_count > 0 {
-            summary += &format!(", {} not started", self.not_started_count);
+        let mut summary = format!("{}: {} done", counted(self.noted_count, "frame"), self.done_count);
+        for (count, what) in [(failed_count, "failed"), (self.not_started_count, "not started")] {
+            if count > 0 {
+                summary += &format!(", {count} {what}");
+            }
         }
         console.say(format_args!("{summary}, in {seconds:.2} s"));
-        // An error that was just told is not told again; one of long ago has scrolled away.
+        // An error that was just printed is not repeated; one of long ago has scrolled away.
         if self.failed_first.is_some_and(|first| self.noted_count - first > FRAMES_IN_VIEW) {
             for failure in &self.failures {
                 console.warn(format_args!("failed: {failure}"));
             }
         }
-        if self.untold_count > 0 {
-            let more = counted(self.untold_count, "more warning");
+        if self.suppressed_count > 0 {
+            let more = counted(self.suppressed_count, "more warning");
             console.warn(format_args!("{more} like those of earlier frames: --report has them all"));
         }
         if let Some(path) = report
@@ -310,9 +315,15 @@ impl Run {
             console.warn(format_args!("error: {}: cannot write the report: {error}", path.display()));
             return if self.done_count > 0 { Verdict::SomeFailed } else { Verdict::NothingDone };
         }
-        let details = report.map_or(String::new(), |report| format!(" (see {})", report.display()));
-        let broken = (self.broken_count, self.noted_count);
-        let has_violations = say_violations(broken, &details, self.allow_violations, console);
+        let has_violations = self.broken_count > 0 && !self.allow_violations;
+        if self.broken_count > 0 {
+            let details = report.map_or(String::new(), |report| format!(" (see {})", report.display()));
+            let what = failed_validation(self.broken_count, self.noted_count, &details);
+            match self.allow_violations {
+                true => console.warn(format_args!("warning: {what}")),
+                false => console.warn(format_args!("error: {what}; --allow-violations accepts them")),
+            }
+        }
         Verdict::of(self.done_count, failed_count, has_violations)
     }
 }

@@ -1,14 +1,15 @@
 //! Numbers and measurements in words.
 
-use crate::pipeline::FrameReport;
+use crate::pipeline::{FrameReport, Job};
 pub(in crate::cli) use crate::surface::words::{counted, significant};
 
 /// What was said before more frames than this has scrolled away.
 pub(super) const FRAMES_IN_VIEW: usize = 20;
 
 /// One line about a frame that was converted.
-pub(super) fn described(report: &FrameReport) -> String {
+pub(super) fn described(job: &Job, report: &FrameReport) -> String {
     let skin = &report.skin;
+    let particles = counted(skin.particle_count, "particle");
     let seconds = report.read_seconds
         + skin.seconds.rasterize
         + skin.seconds.smooth
@@ -16,12 +17,16 @@ pub(super) fn described(report: &FrameReport) -> String {
         + skin.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds)
         + report.write_seconds
         + report.preview_seconds;
-    format!(
-        "{}, {}, {}, {seconds:.2} s",
-        counted(skin.particle_count, "particle"),
+    let mesh = format!(
+        "{}, {}",
         counted(skin.mesh.vertex_count, "vertex"),
-        counted(skin.mesh.triangle_count, "triangle"),
-    )
+        counted(skin.mesh.triangle_count, "triangle")
+    );
+    match job {
+        Job::Surface => format!("{particles}, {mesh}, {seconds:.2} s"),
+        Job::LevelSet { .. } => format!("{mesh}, {seconds:.2} s"),
+        Job::Particles => format!("{particles}, {seconds:.2} s"),
+    }
 }
 
 /// An error and what caused it, each once: some say themselves what did.

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::pipeline::{
-    Frame, MeasuredSpacing, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry, file_of,
-    output_path,
+    Frame, Job, MeasuredSpacing, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry,
+    file_of, output_path,
 };
 use crate::surface::options::Settings;
 
@@ -28,7 +28,9 @@ pub struct Plan {
 pub struct PlannedSequence {
     /// What to call it.
     pub name: String,
-    /// Its settings.
+    /// What is made of its frames.
+    pub job: Job,
+    /// Its settings; of level sets, for any voxel size.
     pub settings: Arc<Settings>,
     /// Where the voxel size is from, unless it was given.
     pub measured: Option<MeasuredSpacing>,
@@ -93,6 +95,7 @@ impl Plan {
         let sequence = &self.sequences[planned.sequence];
         Frame {
             input: planned.input.clone(),
+            job: sequence.job,
             stem: planned.stem.clone(),
             settings: Arc::clone(&sequence.settings),
             outputs: Arc::clone(&sequence.outputs),

@@ -19,10 +19,11 @@ use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
-    CameraChoice, GENERATOR_AND_VERSION, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
+    CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
     PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
 };
 use crate::surface::options::{Choices, Settings};
+use crate::surface::skin::SLACK_MAX_VOXELS;
 
 use super::dealing::SHARDS_MAX;
 use super::plan::{Plan, PlannedFrame, PlannedSequence};
@@ -75,6 +76,9 @@ struct SequenceEntry {
     name: String,
     /// By name, as text: see [`Choices::to_pairs`].
     settings: BTreeMap<String, String>,
+    /// Of level sets: by how many voxels smoothing may move their surfaces.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    band_slack: Option<String>,
     /// Where pictures are written.
     camera: Option<String>,
     /// Where the particle spacing was measured.
@@ -305,7 +309,7 @@ impl Outputs {
 
 impl SequenceEntry {
     fn of(sequence: &PlannedSequence) -> Result<SequenceEntry, PlanError> {
-        let PlannedSequence { name, settings, measured, outputs } = sequence;
+        let PlannedSequence { name, job, settings, measured, outputs } = sequence;
         let measured = measured.as_ref().map(|measured| {
             Ok(Measured {
                 on: text(&measured.measured_on)?,
@@ -319,6 +323,10 @@ impl SequenceEntry {
         Ok(SequenceEntry {
             name: name.clone(),
             settings: pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
+            band_slack: match job {
+                Job::LevelSet { slack_voxels, .. } => Some(slack_voxels.to_string()),
+                Job::Surface | Job::Particles => None,
+            },
             camera: has_pictures.then(|| outputs.picture.camera.to_string()),
             measured: measured.transpose()?,
         })
@@ -328,8 +336,13 @@ impl SequenceEntry {
         let settings = self.settings(place)?;
         let measured = self.measured.map(|measured| measured.into_measured(place));
         let outputs = with_camera(outputs, self.camera.as_deref(), place)?;
+        let job = match &self.band_slack {
+            None => Job::Surface,
+            Some(slack) => level_set_job(&format!("{place}/band_slack"), slack)?,
+        };
         Ok(PlannedSequence {
             name: self.name,
+            job,
             settings: Arc::new(settings),
             measured: measured.transpose()?,
             outputs: Arc::new(outputs),
@@ -379,6 +392,15 @@ impl FrameEntry {
         let PlannedFrame { input, stem, number, size_bytes, sequence } = frame;
         let (input, stem) = (text(input)?, stem.clone());
         Ok(FrameEntry { input, stem, number: *number, size_bytes: *size_bytes, sequence: *sequence })
+    }
+}
+
+/// What is made of level sets with this slack.
+fn level_set_job(place: &str, slack: &str) -> Result<Job, PlanError> {
+    let slack_voxels = number(place, slack)?;
+    match (0.0..=f64::from(SLACK_MAX_VOXELS)).contains(&slack_voxels) {
+        true => Ok(Job::level_set(slack_voxels)),
+        false => Err(PlanError::at(place, format!("it must be from 0 to {SLACK_MAX_VOXELS} voxels"))),
     }
 }
 

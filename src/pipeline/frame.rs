@@ -7,10 +7,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use glam::DVec3;
+
 use crate::surface::options::Settings;
 use crate::surface::report::SkinReport;
 use crate::surface::skin::{TooFine, TooLarge};
 
+use super::bounds::is_level_set;
 use super::framing::Framing;
 use super::obstacles::ObstacleFiles;
 use super::out_folder::is_disk_full;
@@ -21,11 +24,51 @@ use super::source::FrameFile;
 use super::stamp::FileStamp;
 use super::viewpoint::CameraChoice;
 
+/// What a frame is made from, and what it becomes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Job {
+    /// Particles become a surface.
+    #[default]
+    Surface,
+    /// The level set in a .vdb becomes a surface. The settings of the frame get the voxel size of the file when it is read.
+    LevelSet {
+        /// By how much smoothing may move the surface, in voxels; 0 leaves it as it is.
+        slack_voxels: f64,
+        /// Where the level set's voxel (0, 0, 0) is, in world units: known when it is read.
+        origin: DVec3,
+    },
+    /// Particles are written as they are, in formats that hold particles. The settings do not matter.
+    Particles,
+}
+
+impl Job {
+    /// The level set in a .vdb becomes a surface that is at most this many voxels away from it.
+    pub fn level_set(slack_voxels: f64) -> Job {
+        Job::LevelSet { slack_voxels, origin: DVec3::ZERO }
+    }
+
+    /// How a file becomes a surface, by its name: a level set as it is.
+    pub fn of(path: &Path) -> Job {
+        if is_level_set(path) { Job::level_set(0.0) } else { Job::Surface }
+    }
+
+    pub(super) fn slack_voxels(&self) -> f64 {
+        if let Job::LevelSet { slack_voxels, .. } = self { *slack_voxels } else { 0.0 }
+    }
+
+    /// Where voxel (0, 0, 0) is, world units.
+    pub(super) fn origin(&self) -> DVec3 {
+        if let Job::LevelSet { origin, .. } = self { *origin } else { DVec3::ZERO }
+    }
+}
+
 /// One frame to convert.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// The file of particles.
+    /// The file of particles, or of a level set.
     pub input: PathBuf,
+    /// What it becomes.
+    pub job: Job,
     /// What the outputs are called, without folder and extension.
     pub stem: String,
     /// The settings of its sequence.
@@ -46,6 +89,7 @@ impl Frame {
     pub fn new(file: &FrameFile, settings: &Arc<Settings>, outputs: &Arc<OutputOptions>) -> Frame {
         Frame {
             input: file.path.clone(),
+            job: Job::of(&file.path),
             stem: file.stem(),
             settings: Arc::clone(settings),
             outputs: Arc::clone(outputs),
@@ -116,6 +160,8 @@ pub struct FrameReport {
     pub obstacles: String,
     /// Edges at which the meshes of obstacles are open.
     pub obstacle_open_edge_count: usize,
+    /// The voxel size of a level set, in world units; `None` where the settings of the frame say it.
+    pub voxel_size: Option<f64>,
     /// Seconds of reading and parsing.
     pub read_seconds: f64,
     /// Seconds of encoding and writing, without pictures.

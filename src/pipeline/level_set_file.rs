@@ -1,4 +1,4 @@
-//! From a .vdb to a level set, as pictures need it.
+//! From a .vdb to a level set, as pictures and surfaces need it.
 
 use std::ops::RangeInclusive;
 use std::path::Path;
@@ -14,8 +14,9 @@ use crate::surface::level_set::{
 };
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
-use super::frame::{FrameError, Stage};
+use super::frame::{Frame, FrameError, Job, Stage};
 use super::memory::default_memory_bytes;
+use super::outputs::OutputFormat;
 use super::picture::Scene;
 use super::reading::read_file;
 
@@ -75,29 +76,9 @@ impl LevelSetFile {
         Ok(file)
     }
 
-    /// The level set, in voxels of its lattice.
-    pub(super) fn band(&self) -> &NarrowBand {
-        &self.band
-    }
-
     /// The same, without the rest of the file.
     pub(super) fn into_band(self) -> NarrowBand {
         self.band
-    }
-
-    /// Whether the file says that it is a level set, so that what is around its surface is stored.
-    pub(super) fn is_declared(&self) -> bool {
-        self.class == "level set"
-    }
-
-    /// What the grid is called.
-    pub(super) fn name(&self) -> &str {
-        &self.name
-    }
-
-    /// How large its voxels are.
-    pub(super) fn lattice(&self) -> Lattice {
-        self.lattice
     }
 
     /// Where its voxel (0, 0, 0) is, world units.
@@ -113,6 +94,47 @@ impl LevelSetFile {
             origin: self.origin,
             velocity: self.velocity.as_ref(),
         }
+    }
+}
+
+/// The level set in the bytes of a frame's file, with no more memory than this; and the frame with the voxel size and the origin
+/// of the file.
+///
+/// # Errors
+/// When there is no level set that is read, or its surface cannot be made with the settings or written in a format of the frame.
+pub(super) fn read_input(
+    frame: &Frame,
+    bytes: &[u8],
+    memory_bytes: u64,
+) -> Result<(Frame, LevelSetFile), FrameError> {
+    let file = LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes)?;
+    let refused =
+        |what: String| FrameError::file(&frame.input, Stage::Read, Error::unsupported("OpenVDB", what));
+    if file.class != "level set" {
+        let name = &file.name;
+        return Err(refused(format!(
+            "the class of the grid \"{name}\" is not \"level set\": save it as one"
+        )));
+    }
+    let settings = frame.settings.with_voxel_size(file.lattice.voxel_size);
+    let settings = settings.map_err(|error| refused(error.to_string()))?;
+    if frame.outputs.formats.contains(&OutputFormat::Vdb) && file.origin != DVec3::ZERO {
+        let [x, y, z] = file.origin.to_array();
+        return Err(refused(format!(
+            "its voxels are moved by ({x}, {y}, {z}) from the world's lattice, on which a .vdb is written: leave vdb out of --format"
+        )));
+    }
+    let job = Job::LevelSet { slack_voxels: frame.job.slack_voxels(), origin: file.origin };
+    Ok((Frame { settings: settings.into(), job, ..frame.clone() }, file))
+}
+
+/// What a user should know of a file with several grids: one was taken.
+pub(super) fn notes_of_grids(bytes: &[u8]) -> Vec<String> {
+    let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
+    match grids.len().saturating_sub(1) {
+        0 => Vec::new(),
+        1 => vec!["1 more grid in the file is not kept".to_owned()],
+        others => vec![format!("{others} more grids in the file are not kept")],
     }
 }
 

@@ -24,7 +24,7 @@ use crate::surface::words::significant;
 
 use super::attributes::{Wanted, own_radii_min};
 use super::frame::{FrameError, Stage};
-use super::frame_particles::{FileParticles, FrameParticles};
+use super::frame_input::{FileParticles, FrameInput};
 use super::reading::{InputFile, ReadFrame, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
 
@@ -171,7 +171,7 @@ fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<Measured
             && let Some(particles) = large_file(path)?
         {
             let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
-            let particles = FrameParticles::OnDisk(Box::new(particles));
+            let particles = FrameInput::OnDisk(Box::new(particles));
             let sample = Sample::of(&particles, particles.len()).map_err(failed)?;
             let estimate = sample.estimate(&particles).map_err(failed)?;
             let of_estimate =

@@ -7,11 +7,13 @@ use std::path::Path;
 use crate::surface::options::Settings;
 use crate::surface::skin::tiled::{self, TiledError, TiledFrame};
 use crate::surface::skin::{
-    self, Plan, SHELF_COUNT, ShapedSource, Storage, Surface, Surroundings, Targets, TooLarge, Unfit,
+    self, BoundedBand, Plan, SHELF_COUNT, ShapedSource, Storage, Surface, Surroundings, Targets, TooLarge,
+    Unfit,
 };
 
 use super::frame::Cause;
-use super::frame_particles::FrameParticles;
+use super::frame_input::{FrameInput, LevelSetInput};
+use super::level_set_file::level_set_limits;
 use super::obstacles::FrameObstacles;
 use super::outputs::{OutputFormat, OutputOptions};
 use super::stored::stored;
@@ -31,7 +33,7 @@ pub trait Method: Sync {
     /// How the frame is to be skinned in so much memory.
     fn plan(
         &self,
-        particles: &FrameParticles,
+        particles: &FrameInput,
         obstacles: &FrameObstacles,
         settings: &Settings,
         allowed_bytes: u64,
@@ -39,7 +41,7 @@ pub trait Method: Sync {
     /// The first stage, among obstacles. What does not fit into memory may be written to files without a name in `scratch`.
     fn rasterize(
         &self,
-        particles: FrameParticles,
+        particles: FrameInput,
         obstacles: FrameObstacles,
         settings: &Settings,
         plan: &Plan,
@@ -72,9 +74,11 @@ pub struct LevelSetSkinning;
 /// A frame between two stages: in memory, or in tiles on disk.
 pub enum Skinned<T> {
     /// Whole; and its particles, where their attributes are wanted later.
-    Whole(T, Option<ShapedSource<FrameParticles>>),
+    Whole(T, Option<ShapedSource<FrameInput>>),
     /// In tiles.
-    Tiled(Box<TiledFrame<ShapedSource<FrameParticles>>>),
+    Tiled(Box<TiledFrame<ShapedSource<FrameInput>>>),
+    /// From a level set that was given.
+    OfLevelSet(Box<BoundedBand>),
 }
 
 impl Method for LevelSetSkinning {
@@ -83,11 +87,18 @@ impl Method for LevelSetSkinning {
 
     fn plan(
         &self,
-        particles: &FrameParticles,
+        particles: &FrameInput,
         obstacles: &FrameObstacles,
         settings: &Settings,
         allowed_bytes: u64,
     ) -> Result<Plan, Cause> {
+        if let FrameInput::LevelSet(given) = particles {
+            let LevelSetInput { band, slack_voxels, .. } = &**given;
+            let whole_bytes = skin::resurfacing_bytes(band, *slack_voxels, settings);
+            level_set_limits(allowed_bytes).check_level_set(whole_bytes, "").map_err(Cause::File)?;
+            let memory_bytes = whole_bytes.saturating_sub(particles.size_bytes());
+            return Ok(Plan { memory_bytes, tile_leaves: None, whole_bytes });
+        }
         // What is given is there beside what the plan takes.
         let given_bytes = particles.size_bytes().saturating_add(obstacles.all_bytes);
         let planned = skin::plan(
@@ -110,12 +121,16 @@ impl Method for LevelSetSkinning {
 
     fn rasterize(
         &self,
-        particles: FrameParticles,
+        particles: FrameInput,
         FrameObstacles { obstacles, .. }: FrameObstacles,
         settings: &Settings,
         plan: &Plan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause> {
+        if let FrameInput::LevelSet(given) = particles {
+            let LevelSetInput { band, origin, slack_voxels } = *given;
+            return Ok(Skinned::OfLevelSet(Box::new(skin::bound(band, origin, slack_voxels, settings))));
+        }
         let (particles, shaping) = particles.shaped(settings)?;
         let Some(tile_leaves) = plan.tile_leaves else {
             let rasterized = skin::rasterize(&particles, settings, shaping, obstacles)?;
@@ -149,6 +164,7 @@ impl Method for LevelSetSkinning {
                 let smoothed = tiled::smooth(*frame, settings, advanced).map_err(Cause::Scratch)?;
                 Skinned::Tiled(Box::new(smoothed))
             }
+            Skinned::OfLevelSet(band) => Skinned::OfLevelSet(Box::new(band.smooth(settings, advanced))),
         })
     }
 
@@ -167,11 +183,12 @@ impl Method for LevelSetSkinning {
                 particles.given().check_unchanged()?;
                 (surface, Some(particles))
             }
+            Skinned::OfLevelSet(band) => (band.contour(settings, &stored(outputs)), None),
         };
         // Those on disk have no attributes that are wanted.
         let in_memory = |given| match given {
-            FrameParticles::InMemory(cloud) => Some(cloud),
-            FrameParticles::OnDisk(_) => None,
+            FrameInput::InMemory(cloud) => Some(cloud),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => None,
         };
         let is_wanted = settings.attributes.is_some();
         let cloud = particles.filter(|_| is_wanted).and_then(|particles| particles.into_cloud(in_memory));

@@ -7,20 +7,19 @@
 //!   frame       what is to be done, and what came of it
 //!
 //!   stages      read ─▶ rasterize ─▶ smooth ─▶ contour ─▶ write, several frames side by side
-//!   crew        whose turn it is to compute           budget   who may take how much memory
-//!   seats       how many compute at once
+//!   scheduler   which frame computes next             budget   which frame may take how much memory
+//!   semaphore   places in the channels between stages
 //!   method      the three stages in the middle        memory   how much there is
 //!
 //!   attributes  what else is needed of each particle   obstacles  what is in the way of a frame
 //!   number_pattern  names with a number in them
 //!   reading     bytes to particles, of a file that     stamp     what tells one that was written again
-//!               nobody writes meanwhile          frame_particles  in memory, or read batch by batch
+//!               nobody writes meanwhile          frame_input  particles, in memory or read batch by batch, or a level set
 //!   writing     surfaces to bytes                      provenance  what made them
 //!   picture     surfaces to pictures                   viewpoint   where they are taken from
-//!   resurfacing  surfaces of level sets that are given
-//!   level_set_file  surfaces from .vdb                 picture_file  pictures from .png
+//!   level_set_file  level sets from .vdb                 picture_file  pictures from .png
 //!   mesh_file   meshes of any program
-//!   still       a frame by itself, and no files       particles_only  particles as they are, and no surface
+//!   still       a frame by itself, and no files       particle_files  particles as they are, and no surface
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   file_set    replaces several files, or none        open        opens files without waiting at pipes
 //!   output_states  finds outputs with damaged bytes    stored      positions as files hold them
@@ -39,7 +38,7 @@
 //! ```
 //! use std::sync::Arc;
 //! use meniscus::pipeline::{
-//!     Conduct, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
+//!     PipelineOptions, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
 //! use meniscus::surface::options::{Choices, Settings};
 //!
@@ -53,7 +52,7 @@
 //! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
 //! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
 //! let pool = rayon::ThreadPoolBuilder::new().build()?;
-//! run(&LevelSetSkinning, &frames, &Conduct::new(&pool), |_, outcome| match outcome {
+//! run(&LevelSetSkinning, &frames, &PipelineOptions::new(&pool), |_, outcome| match outcome {
 //!     Outcome::Converted(report) => assert_eq!(report.outputs, [out.join("block.glb"), out.join("block.vdb")]),
 //!     other => panic!("{other:?}"),
 //! });
@@ -65,11 +64,10 @@ mod bounds;
 mod budget;
 mod certificate_file;
 mod close_up;
-mod crew;
 mod file_set;
 mod frame;
+mod frame_input;
 mod frame_number;
-mod frame_particles;
 mod framing;
 mod inspection;
 mod level_set_file;
@@ -88,14 +86,14 @@ mod open;
 mod out_folder;
 mod output_states;
 mod outputs;
-mod particles_only;
+mod particle_files;
 mod picture;
 mod picture_file;
 mod provenance;
 mod reading;
 mod record;
-mod resurfacing;
-mod seats;
+mod scheduler;
+mod semaphore;
 mod shot;
 mod shown; // paths as users see them
 mod sink;
@@ -114,9 +112,9 @@ pub use bounds::{NOTHING, bounds_of_particles, is_level_set, sequence_bounds};
 pub use certificate_file::certificate_path;
 pub use close_up::close_up;
 pub use frame::{
-    Cause, Frame, FrameError, FrameReport, ObstacleError, Outcome, ReadInput, Stage, gist, velocity_hint,
+    Cause, Frame, FrameError, FrameReport, Job, ObstacleError, Outcome, ReadInput, Stage, gist, velocity_hint,
 };
-pub use frame_particles::FrameParticles;
+pub use frame_input::FrameInput;
 pub use framing::{Framed, Framing};
 pub use inspection::{FrameState, Inspection, inspect};
 pub use level_set_file::LevelSetFile;
@@ -139,7 +137,6 @@ pub use output_states::{OutputState, OutputStates};
 pub use outputs::{
     Conflict, METERS_PER_UNIT, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path,
 };
-pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
 pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{
@@ -148,7 +145,6 @@ pub use provenance::{
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use record::{RunRecord, SequenceRecord};
-pub use resurfacing::{BandToSurface, resurface_all};
 pub use shot::{ShotError, ShotFormat, ShotOptions, ShotReport, ShotSource, is_shot, write_shot};
 pub use shown::{STANDARD_INPUT, show_as, shown};
 pub use sink::{replace_own, stop_writing, write_whole};
@@ -156,7 +152,7 @@ pub use source::{
     FrameFile, Sequence, has_particle_extension, have_fallen_apart, natural_order, order_subframes,
     promises_particles, sequences, single_frame_sequences, single_frames_note,
 };
-pub use stages::{Conduct, OnError, default_in_flight, run, stream, stream_seen};
+pub use stages::{OnError, PipelineOptions, default_in_flight, run, stream};
 pub use stamp::FileStamp;
 pub use steps::{
     FileFrames, StepsFoundBy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,

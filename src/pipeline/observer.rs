@@ -1,4 +1,4 @@
-//! What a caller may hear of frames on their way, for progress: the stages themselves know neither clocks nor terminals.
+//! Notifications on frames that are under way, for progress: the stages themselves know neither clocks nor terminals.
 
 use std::fmt;
 
@@ -6,12 +6,16 @@ use crate::surface::skin::Plan;
 
 use super::frame::{Frame, Stage};
 
-/// Hears how frames advance, on the threads of the stages: it must be quick.
+/// Is notified of how frames advance, on the threads of the stages: it must be quick.
 pub trait Observer: fmt::Debug + Sync {
     /// A frame was read, and this is how it will be computed. Its particles take `given_bytes` beside the plan.
-    fn planned(&self, frame: &Frame, plan: &Plan, given_bytes: u64);
+    fn planned(&self, frame: &Frame, plan: &Plan, given_bytes: u64) {
+        let _ = (frame, plan, given_bytes);
+    }
     /// A stage of a frame begins.
     fn began(&self, frame: &Frame, stage: Stage);
     /// So much of a stage is done, from 0 to 1. Not every stage reports this.
-    fn advanced(&self, frame: &Frame, stage: Stage, fraction: f64);
+    fn advanced(&self, frame: &Frame, stage: Stage, fraction: f64) {
+        let _ = (frame, stage, fraction);
+    }
 }

@@ -18,7 +18,7 @@ use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::{ParticleSource, Positions};
 
 use super::frame::Cause;
-use super::frame_particles::FrameParticles;
+use super::frame_input::FrameInput;
 use super::obstacles::FrameObstacles;
 
 /// A level set with a band that is narrower than this, in units of h, tells little of where it is.
@@ -79,7 +79,7 @@ pub(super) fn notes_of(shape: &Shape, path: &Path, settings: &Settings) -> Vec<S
 /// Those of reading the particles.
 pub(super) fn out_of_reach(
     obstacles: &FrameObstacles,
-    particles: &FrameParticles,
+    particles: &FrameInput,
     settings: &Settings,
 ) -> Result<Vec<String>, Cause> {
     if obstacles.paths.is_empty() {
@@ -124,7 +124,7 @@ fn reach(settings: &Settings) -> f64 {
 const BAND_VOXELS: f64 = 3.0;
 
 /// The least and the greatest corner of the box around the particles that are somewhere.
-fn box_of(particles: &FrameParticles) -> Result<Option<[DVec3; 2]>, Cause> {
+fn box_of(particles: &FrameInput) -> Result<Option<[DVec3; 2]>, Cause> {
     fn around(points: impl Iterator<Item = DVec3>) -> Option<[DVec3; 2]> {
         points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
     }

@@ -15,7 +15,7 @@ use twox_hash::XxHash3_64;
 use crate::surface::options::{Pairs, Settings};
 
 use super::certificate_file::hash_text;
-use super::frame::Frame;
+use super::frame::{Frame, Job};
 use super::framing::Framed;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
@@ -38,7 +38,16 @@ pub(super) fn provenance(
     format: OutputFormat,
 ) -> Vec<(String, String)> {
     let mut pairs = made_from(&frame.input, hash);
-    pairs.extend(settings_pairs(&frame.settings, format));
+    match frame.job {
+        Job::Particles => {
+            pairs.push((CONTENTS, PARTICLES.to_owned()));
+            return owned(pairs);
+        }
+        Job::Surface => pairs.extend(settings_pairs(&frame.settings, format)),
+        Job::LevelSet { slack_voxels, .. } => {
+            pairs.extend(level_set_pairs(&frame.settings, slack_voxels, format));
+        }
+    }
     pairs.extend(obstacle_pairs(&frame.settings, obstacles));
     pairs.extend(option_pairs(&frame.outputs, format));
     owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
@@ -58,6 +67,16 @@ fn condensed(pairs: Pairs) -> Pairs {
         hashed.into_iter().partition(|(name, _)| OF_OBSTACLES.contains(name));
     let obstacles = (!obstacles.is_empty()).then(|| ("obstacles", hash(&obstacles, 8)));
     kept.into_iter().cloned().chain([("settings", hash(&settings, 12))]).chain(obstacles).collect()
+}
+
+/// The settings of a surface of a level set that is at most this many voxels away from it: those that have a say.
+pub(super) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: OutputFormat) -> Pairs {
+    const OF_MESH: [&str; 6] = ["voxel_size", "offset", "contour", "decimate", "smooth_normals", "quads"];
+    const OF_SOLVER: [&str; 6] =
+        ["integrator", "laplacian_steps", "steps", "step_size", "redistance_every", "cg_tolerance"];
+    let has_say = |name: &str| OF_MESH.contains(&name) || (slack_voxels > 0.0 && OF_SOLVER.contains(&name));
+    let pairs = settings_pairs(settings, format).into_iter().filter(|(name, _)| has_say(name));
+    [("band_slack", slack_voxels.to_string())].into_iter().chain(pairs).collect()
 }
 
 /// Names and values for a picture of a file with this hash; with the settings by which it was skinned, among these
@@ -209,32 +228,6 @@ pub fn is_own_output(path: &Path) -> bool {
 /// Whether a file that this program wrote holds particles, and may be a frame.
 pub fn are_particles(recorded: &[(String, String)]) -> bool {
     recorded.iter().any(|(name, value)| name == CONTENTS && value == PARTICLES)
-}
-
-/// Names and values for the particles of an input with this hash, written as they are.
-pub(super) fn particles_provenance(input: &Path, hash: u128) -> Vec<(String, String)> {
-    let mut pairs = made_from(input, hash);
-    pairs.push((CONTENTS, PARTICLES.to_owned()));
-    owned(pairs)
-}
-
-/// Names and values for an output of a level set with this hash, smoothed within so many voxels. Of the settings only those are
-/// there that have a say.
-pub(super) fn level_set_provenance(
-    frame: &Frame,
-    hash: u128,
-    slack_voxels: f64,
-    format: OutputFormat,
-) -> Vec<(String, String)> {
-    const OF_MESH: [&str; 6] = ["voxel_size", "offset", "contour", "decimate", "smooth_normals", "quads"];
-    const OF_SOLVER: [&str; 6] =
-        ["integrator", "laplacian_steps", "steps", "step_size", "redistance_every", "cg_tolerance"];
-    let has_say = |name: &str| OF_MESH.contains(&name) || (slack_voxels > 0.0 && OF_SOLVER.contains(&name));
-    let mut pairs = made_from(&frame.input, hash);
-    pairs.push(("band_slack", slack_voxels.to_string()));
-    pairs.extend(settings_pairs(&frame.settings, format).into_iter().filter(|(name, _)| has_say(name)));
-    pairs.extend(option_pairs(&frame.outputs, format));
-    owned(if format == OutputFormat::Stl { condensed(pairs) } else { pairs })
 }
 
 /// What says that an output holds particles and no surface.

@@ -16,11 +16,11 @@ use crate::surface::report::{
 };
 use crate::surface::validation::Certificate;
 
-use super::frame::{Frame, FrameReport, Outcome};
+use super::frame::{Frame, FrameReport, Job, Outcome};
 use super::measured_spacing::MeasuredSpacing;
 use super::obstacles::ObstacleFiles;
-use super::outputs::OutputOptions;
-use super::provenance::chosen_options;
+use super::outputs::{OutputFormat, OutputOptions};
+use super::provenance::{chosen_options, level_set_pairs};
 use super::shown::shown;
 use super::sink::write_whole;
 
@@ -50,6 +50,8 @@ pub struct SequenceRecord {
     radius_median: Option<f64>,
     #[serde(flatten)]
     settings: Option<SettingsRecord>,
+    #[serde(flatten)]
+    level_sets: Option<LevelSetsRecord>,
     error: Option<String>,
 }
 
@@ -69,6 +71,15 @@ struct SettingsRecord {
     /// What was asked for beyond these, by name, as it is typed.
     more: BTreeMap<&'static str, String>,
     warnings: Vec<String>,
+}
+
+/// The settings of a sequence of level sets, each of which has its voxel size.
+#[derive(Clone, Debug, Serialize)]
+struct LevelSetsRecord {
+    /// By how many voxels smoothing may move the surface.
+    band_slack: f64,
+    /// All that has a say, by name, as it is typed.
+    more: BTreeMap<&'static str, String>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -95,6 +106,9 @@ enum Status {
 struct MeasuredRecord {
     outputs: Vec<String>,
     notes: Vec<String>,
+    /// Of a level set, whose file says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    voxel_size: Option<f64>,
     particles: usize,
     dropped: usize,
     /// Null where all particles are alike.
@@ -375,28 +389,40 @@ impl SequenceRecord {
     /// in the way.
     pub fn new(
         name: &str,
+        job: &Job,
         settings: &Settings,
         measured: Option<&MeasuredSpacing>,
         (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
     ) -> SequenceRecord {
+        if let Job::LevelSet { slack_voxels, .. } = job {
+            let pairs = level_set_pairs(settings, *slack_voxels, OutputFormat::Glb);
+            let is_shared = |(name, _): &(&str, String)| !["band_slack", "voxel_size"].contains(name);
+            let mut more: BTreeMap<_, _> = pairs.into_iter().filter(is_shared).collect();
+            more.extend(chosen_options(outputs, settings));
+            let level_sets = Some(LevelSetsRecord { band_slack: *slack_voxels, more });
+            return SequenceRecord { level_sets, ..SequenceRecord::named(name) };
+        }
         let mut more = settings.more();
         if !obstacles.is_empty() {
             more.insert("void_threshold", settings.void_threshold.to_string());
         }
         more.extend(chosen_options(outputs, settings));
         SequenceRecord {
-            sequence: name.to_owned(),
             spacing: Some(settings.spacing),
             spacing_confidence: measured.map(|measured| measured.confidence),
             spacing_measured_on: measured.map(|measured| text(&measured.measured_on)),
             radius_median: measured.and_then(|measured| measured.radius_median),
             settings: Some(settings_record(settings, more)),
-            error: None,
+            ..SequenceRecord::named(name)
         }
     }
 
     /// A sequence for which there are no settings.
     pub fn without_settings(name: &str, why: &str) -> SequenceRecord {
+        SequenceRecord { error: Some(why.to_owned()), ..SequenceRecord::named(name) }
+    }
+
+    fn named(name: &str) -> SequenceRecord {
         SequenceRecord {
             sequence: name.to_owned(),
             spacing: None,
@@ -404,7 +430,8 @@ impl SequenceRecord {
             spacing_measured_on: None,
             radius_median: None,
             settings: None,
-            error: Some(why.to_owned()),
+            level_sets: None,
+            error: None,
         }
     }
 }
@@ -432,6 +459,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
     MeasuredRecord {
         outputs: report.outputs.iter().map(|path| text(path)).collect(),
         notes: report.notes.clone(),
+        voxel_size: report.voxel_size,
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
         shapes: shapes_record(&report.skin),

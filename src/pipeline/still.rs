@@ -10,7 +10,7 @@ use crate::surface::skin::Surface;
 
 use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};
-use super::frame_particles::FrameParticles;
+use super::frame_input::FrameInput;
 use super::method::{LevelSetSkinning, Method};
 use super::notes::left_out;
 use super::obstacles::ObstacleFiles;
@@ -91,7 +91,7 @@ impl StillFrame {
         let mut notes = self.notes.clone();
         notes.append(&mut loaded.notes);
         let obstacles = loaded.recorded.clone();
-        let given = FrameParticles::InMemory(self.cloud.clone());
+        let given = FrameInput::InMemory(self.cloud.clone());
         let method = LevelSetSkinning;
         let plan = stage(path, Stage::Read, || method.plan(&given, &loaded, settings, memory_bytes))?;
         let rasterize = || method.rasterize(given, loaded, settings, &plan, &outputs.folder);

@@ -21,12 +21,12 @@ use crate::surface::space::Lattice;
 
 use super::bounds::NOTHING;
 use super::certificate_file::{certificate_path, write_certificate};
-use super::crew::Crew;
 use super::frame::{Frame, FrameError, Stage};
 use super::misfit::misfit_notes;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
+use super::scheduler::Scheduler;
 use super::sink::{Unseen, publish, write_unseen};
 use super::stored::checked_as;
 
@@ -70,7 +70,7 @@ pub(super) fn write_files(
     Ok(Written { paths, sizes_bytes })
 }
 
-/// Writes one file of a frame. What takes computing is computed by the crew, as pieces that are whole before they
+/// Writes one file of a frame. What takes computing is computed in the pool, as pieces that are whole before they
 /// are written: threads that compute do not wait for the disk. No more than a piece is held beside the surface.
 ///
 /// # Errors
@@ -78,34 +78,19 @@ pub(super) fn write_files(
 pub(super) fn write_surface<'env>(
     surface: &Arc<Surface>,
     (number, frame): (usize, &Frame),
-    (input_hash, obstacles): (u128, &str),
+    made_from: (u128, &str),
     format: OutputFormat,
-    crew: &Crew<'_, '_, 'env>,
+    scheduler: &Scheduler<'_, '_, 'env>,
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
-    let provenance = provenance(frame, (input_hash, obstacles), format);
-    write_made(surface, (number, frame), provenance, format, crew, out)
-}
-
-/// The same of a surface that says this of what made it.
-///
-/// # Errors
-/// Those of [`write_surface`].
-pub(super) fn write_made<'env>(
-    surface: &Arc<Surface>,
-    (number, frame): (usize, &Frame),
-    provenance: Vec<(String, String)>,
-    format: OutputFormat,
-    crew: &Crew<'_, '_, 'env>,
-    out: &mut impl Write,
-) -> meniscus_formats::Result<()> {
+    let provenance = provenance(frame, made_from, format);
     let options = &*frame.outputs;
     let attributes = vertex_attributes(&surface.attributes.vertices);
     let mesh = mesh_view(&surface.mesh, &attributes);
     match format {
         OutputFormat::Vdb => {
             let (surface, frame) = (Arc::clone(surface), frame.clone());
-            crew.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
+            scheduler.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
         }
         OutputFormat::Obj => {
             let options =
@@ -117,7 +102,7 @@ pub(super) fn write_made<'env>(
                     let attributes = vertex_attributes(&surface.attributes.vertices);
                     obj::encode_batch(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
                 };
-                for text in crew.run(number, encode)? {
+                for text in scheduler.run(number, encode)? {
                     out.write_all(&text)?;
                 }
             }
@@ -138,7 +123,7 @@ pub(super) fn write_made<'env>(
                     let attributes = vertex_attributes(&surface.attributes.vertices);
                     usda::encode_batch(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
                 };
-                for text in crew.run(number, encode)? {
+                for text in scheduler.run(number, encode)? {
                     out.write_all(&text)?;
                 }
             }
@@ -157,10 +142,10 @@ pub(super) fn write_made<'env>(
         OutputFormat::Gltf => gltf::write_gltf(&mesh, &gltf_options(options), &provenance, out),
         OutputFormat::Ply => ply::write::write_mesh(&mesh, &provenance, out),
         OutputFormat::Png => {
-            write_picture(surface, (number, frame), PictureFormat::Png, provenance, crew, out)
+            write_picture(surface, (number, frame), PictureFormat::Png, provenance, scheduler, out)
         }
         OutputFormat::Exr => {
-            write_picture(surface, (number, frame), PictureFormat::Exr, provenance, crew, out)
+            write_picture(surface, (number, frame), PictureFormat::Exr, provenance, scheduler, out)
         }
     }
 }
@@ -170,14 +155,13 @@ fn write_picture<'env>(
     (number, frame): (usize, &Frame),
     format: PictureFormat,
     provenance: Vec<(String, String)>,
-    crew: &Crew<'_, '_, 'env>,
+    scheduler: &Scheduler<'_, '_, 'env>,
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
-    let (surface, outputs) = (Arc::clone(surface), Arc::clone(&frame.outputs));
+    let (surface, outputs, origin) = (Arc::clone(surface), Arc::clone(&frame.outputs), frame.job.origin());
     let lattice = Lattice { voxel_size: frame.settings.voxel_size };
     let encode = move || {
         let velocity = if format == PictureFormat::Exr { velocities(&surface) } else { None };
-        let origin = glam::DVec3::ZERO;
         let scene = Scene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
         let PictureOptions { size, camera } = outputs.picture;
         let bounds = scene.bounds().unwrap_or(NOTHING);
@@ -185,7 +169,7 @@ fn write_picture<'env>(
         let picture = scene.picture(&viewpoint, size, format == PictureFormat::Exr);
         encode_picture(&picture, Some(&viewpoint), format, &provenance)
     };
-    Ok(out.write_all(&crew.run(number, encode)?)?)
+    Ok(out.write_all(&scheduler.run(number, encode)?)?)
 }
 
 fn encode_levels(

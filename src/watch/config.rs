@@ -1,9 +1,9 @@
 //! What the daemon is to do: every number resolved and checked.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::pipeline::OutputOptions;
+use crate::pipeline::{Job, OutputOptions, is_level_set};
 use crate::surface::options::Choices;
 
 /// All that one run of the daemon goes by.
@@ -56,6 +56,24 @@ pub struct Watch {
     /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for
     /// a file of each frame.
     pub obstacles: Vec<PathBuf>,
+}
+
+impl Watch {
+    /// What is made of its frames.
+    pub fn job(&self) -> Job {
+        if names_level_sets(self.pattern.as_deref()) { Job::level_set(0.0) } else { Job::Surface }
+    }
+
+    /// Whether its frames need a particle spacing that is not given.
+    pub(super) fn needs_spacing(&self) -> bool {
+        self.job() == Job::Surface && self.choices.needs_spacing()
+    }
+}
+
+/// Whether a pattern is for level sets: only one that ends in `.vdb` is. Any other takes no .vdb, because these may be outputs,
+/// of this daemon or of another program, which nobody wants to have converted again.
+pub fn names_level_sets(pattern: Option<&str>) -> bool {
+    pattern.is_some_and(|pattern| is_level_set(Path::new(pattern)))
 }
 
 /// Which of several waiting frames is next.

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{FileStamp, Frame, FrameFile, OutputOptions, file_of, output_path};
+use crate::pipeline::{FileStamp, Frame, FrameFile, Job, OutputOptions, file_of, output_path};
 use crate::surface::options::Settings;
 
 use super::decision::{Decision, OutputsNow, SkipReason, decide};
@@ -279,6 +279,7 @@ impl Daemon<'_> {
             self.frames.get(id).and_then(|frame| self.sequences.get(frame.sequence).framing.clone());
         let frame = Frame {
             input: id.path.to_path_buf(),
+            job: Job::of(&id.path),
             stem: stem(&id.path),
             settings,
             outputs,

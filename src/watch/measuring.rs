@@ -28,7 +28,7 @@ impl Daemon<'_> {
         // Of two sequences that begin, the second frames may be yet to come.
         let count_min = if self.config.once { 2 } else { 3 };
         for (root, folder, count) in self.sequences.newly_fallen_apart(count_min) {
-            if self.config.watches[root].choices.needs_spacing() {
+            if self.config.watches[root].needs_spacing() {
                 tracing::warn!(folder = %folder.display(), "{}", single_frames_note(count));
             }
         }
@@ -83,7 +83,7 @@ impl Daemon<'_> {
         let watch = self.config.watches[sequence.root].clone();
         let remembered =
             self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key).cloned();
-        let given = (!watch.choices.needs_spacing()).then(SequenceRecord::default);
+        let given = (!watch.needs_spacing()).then(SequenceRecord::default);
         let (own_radii, known) = (own_radii.clone(), given.or(remembered));
         (!files.is_empty()).then_some(MeasureOrder { sequence: index, files, own_radii, known, watch })
     }
@@ -194,7 +194,7 @@ impl Daemon<'_> {
 
 /// Why frames wait that are too sparse.
 fn why_held(watch: &Watch) -> &'static str {
-    if watch.choices.needs_spacing() { TOO_SPARSE_YET } else { EMPTY_YET }
+    if watch.needs_spacing() { TOO_SPARSE_YET } else { EMPTY_YET }
 }
 
 /// Why frames wait whose particle spacing is known.

@@ -64,10 +64,11 @@ use std::thread;
 use crossbeam::channel::{Receiver, bounded, unbounded};
 use rayon::ThreadPoolBuilder;
 
-pub use config::{Config, Order, Patience, Poll, Watch};
+pub use config::{Config, Order, Patience, Poll, Watch, names_level_sets};
 
 use crate::pipeline::{
-    Conduct, Frame, LevelSetSkinning, OnError, OutFolderError, OutputStates, Stage, StepsFoundBy, stream_seen,
+    Frame, LevelSetSkinning, Observer, OnError, OutFolderError, OutputStates, PipelineOptions, Stage,
+    StepsFoundBy, stream,
 };
 use crate::watch::board::Board;
 
@@ -205,7 +206,7 @@ pub fn run(
     let output_states = OutputStates::default();
     let daemon = Daemon::open(config, board, (&queue, &output_states), (to_measure, to_find_steps), notices)?;
     let mirrors: Vec<PathBuf> = daemon.stores.iter().map(|store| store.folder.clone()).collect();
-    let conduct = Conduct {
+    let conduct = PipelineOptions {
         pool: &pool,
         on_error: OnError::Continue,
         skip_done: true,
@@ -216,21 +217,15 @@ pub fn run(
         steps_found_by: StepsFoundBy::Another,
         mirrors: &mirrors,
         output_states: Some(&output_states),
-        observer: None,
-    };
-    let began = |frame: &Frame, stage: Stage| {
-        if let Some(board) = board {
-            board.began(&frame.outputs.folder.join(&frame.stem), stage);
-        }
+        observer: board.map(|board| board as &dyn Observer),
     };
     let is_over = AtomicBool::new(false);
-    let (queue, pool, began, is_over) = (&queue, &pool, &began, &is_over);
+    let (queue, pool, is_over) = (&queue, &pool, &is_over);
     thread::scope(|scope| {
         scope.spawn(move || {
             // Nobody listens only when the loop is gone, and then nobody needs to know.
-            stream_seen(
+            stream(
                 &LevelSetSkinning,
-                began,
                 || queue.next(),
                 &conduct,
                 |root, frame, outcome| {
@@ -259,6 +254,12 @@ pub fn run(
         let mut daemon = daemon;
         daemon.run(commands, &outcomes, &measured, &found_steps)
     })
+}
+
+impl Observer for Board {
+    fn began(&self, frame: &Frame, stage: Stage) {
+        self.stage_began(&frame.outputs.folder.join(&frame.stem), stage);
+    }
 }
 
 /// Closes the queue when the loop ends, and says that it is over, also where it ends in a panic.

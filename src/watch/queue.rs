@@ -127,7 +127,7 @@ impl PartialOrd for Rank {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pipeline::OutputOptions;
+    use crate::pipeline::{Job, OutputOptions};
     use crate::surface::options::{Choices, Settings};
     use meniscus_formats::{gltf, vdb};
     use std::path::PathBuf;
@@ -150,6 +150,7 @@ mod tests {
             picture: crate::pipeline::PictureOptions::default(),
         };
         Frame {
+            job: Job::default(),
             input: name.into(),
             stem: name.to_owned(),
             settings: Arc::new(settings),

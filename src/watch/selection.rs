@@ -9,7 +9,7 @@
 //!
 //! The folder of the outputs is excluded where it lies in the watched one. But it may also be the watched
 //! one, or lie around it: then frames and outputs stand side by side, and only [`content`] tells them
-//! apart. So, of the watched and the excluded folders, the innermost around a file decides.
+//! apart. Level sets (.vdb) are taken only by a pattern that ends in `.vdb`, and never those that this program wrote. So, of the watched and the excluded folders, the innermost around a file decides.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -21,7 +21,11 @@ use meniscus_formats::packing::read_head;
 use meniscus_formats::provenance::{self, read_provenance};
 use meniscus_formats::{Kind, looks_like_particles, probe};
 
-use crate::pipeline::{are_particles, has_particle_extension, open_regular, promises_particles};
+use crate::pipeline::{
+    are_particles, has_particle_extension, is_level_set, open_regular, promises_particles,
+};
+
+use super::config::names_level_sets;
 
 /// Which files are frames, as far as their names tell.
 #[derive(Clone, Debug)]
@@ -87,6 +91,9 @@ impl Selection {
     /// Whether its name, and the way to it from the root, say that a file is a frame.
     pub(super) fn takes_name(&self, within: &Path) -> bool {
         let name = within.file_name().unwrap_or_default().to_string_lossy();
+        if is_level_set(within) && !names_level_sets(self.pattern.as_ref().map(Pattern::as_str)) {
+            return false;
+        }
         match &self.pattern {
             None => has_particle_extension(&name),
             Some(pattern) if !pattern.as_str().contains('/') => pattern.matches_with(&name, MATCH_OPTIONS),
@@ -132,7 +139,7 @@ pub fn content(path: &Path) -> io::Result<Content> {
         return Ok(Content::NotParticles);
     }
     let head = read_head(open_regular(path)?, HEAD_BYTES)?;
-    let promises = promises_particles(&name);
+    let promises = promises_particles(&name) || is_level_set(path);
     Ok(if is_own_output(&head, &name) {
         Content::OwnOutput
     } else if promises || looks_like_particles(&head, &name) {
@@ -198,6 +205,12 @@ mod tests {
             (Some("**/dam.*"), "/frames/dam.0001", true),
             (Some("*"), "/frames/.dam.1.ply", false),
             (Some(".*"), "/frames/.dam.1.ply", false),
+            (None, "/frames/dam.1.vdb", false),
+            (Some("*"), "/frames/dam.1.vdb", false),
+            (Some("dam.*"), "/frames/dam.1.vdb", false),
+            (Some("dam.*.vdb"), "/frames/dam.1.vdb", true),
+            (Some("**/*.vdb"), "/frames/b/dam.1.VDB", false),
+            (Some("*.vdb"), "/frames/dam.1.ply", false),
         ] {
             let selection = Selection::new(pattern, true, Vec::new()).expect("a pattern");
             assert_eq!(selection.takes(root, Path::new(path)), expected, "{pattern:?} {path}");

@@ -20,8 +20,9 @@ use glam::DVec3;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    Attempt, FileStamp, FrameError, FrameFile, Framed, Framing, ObstacleFiles, ObstacleStamps, OutputOptions,
-    PictureOptions, file_of, have_fallen_apart, measure_sequence, sequence_bounds, settings_fingerprint,
+    Attempt, FileStamp, FrameError, FrameFile, Framed, Framing, Job, ObstacleFiles, ObstacleStamps,
+    OutputOptions, PictureOptions, file_of, have_fallen_apart, measure_sequence, sequence_bounds,
+    settings_fingerprint,
 };
 use crate::surface::options::{self, OwnRadii, Settings};
 
@@ -186,9 +187,13 @@ impl SequenceSettings {
         let measured = remembered.and_then(|record| record.measured.as_ref()).map(options::Measured::from);
         let lacks_camera = watch.outputs.needs_camera() && framing_of(watch, remembered).is_none();
         let unknown = || watch.choices.own_radii().map(SequenceSettings::Unknown);
-        let settings = match watch.choices.needs_spacing() && measured.is_none() {
+        let resolved = || match watch.job() {
+            Job::LevelSet { .. } => Settings::of_level_sets(&watch.choices),
+            Job::Surface | Job::Particles => Settings::resolve(&watch.choices, measured),
+        };
+        let settings = match watch.needs_spacing() && measured.is_none() {
             true => unknown(),
-            false => Settings::resolve(&watch.choices, measured).and_then(|settings| {
+            false => resolved().and_then(|settings| {
                 if lacks_camera {
                     return unknown();
                 }

@@ -118,9 +118,9 @@ impl Daemon<'_> {
         let watch = &self.config.watches[sequence.root];
         let made = (&watch.outputs, &*self.obstacles[sequence.root]);
         let remembered = self.stores.of_watch(sequence.root).journal.state().sequences.get(&sequence.key);
-        let measured = remembered.filter(|_| watch.choices.needs_spacing());
+        let measured = remembered.filter(|_| watch.needs_spacing());
         let measured = measured.and_then(|record| record.measured.as_ref());
-        board.show_sequence(name.clone(), SequenceRecord::new(&name, settings, measured, made));
+        board.show_sequence(name.clone(), SequenceRecord::new(&name, &watch.job(), settings, measured, made));
     }
 
     /// Shows how the daemon is.

@@ -6,8 +6,8 @@ use std::sync::Arc;
 
 use glam::{DVec3, IVec3, Vec3};
 use meniscus::pipeline::{
-    Cause, Conduct, FileStamp, Frame, FrameObstacles, FrameParticles, LevelSetSkinning, Method, OnError,
-    Outcome, OutputFormat, OutputOptions, PictureOptions, Stage, StepsFoundBy, run,
+    Cause, FileStamp, Frame, FrameInput, FrameObstacles, Job, LevelSetSkinning, Method, OnError, Outcome,
+    OutputFormat, OutputOptions, PictureOptions, PipelineOptions, Stage, StepsFoundBy, run,
 };
 use meniscus::surface::grid::{Field, Topology};
 use meniscus::surface::level_set::NarrowBand;
@@ -47,7 +47,7 @@ impl Method for Quick {
 
     fn plan(
         &self,
-        _particles: &FrameParticles,
+        _particles: &FrameInput,
         _obstacles: &FrameObstacles,
         _settings: &Settings,
         _allowed_bytes: u64,
@@ -57,7 +57,7 @@ impl Method for Quick {
 
     fn rasterize(
         &self,
-        particles: FrameParticles,
+        particles: FrameInput,
         _obstacles: FrameObstacles,
         _settings: &Settings,
         _plan: &Plan,
@@ -124,6 +124,7 @@ impl Bench {
             let stem = format!("f.{number}");
             frames.push(Frame {
                 input,
+                job: Job::Surface,
                 stem,
                 settings: settings.clone(),
                 outputs: outputs.clone(),
@@ -154,7 +155,7 @@ impl Bench {
         threads: usize,
     ) -> Vec<Outcome> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let conduct = Conduct { on_error, skip_done, ..conduct(&pool) };
+        let conduct = PipelineOptions { on_error, skip_done, ..conduct(&pool) };
         let mut outcomes = Vec::new();
         run(method, &self.frames, &conduct, |index, outcome| {
             assert_eq!(index, outcomes.len(), "outcomes come in order");
@@ -187,8 +188,8 @@ impl Bench {
 }
 
 /// How frames are converted where it does not matter.
-pub(crate) fn conduct(pool: &ThreadPool) -> Conduct<'_> {
-    Conduct {
+pub(crate) fn conduct(pool: &ThreadPool) -> PipelineOptions<'_> {
+    PipelineOptions {
         pool,
         on_error: OnError::Continue,
         skip_done: false,
@@ -262,7 +263,7 @@ fn linked_output_folder_is_refused_before_rasterization() {
     bench.change_outputs(|outputs| outputs.folder = mirror.join("linked"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let mirrors = [mirror.clone()];
-    let conduct = Conduct { mirrors: &mirrors, ..conduct(&pool) };
+    let conduct = PipelineOptions { mirrors: &mirrors, ..conduct(&pool) };
     let mut errors = Vec::new();
     let quick = Quick::new(Some(Stage::Rasterize));
     run(&quick, &bench.frames, &conduct, |_, outcome| match outcome {

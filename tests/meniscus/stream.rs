@@ -10,8 +10,8 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use meniscus::pipeline::{
-    Cause, Conduct, Frame, FrameError, FrameObstacles, FrameParticles, Method, Outcome, OutputOptions, Stage,
-    default_in_flight, is_own_output, run, stream,
+    Cause, Frame, FrameError, FrameInput, FrameObstacles, Method, Outcome, OutputOptions, PipelineOptions,
+    Stage, default_in_flight, is_own_output, run, stream,
 };
 use meniscus::surface::options::Settings;
 use meniscus::surface::skin::{Plan, Surface};
@@ -31,7 +31,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
 
     fn plan(
         &self,
-        particles: &FrameParticles,
+        particles: &FrameInput,
         _obstacles: &FrameObstacles,
         _settings: &Settings,
         _allowed_bytes: u64,
@@ -41,7 +41,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
 
     fn rasterize(
         &self,
-        particles: FrameParticles,
+        particles: FrameInput,
         _obstacles: FrameObstacles,
         _settings: &Settings,
         _plan: &Plan,
@@ -139,7 +139,7 @@ fn frames_are_asked_for_only_when_there_is_room() {
                 full.wait()
             }
         });
-        let conduct = Conduct { in_flight, ..conduct(&pool) };
+        let conduct = PipelineOptions { in_flight, ..conduct(&pool) };
         let mut count = 0;
         stream(&method, next, &conduct, |_, _, _| {
             count += 1;
@@ -212,7 +212,7 @@ fn what_runs_together_keeps_within_the_budget() {
     let edges = [5, 2, 2, 4, 3, 3, 2, 5, 4, 4, 2, 3, 2, 2, 4, 2, 3, 3, 3, 5];
     let bench = Bench::new(&edges);
     let pool = pool(4);
-    let conduct = Conduct { memory_bytes: 100 << 20, in_flight: 8, ..conduct(&pool) };
+    let conduct = PipelineOptions { memory_bytes: 100 << 20, in_flight: 8, ..conduct(&pool) };
     let together = Together::default();
     let two = Signal::default();
     let method = Told(|stage, count| {
@@ -268,7 +268,7 @@ fn a_file_that_is_written_while_it_is_read_is_told_and_can_be_read_later() {
             Some(((), frame.clone()))
         };
         let pool = pool(2);
-        let conduct = Conduct { in_flight: 1, ..conduct(&pool) };
+        let conduct = PipelineOptions { in_flight: 1, ..conduct(&pool) };
         stream(&Told(|_, _| ()), next, &conduct, |(), _, outcome| {
             if matches!(outcome, Outcome::Changed) {
                 is_over.store(true, Ordering::SeqCst);

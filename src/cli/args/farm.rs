@@ -7,7 +7,7 @@ use clap::Args;
 use crate::cli::frame_selection::FrameSelection;
 use crate::farm::SHARDS_MAX;
 
-use super::{Format, FormatArgs, MethodArgs};
+use super::{Format, FormatArgs, MethodArgs, parse_slack};
 
 #[derive(Debug, Args)]
 pub(in crate::cli) struct PlanArgs {
@@ -34,6 +34,13 @@ pub(in crate::cli) struct PlanArgs {
     /// Convert only frames with these numbers, such as 1-240x2 (every second) or 1-10,20,30-40x5
     #[arg(long, value_name = "NUMBERS")]
     pub(in crate::cli) frames: Option<FrameSelection>,
+
+    /// By how much the surface of a level set in .vdb may move to become smooth, in voxels, 0 to 3 [default: 0]
+    ///
+    /// A level set that is an input has its voxels already: it is contoured as it is, or, with a slack, becomes the smoothest
+    /// surface that is nowhere farther from it. Options of particles are refused.
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_slack)]
+    pub(in crate::cli) band_slack: Option<f64>,
 
     #[command(flatten)]
     pub(in crate::cli) method: MethodArgs,

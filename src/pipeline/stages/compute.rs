@@ -1,131 +1,130 @@
-//! The three stages of the method: a lane for each core, which share one pool.
-
-use std::sync::{Arc, PoisonError};
+//! The three stages of the method: a thread for each, which starts frames in the pool and computes nothing itself.
 
 use crossbeam::channel::{Receiver, Sender};
+use meniscus_formats::{Limits, read_particles};
 
-use crate::pipeline::frame::{Cause, FrameError, Stage};
+use crate::pipeline::frame::{Cause, Frame, FrameError, Stage};
 use crate::pipeline::method::Method;
-use crate::surface::options::Settings;
+use crate::pipeline::steps::{by_lines_of_file, file_of};
 use crate::surface::skin::Surface;
 
-use super::line::{Ended, Known, Label, Line, Parcel, Read, outcome_of};
+use super::shared::{Finished, Inlet, InputInfo, Outlet, Place, Read, Staged, Stages, WorkItem, outcome_of};
 
-impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
-    /// From particles to level sets. A frame gets its seat and its memory here.
-    pub(super) fn rasterize<'l, K>(
-        &'l self,
-        from: &Receiver<Parcel<'l, K, Read>>,
-        to: &Sender<Parcel<'l, K, M::Rasterized>>,
-        ended: &Sender<Ended<K>>,
+impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
+    /// From particles, or a level set, to a level set and its bounds. A frame gets its memory here.
+    pub(super) fn rasterize<K: Send + 'env>(
+        &self,
+        from: &Receiver<WorkItem<'env, K, Read>>,
+        to: &Outlet<WorkItem<'env, K, Staged<M::Rasterized>>>,
+        finished: &Sender<Finished<K>>,
     ) {
-        let method = self.method;
-        while let Some(Parcel { label, known, content }) = self.admit(from) {
-            let scratch = label.frame.outputs.folder.clone();
-            // A frame in tiles makes this folder and writes scratch files into it.
-            let allowed = self.refuse_links(&scratch);
-            let work = move |Read { particles, obstacles, plan }: Read, settings: &Settings| {
-                method.rasterize(particles, obstacles, settings, &plan, &scratch)
-            };
-            let computed = allowed.and_then(|()| self.compute(Stage::Rasterize, &label, content, work));
-            if !self.pass(label, known, computed, to, ended) {
-                return;
-            }
+        let shared = self.shared;
+        loop {
+            let place = to.reserve();
+            let Ok(mut item) = from.recv() else { return };
+            item.info.memory.admit(item.info.needed_bytes);
+            self.start(Stage::Rasterize, item, (place, finished), |content, frame, _| match content {
+                Read::Particles(bytes) => parsed(&bytes, frame),
+                Read::Surface { input, obstacles, plan } => {
+                    shared.begin(frame, Stage::Rasterize);
+                    let scratch = &frame.outputs.folder;
+                    // A frame in tiles makes this folder and writes scratch files into it.
+                    shared.refuse_links(scratch)?;
+                    let made = shared.method.rasterize(input, obstacles, &frame.settings, &plan, scratch);
+                    staged(made, frame, Stage::Rasterize)
+                }
+            });
         }
     }
 
-    /// The next frame, once there is a seat and memory for it. It is the one that was read first: nobody
-    /// else waits here.
-    fn admit<'l, K>(&'l self, from: &Receiver<Parcel<'l, K, Read>>) -> Option<Parcel<'l, K, Read>> {
-        let _door = self.door.lock().unwrap_or_else(PoisonError::into_inner);
-        let seat = self.seats.take();
-        let mut parcel = from.recv().ok()?;
-        let Read { particles, obstacles, plan } = &parcel.content;
-        let given_bytes = particles.size_bytes().saturating_add(obstacles.own_bytes);
-        parcel.known.memory.admit(plan.memory_bytes.saturating_add(given_bytes));
-        parcel.known.seat = Some(seat);
-        Some(parcel)
+    /// From level sets to smooth ones.
+    pub(super) fn smooth<K: Send + 'env>(
+        &self,
+        from: &Inlet<WorkItem<'env, K, Staged<M::Rasterized>>>,
+        to: &Outlet<WorkItem<'env, K, Staged<M::Smoothed>>>,
+        finished: &Sender<Finished<K>>,
+    ) {
+        let shared = self.shared;
+        loop {
+            let place = to.reserve();
+            let Some(item) = from.receive() else { return };
+            self.start(Stage::Smooth, item, (place, finished), |content, frame, _| match content {
+                Staged::Particles(particles) => Ok(Staged::Particles(particles)),
+                Staged::Surface(rasterized) => {
+                    shared.begin(frame, Stage::Smooth);
+                    let advanced = &mut |fraction| {
+                        if let Some(observer) = shared.options.observer {
+                            observer.advanced(frame, Stage::Smooth, fraction);
+                        }
+                    };
+                    let made = shared.method.smooth_observed(rasterized, &frame.settings, advanced);
+                    staged(made, frame, Stage::Smooth)
+                }
+            });
+        }
     }
 
-    /// A frame keeps its seat.
-    pub(super) fn smooth<'l, K>(
+    /// From level sets to surfaces. A frame gives back the memory that only computing takes.
+    pub(super) fn contour<K: Send + 'env>(
         &self,
-        from: &Receiver<Parcel<'l, K, M::Rasterized>>,
-        to: &Sender<Parcel<'l, K, M::Smoothed>>,
-        ended: &Sender<Ended<K>>,
+        from: &Inlet<WorkItem<'env, K, Staged<M::Smoothed>>>,
+        to: &Outlet<WorkItem<'env, K, Staged<Surface>>>,
+        finished: &Sender<Finished<K>>,
     ) {
-        let method = self.method;
-        let observer = self.conduct.observer;
-        for Parcel { label, known, content } in from {
-            let frame = label.frame.clone();
-            let work = move |rasterized, settings: &Settings| {
-                method.smooth_observed(rasterized, settings, &mut |fraction| {
-                    if let Some(observer) = observer {
-                        observer.advanced(&frame, Stage::Smooth, fraction);
+        let shared = self.shared;
+        loop {
+            let place = to.reserve();
+            let Some(item) = from.receive() else { return };
+            self.start(Stage::Contour, item, (place, finished), |content, frame, info| match content {
+                Staged::Particles(particles) => Ok(Staged::Particles(particles)),
+                Staged::Surface(smoothed) => {
+                    shared.begin(frame, Stage::Contour);
+                    let made = shared.method.contour(smoothed, &frame.settings, &frame.outputs);
+                    if let Ok(surface) = &made {
+                        let packing_bytes = surface.attributes.packing_bytes() as u64;
+                        let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
+                        info.memory.resize(surface_bytes.saturating_add(packing_bytes));
                     }
-                })
-            };
-            let computed = self.compute(Stage::Smooth, &label, content, work);
-            if !self.pass(label, known, computed, to, ended) {
-                return;
-            }
+                    staged(made, frame, Stage::Contour)
+                }
+            });
         }
     }
 
-    /// From level sets to surfaces. A frame leaves its seat.
-    pub(super) fn contour<'l, K>(
-        &self,
-        from: &Receiver<Parcel<'l, K, M::Smoothed>>,
-        to: &Sender<Parcel<'l, K, Surface>>,
-        ended: &Sender<Ended<K>>,
-    ) {
-        let method = self.method;
-        for Parcel { label, mut known, content } in from {
-            let outputs = Arc::clone(&label.frame.outputs);
-            let work = move |smoothed, settings: &Settings| method.contour(smoothed, settings, &outputs);
-            let computed = self.compute(Stage::Contour, &label, content, work);
-            if let Ok(surface) = &computed {
-                known.seat = None;
-                let packing_bytes = surface.attributes.packing_bytes() as u64;
-                let surface_bytes = surface.size_bytes().saturating_mul(WRITING_MEMORY);
-                known.memory.resize(surface_bytes.saturating_add(packing_bytes));
-            }
-            if !self.pass(label, known, computed, to, ended) {
-                return;
-            }
-        }
-    }
-
-    /// A stage of the method.
-    fn compute<K, A: Send + 'env, B: Send + 'env>(
+    /// Has a thread of the pool do a stage of a frame and send it on, or report its failure.
+    fn start<K: Send + 'env, A: Send + 'env, B: Send + 'env>(
         &self,
         stage: Stage,
-        label: &Label<K>,
-        content: A,
-        work: impl FnOnce(A, &Settings) -> Result<B, Cause> + Send + 'env,
-    ) -> Result<B, FrameError> {
-        let settings = Arc::clone(&label.frame.settings);
-        self.begin(&label.frame, stage);
-        let computed = FrameError::catch(&label.frame.input, stage, || {
-            self.crew.run(label.number, move || work(content, &settings))
+        item: WorkItem<'env, K, A>,
+        (place, finished): (Place<WorkItem<'env, K, B>>, &Sender<Finished<K>>),
+        work: impl FnOnce(A, &Frame, &mut InputInfo<'env>) -> Result<B, FrameError> + Send + 'env,
+    ) {
+        let (shared, finished) = (self.shared, finished.clone());
+        self.scheduler.spawn(item.number, move || {
+            let WorkItem { number, key, frame, mut info, content } = item;
+            let made = FrameError::catch(&frame.input, stage, || work(content, &frame, &mut info));
+            match made.flatten() {
+                Ok(content) => place.send(WorkItem { number, key, frame, info, content }),
+                Err(error) => {
+                    drop((place, info));
+                    let outcome = outcome_of(error);
+                    shared.finish(number, &finished, Finished { key, frame, outcome });
+                }
+            }
         });
-        computed?.map_err(|cause| FrameError::of_stage(&label.frame, stage, cause))
     }
+}
 
-    /// Sends a frame to the next stage, or its end if this was it. Returns whether anybody listens.
-    fn pass<'l, K, B>(
-        &self,
-        label: Label<K>,
-        known: Known<'l>,
-        computed: Result<B, FrameError>,
-        to: &Sender<Parcel<'l, K, B>>,
-        ended: &Sender<Ended<K>>,
-    ) -> bool {
-        match computed {
-            Ok(content) => to.send(Parcel { label, known, content }).is_ok(),
-            Err(error) => ended.send(self.end(label, outcome_of(error))).is_ok(),
-        }
-    }
+/// What a stage made of a surface, or why it failed.
+fn staged<T>(made: Result<T, Cause>, frame: &Frame, stage: Stage) -> Result<Staged<T>, FrameError> {
+    made.map(Staged::Surface).map_err(|cause| FrameError::of_stage(frame, stage, cause))
+}
+
+fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Staged<T>, FrameError> {
+    let name = file_of(&frame.input).file_name().unwrap_or_default().to_string_lossy();
+    let failed = |error| FrameError::file(&frame.input, Stage::Read, by_lines_of_file(&frame.input, error));
+    let particles = read_particles(bytes, &name, &Limits::default()).map_err(failed)?;
+    Ok(Staged::Particles(Box::new(particles)))
 }
 
 /// Memory for writing a surface, in sizes of the surface: itself, and its level set as it is packed, or not.

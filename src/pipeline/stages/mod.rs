@@ -1,28 +1,32 @@
 //! The stages of a frame, joined by bounded channels.
 //!
 //! ```text
-//!   next ──▶ read ──▶ rasterize ──▶ smooth ──▶ contour ══▶ write ──▶ finished
-//!    ▲      1 thread     └── a lane for each core ──┘     some threads   │
-//!    └────────────── as many frames as may be in flight ─────────────────┘
+//!   next ──▶ read ──▶ rasterize ──▶ smooth ──▶ contour ──▶ write ──▶ finished
+//!    ▲                                                                   │
+//!    └──────────────── as many frames as may be in flight ───────────────┘
 //! ```
 //!
-//! Several frames are under way at once, and a slow stage holds back the ones before it. The next frame is
-//! asked for only when there is room for one, so that whoever is asked can decide late which it is.
+//! Several frames are under way at once, each in another stage or several in one. A stage begins with a frame only when there
+//! is a place for what it makes in the channel behind it. So a slow stage holds back the stages before it, and in the end the
+//! caller, who is asked for the next frame only when there is room for it, and can decide late which it is.
 //!
-//! The three stages of the method compute in one pool of threads, a frame in each of as many *seats* as the
-//! pool has threads. When several frames are there, each thread has one of its own and none waits for
-//! another; when there is one, the others have nothing better to do than to take their share of it. A frame
-//! keeps its seat from rasterizing to the end of contouring: nothing half computed waits and costs memory.
-//! What the frames take together is bounded by a [budget](super::budget), too.
+//! Reading has one thread, and writing has some, which wait for the disk. Rasterizing, smoothing and contouring have one thread
+//! each, which only decides when a frame may begin. All computing happens in the pool, where the earliest frame comes
+//! [first](super::scheduler): with many frames each thread of the pool has one of its own, and with one frame they share it.
 //!
-//! `line` has what the stages share; `read`, `compute` and `write` are its threads.
+//! The frames under way are bounded in number, by `in_flight`, and in bytes, by a [budget](super::budget).
+//!
+//! Not every frame needs every stage: particles that are only written in another format are parsed by the first one, and go
+//! through the other two as they are.
 //!
 //! Each stage runs under `catch_unwind`: a broken invariant costs its own frame only. A frame that failed,
 //! or was done already, leaves at once and overtakes others; [`run`] puts outcomes back in order.
+//!
+//! `shared` has what goes from stage to stage; `read`, `compute` and `write` are the stages.
 
 mod compute;
-mod line;
 mod read;
+mod shared;
 mod write;
 
 use std::collections::BTreeMap;
@@ -32,15 +36,15 @@ use std::thread;
 use crossbeam::channel::bounded;
 use rayon::ThreadPool;
 
-use super::crew::{Crew, Tasks};
-use super::frame::{Frame, Outcome, Stage};
+use super::frame::{Frame, Outcome};
 use super::memory::default_memory_bytes;
 use super::method::Method;
 use super::observer::Observer;
 use super::output_states::OutputStates;
+use super::scheduler::{Scheduler, TaskQueue};
 use super::steps::StepsFoundBy;
 
-use line::{Ended, Line, is_failure};
+use shared::{Finished, Shared, Stages, is_failure, link};
 
 /// What to do when a frame fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,11 +57,11 @@ pub enum OnError {
 
 /// How frames are converted.
 #[derive(Clone, Copy, Debug)]
-pub struct Conduct<'a> {
+pub struct PipelineOptions<'a> {
     /// Where all computing happens.
     pub pool: &'a ThreadPool,
-    /// What to do when a frame fails, or changes while it is read. To stop, frames keep their order
-    /// on the whole way: one at a time in each stage.
+    /// What to do when a frame fails, or changes while it is read. To stop, frames keep their order: each stage has
+    /// one at a time.
     pub on_error: OnError,
     /// Leave frames alone whose outputs are there, made from the same input by the same settings
     /// and the same version of this program.
@@ -79,16 +83,16 @@ pub struct Conduct<'a> {
     /// is recorded; without `skip_done`, only where a frame fails validation or its outputs have records already. `None`:
     /// bytes are neither recorded nor compared.
     pub output_states: Option<&'a OutputStates>,
-    /// Hears how frames advance.
+    /// Is notified of the stages that frames begin, and how they advance.
     pub observer: Option<&'a dyn Observer>,
 }
 
-impl<'a> Conduct<'a> {
+impl<'a> PipelineOptions<'a> {
     /// On these threads, as `meniscus convert` does it where nobody asks for anything: it goes on when a frame fails,
     /// makes again what is done, writes no certificates, and has [so many](default_in_flight) frames under way and
     /// [so much](default_memory_bytes) memory.
-    pub fn new(pool: &'a ThreadPool) -> Conduct<'a> {
-        Conduct {
+    pub fn new(pool: &'a ThreadPool) -> PipelineOptions<'a> {
+        PipelineOptions {
             pool,
             on_error: OnError::Continue,
             skip_done: false,
@@ -125,14 +129,14 @@ impl<'a> Conduct<'a> {
     }
 }
 
-/// How many frames it takes to keep so many threads busy: one for each, and some that are read or written.
+/// How many frames it takes to keep this many threads busy: one for each, and some that are read or written.
 pub fn default_in_flight(threads: usize) -> usize {
     threads + writer_count(threads) + 1
 }
 
 /// Encoding takes a small part of the time of computing; waiting for the disk need not be waited for.
-fn writer_count(lane_count: usize) -> usize {
-    lane_count / 2 + 1
+fn writer_count(thread_count: usize) -> usize {
+    thread_count / 2 + 1
 }
 
 /// Converts the frames of a list; `finished` hears of each, by its index and in order, as soon as all
@@ -140,92 +144,82 @@ fn writer_count(lane_count: usize) -> usize {
 pub fn run<M: Method>(
     method: &M,
     frames: &[Frame],
-    conduct: &Conduct<'_>,
+    options: &PipelineOptions<'_>,
     mut finished: impl FnMut(usize, Outcome),
 ) {
     let mut frames = frames.iter().cloned().enumerate();
     let mut early = BTreeMap::new();
     let mut is_stopped = false;
-    let mut told_count = 0;
+    let mut finished_count = 0;
     stream(
         method,
         || frames.next(),
-        conduct,
+        options,
         |index, _, outcome| {
             early.insert(index, outcome);
-            while let Some(outcome) = early.remove(&told_count) {
+            while let Some(outcome) = early.remove(&finished_count) {
                 // A frame after the one that failed may have failed before it.
                 let outcome = if is_stopped { Outcome::NotStarted } else { outcome };
-                is_stopped |= conduct.on_error == OnError::Stop && is_failure(&outcome);
-                finished(told_count, outcome);
-                told_count += 1;
+                is_stopped |= options.on_error == OnError::Stop && is_failure(&outcome);
+                finished(finished_count, outcome);
+                finished_count += 1;
             }
         },
     );
 }
 
 /// Converts the frames that `next` returns, until it returns `None`. It is asked when there is room for one
-/// frame more, and may block. `K` is the caller's own word for the frame. `finished` hears of each frame as
-/// soon as it is known what came of it, in whatever order, on the thread of the caller.
+/// frame more, and may block. `K` is what the caller knows the frame by. `finished` hears of each frame as
+/// soon as its outcome is known, in whatever order, on the thread of the caller.
 pub fn stream<M: Method, K: Send>(
     method: &M,
     next: impl FnMut() -> Option<(K, Frame)> + Send,
-    conduct: &Conduct<'_>,
+    options: &PipelineOptions<'_>,
     finished: impl FnMut(K, Frame, Outcome),
 ) {
-    stream_seen(method, &|_, _| {}, next, conduct, finished);
-}
-
-/// The same; `began` hears of each stage that a frame begins, on the thread of the stage: it must be quick.
-pub fn stream_seen<M: Method, K: Send>(
-    method: &M,
-    began: &(dyn Fn(&Frame, Stage) + Sync),
-    next: impl FnMut() -> Option<(K, Frame)> + Send,
-    conduct: &Conduct<'_>,
-    finished: impl FnMut(K, Frame, Outcome),
-) {
-    let lane_count = match conduct.on_error {
-        OnError::Stop => 1,
-        OnError::Continue => conduct.pool.current_num_threads().min(conduct.in_flight).max(1),
-    };
-    let tasks = Tasks::default();
-    conduct.pool.in_place_scope(|scope| {
-        let line = Line::new(method, began, conduct, Crew::new(scope, &tasks), lane_count);
-        drive(&line, lane_count, next, finished);
+    let shared = Shared::new(method, options);
+    let tasks = TaskQueue::default();
+    options.pool.in_place_scope(|scope| {
+        let stages = Stages { shared: &shared, scheduler: Scheduler::new(scope, &tasks) };
+        drive(&stages, next, finished);
     });
 }
 
-/// Starts the threads of the stages, and tells what they make of the frames.
-fn drive<M: Method, K: Send>(
-    line: &Line<'_, '_, '_, M>,
-    lane_count: usize,
+/// Starts the threads of the stages, and reports the outcomes of the frames.
+fn drive<'scope, 'env: 'scope, M: Method, K: Send + 'env>(
+    stages: &Stages<'_, 'scope, 'env, M>,
     next: impl FnMut() -> Option<(K, Frame)> + Send,
     mut finished: impl FnMut(K, Frame, Outcome),
 ) {
-    let (room, no_room) = bounded(line.conduct.in_flight.max(1));
-    let (done, outcomes) = bounded(1);
+    let options = stages.shared.options;
+    let in_flight = options.in_flight.max(1);
+    // As many frames at most, in each stage and behind it.
+    let width = match options.on_error {
+        OnError::Stop => 1,
+        OnError::Continue => options.pool.current_num_threads().min(in_flight),
+    };
+    let (room, no_room) = bounded(in_flight);
+    // A thread of the pool never waits to report an outcome.
+    let (done, outcomes) = bounded(in_flight);
     let (to_rasterize, to_rasterize_from) = bounded(0);
-    let (to_smooth, to_smooth_from) = bounded(0);
-    let (to_contour, to_contour_from) = bounded(0);
-    let (to_write, to_write_from) = bounded(1);
+    let (to_smooth, to_smooth_from) = link(width);
+    let (to_contour, to_contour_from) = link(width);
+    let (to_write, to_write_from) = link(width);
     thread::scope(move |scope| {
-        for _ in 0..lane_count {
-            let (from, to, ended) = (to_rasterize_from.clone(), to_smooth.clone(), done.clone());
-            scope.spawn(move || line.rasterize(&from, &to, &ended));
-            let (from, to, ended) = (to_smooth_from.clone(), to_contour.clone(), done.clone());
-            scope.spawn(move || line.smooth(&from, &to, &ended));
-            let (from, to, ended) = (to_contour_from.clone(), to_write.clone(), done.clone());
-            scope.spawn(move || line.contour(&from, &to, &ended));
+        for _ in 0..writer_count(width) {
+            let (from, done) = (to_write_from.clone(), done.clone());
+            scope.spawn(move || stages.write(&from, &done));
         }
-        for _ in 0..writer_count(lane_count) {
-            let (from, ended) = (to_write_from.clone(), done.clone());
-            scope.spawn(move || line.write(&from, &ended));
-        }
-        scope.spawn(move || line.read(next, &room, &to_rasterize, &done));
-        // The stages end when the one before has: this thread's own ends of the channels must not keep them.
-        drop((to_smooth, to_contour, to_write));
-        drop((to_rasterize_from, to_smooth_from, to_contour_from, to_write_from));
-        for Ended { key, frame, outcome } in outcomes {
+        let reader_done = done.clone();
+        scope.spawn(move || stages.read(next, &room, &to_rasterize, &reader_done));
+        let of_stage = done.clone();
+        scope.spawn(move || stages.rasterize(&to_rasterize_from, &to_smooth, &of_stage));
+        let of_stage = done.clone();
+        scope.spawn(move || stages.smooth(&to_smooth_from, &to_contour, &of_stage));
+        scope.spawn(move || stages.contour(&to_contour_from, &to_write, &done));
+        // The stages end when the one before has: this thread's own end of a channel must not keep them.
+        drop(to_write_from);
+        for Finished { key, frame, outcome } in outcomes {
             finished(key, frame, outcome);
             // There is a token in it for each frame that is not finished.
             let _ = no_room.try_recv();

@@ -1,4 +1,4 @@
-//! From files to particles: one thread, which asks for the next frame when there is room for one.
+//! From files to particles and level sets: one thread, which asks for the next frame when there is room for one.
 //!
 //! A file that is large, and of which positions are enough, is gone through batch by batch later; here it is hashed. Any
 //! other is read whole. Parsing and planning are work for the pool.
@@ -11,39 +11,39 @@ use crossbeam::channel::Sender;
 use twox_hash::XxHash3_128;
 
 use crate::pipeline::attributes::Wanted;
-use crate::pipeline::frame::{Cause, Frame, FrameError, Outcome, ReadInput, Stage};
-use crate::pipeline::frame_particles::{FileParticles, FrameParticles};
+use crate::pipeline::frame::{Cause, Frame, FrameError, Job, Outcome, ReadInput, Stage};
+use crate::pipeline::frame_input::{FileParticles, FrameInput, LevelSetInput};
 use crate::pipeline::inspection::certified_fault;
+use crate::pipeline::level_set_file::{level_set_limits, notes_of_grids, read_input};
 use crate::pipeline::method::Method;
 use crate::pipeline::obstacle_notes::out_of_reach;
 use crate::pipeline::obstacles::FoundObstacles;
 use crate::pipeline::provenance::is_done;
-use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged};
+use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged, read_unchanged};
 use crate::pipeline::steps::{reading_bytes, step_of};
 use crate::surface::options::Settings;
 
-use super::Conduct;
-use super::line::{Ended, Known, Label, Line, Noted, Parcel, Read, outcome_of};
+use super::PipelineOptions;
+use super::shared::{Finished, InputInfo, Noted, Read, Stages, WorkItem, outcome_of};
 
-impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
-    /// Reads frames until there are none, or nobody listens any more.
-    pub(super) fn read<'l, K>(
-        &'l self,
+impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
+    /// Reads frames until there are none, or the caller is gone.
+    pub(super) fn read<K>(
+        &self,
         mut next: impl FnMut() -> Option<(K, Frame)>,
         room: &Sender<()>,
-        to: &Sender<Parcel<'l, K, Read>>,
-        ended: &Sender<Ended<K>>,
+        to: &Sender<WorkItem<'env, K, Read>>,
+        finished: &Sender<Finished<K>>,
     ) {
         // Sending fails when the caller is gone.
         for number in 0.. {
             if room.send(()).is_err() {
                 return;
             }
-            let Some((key, frame)) = next() else { return };
-            let label = Label { number, key, frame };
-            let is_sent = match self.read_one(number, &label.frame) {
-                Ok((content, known)) => to.send(Parcel { label, known, content }).is_ok(),
-                Err(outcome) => ended.send(self.end(label, outcome)).is_ok(),
+            let Some((key, mut frame)) = next() else { return };
+            let is_sent = match self.read_one(number, &mut frame) {
+                Ok((content, info)) => to.send(WorkItem { number, key, frame, info, content }).is_ok(),
+                Err(outcome) => self.shared.finish(number, finished, Finished { key, frame, outcome }),
             };
             if !is_sent {
                 return;
@@ -51,36 +51,88 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         }
     }
 
-    fn read_one(&self, number: usize, frame: &Frame) -> Result<(Read, Known<'_>), Outcome> {
-        if self.is_stopped_before(number) {
+    fn read_one(&self, number: usize, frame: &mut Frame) -> Result<(Read, InputInfo<'env>), Outcome> {
+        let shared = self.shared;
+        if shared.is_stopped_before(number) {
             return Err(Outcome::NotStarted);
         }
         // A file that cannot be looked at will not be read either.
-        let file_bytes = reading_bytes(&frame.input, self.conduct.steps_found_by);
+        let file_bytes = reading_bytes(&frame.input, shared.options.steps_found_by);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
-        let bytes = file_bytes.saturating_mul(READING_MEMORY).saturating_add(obstacle_bytes);
-        let mut memory = self.budget.hold(bytes);
-        self.begin(frame, Stage::Read);
+        let bytes = file_bytes.saturating_mul(reading_memory(&frame.job)).saturating_add(obstacle_bytes);
+        let mut memory = shared.budget.hold(bytes);
+        shared.begin(frame, Stage::Read);
         let start = Instant::now();
-        let read = FrameError::catch(&frame.input, Stage::Read, || self.particles_of(number, frame));
+        let read = FrameError::catch(&frame.input.clone(), Stage::Read, || match frame.job {
+            Job::Surface => self.particles_of(number, frame),
+            Job::LevelSet { .. } => self.level_set_of(number, frame),
+            Job::Particles => self.bytes_of(frame),
+        });
         let (read, input, noted) = read.map_err(Outcome::Failed).flatten()?;
+        let read_seconds = start.elapsed().as_secs_f64();
+        let Read::Surface { input: given, obstacles, plan } = &read else {
+            let (needed_bytes, obstacles) = (bytes, <(String, usize)>::default());
+            return Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }));
+        };
         // Those that stand still are there for the frames that follow, too. They are named by where they are, which the
-        // frames of this line keep as it is; and nobody takes their room between this and the next.
-        let standing_bytes = read.obstacles.all_bytes - read.obstacles.own_bytes;
-        self.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
-        let given_bytes = read.particles.size_bytes().saturating_add(read.obstacles.own_bytes);
-        if let Some(observer) = self.conduct.observer {
-            observer.planned(frame, &read.plan, given_bytes);
+        // frames of this pipeline keep as it is; and nobody takes their room between this and the next.
+        let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
+        shared.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
+        let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
+        if let Some(observer) = shared.options.observer {
+            observer.planned(frame, plan, given_bytes);
         }
         memory.resize(given_bytes);
-        let read_seconds = start.elapsed().as_secs_f64();
-        let obstacles = (read.obstacles.recorded.clone(), read.obstacles.open_edge_count);
-        Ok((read, Known { input, read_seconds, noted, obstacles, memory, seat: None }))
+        let needed_bytes = plan.memory_bytes.saturating_add(given_bytes);
+        let obstacles = (obstacles.recorded.clone(), obstacles.open_edge_count);
+        Ok((read, InputInfo { input, read_seconds, noted, obstacles, needed_bytes, memory }))
+    }
+
+    /// The bytes of a frame that is written in another format.
+    fn bytes_of(&self, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
+        let (bytes, input) = self.whole(frame)?;
+        self.refuse_done(frame, input, "")?;
+        Ok((Read::Particles(bytes), input, Noted::default()))
+    }
+
+    /// The level set of a frame, which gets the voxel size and the origin of its file.
+    fn level_set_of(&self, number: usize, frame: &mut Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
+        let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
+        let memory_bytes = self.shared.options.memory_bytes;
+        let file_bytes = frame.input.metadata().map_or(0, |metadata| metadata.len());
+        level_set_limits(memory_bytes).check_level_set(file_bytes, "").map_err(failed)?;
+        let unchanged = read_unchanged(&frame.input).map_err(|error| failed(error.into()))?;
+        let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
+        let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
+        let given = frame.clone();
+        let parsed = self.scheduler.run(number, move || {
+            let (read, file) = read_input(&given, &bytes, memory_bytes)?;
+            Ok((read, file, notes_of_grids(&bytes)))
+        });
+        let (read, mut file, of_grids) = parsed.map_err(outcome_of)?;
+        *frame = read;
+        self.refuse_done(frame, input, "")?;
+        let notes = [std::mem::take(&mut file.notes), of_grids].concat();
+        let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
+        let noted = Noted { notes, unused_velocity: None };
+        let found = FoundObstacles::default();
+        self.planned(number, frame, move || Ok((given, noted)), found, input)
+    }
+
+    /// The bytes of a frame's file, or of its step.
+    fn whole(&self, frame: &Frame) -> Result<(Vec<u8>, ReadInput), Outcome> {
+        let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
+        let unchanged = read_frame_unchanged(&frame.input, self.shared.options.steps_found_by);
+        let (bytes, stamp) = unchanged.map_err(failed)?.ok_or(Outcome::Changed)?;
+        let hash = XxHash3_128::oneshot(&bytes);
+        Ok((bytes, ReadInput { stamp, hash }))
     }
 
     /// The particles of a frame, and the notes on them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
-        let failed = |error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error));
+        let failed = |error: meniscus_formats::Error| {
+            Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
+        };
         let of_obstacle = |error| FrameError::of_stage(frame, Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
@@ -91,24 +143,22 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
             if !file.is_unchanged().map_err(failed)? {
                 return Err(Outcome::Changed);
             }
-            self.refuse_done(frame, input, &obstacles)?;
+            self.refuse_done(frame, input, &obstacles.recorded())?;
             let streamed = FileParticles::open(&frame.input, file)
                 .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
             if let Some(particles) = streamed {
                 let noted = Noted { notes: particles.notes(), unused_velocity: particles.unused_velocity() };
-                let particles = FrameParticles::OnDisk(Box::new(particles));
+                let particles = FrameInput::OnDisk(Box::new(particles));
                 return self.planned(number, frame, move || Ok((particles, noted)), obstacles, input);
             }
         }
-        let unchanged = read_frame_unchanged(&frame.input, self.conduct.steps_found_by).map_err(failed)?;
-        let (bytes, stamp) = unchanged.ok_or(Outcome::Changed)?;
-        let input = ReadInput { stamp, hash: XxHash3_128::oneshot(&bytes) };
-        self.refuse_done(frame, input, &obstacles)?;
+        let (bytes, input) = self.whole(frame)?;
+        self.refuse_done(frame, input, &obstacles.recorded())?;
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
             let noted = Noted { notes: read.notes, unused_velocity: read.unused_velocity };
-            Ok((FrameParticles::InMemory(read.cloud), noted))
+            Ok((FrameInput::InMemory(read.cloud), noted))
         };
         self.planned(number, frame, parse, obstacles, input)
     }
@@ -122,22 +172,17 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         Ok((file.is_regular() && file.stamp().size >= STREAMED_FROM_BYTES).then_some(file))
     }
 
-    /// Ends a frame that needs not be made again, where such frames are skipped.
-    fn refuse_done(
-        &self,
-        frame: &Frame,
-        input: ReadInput,
-        obstacles: &FoundObstacles,
-    ) -> Result<(), Outcome> {
-        let Conduct { skip_done, certificates, .. } = *self.conduct;
+    /// Ends a frame that need not be made again, where such frames are skipped.
+    fn refuse_done(&self, frame: &Frame, input: ReadInput, obstacles: &str) -> Result<(), Outcome> {
+        let options = self.shared.options;
+        let PipelineOptions { skip_done, certificates, .. } = *options;
         if !skip_done {
             return Ok(());
         }
-        let obstacles = obstacles.recorded();
         let fault = match certificates {
-            true => certified_fault(frame, input.hash, &obstacles),
-            false => is_done(frame, input.hash, &obstacles)
-                .then(|| self.conduct.recorded_fault(&frame.output_paths()))
+            true => certified_fault(frame, input.hash, obstacles),
+            false => is_done(frame, input.hash, obstacles)
+                .then(|| options.recorded_fault(&frame.output_paths()))
                 .flatten(),
         };
         fault.map_or(Ok(()), |fault| Err(Outcome::AlreadyDone { input, fault }))
@@ -148,27 +193,28 @@ impl<'scope, 'env: 'scope, M: Method> Line<'_, 'scope, 'env, M> {
         &self,
         number: usize,
         frame: &Frame,
-        parse: impl FnOnce() -> Result<(FrameParticles, Noted), FrameError> + Send + 'env,
+        parse: impl FnOnce() -> Result<(FrameInput, Noted), FrameError> + Send + 'env,
         found: FoundObstacles,
         input: ReadInput,
     ) -> Result<(Read, ReadInput, Noted), Outcome> {
-        let (method, frame, allowed_bytes) = (self.method, frame.clone(), self.conduct.memory_bytes);
-        let planned = self.crew.run(number, move || {
-            let (particles, mut noted) = parse()?;
+        let (method, allowed_bytes) = (self.shared.method, self.shared.options.memory_bytes);
+        let frame = frame.clone();
+        let planned = self.scheduler.run(number, move || {
+            let (given, mut noted) = parse()?;
             let notes = &mut noted.notes;
             let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
             let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             notes.append(&mut obstacles.notes);
-            notes.extend(out_of_reach(&obstacles, &particles, &frame.settings).map_err(failed)?);
-            let plan = method.plan(&particles, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
+            notes.extend(out_of_reach(&obstacles, &given, &frame.settings).map_err(failed)?);
+            let plan = method.plan(&given, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
-                let mebibytes = plan.whole_bytes.saturating_add(particles.size_bytes()).div_ceil(1 << 20);
+                let mebibytes = plan.whole_bytes.saturating_add(given.size_bytes()).div_ceil(1 << 20);
                 notes.push(format!(
                     "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB (--memory)"
                 ));
             }
-            Ok((Read { particles, obstacles, plan }, noted))
+            Ok((Read::Surface { input: given, obstacles, plan }, noted))
         });
         let (read, noted) = planned.map_err(outcome_of)?;
         Ok((read, input, noted))
@@ -180,8 +226,16 @@ fn needs_positions_only(settings: &Settings) -> bool {
     Wanted::by(settings).is_nothing()
 }
 
-/// Memory for reading a file, in sizes of the file: its bytes, and the particles that are parsed from them.
-const READING_MEMORY: u64 = 2;
+/// Memory for reading a file, in sizes of the file: its bytes, and what is parsed from them.
+fn reading_memory(job: &Job) -> u64 {
+    match job {
+        Job::Surface => 2,
+        // With all that is known of them.
+        Job::Particles => 3,
+        // Its values are packed, to about a quarter.
+        Job::LevelSet { .. } => 5,
+    }
+}
 
 /// Files of this size and more are read batch by batch where their format allows it. Smaller ones are sooner read
 /// once than gone through twice.

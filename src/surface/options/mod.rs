@@ -259,6 +259,34 @@ impl Settings {
         Settings::resolve(&choices.clone().over(paper), None)
     }
 
+    /// The settings for level sets, whose files say how large their voxels are: with some voxel size that suits the offset,
+    /// until [`with_voxel_size`](Settings::with_voxel_size) has the right one.
+    ///
+    /// # Errors
+    /// When there is no voxel size with which these choices make sense.
+    pub fn of_level_sets(choices: &Choices) -> Result<Settings, SettingsError> {
+        let offset = choices.offset.filter(|offset| offset.is_finite()).unwrap_or(0.0);
+        Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, choices)
+    }
+
+    /// The same settings on a lattice with these voxels: what follows from the voxel size is that of [`Settings::paper`].
+    ///
+    /// # Errors
+    /// When the voxel size is invalid, or too small or too large for the offset.
+    pub fn with_voxel_size(&self, voxel_size: f64) -> Result<Settings, SettingsError> {
+        let offset = (self.offset != 0.0).then_some(self.offset);
+        let lengths = Settings::paper(voxel_size, &Choices { offset, ..Choices::default() })?;
+        Ok(Settings {
+            spacing: lengths.spacing,
+            voxel_size: lengths.voxel_size,
+            radius_min: lengths.radius_min,
+            radius_init: lengths.radius_init,
+            radius_max: lengths.radius_max,
+            offset: lengths.offset,
+            ..self.clone()
+        })
+    }
+
     fn check_solver(&self) -> Result<(), SettingsError> {
         let steps_max = f64::from(STEPS_MAX);
         let every = f64::from(self.redistance_every);

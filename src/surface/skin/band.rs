@@ -46,46 +46,80 @@ pub fn resurface(
     settings: &Settings,
     stored: &[Stored],
 ) -> Surface {
+    bound(band, translation, slack_voxels, settings).smooth(settings, &mut |_| {}).contour(settings, stored)
+}
+
+/// A level set between two stages of [`resurface`], and the bounds that its surface must keep.
+#[derive(Clone, Debug)]
+pub struct BoundedBand {
+    band: NarrowBand,
+    bounds: Bounds,
+    slack: f32,
+    translation: DVec3,
+    report: SkinReport,
+}
+
+/// The first stage of [`resurface`]: a band that is wide enough, and the bounds around it.
+pub fn bound(band: NarrowBand, translation: DVec3, slack_voxels: f32, settings: &Settings) -> BoundedBand {
     let started = Instant::now();
     let slack = slack_voxels.clamp(0.0, SLACK_MAX_VOXELS);
-    let offset = (settings.offset / settings.voxel_size) as f32;
-    let mut band = match working_half_width(&band, slack, offset) {
+    let band = match working_half_width(&band, slack, offset_voxels(settings)) {
         Some(half_width) => widened(&band, half_width),
         None => band,
     };
     let bounds = Bounds { lower: moved(&band.phi, -slack), upper: moved(&band.phi, slack) };
     let mut report = SkinReport { leaf_count: band.topology.len(), ..SkinReport::default() };
     report.seconds.rasterize = started.elapsed().as_secs_f64();
-    let started = Instant::now();
-    if slack > 0.0 {
-        let smoothed = smooth::smooth(&mut band, &bounds, &smooth_config(settings));
-        report.free_voxel_count = smoothed.free_voxel_count;
-        report.pass_count = smoothed.pass_count;
-        report.moved_count = smoothed.moved_count;
-        report.reach_voxels = smoothed.reach_voxels;
-        report.convergence = smoothed.convergence;
-        report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+    BoundedBand { band, bounds, slack, translation, report }
+}
+
+impl BoundedBand {
+    /// The second stage: smoothed within the bounds, if there is any slack; `advanced` hears how much of it is done, from 0 to 1.
+    pub fn smooth(mut self, settings: &Settings, advanced: &mut dyn FnMut(f64)) -> BoundedBand {
+        let started = Instant::now();
+        let BoundedBand { band, bounds, slack, report, .. } = &mut self;
+        if *slack > 0.0 {
+            let smoothed = smooth::smooth_observed(band, bounds, &smooth_config(settings), advanced);
+            report.free_voxel_count = smoothed.free_voxel_count;
+            report.pass_count = smoothed.pass_count;
+            report.moved_count = smoothed.moved_count;
+            report.reach_voxels = smoothed.reach_voxels;
+            report.convergence = smoothed.convergence;
+            report.cfl_exceeded_count = smoothed.cfl_exceeded_count;
+        }
+        report.seconds.smooth = started.elapsed().as_secs_f64();
+        self
     }
-    report.seconds.smooth = started.elapsed().as_secs_f64();
-    let started = Instant::now();
-    let bound_violation_count = bounds.violation_count(&band.phi);
-    drop(bounds);
-    if offset != 0.0 {
-        let half_width = band.half_width - offset.abs().ceil();
-        offset_surface(&mut band, offset, half_width, |_| None);
+
+    /// The third stage: the mesh and its checks, for files that store it so.
+    pub fn contour(self, settings: &Settings, stored: &[Stored]) -> Surface {
+        let started = Instant::now();
+        let BoundedBand { mut band, bounds, translation, mut report, .. } = self;
+        let bound_violation_count = bounds.violation_count(&band.phi);
+        drop(bounds);
+        let offset = offset_voxels(settings);
+        if offset != 0.0 {
+            let half_width = band.half_width - offset.abs().ceil();
+            offset_surface(&mut band, offset, half_width, |_| None);
+        }
+        let lattice = lattice(settings);
+        let mut mesh = contour::contour(&band, &lattice, settings.contouring);
+        report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
+        // Files may store world positions: what they make of the mesh depends on where it is.
+        mesh.origin += translation;
+        // There is no particle to ask about.
+        let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
+        let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
+        let counts = (bound_violation_count, 0);
+        report.certificate =
+            certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
+        report.seconds.contour = started.elapsed().as_secs_f64();
+        Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
     }
-    let lattice = lattice(settings);
-    let mut mesh = contour::contour(&band, &lattice, settings.contouring);
-    report.bending_energy = contour::bending_energy(&band, &lattice, &mesh);
-    // Files may store world positions: what they make of the mesh depends on where it is.
-    mesh.origin += translation;
-    // There is no particle to ask about.
-    let no_part = |_: &Checked, _: &mut dyn FnMut(&Part)| Ok::<(), Infallible>(());
-    let Ok(checks) = finish::settle(&mut mesh, (settings, stored), &mut report, no_part);
-    let counts = (bound_violation_count, 0);
-    report.certificate = certificate(checks, counts, (None, settings.offset), &mesh, &report.mesh, &lattice);
-    report.seconds.contour = started.elapsed().as_secs_f64();
-    Surface { band, mesh, attributes: SurfaceAttributes::default(), report }
+}
+
+fn offset_voxels(settings: &Settings) -> f32 {
+    (settings.offset / settings.voxel_size) as f32
 }
 
 /// The half width of the band that is worked on; `None` for that of the given one. Where the surface is moved, the file's values
@@ -105,8 +139,7 @@ fn working_half_width(band: &NarrowBand, slack: f32, offset: f32) -> Option<f32>
 /// does.
 pub fn resurfacing_bytes(band: &NarrowBand, slack_voxels: f32, settings: &Settings) -> u64 {
     let given = band.topology.len() as f64;
-    let offset = (settings.offset / settings.voxel_size) as f32;
-    let (leaves, widening) = match working_half_width(band, slack_voxels, offset) {
+    let (leaves, widening) = match working_half_width(band, slack_voxels, offset_voxels(settings)) {
         Some(_) => {
             let wide = widened_leaf_count(band) as f64;
             // The given band, two fields of the wide one, and the list that its leaves are found by.

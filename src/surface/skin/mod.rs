@@ -19,7 +19,7 @@ use std::convert::Infallible;
 use std::time::Instant;
 
 pub use attributes::{SurfaceAttributes, Targets, transfer};
-pub use band::{SLACK_MAX_VOXELS, resurface, resurfacing_bytes};
+pub use band::{BoundedBand, SLACK_MAX_VOXELS, bound, resurface, resurfacing_bytes};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use finish::Stored;
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};

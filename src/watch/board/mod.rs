@@ -216,7 +216,7 @@ impl Board {
     }
 
     /// A stage has begun of the frame whose outputs are called so.
-    pub fn began(&self, stem: &Path, stage: Stage) {
+    pub fn stage_began(&self, stem: &Path, stage: Stage) {
         let mut state = self.lock();
         let Some(rank) = state.by_stem.get(stem).cloned() else { return };
         let Some(mut frame) = state.frames.remove(&rank) else { return };

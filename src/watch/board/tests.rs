@@ -61,7 +61,7 @@ fn a_frame_is_told_once_as_it_is_now() {
     board.show(view("a", FrameState::Waiting));
     board.show(view("b", FrameState::Waiting));
     board.show(view("a", FrameState::Queued));
-    board.began(Path::new("/out/a"), Stage::Smooth);
+    board.stage_began(Path::new("/out/a"), Stage::Smooth);
     board.remove("b");
     let (version, frames, removed) = news(&board, 0).expect("known");
     assert_eq!((version, frames, removed), (board.version(), vec!["a".to_owned()], vec!["b".to_owned()]));

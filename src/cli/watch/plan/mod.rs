@@ -24,12 +24,13 @@ use crate::cli::choices::{
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
 use crate::cli::quantities::memory_bytes;
+use crate::cli::resurfacing::refuse_of_particles;
 use crate::http::{Listen, Token};
 use crate::pipeline::{default_in_flight, read_regular_text, refuse_file_for_folder};
 use crate::surface::options::Settings;
 use crate::watch::place::known_path;
 use crate::watch::selection::Selection;
-use crate::watch::{Config, Order, Patience, Poll, Watch};
+use crate::watch::{Config, Order, Patience, Poll, Watch, names_level_sets};
 
 /// What to do, and what to say of it before.
 #[derive(Clone, Debug)]
@@ -128,9 +129,13 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
     let choices = choices(&frames.method);
-    match choices.needs_spacing() {
-        false => warnings.extend(Settings::resolve(&choices, None)?.warnings()),
-        true => Settings::check(&choices)?,
+    if names_level_sets(frames.pattern.as_deref()) {
+        refuse_of_particles(&frames.method, 0.0)?;
+        Settings::of_level_sets(&choices)?;
+    } else if choices.needs_spacing() {
+        Settings::check(&choices)?;
+    } else {
+        warnings.extend(Settings::resolve(&choices, None)?.warnings());
     }
     refuse_idle_quantize(frames.format.as_deref(), &frames.formats)?;
     refuse_file_name(output)?;

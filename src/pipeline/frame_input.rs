@@ -1,12 +1,15 @@
-//! The particles of a frame: in memory, or in the file that they are read from again and again.
+//! What a frame is made from: particles in memory, or in the file that they are read from again and again; or a level set.
 
 use std::borrow::Cow;
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
+use glam::DVec3;
 use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, Positions};
 
+use crate::surface::grid::Leaf;
+use crate::surface::level_set::NarrowBand;
 use crate::surface::particles::{self, Cloud, ParticleSource, Shapes};
 
 use crate::surface::options::Settings;
@@ -14,16 +17,39 @@ use crate::surface::report::Shaping;
 use crate::surface::skin::{self, ShapedSource};
 
 use super::attributes::own_radii_min;
-use super::frame::Cause;
+use super::frame::{Cause, Job};
+use super::level_set_file::LevelSetFile;
 use super::reading::InputFile;
 
-/// The particles of a frame.
+/// What a frame is made from.
 #[derive(Debug)]
-pub enum FrameParticles {
-    /// All of them.
+pub enum FrameInput {
+    /// All of its particles.
     InMemory(Cloud),
     /// Those in a file whose records can be read one by one.
     OnDisk(Box<FileParticles>),
+    /// A level set, and no particles.
+    LevelSet(Box<LevelSetInput>),
+}
+
+/// A level set that was read.
+#[derive(Debug)]
+pub struct LevelSetInput {
+    pub(super) band: NarrowBand,
+    /// Where its voxel (0, 0, 0) is, world units.
+    pub(super) origin: DVec3,
+    /// By how much smoothing may move its surface, in voxels.
+    pub(super) slack_voxels: f32,
+}
+
+impl LevelSetInput {
+    pub(super) fn new(file: LevelSetFile, job: &Job) -> LevelSetInput {
+        LevelSetInput {
+            origin: file.origin(),
+            slack_voxels: job.slack_voxels() as f32,
+            band: file.into_band(),
+        }
+    }
 }
 
 /// The particles in a file.
@@ -59,12 +85,13 @@ impl FileParticles {
     }
 }
 
-impl FrameParticles {
+impl FrameInput {
     /// The number of particles.
     pub fn len(&self) -> usize {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.positions.len(),
-            FrameParticles::OnDisk(file) => file.batches.particle_count(),
+            FrameInput::InMemory(cloud) => cloud.positions.len(),
+            FrameInput::OnDisk(file) => file.batches.particle_count(),
+            FrameInput::LevelSet(_) => 0,
         }
     }
 
@@ -76,14 +103,15 @@ impl FrameParticles {
     /// Memory that is taken while they wait, in bytes.
     pub(super) fn size_bytes(&self) -> u64 {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.size_bytes() as u64,
-            FrameParticles::OnDisk(_) => 0,
+            FrameInput::InMemory(cloud) => cloud.size_bytes() as u64,
+            FrameInput::OnDisk(_) => 0,
+            FrameInput::LevelSet(level_set) => (level_set.band.phi.leaves.len() * size_of::<Leaf>()) as u64,
         }
     }
 
     /// Bytes of those attributes of a particle that its surface is to have.
     pub(super) fn attribute_bytes(&self, settings: &Settings) -> f64 {
-        let (FrameParticles::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
+        let (FrameInput::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
             return 0.0;
         };
         let selected = cloud.attributes.iter().filter(|attribute| selection.selects(attribute));
@@ -95,14 +123,14 @@ impl FrameParticles {
     ///
     /// # Errors
     /// When they are on disk and cannot be read.
-    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameParticles>, Shaping), Cause> {
+    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, Shaping), Cause> {
         let (particles, shaping) = self.shaped_by_attributes(settings);
         skin::shape_by_neighbors(particles, shaping, settings)
     }
 
-    fn shaped_by_attributes(self, settings: &Settings) -> (FrameParticles, Shaping) {
+    fn shaped_by_attributes(self, settings: &Settings) -> (FrameInput, Shaping) {
         match self {
-            FrameParticles::InMemory(cloud) => {
+            FrameInput::InMemory(cloud) => {
                 let (cloud, mut shaping) = skin::shape_by_attributes(cloud, settings);
                 if shaping.small_radius_count > 0
                     && let Some(own) = &settings.own_radii
@@ -110,10 +138,10 @@ impl FrameParticles {
                     let least = own_radii_min(&cloud, own).into_iter().reduce(f64::min);
                     shaping.small_radius_min = least.unwrap_or(0.0);
                 }
-                (FrameParticles::InMemory(cloud), shaping)
+                (FrameInput::InMemory(cloud), shaping)
             }
             // What needs attributes is never read in batches.
-            FrameParticles::OnDisk(_) => (self, Shaping::default()),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, Shaping::default()),
         }
     }
 
@@ -123,8 +151,8 @@ impl FrameParticles {
     /// [`Cause::Changed`], or the system's refusal.
     pub fn check_unchanged(&self) -> Result<(), Cause> {
         match self {
-            FrameParticles::InMemory(_) => Ok(()),
-            FrameParticles::OnDisk(file) => match file.file.is_unchanged() {
+            FrameInput::InMemory(_) | FrameInput::LevelSet(_) => Ok(()),
+            FrameInput::OnDisk(file) => match file.file.is_unchanged() {
                 Ok(true) => Ok(()),
                 Ok(false) => Err(Cause::Changed),
                 Err(error) => Err(Cause::File(error.into())),
@@ -133,23 +161,24 @@ impl FrameParticles {
     }
 }
 
-impl ParticleSource for FrameParticles {
+impl ParticleSource for FrameInput {
     type Error = Cause;
 
     fn batch_count(&self) -> usize {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.batch_count(),
-            FrameParticles::OnDisk(file) => file.batches.batch_count(),
+            FrameInput::InMemory(cloud) => cloud.batch_count(),
+            FrameInput::OnDisk(file) => file.batches.batch_count(),
+            FrameInput::LevelSet(_) => 0,
         }
     }
 
     fn batch(&self, index: usize) -> Result<particles::Positions<'_>, Cause> {
         match self {
-            FrameParticles::InMemory(cloud) => {
+            FrameInput::InMemory(cloud) => {
                 let Ok(positions) = cloud.batch(index);
                 Ok(positions)
             }
-            FrameParticles::OnDisk(file) => {
+            FrameInput::OnDisk(file) => {
                 let mut batch = ParticleBatch::default();
                 file.batches.read_batch(index, &mut batch).map_err(|error| file.cause(error))?;
                 Ok(match batch.positions {
@@ -157,27 +186,29 @@ impl ParticleSource for FrameParticles {
                     Positions::F64(positions) => particles::Positions::Double(Cow::Owned(positions)),
                 })
             }
+            FrameInput::LevelSet(_) => Ok(particles::Positions::Single(Cow::Borrowed(&[]))),
         }
     }
 
     fn count_of(&self, batch: usize) -> usize {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.count_of(batch),
-            FrameParticles::OnDisk(file) => file.batches.particles_of(batch).len(),
+            FrameInput::InMemory(cloud) => cloud.count_of(batch),
+            FrameInput::OnDisk(file) => file.batches.particles_of(batch).len(),
+            FrameInput::LevelSet(_) => 0,
         }
     }
 
     fn has_shapes(&self) -> bool {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.has_shapes(),
-            FrameParticles::OnDisk(_) => false,
+            FrameInput::InMemory(cloud) => cloud.has_shapes(),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => false,
         }
     }
 
     fn shapes_of(&self, batch: usize) -> Shapes {
         match self {
-            FrameParticles::InMemory(cloud) => cloud.shapes_of(batch),
-            FrameParticles::OnDisk(_) => Shapes::Balls,
+            FrameInput::InMemory(cloud) => cloud.shapes_of(batch),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => Shapes::Balls,
         }
     }
 }

@@ -1,16 +1,16 @@
-//! Whose turn it is to compute: whole frames first.
+//! Which task a thread of the pool does next: that of the earliest frame.
 //!
 //! Each stage of each frame is a task. A thread of the pool that has nothing to do takes the waiting task of
 //! the earliest frame; only when none waits does it help with the loops of those that are running. So with
 //! many frames each thread has its own, and with one frame they share it.
 //!
 //! ```text
-//!   tasks        8 smooth   9 parse              waiting, the earliest frame first
+//!   queue        8 smooth   9 parse              waiting, the earliest frame first
 //!                   ▼
 //!   threads      7 smooth   6 contour   6 ┄┄     at work; the third helps the second
 //! ```
 //!
-//! The obvious way, `ThreadPool::install` for each stage, does not do. A thread that waits for a piece of its
+//! `ThreadPool::install` for each stage would not do. A thread that waits for a piece of its
 //! frame's loop, which another has taken, looks for something else meanwhile, and would begin with another
 //! frame's stage on top of its own; in that, with yet another. Of 10 frames on 2 threads the first was so
 //! finished last, now and then. Here a thread that is within a task takes no second one.
@@ -24,17 +24,17 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use crossbeam::channel::bounded;
 use rayon::Scope;
 
-/// The tasks that nobody has begun.
+/// The tasks that wait for a thread.
 #[derive(Default)]
-pub(super) struct Tasks<'env> {
+pub(super) struct TaskQueue<'env> {
     waiting: Mutex<BinaryHeap<Task<'env>>>,
 }
 
-/// The threads of a pool, as those who have work for them see them.
+/// Gives tasks to the threads of a pool.
 #[derive(Clone, Copy)]
-pub(super) struct Crew<'a, 'scope, 'env> {
+pub(super) struct Scheduler<'a, 'scope, 'env> {
     scope: &'a Scope<'scope>,
-    tasks: &'scope Tasks<'env>,
+    tasks: &'scope TaskQueue<'env>,
 }
 
 struct Task<'env> {
@@ -42,10 +42,19 @@ struct Task<'env> {
     work: Box<dyn FnOnce() + Send + 'env>,
 }
 
-impl<'a, 'scope, 'env: 'scope> Crew<'a, 'scope, 'env> {
+impl<'a, 'scope, 'env: 'scope> Scheduler<'a, 'scope, 'env> {
     /// The threads of the scope's pool.
-    pub(super) fn new(scope: &'a Scope<'scope>, tasks: &'scope Tasks<'env>) -> Crew<'a, 'scope, 'env> {
-        Crew { scope, tasks }
+    pub(super) fn new(
+        scope: &'a Scope<'scope>,
+        tasks: &'scope TaskQueue<'env>,
+    ) -> Scheduler<'a, 'scope, 'env> {
+        Scheduler { scope, tasks }
+    }
+
+    /// Queues a frame's work for one of the threads. The work must not panic.
+    pub(super) fn spawn(&self, frame_number: usize, work: impl FnOnce() + Send + 'env) {
+        self.tasks.waiting().push(Task { frame_number, work: Box::new(work) });
+        call(self.scope, self.tasks);
     }
 
     /// Does a frame's work on one of the threads, and waits for it. A panic comes back as one.
@@ -54,14 +63,12 @@ impl<'a, 'scope, 'env: 'scope> Crew<'a, 'scope, 'env> {
         frame_number: usize,
         work: impl FnOnce() -> R + Send + 'env,
     ) -> R {
-        let (tell, told) = bounded(1);
-        let work = Box::new(move || {
+        let (done, result) = bounded(1);
+        self.spawn(frame_number, move || {
             // It waits below.
-            let _ = tell.send(catch_unwind(AssertUnwindSafe(work)));
+            let _ = done.send(catch_unwind(AssertUnwindSafe(work)));
         });
-        self.tasks.waiting().push(Task { frame_number, work });
-        call(self.scope, self.tasks);
-        match told.recv().expect("whoever takes a task does it") {
+        match result.recv().expect("each task is run") {
             Ok(result) => result,
             Err(payload) => resume_unwind(payload),
         }
@@ -69,8 +76,8 @@ impl<'a, 'scope, 'env: 'scope> Crew<'a, 'scope, 'env> {
 }
 
 /// Lets every thread have a look at the tasks as soon as it has nothing else to do.
-fn call<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope Tasks<'env>) {
-    scope.spawn_broadcast(|scope, _| take_turn(scope, tasks));
+fn call<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueue<'env>) {
+    scope.spawn_broadcast(|scope, _| run_next(scope, tasks));
 }
 
 thread_local! {
@@ -78,7 +85,7 @@ thread_local! {
     static WITHIN: Cell<usize> = const { Cell::new(0) };
 }
 
-fn take_turn<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope Tasks<'env>) {
+fn run_next<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope TaskQueue<'env>) {
     let own = std::ptr::from_ref(tasks).addr();
     if WITHIN.get() == own {
         return;
@@ -94,7 +101,7 @@ fn take_turn<'scope, 'env: 'scope>(scope: &Scope<'scope>, tasks: &'scope Tasks<'
     }
 }
 
-impl<'env> Tasks<'env> {
+impl<'env> TaskQueue<'env> {
     /// A heap is in order whatever panicked beside it.
     fn waiting(&self) -> MutexGuard<'_, BinaryHeap<Task<'env>>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)

@@ -1,0 +1,178 @@
+//! What the stages share, and what goes from one to the next.
+//!
+//! A [`WorkItem`] goes from stage to stage until its frame is [`Finished`]. Between two stages it goes through a [link]: a
+//! bounded channel in which a place is reserved before a stage begins with a frame. So a stage that is slow holds back the one
+//! before it, and a thread of the pool never waits for room in a channel.
+
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use crossbeam::channel::{Receiver, Sender, bounded};
+use meniscus_formats::ParticleFrame;
+
+use crate::pipeline::budget::{Budget, Reservation};
+use crate::pipeline::frame::{Cause, Frame, FrameError, Outcome, ReadInput, Stage};
+use crate::pipeline::frame_input::FrameInput;
+use crate::pipeline::obstacles::FrameObstacles;
+use crate::pipeline::scheduler::Scheduler;
+use crate::pipeline::semaphore::{Permit, Semaphore};
+use crate::surface::skin::Plan;
+
+use super::{OnError, PipelineOptions};
+
+/// What all stages share.
+pub(super) struct Shared<'env, M> {
+    pub(super) method: &'env M,
+    pub(super) options: &'env PipelineOptions<'env>,
+    pub(super) budget: Budget,
+    /// The number of the first frame that failed.
+    failed_first: AtomicUsize,
+}
+
+/// The stages of one call of [`stream`](super::stream): their threads borrow it.
+pub(super) struct Stages<'a, 'scope, 'env, M> {
+    pub(super) shared: &'env Shared<'env, M>,
+    pub(super) scheduler: Scheduler<'a, 'scope, 'env>,
+}
+
+/// A frame between two stages.
+pub(super) struct WorkItem<'env, K, T> {
+    /// Frames are counted as they are asked for.
+    pub(super) number: usize,
+    /// What the caller knows the frame by.
+    pub(super) key: K,
+    pub(super) frame: Frame,
+    pub(super) info: InputInfo<'env>,
+    /// What the last stage made of it.
+    pub(super) content: T,
+}
+
+/// What is known of a frame since it was read.
+pub(super) struct InputInfo<'env> {
+    pub(super) input: ReadInput,
+    pub(super) read_seconds: f64,
+    pub(super) noted: Noted,
+    /// What is recorded of its obstacles, and at how many edges they are open.
+    pub(super) obstacles: (String, usize),
+    /// The memory that it may take for all stages, in bytes.
+    pub(super) needed_bytes: u64,
+    pub(super) memory: Reservation<'env>,
+}
+
+/// What a user should know of what was read.
+#[derive(Default)]
+pub(super) struct Noted {
+    pub(super) notes: Vec<String>,
+    /// The name of velocities that are not wanted.
+    pub(super) unused_velocity: Option<String>,
+}
+
+/// What reading hands to the first stage that computes.
+pub(super) enum Read {
+    /// For a surface, and how it will be computed.
+    Surface { input: FrameInput, obstacles: FrameObstacles, plan: Plan },
+    /// The bytes of a file of particles, to be written in another format.
+    Particles(Vec<u8>),
+}
+
+/// What one of the stages after reading hands to the next.
+pub(super) enum Staged<T> {
+    /// A surface, as far as it is.
+    Surface(T),
+    /// Particles that become no surface.
+    Particles(Box<ParticleFrame>),
+}
+
+/// A frame and its outcome.
+pub(super) struct Finished<K> {
+    pub(super) key: K,
+    pub(super) frame: Frame,
+    pub(super) outcome: Outcome,
+}
+
+impl<'env, M> Shared<'env, M> {
+    /// The state before the first frame.
+    pub(super) fn new(method: &'env M, options: &'env PipelineOptions<'env>) -> Shared<'env, M> {
+        let budget = Budget::new(options.memory_bytes);
+        Shared { method, options, budget, failed_first: AtomicUsize::new(usize::MAX) }
+    }
+
+    /// Reports that a frame begins a stage.
+    pub(super) fn begin(&self, frame: &Frame, stage: Stage) {
+        if let Some(observer) = self.options.observer {
+            observer.began(frame, stage);
+        }
+    }
+
+    /// Reports the outcome of the frame with this number. Returns whether the caller still listens.
+    pub(super) fn finish<K>(&self, number: usize, to: &Sender<Finished<K>>, finished: Finished<K>) -> bool {
+        if is_failure(&finished.outcome) {
+            self.failed_first.fetch_min(number, Ordering::Relaxed);
+        }
+        to.send(finished).is_ok()
+    }
+
+    /// Whether a frame before this one failed, and [`OnError::Stop`] was asked for.
+    pub(super) fn is_stopped_before(&self, number: usize) -> bool {
+        self.options.on_error == OnError::Stop && self.failed_first.load(Ordering::Relaxed) < number
+    }
+}
+
+/// The outcome of a frame with this error.
+pub(super) fn outcome_of(error: FrameError) -> Outcome {
+    if matches!(error.cause, Cause::Changed) { Outcome::Changed } else { Outcome::Failed(error) }
+}
+
+/// Whether a frame was attempted and has no outputs.
+pub(super) fn is_failure(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::Failed(_) | Outcome::Changed)
+}
+
+/// A bounded channel between two stages, whose places are reserved before they are used.
+pub(super) fn link<T>(capacity: usize) -> (Outlet<T>, Inlet<T>) {
+    let (items, from) = bounded(capacity);
+    (Outlet { items, places: Semaphore::new(capacity) }, Inlet(from))
+}
+
+/// The end of a link that a stage sends to.
+#[derive(Clone)]
+pub(super) struct Outlet<T> {
+    items: Sender<(Permit, T)>,
+    places: Semaphore,
+}
+
+/// The end of a link that a stage receives from.
+pub(super) struct Inlet<T>(Receiver<(Permit, T)>);
+
+/// A reserved place in a link: free again when it is dropped, or when what was sent is received.
+pub(super) struct Place<T> {
+    items: Sender<(Permit, T)>,
+    permit: Permit,
+}
+
+impl<T> Outlet<T> {
+    /// Waits for a free place.
+    pub(super) fn reserve(&self) -> Place<T> {
+        Place { items: self.items.clone(), permit: self.places.acquire() }
+    }
+}
+
+impl<T> Place<T> {
+    /// Sends, without waiting.
+    pub(super) fn send(self, item: T) {
+        // It fails only if the next stage is gone: then the caller is, too.
+        let _ = self.items.try_send((self.permit, item));
+    }
+}
+
+impl<T> Inlet<T> {
+    /// Waits for the next item; `None` once the stage before has ended.
+    pub(super) fn receive(&self) -> Option<T> {
+        self.0.recv().ok().map(|(_, item)| item)
+    }
+}
+
+impl<T> Clone for Inlet<T> {
+    fn clone(&self) -> Inlet<T> {
+        Inlet(self.0.clone())
+    }
+}
