@@ -16,6 +16,7 @@
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use meniscus_formats::Error;
 use meniscus_formats::provenance::read_provenance;
@@ -23,7 +24,8 @@ use meniscus_formats::wholeness::is_whole;
 use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
-use super::frame::Frame;
+use super::frame::{Frame, Job};
+use super::level_set_file::LevelSetFile;
 use super::notes::does_not_hold;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, output_path};
@@ -87,6 +89,7 @@ pub fn inspect(frame: &Frame) -> Inspection {
         Err(error) => (None, Some(error.to_string())),
     };
     let (input_is_there, obstacles_are_there) = (input_hash.is_some(), obstacles.is_some());
+    let frame = &with_voxel_size_of_input(frame);
     let state = inspect_made_from(frame, &MadeFrom { input_hash, obstacles });
     let input_fault =
         input_fault.map(|fault| format!("{fault}; the results cannot be compared with their input"));
@@ -97,6 +100,16 @@ pub fn inspect(frame: &Frame) -> Inspection {
         (state, _) => state,
     };
     Inspection { state, input_is_there, obstacles_are_there }
+}
+
+/// A frame of a level set with the voxel size of its file, as far as that can be read; any other as it is.
+fn with_voxel_size_of_input(frame: &Frame) -> Frame {
+    let read = |frame: &Frame| {
+        let voxel_size = LevelSetFile::read(&frame.input, false).ok()?.scene().lattice.voxel_size;
+        frame.settings.with_voxel_size(voxel_size).ok()
+    };
+    let settings = matches!(frame.job, Job::LevelSet { .. }).then(|| read(frame)).flatten();
+    Frame { settings: settings.map_or_else(|| Arc::clone(&frame.settings), Arc::new), ..frame.clone() }
 }
 
 fn is_not_found(error: &Error) -> bool {
@@ -170,7 +183,7 @@ fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Pat
     let hash = made_from.input_hash.unwrap_or_default();
     let obstacles = made_from.obstacles.as_deref().unwrap_or_default();
     let wanted = provenance(frame, (hash, obstacles), format);
-    match difference(&recorded, &wanted, made_from) {
+    match difference(&recorded, &wanted, (made_from, &frame.job)) {
         None => Ok(()),
         Some(difference) => Err(FrameState::Stale(format!("{}: {difference}", name_of(path)))),
     }
@@ -180,9 +193,12 @@ fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Pat
 fn difference(
     recorded: &[(String, String)],
     wanted: &[(String, String)],
-    made_from: &MadeFrom,
+    (made_from, job): (&MadeFrom, &Job),
 ) -> Option<String> {
+    let is_level_set = matches!(job, Job::LevelSet { .. });
     let is_compared = |name: &str| match name {
+        // The input says it; and .stl has one hash of all settings.
+        "voxel_size" | "settings" if is_level_set => made_from.input_hash.is_some(),
         "input_hash" => made_from.input_hash.is_some(),
         "obstacles" | "void_threshold" => made_from.obstacles.is_some(),
         _ => true,

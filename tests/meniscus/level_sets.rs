@@ -114,12 +114,9 @@ fn what_needs_particles_is_refused_by_name() {
         (&["--drop-islands=2", "--radius-min=0.1"], "error: --radius-min, --drop-islands cannot be given"),
         (&["--attributes=all"], "error: --attributes cannot be given"),
         (&["--obstacle=block.ply"], "error: --obstacle cannot be given"),
-        (&["--sequence-glb=s.glb"], "`meniscus sequence`"),
-        (&["--preview=png"], "`meniscus render`"),
         (&["--steps=3"], "without --band-slack it is not smoothed"),
         (&["--band-slack=4"], "0 to 3 voxels"),
         (&["block.ply"], "not together"),
-        (&["--report=r.json"], "error: --report cannot be given"),
         (&["--band-slack=1", "--step-size=1e9"], "the step size"),
         (&["--decimate=100"], "the error of decimation"),
     ] {
@@ -134,7 +131,14 @@ fn what_needs_particles_is_refused_by_name() {
             "error: --voxel-size cannot be given",
         ),
         (&["render", "in/block.vdb", "-o=r.png", "--steps=1"], "error: --steps cannot be given"),
-        (&["plan", "in/block.vdb", "--out=out", "--shards=1", "-o=p.json"], "block.vdb: a level set"),
+        (
+            &["plan", "in/block.vdb", "--out=out", "--shards=1", "-o=p.json", "--steps=3"],
+            "without --band-slack it is not smoothed",
+        ),
+        (
+            &["watch", "in", "--out=watched", "--once", "--pattern=*.vdb", "--voxel-size=1"],
+            "error: in: --voxel-size cannot be given",
+        ),
         (&["convert", "--particles-only", "in/block.vdb", "--out=out"], "block.vdb: a level set"),
         (&["watch", "in", "--out=watched", "--once"], "no frames to convert: 1 level set left alone"),
     ] {
@@ -145,6 +149,106 @@ fn what_needs_particles_is_refused_by_name() {
     }
     let ran = meniscus(folder, &["convert", "block.ply", "--out=out", "--band-slack=1"]);
     assert!(ran.status == 2 && ran.err.contains("--band-slack is for level sets"), "{}", ran.err);
+}
+
+/// Two level sets of one sequence, `in/f.1.vdb` and `in/f.2.vdb`.
+fn sequence() -> TempDir {
+    let folder = scene();
+    for name in ["f.1.vdb", "f.2.vdb"] {
+        fs::copy(folder.path().join("in/block.vdb"), folder.path().join("in").join(name)).expect("copied");
+    }
+    folder
+}
+
+const MADE: [&str; 4] = ["--out=out", "--format=glb,stl", "--band-slack=0.5", "--steps=3"];
+
+#[test]
+fn level_sets_have_reports_previews_and_sequence_files() {
+    let folder = sequence();
+    let folder = folder.path();
+    let more = ["--preview=png", "--preview-size=64x64", "--memory=1GiB", "--report=r.json"];
+    let shots = ["--sequence-glb=s.glb", "--sequence-usda=s.usda", "--skip-done"];
+    let arguments = [&["convert", "in/f.#.vdb"], &MADE[..], &more, &shots].concat();
+    let ran = meniscus(folder, &arguments);
+    succeeded(&ran);
+    assert!(ran.out.contains("2 frames: 2 done"), "{}", ran.out);
+    let names = ["f.1.glb", "f.1.png", "f.1.stl", "f.2.glb", "f.2.png", "f.2.stl"];
+    assert!(
+        names.iter().all(|name| folder.join("out").join(name).is_file()),
+        "{:?}",
+        names_in(&folder.join("out"))
+    );
+    assert!(folder.join("s.glb").is_file() && folder.join("s.usda").is_file());
+    let report: Value =
+        serde_json::from_slice(&fs::read(folder.join("r.json")).expect("there")).expect("JSON");
+    assert_eq!(report["settings"][0]["band_slack"], 0.5, "{report}");
+    assert_eq!(report["settings"][0]["more"]["steps"], "3", "{report}");
+    for frame in report["frames"].as_array().expect("frames") {
+        assert_eq!((&frame["status"], &frame["voxel_size"]), (&"converted".into(), &0.05.into()), "{frame}");
+        assert_eq!(frame["certificate"]["holds"], true, "{frame}");
+        assert!(number(&frame["triangles"]) > 0.0 && number(&frame["passes"]) > 0.0, "{frame}");
+    }
+    let again = meniscus(folder, &arguments);
+    assert_eq!(again.out.matches("done already").count(), 2, "{}", again.out);
+}
+
+#[test]
+fn shards_of_level_sets_make_what_convert_makes() {
+    let folder = sequence();
+    let folder = folder.path();
+    let expected: Vec<&str> =
+        MADE.iter().map(|&option| if option == "--out=out" { "--out=one" } else { option }).collect();
+    succeeded(&meniscus(folder, &[&["convert", "in/f.#.vdb"], &expected[..]].concat()));
+    succeeded(&meniscus(folder, &[&["plan", "in/f.#.vdb", "--shards=2", "-o=p.json"], &MADE[..]].concat()));
+    for shard in ["--shard=0", "--shard=1"] {
+        succeeded(&meniscus(folder, &["convert", "--plan=p.json", shard]));
+    }
+    for name in names_in(&folder.join("one")) {
+        let bytes = |out: &str| fs::read(folder.join(out).join(&name)).expect("there");
+        assert!(bytes("one") == bytes("out"), "{name}");
+    }
+    let verify = || meniscus(folder, &["verify", "out", "--plan=p.json"]);
+    assert_eq!(verify().status, 0, "{}", verify().err);
+    assert!(meniscus(folder, &["convert", "--plan=p.json", "--shard=0"]).out.contains("done already"));
+    // Nothing can be compared with an input that is gone, and what was made of it is done.
+    fs::remove_file(folder.join("in/f.1.vdb")).expect("removed");
+    assert_eq!(verify().status, 0, "{}", verify().err);
+    fs::copy(folder.join("in/f.2.vdb"), folder.join("in/f.1.vdb")).expect("copied");
+    let bytes = fs::read(folder.join("in/f.1.vdb")).expect("there");
+    fs::write(folder.join("in/f.1.vdb"), [&bytes[..], b" "].concat()).expect("written");
+    assert_eq!(verify().status, 1, "{}", verify().err);
+}
+
+#[test]
+fn watch_takes_level_sets_of_others_by_a_pattern_that_names_them() {
+    let folder = scene();
+    let folder = folder.path();
+    fs::write(folder.join("in/ball.1.vdb"), ball(|distance| (0.1 * distance).clamp(-0.3, 0.3)))
+        .expect("written");
+    let watch = |more: &[&str]| {
+        let arguments =
+            ["watch", "in", "--out=in", "--once", "--settle=0ms", "--unproven=0ms", "--format=obj"];
+        meniscus(folder, &[&arguments[..], more].concat())
+    };
+    // Without such a pattern level sets may be anybody's outputs.
+    for more in [&[][..], &["--pattern=*"], &["--pattern=ball.*"]] {
+        let ran = watch(more);
+        assert!(!folder.join("in/ball.1.obj").exists(), "{more:?} {}", ran.err);
+    }
+    // `block.vdb` and its mesh are outputs of this program, and stay as they are.
+    let before = fs::read(folder.join("in/block.obj")).expect("there");
+    let ran = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
+    assert_eq!(ran.status, 0, "{} {}", ran.out, ran.err);
+    assert_eq!(fs::read(folder.join("in/block.obj")).expect("there"), before);
+    assert!(folder.join("in/ball.1.png").is_file());
+    let mesh = info(folder, "in/ball.1.obj")["mesh"].clone();
+    assert_eq!(mesh["boundary_edges"], 0, "{mesh}");
+    let expected = meniscus(folder, &["convert", "in/ball.1.vdb", "--out=expected", "--format=obj"]);
+    succeeded(&expected);
+    let bytes = |path: &str| fs::read(folder.join(path)).expect("there");
+    assert!(bytes("in/ball.1.obj") == bytes("expected/ball.1.obj"));
+    let again = watch(&["--pattern=*.vdb", "--preview=png", "--preview-size=64x64"]);
+    assert_eq!(again.status, 0, "{} {}", again.out, again.err);
 }
 
 /// A ball of 3 units in the middle of a cube of 12.8, as a file with `value` of each distance in voxels.

@@ -10,8 +10,8 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use meniscus::pipeline::{
-    Cause, Frame, FrameError, FrameInput, FrameObstacles, Method, Outcome, OutputOptions, PipelineOptions,
-    Stage, default_in_flight, is_own_output, run, stream,
+    Cause, Frame, FrameError, FrameInput, FrameObstacles, Method, OnError, Outcome, OutputOptions,
+    PipelineOptions, Stage, default_in_flight, is_own_output, run, stream,
 };
 use meniscus::surface::options::Settings;
 use meniscus::surface::skin::{Plan, Surface};
@@ -178,6 +178,64 @@ fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
     order.clear();
     run(&method, &bench.frames, &conduct(&pool), |number, _| order.push(number));
     assert_eq!(order, [0, 1, 2]);
+}
+
+/// Three frames are in three stages at once, and none goes on until they are.
+#[test]
+fn stages_of_different_frames_overlap() {
+    for on_error in [OnError::Continue, OnError::Stop] {
+        let bench = Bench::new(&[2, 3, 4]);
+        let pool = pool(3);
+        let together: [Signal; 3] = Default::default();
+        let method = Told(|stage, count| {
+            let place = [(Stage::Contour, 8), (Stage::Smooth, 27), (Stage::Rasterize, 64)];
+            if let Some(place) = place.iter().position(|&place| place == (stage, count)) {
+                together[place].give();
+                together.iter().for_each(Signal::wait);
+            }
+        });
+        let options = PipelineOptions { on_error, ..conduct(&pool) };
+        let mut outcomes = Vec::new();
+        run(&method, &bench.frames, &options, |_, outcome| outcomes.push(outcome));
+        assert_eq!(letters(&outcomes), "ccc", "{on_error:?}");
+    }
+}
+
+#[test]
+fn slow_stage_holds_back_the_stages_before_it() {
+    let bench = Bench::new(&[2; 20]);
+    let pool = pool(4);
+    let (asked, rasterized) = (AtomicUsize::new(0), AtomicUsize::new(0));
+    let (all_wait, go_on) = (Signal::default(), Signal::default());
+    let method = Told(|stage, _| match stage {
+        Stage::Rasterize => {
+            rasterized.fetch_add(1, Ordering::SeqCst);
+        }
+        Stage::Smooth => {
+            all_wait.give();
+            go_on.wait();
+        }
+        _ => {}
+    });
+    let options = PipelineOptions { in_flight: 20, on_error: OnError::Stop, ..conduct(&pool) };
+    let mut frames = numbered(&bench);
+    let next = || {
+        asked.fetch_add(1, Ordering::SeqCst);
+        frames.next()
+    };
+    let mut count = 0;
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            all_wait.wait();
+            thread::sleep(Duration::from_millis(300));
+            // One is smoothed, one waits for that, and one was read and waits for its place behind it.
+            assert_eq!(rasterized.load(Ordering::SeqCst), 2);
+            assert_eq!(asked.load(Ordering::SeqCst), 3);
+            go_on.give();
+        });
+        stream(&method, next, &options, |_, _, _| count += 1);
+    });
+    assert_eq!(count, 20);
 }
 
 /// What runs together, by the mebibytes that each frame takes: as many as it has particles.
