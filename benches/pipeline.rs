@@ -22,7 +22,7 @@ use meniscus::pipeline::{
     Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, PipelineOptions, Wanted,
     encode_level_set, mesh_view, parse_particles, read_file, run, write_whole,
 };
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::skin::skin;
 use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
 use rayon::ThreadPool;
@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 /// Blocks of particles that are moved a little from their places, another way in each frame.
 fn write_frames(folder: &Path, frame_count: usize, edge_count: usize) -> Result<Vec<Frame>, Box<dyn Error>> {
-    let settings = Arc::new(Settings::paper(f64::from(SPACING) / 2.0, &Choices::default())?);
+    let settings = Arc::new(Settings::paper(f64::from(SPACING) / 2.0, &MethodOptions::default())?);
     let outputs = Arc::new(OutputOptions::new(folder.join("out"), &[OutputFormat::Glb, OutputFormat::Vdb]));
     fs::create_dir(&outputs.folder)?;
     let mut frames = Vec::new();

@@ -31,7 +31,7 @@ use glam::Vec3;
 use meniscus::pipeline::PhaseTimer;
 use meniscus::surface::anisotropy::{NeighborConfig, Stretch, from_neighbors};
 use meniscus::surface::neighbors::Neighbors;
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::report::SkinReport;
 use meniscus::surface::skin::skin_observed;
@@ -108,7 +108,7 @@ impl Row {
 /// Skins a frame by turns on both pools.
 fn measure(free_wanted: f64, pools: &[ThreadPool; 2]) -> [Row; 2] {
     let (particles, spacing) = frame(free_wanted / FREE_PER_PARTICLE);
-    let settings = Settings::paper(spacing / 2.0, &Choices::default()).expect("valid");
+    let settings = Settings::paper(spacing / 2.0, &MethodOptions::default()).expect("valid");
     let round_count = ((ROUND_COUNT as f64 * FREE_MIN / free_wanted).ceil() as usize).max(1);
     let mut reports: [Vec<SkinReport>; 2] = Default::default();
     for _ in 0..round_count {

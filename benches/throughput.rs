@@ -24,7 +24,7 @@ use std::thread;
 use std::time::Instant;
 
 use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::skin::{Surface, skin};
 use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
 use rayon::ThreadPoolBuilder;
@@ -127,7 +127,7 @@ fn run_timed(folder: &Path, mut command: Command) -> f64 {
 
 /// Each frame of `folder`/`in` through the stages, one after the other, all threads on each.
 fn plain_loop(folder: &Path) {
-    let settings = Settings::paper(VOXEL_SIZE, &Choices::default()).expect("valid");
+    let settings = Settings::paper(VOXEL_SIZE, &MethodOptions::default()).expect("valid");
     let pool = ThreadPoolBuilder::new().build().expect("threads");
     let mut inputs: Vec<PathBuf> = fs::read_dir(folder.join("in"))
         .expect("the folder is there")

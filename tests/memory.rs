@@ -12,7 +12,7 @@ use std::sync::Arc;
 use meniscus::pipeline::{
     Frame, Job, LevelSetSkinning, ObstacleFiles, Outcome, OutputFormat, OutputOptions, PipelineOptions, run,
 };
-use meniscus::surface::options::{Choices, ClipBox, Settings};
+use meniscus::surface::options::{ClipBox, MethodOptions, Settings};
 use meniscus_formats::{ParticleFrame, Positions, bgeo};
 use tempfile::tempdir;
 
@@ -36,8 +36,8 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
     meniscus::cli::give_memory_back();
     let folder = tempdir().expect("a folder");
     // What a frame takes does not depend on the number of steps.
-    let choices = Choices { laplacian_steps: steps, steps, ..Choices::default() };
-    let edits = Choices {
+    let choices = MethodOptions { laplacian_steps: steps, steps, ..MethodOptions::default() };
+    let edits = MethodOptions {
         drop_islands: Some(5),
         fill_cavities: Some(100.0),
         clip: Some(ClipBox { min: [0.5; 3], max: [9.0; 3] }),

@@ -25,7 +25,7 @@ use std::time::{Duration, Instant};
 
 use crossbeam::channel;
 use meniscus::pipeline::{OutputFormat, OutputOptions, default_in_flight, default_memory_bytes};
-use meniscus::surface::options::Choices;
+use meniscus::surface::options::MethodOptions;
 use meniscus::watch::{self, Command, Config, Order, Patience, Poll, Summary, Watch};
 use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo};
 
@@ -106,7 +106,7 @@ fn watch(cache: &Path, surfaces: &Path) -> Watch {
         recursive: false,
         sentinel: None,
         outputs: OutputOptions::new(surfaces, &[OutputFormat::Glb, OutputFormat::Vdb]),
-        choices: Choices::default(),
+        choices: MethodOptions::default(),
         obstacles: Vec::new(),
     }
 }

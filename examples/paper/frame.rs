@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::DVec3;
 use meniscus::pipeline::PhaseTimer;
 use meniscus::render::{Layers, Picture, Placement, View, render};
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::skin::{Surface, skin, skin_observed};
 use meniscus::surface::smooth::Integrator;
@@ -64,7 +64,7 @@ fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
     for ratio in RATIOS {
-        let choices = Choices { radius_ratio: Some(ratio), ..Choices::default() };
+        let choices = MethodOptions { radius_ratio: Some(ratio), ..MethodOptions::default() };
         let surface = skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?);
         let measures = &surface.report.mesh;
         rows.push(vec![
@@ -84,13 +84,13 @@ fn ratios(page: &mut Page, particles: &Particles) -> Outcome<()> {
 fn voxels(page: &mut Page, particles: &Particles) -> Outcome<()> {
     let mut rows = Vec::new();
     let mut pictures = Vec::new();
-    let usual = Settings::paper(VOXEL_SIZE, &Choices::default())?;
-    let radii = Choices {
-        radius_min: Some(usual.radius_min),
-        radius_init: Some(usual.radius_init),
-        ..Choices::default()
+    let usual = Settings::paper(VOXEL_SIZE, &MethodOptions::default())?;
+    let radii = MethodOptions {
+        radius_min: Some(usual.radius_min.into()),
+        radius_init: Some(usual.radius_init.into()),
+        ..MethodOptions::default()
     };
-    for (part, choices) in [(1.0, Choices::default()), (0.5, Choices::default()), (0.25, radii)] {
+    for (part, choices) in [(1.0, MethodOptions::default()), (0.5, MethodOptions::default()), (0.25, radii)] {
         let voxel_size = part * SPACING;
         let surface = skin(particles, &Settings::paper(voxel_size, &choices)?);
         let measures = &surface.report.mesh;
@@ -147,7 +147,7 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
         });
         pictures.push(shown.collect());
     }
-    let choices = Choices { laplacian_steps: Some(0), steps: Some(0), ..Choices::default() };
+    let choices = MethodOptions { laplacian_steps: Some(0), steps: Some(0), ..MethodOptions::default() };
     let first = skin(particles, &Settings::paper(VOXEL_SIZE, &choices)?).report.mesh.bending_energy;
     page.say(&format!("Before the Laplacian steps ∫H² is {first:.0}."));
     page.table(&["integrator", "time, h⁴", "∫H²", "seconds of smoothing"], &rows);
@@ -163,11 +163,11 @@ fn energies(page: &mut Page, particles: &Particles) -> Outcome<()> {
 /// The surface after so much time, in steps of one size, which is no larger than it was to be.
 fn after(particles: &Particles, integrator: Integrator, time: f64, step_size: f64) -> Outcome<Surface> {
     let steps = (time / step_size).ceil().max(1.0);
-    let choices = Choices {
+    let choices = MethodOptions {
         integrator: Some(integrator),
         steps: Some(if time == 0.0 { 0 } else { steps as u32 }),
         step_size: Some(if time == 0.0 { step_size } else { time / steps }),
-        ..Choices::default()
+        ..MethodOptions::default()
     };
     let settings = Settings::paper(VOXEL_SIZE, &choices)?;
     let mut timer = PhaseTimer::default();

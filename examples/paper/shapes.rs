@@ -7,7 +7,7 @@ use std::sync::Arc;
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use meniscus::render::{Layers, Picture, Placement, View, render, render_particles};
 use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
-use meniscus::surface::options::{AnisotropyKind, Choices, Settings};
+use meniscus::surface::options::{AnisotropyKind, MethodOptions, Settings};
 use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
 use meniscus::surface::skin::{Surface, skin_cloud};
 use meniscus::surface::space::Lattice;
@@ -78,7 +78,7 @@ fn crown(page: &mut Page) -> Outcome<()> {
         ("by neighbours", AnisotropyKind::Neighbors),
         ("by velocity", AnisotropyKind::Velocity),
     ] {
-        let choices = Choices { anisotropy: Some(kind), ..Choices::default() };
+        let choices = MethodOptions { anisotropy: Some(kind), ..MethodOptions::default() };
         let surface = skinned(&cloud, voxel_size, &choices, &Obstacles::default())?;
         let measures = &surface.report.mesh;
         rows.push(vec![
@@ -113,9 +113,9 @@ fn sizes(page: &mut Page) -> Outcome<()> {
     let cloud = with(positions, "pscale", Meaning::Radius, 1, numbers);
     let voxel_size = 0.45;
     let view = around([DVec3::new(-17.0, -7.0, -17.0), DVec3::new(17.0, 9.0, 17.0)], [400, 260]);
-    let close = Choices { radius_ratio: Some(1.25), ..Choices::default() };
-    let own = Choices { radius_attribute: Some("pscale".to_owned()), ..close.clone() };
-    let one = Choices { radius_min: Some(0.9), ..close };
+    let close = MethodOptions { radius_ratio: Some(1.25), ..MethodOptions::default() };
+    let own = MethodOptions { radius_attribute: Some("pscale".to_owned()), ..close.clone() };
+    let one = MethodOptions { radius_min: Some(0.9.into()), ..close };
     let mut pictures = vec![(balls(&places, &radii, &view)?, "particles".to_owned())];
     for (name, choices) in [("one radius", one), ("their own radii", own)] {
         let surface = skinned(&cloud, voxel_size, &choices, &Obstacles::default())?;
@@ -134,12 +134,12 @@ fn balls(places: &[DVec3], radii: &[f64], view: &View) -> Outcome<Picture> {
     let positions = Particles::Double(places.iter().map(|place| place.to_array()).collect());
     let numbers = radii.iter().map(|radius| *radius as f32).collect();
     let cloud = with(positions, "pscale", Meaning::Radius, 1, numbers);
-    let choices = Choices {
+    let choices = MethodOptions {
         radius_attribute: Some("pscale".to_owned()),
         radius_ratio: Some(1.0),
         steps: Some(0),
         laplacian_steps: Some(0),
-        ..Choices::default()
+        ..MethodOptions::default()
     };
     let voxel_size = 0.25;
     Ok(picture(&skinned(&cloud, voxel_size, &choices, &Obstacles::default())?, voxel_size, view))
@@ -167,7 +167,7 @@ fn tetrahedron(page: &mut Page) -> Outcome<()> {
         ("walls taken away", Some(0.0), &obstacles),
         ("and gaps filled", None, &obstacles),
     ] {
-        let choices = Choices { void_threshold: threshold, ..Choices::default() };
+        let choices = MethodOptions { void_threshold: threshold, ..MethodOptions::default() };
         let surface = skinned(&cloud, voxel_size, &choices, obstacles)?;
         let off = Off::of(&surface, &wall);
         let number = |value: f64| format!("{:.3}", value / voxel_size);
@@ -245,7 +245,7 @@ fn with(positions: Particles, name: &str, meaning: Meaning, arity: usize, number
 pub(crate) fn skinned(
     cloud: &Cloud,
     voxel_size: f64,
-    choices: &Choices,
+    choices: &MethodOptions,
     obstacles: &Obstacles,
 ) -> Outcome<Surface> {
     Ok(skin_cloud(cloud.clone(), &Settings::paper(voxel_size, choices)?, obstacles))

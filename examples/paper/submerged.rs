@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use meniscus::render::{Layers, Placement, View, render};
 use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
-use meniscus::surface::options::Choices;
+use meniscus::surface::options::MethodOptions;
 use meniscus::surface::particles::{Cloud, Particles};
 use meniscus::surface::skin::Surface;
 use meniscus::surface::space::Lattice;
@@ -48,7 +48,7 @@ pub(crate) fn publish(page: &mut Page) -> Outcome<()> {
         ("the ball taken away", Some(0.0), &obstacles),
         ("and gaps filled", None, &obstacles),
     ] {
-        let choices = Choices { void_threshold: threshold, ..Choices::default() };
+        let choices = MethodOptions { void_threshold: threshold, ..MethodOptions::default() };
         let surface = skinned(&cloud, VOXEL_SIZE, &choices, obstacles)?;
         let [deepest, rms] = off(&surface).map(|distance| format!("{:.3}", distance / VOXEL_SIZE));
         rows.push(vec![name.to_owned(), deepest, rms, holds(&surface)]);

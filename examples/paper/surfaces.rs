@@ -7,7 +7,7 @@ use glam::{DVec3, IVec3};
 use meniscus::surface::grid::{Field, LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::obstacle::{Obstacle, ObstacleLeaf, Shape, Solid};
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::skin::{Surface, skin};
 use meniscus::surface::smooth::Integrator;
@@ -73,25 +73,28 @@ pub(crate) struct Scale {
     /// The edge of a voxel, or of a cell, world units.
     pub(crate) voxel_size: f64,
     /// What is not left to follow from the voxel size.
-    choices: fn(f64) -> Choices,
+    choices: fn(f64) -> MethodOptions,
 }
 
 impl Scale {
     /// As meniscus chooses it: half the spacing.
     pub(crate) fn usual(spacing: f64) -> Scale {
-        Scale { spacing, voxel_size: 0.5 * spacing, choices: |_| Choices::default() }
+        Scale { spacing, voxel_size: 0.5 * spacing, choices: |_| MethodOptions::default() }
     }
 
     /// Half of that: the cell that splashsurf recommends. Radii that followed from it would not reach from a particle to
     /// the next one.
     pub(crate) fn fine(spacing: f64) -> Scale {
-        let choices =
-            |spacing| Choices { radius_min: Some(spacing), laplacian_steps: Some(30), ..Choices::default() };
+        let choices = |spacing: f64| MethodOptions {
+            radius_min: Some(spacing.into()),
+            laplacian_steps: Some(30),
+            ..MethodOptions::default()
+        };
         Scale { spacing, voxel_size: 0.25 * spacing, choices }
     }
 
     fn settings(self, integrator: Integrator) -> Outcome<Settings> {
-        let choices = Choices { integrator: Some(integrator), ..(self.choices)(self.spacing) };
+        let choices = MethodOptions { integrator: Some(integrator), ..(self.choices)(self.spacing) };
         Ok(Settings::paper(self.voxel_size, &choices)?)
     }
 }

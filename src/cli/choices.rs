@@ -7,118 +7,21 @@ use anyhow::{Result, bail};
 use meniscus_formats::{gltf, vdb};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat, OutputOptions, PictureOptions};
-use crate::surface::options::{AnisotropyKind, Choices, Contouring, Integrator, Preset, Settings};
+use crate::surface::options::Settings;
 
 use super::args::{
-    AnisotropyChoice, CompressionChoice, ContourChoice, FirstArgs, Format, FormatArgs, IntegratorChoice,
-    MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, PreviewChoice, SolverArgs, SurfaceArgs,
-    UpChoice,
+    CompressionChoice, Format, FormatArgs, MethodArgs, OptionSet, PreviewChoice, UpChoice, typed,
 };
 use super::console::Console;
 
-/// The choices of the method.
-pub(super) fn choices(args: &MethodArgs) -> Choices {
-    let MethodArgs { first, surface, particles, obstacles, mesh, solver } = args.clone();
-    let FirstArgs { preset, spacing, voxel_size } = first;
-    let SurfaceArgs { radius_min, radius_ratio, radius_init, offset, drop_islands, fill_cavities, clip } =
-        surface;
-    let ParticleArgs {
-        radius_attribute,
-        radius_scale,
-        anisotropy,
-        max_stretch,
-        thin_radius,
-        lone_radius,
-        neighbor_radius,
-        position_smoothing,
-        velocity_gain,
-        attributes,
-    } = particles;
-    let ObstacleArgs { obstacle: _, void_threshold } = obstacles;
-    let MeshArgs { contour, decimate, smooth_normals, quads } = mesh;
-    let SolverArgs { integrator, laplacian_steps, steps, step_size, redistance_every, cg_tolerance } = solver;
-    Choices {
-        preset: preset.map(preset_of),
-        spacing: spacing.spacing(),
-        voxel_size,
-        radius_min,
-        radius_ratio,
-        radius_init,
-        offset,
-        radius_attribute,
-        radius_scale,
-        anisotropy: anisotropy.map(anisotropy_of),
-        max_stretch,
-        thin_radius,
-        lone_radius,
-        neighbor_radius,
-        position_smoothing,
-        velocity_gain,
-        void_threshold,
-        attributes,
-        drop_islands,
-        fill_cavities,
-        clip,
-        contouring: contour.map(contouring_of),
-        decimate,
-        smooth_normals,
-        quads: quads.then_some(true),
-        integrator: integrator.map(integrator_of),
-        laplacian_steps,
-        steps,
-        step_size,
-        redistance_every,
-        cg_tolerance,
-    }
-}
-
-fn preset_of(preset: PresetChoice) -> Preset {
-    match preset {
-        PresetChoice::Fluid => Preset::Fluid,
-        PresetChoice::Noisy => Preset::Noisy,
-        PresetChoice::Splash => Preset::Splash,
-        PresetChoice::Granular => Preset::Granular,
-        PresetChoice::Preview => Preset::Preview,
-        PresetChoice::Paper => Preset::Paper,
-        PresetChoice::Water => Preset::Water,
-        PresetChoice::Faithful => Preset::Faithful,
-        PresetChoice::Smooth => Preset::Smooth,
-    }
-}
-
-fn anisotropy_of(anisotropy: AnisotropyChoice) -> AnisotropyKind {
-    match anisotropy {
-        AnisotropyChoice::None => AnisotropyKind::None,
-        AnisotropyChoice::Neighbors => AnisotropyKind::Neighbors,
-        AnisotropyChoice::Velocity => AnisotropyKind::Velocity,
-    }
-}
-
-fn integrator_of(integrator: IntegratorChoice) -> Integrator {
-    match integrator {
-        IntegratorChoice::Fast => Integrator::Fast,
-        IntegratorChoice::Implicit => Integrator::Implicit,
-        IntegratorChoice::Explicit => Integrator::Explicit,
-        IntegratorChoice::Adaptive => Integrator::Adaptive,
-    }
-}
-
-fn contouring_of(contour: ContourChoice) -> Contouring {
-    match contour {
-        ContourChoice::Dual => Contouring::Dual,
-        ContourChoice::Tetrahedra => Contouring::Tetrahedra,
-    }
-}
-
-/// Tells of options that change nothing. One may be wrong and without effect: that it is wrong is told, and later.
+/// Warns about options that have no effect. Skipped if the options are invalid: that error is reported later.
 pub(super) fn warn_of_ignored(
     method: &MethodArgs,
     formats: Option<&[Format]>,
     format_args: &FormatArgs,
     console: &Console,
 ) {
-    let choices = choices(method);
-    if Settings::check(&choices).is_ok() {
+    if Settings::check(&method.to_options()).is_ok() {
         for warning in ignored(method, &written_formats(formats, format_args), format_args) {
             console.warn(format_args!("warning: {warning}"));
         }
@@ -130,7 +33,7 @@ pub(super) fn warn_of_ignored(
 /// # Errors
 /// When there is no such file.
 pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
-    let obstacles = ObstacleFiles::new(method.obstacles.obstacle.clone());
+    let obstacles = ObstacleFiles::new(method.obstacle.clone());
     if let Some(missing) = obstacles.missing() {
         let name = missing.display();
         match missing.metadata() {
@@ -145,83 +48,39 @@ pub(super) fn obstacle_files(method: &MethodArgs) -> Result<ObstacleFiles> {
     Ok(obstacles)
 }
 
-/// What was typed and changes nothing, a sentence each.
+/// The options that are given and have no effect, a sentence each.
 pub(super) fn ignored(args: &MethodArgs, written: &[OutputFormat], format_args: &FormatArgs) -> Vec<String> {
-    let ignored = without_use(args).into_iter();
-    let ignored = ignored.map(|(option, with)| format!("{option} is ignored: it is for {with} only"));
-    let idle = without_file(args, written, format_args).into_iter();
-    let idle = idle.map(|(option, kind)| format!("{option} changes no file: it is for {kind} only"));
-    let preset = args.first.preset.map(preset_of);
-    let deprecated = preset.and_then(|preset| Some((preset.name(), preset.successor()?.name())));
-    let deprecated = deprecated
-        .map(|(name, successor)| format!("the preset `{name}` is deprecated: use --preset {successor}"));
+    let options = args.to_options();
+    let successor = options.preset.and_then(|preset| Some((preset, preset.successor()?)));
+    let deprecated = successor
+        .map(|(preset, successor)| format!("the preset `{preset}` is deprecated: use --preset {successor}"));
+    let ignored = options.without_effect(!args.obstacle.is_empty()).into_iter();
+    let ignored = ignored.map(|(name, need)| format!("{} is ignored: it is for {need} only", typed(name)));
+    let given = args.given().into_iter().chain(format_args.given());
+    let idle = given.filter_map(|option| {
+        let kind = unwritten_kind(&option, written)?;
+        Some(format!("{option} changes no file: it is for {kind} only"))
+    });
     deprecated.into_iter().chain(ignored).chain(idle).collect()
 }
 
-/// Options that are without effect, and what they are for.
-fn without_use(args: &MethodArgs) -> Vec<(&'static str, &'static str)> {
-    let choices = choices(args);
-    let ParticleArgs { radius_scale, max_stretch, thin_radius, lone_radius, .. } = &args.particles;
-    let ParticleArgs { neighbor_radius, velocity_gain, .. } = &args.particles;
-    let anisotropy = choices.anisotropy_kind();
-    let by_neighbors = choices.uses_neighbors();
-    let is_flattened = anisotropy == AnisotropyKind::Neighbors;
-    let is_implicit = choices.integrator == Some(Integrator::Implicit);
-    let cases = [
-        ("--cg-tolerance", args.solver.cg_tolerance.is_some(), is_implicit, "--integrator implicit"),
-        ("--radius-scale", radius_scale.is_some(), choices.radius_attribute.is_some(), "--radius-attribute"),
-        ("--max-stretch", max_stretch.is_some(), anisotropy != AnisotropyKind::None, "--anisotropy"),
-        ("--thin-radius", thin_radius.is_some(), is_flattened, "--anisotropy neighbors"),
-        ("--lone-radius", lone_radius.is_some(), is_flattened, "--anisotropy neighbors"),
-        (
-            "--neighbor-radius",
-            neighbor_radius.is_some(),
-            by_neighbors,
-            "--anisotropy neighbors and --position-smoothing",
-        ),
-        (
-            "--velocity-gain",
-            velocity_gain.is_some(),
-            anisotropy == AnisotropyKind::Velocity,
-            "--anisotropy velocity",
-        ),
-        (
-            "--void-threshold",
-            args.obstacles.void_threshold.is_some(),
-            !args.obstacles.obstacle.is_empty(),
-            "--obstacle",
-        ),
-    ];
-    let ignored = cases.into_iter().filter(|(_, is_given, is_used, _)| *is_given && !is_used);
-    ignored.map(|(option, _, _, with)| (option, with)).collect()
-}
-
-/// Options for files of a kind that is not written, and which that is.
-fn without_file(
-    args: &MethodArgs,
-    written: &[OutputFormat],
-    format_args: &FormatArgs,
-) -> Vec<(&'static str, &'static str)> {
-    let MeshArgs { contour, decimate, smooth_normals, quads } = &args.mesh;
+/// The kind of files that an option is for, where no such file is written.
+fn unwritten_kind(option: &str, written: &[OutputFormat]) -> Option<&'static str> {
     let has = |format| written.contains(&format);
-    let has_mesh = written.iter().any(|format| format.is_mesh());
     let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].into_iter().any(has);
-    let (has_quads, vdb) = (written.iter().any(|format| format.has_quads()), has(OutputFormat::Vdb));
     let has_picture = written.iter().any(|format| format.picture().is_some());
-    let cases = [
-        ("--contour", contour.is_some(), has_mesh, "meshes"),
-        ("--decimate", decimate.is_some(), has_mesh, "meshes"),
-        ("--smooth-normals", smooth_normals.is_some(), has_mesh, "meshes"),
-        ("--quads", *quads, has_quads, ".obj, .vtp and .usda"),
-        ("--up", format_args.up.is_some(), has_up || has_picture, ".glb, .gltf, .usda and pictures"),
-        ("--meters-per-unit", format_args.meters_per_unit.is_some(), has(OutputFormat::Usda), ".usda"),
-        ("--preview-size", format_args.preview_size.is_some(), has_picture, "--preview"),
-        ("--camera", format_args.camera.is_some(), has_picture, "--preview"),
-        ("--vdb-half", format_args.vdb_half, vdb, ".vdb"),
-        ("--vdb-compression", format_args.vdb_compression.is_some(), vdb, ".vdb"),
-    ];
-    let idle = cases.into_iter().filter(|(_, is_given, is_written, _)| *is_given && !is_written);
-    idle.map(|(option, _, _, kind)| (option, kind)).collect()
+    let (is_written, kind) = match option {
+        "--contour" | "--decimate" | "--smooth-normals" => {
+            (written.iter().any(|format| format.is_mesh()), "meshes")
+        }
+        "--quads" => (written.iter().any(|format| format.has_quads()), ".obj, .vtp and .usda"),
+        "--up" => (has_up || has_picture, ".glb, .gltf, .usda and pictures"),
+        "--meters-per-unit" => (has(OutputFormat::Usda), ".usda"),
+        "--preview-size" | "--camera" => (has_picture, "--preview"),
+        "--vdb-half" | "--vdb-compression" => (has(OutputFormat::Vdb), ".vdb"),
+        _ => return None,
+    };
+    (!is_written).then_some(kind)
 }
 
 /// Refuses a number that was to be the value of --smooth-normals and is taken for an input, since that has its value
@@ -233,7 +92,7 @@ pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Resu
     let is_stray = |input: &&PathBuf| {
         input.to_str().is_some_and(|text| text.parse::<u32>().is_ok()) && input.symlink_metadata().is_err()
     };
-    if args.mesh.smooth_normals.is_some()
+    if args.options.smooth_normals.is_some()
         && let Some(input) = inputs.iter().find(is_stray)
     {
         let number = input.display();

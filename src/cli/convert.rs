@@ -16,7 +16,7 @@ use crate::pipeline::{
 use crate::surface::simd::level_warning;
 
 use super::Verdict;
-use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs};
+use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, OnErrorChoice, ShardChoice, ShotArgs, typed};
 use super::choices::{obstacle_files, output_options, refuse_idle_quantize, warn_of_ignored};
 use super::console::Console;
 use super::destination::Destination;
@@ -113,7 +113,8 @@ fn job_of(selection: &Selection, args: &ConvertArgs) -> Result<Job> {
     }
     let job = surface_job(selection, args.band_slack)?;
     if let Job::LevelSet { slack_voxels, .. } = job {
-        refuse("it is about particles", &[("--print-settings", args.print_settings)])?;
+        let given = args.print_settings.then(|| typed("print_settings"));
+        refuse("it is about particles", &Vec::from_iter(given))?;
         refuse_of_particles(&args.method, slack_voxels)?;
     }
     Ok(job)

@@ -58,7 +58,7 @@ pub(super) fn plan(args: &PlanArgs, console: &mut Console) -> Result<Verdict> {
         sequences: Vec::new(),
         frames: Vec::new(),
         shards: Vec::new(),
-        obstacles: args.method.obstacles.obstacle.iter().map(|path| whole(path)).collect::<Result<_>>()?,
+        obstacles: args.method.obstacle.iter().map(|path| whole(path)).collect::<Result<_>>()?,
     };
     for selected in &sequences {
         let name = &selected.sequence.name;

@@ -10,11 +10,13 @@ use rayon::ThreadPool;
 use toml::Value;
 
 use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, Sequence, compression_name, up_name};
-use crate::surface::options::{Measured, Settings};
+use crate::surface::options::{
+    Length, LengthUnit, Measured, MethodOptions, OptionGroup, Settings, ValueKind,
+};
 
 use super::Verdict;
 use super::args::{ConvertArgs, MethodArgs};
-use super::choices::{choices, output_options};
+use super::choices::output_options;
 use super::console::Console;
 use super::resolving::measured_spacing;
 
@@ -29,19 +31,12 @@ pub(super) fn print_settings(
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Verdict> {
-    let choices = choices(&args.method);
+    let choices = args.method.to_options();
     if sequences.is_empty() {
         // With a voxel size the spacing is the one that has it by default.
-        let needs_spacing = choices.needs_spacing() && choices.voxel_size.is_none();
-        let lengths = [
-            choices.radius_min,
-            choices.radius_init,
-            choices.offset,
-            choices.thin_radius,
-            choices.lone_radius,
-            choices.neighbor_radius,
-        ];
-        let has_length = lengths.iter().any(Option::is_some) || choices.clip.is_some();
+        let has_voxel_size = choices.voxel_size.and_then(Length::world).is_some();
+        let needs_spacing = choices.needs_spacing() && !has_voxel_size;
+        let has_length = choices.has_length_in(LengthUnit::World) || choices.clip.is_some();
         if needs_spacing && has_length {
             bail!(
                 "lengths are given, and no --spacing to compare them with: give one, or an INPUT to measure it on"
@@ -86,20 +81,28 @@ fn keys(settings: &Settings, args: &ConvertArgs, has_spacing: bool) -> Result<Ve
     let mut keys = vec![key("formats", list(formats.collect()))];
     if !has_spacing {
         // By it lengths follow the spacing that will be measured.
-        let preset = choices(&args.method).preset.unwrap_or_default();
-        keys.push(key("preset", quoted(preset.name().to_owned())));
+        let preset = args.method.to_options().preset.unwrap_or_default();
+        keys.push(key("preset", quoted(preset.to_string())));
     }
     if !obstacles.is_empty() {
         keys.push(key("obstacles", list(obstacles.clone())));
     }
-    for (name, value) in settings.to_choices().to_pairs() {
+    let given = args.method.to_options().to_pairs();
+    for (name, value) in settings.to_options().to_pairs() {
         if !is_of_use(name, &outputs.formats, !obstacles.is_empty()) {
             continue;
         }
-        let value = if WORDS.contains(&name) { quoted(value) } else { value };
-        // Lengths without a spacing are there to be seen, not to be used.
-        let mark = if !has_spacing && LENGTHS.contains(&name) { "#" } else { "" };
-        keys.push((format!("{mark}{name}"), value));
+        let kind = MethodOptions::info(name).map(|info| info.kind);
+        let is_length = name == "spacing" || kind == Some(ValueKind::Length);
+        let given = given.iter().find(|(given, _)| *given == name && is_length && !has_spacing);
+        match given {
+            // In spacings or voxels, which fit any spacing.
+            Some((_, given)) => keys.push(key(name, quoted(given.clone()))),
+            // Other lengths without a spacing are there to be seen, not to be used.
+            None if is_length && !has_spacing => keys.push(key(&format!("#{name}"), value)),
+            None if kind == Some(ValueKind::Text) => keys.push(key(name, quoted(value))),
+            None => keys.push(key(name, value)),
+        }
     }
     keys.extend(format_keys(&outputs));
     Ok(keys)
@@ -107,7 +110,7 @@ fn keys(settings: &Settings, args: &ConvertArgs, has_spacing: bool) -> Result<Ve
 
 /// The obstacles, as they can be found from wherever the file will lie.
 fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
-    let paths = args.obstacles.obstacle.iter().map(|path| {
+    let paths = args.obstacle.iter().map(|path| {
         let whole = absolute(path).with_context(|| format!("`{}` is no path", path.display()))?;
         let text = whole.to_str().map(str::to_owned);
         text.with_context(|| format!("{}: a file of settings can name only what is Unicode", whole.display()))
@@ -144,12 +147,12 @@ fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
     keys
 }
 
-/// Whether a choice can change what is written.
+/// Whether an option can change what is written.
 fn is_of_use(name: &str, formats: &[OutputFormat], has_obstacles: bool) -> bool {
-    match name {
-        "void_threshold" => has_obstacles,
-        "contour" | "decimate" | "smooth_normals" => formats.iter().any(|format| format.is_mesh()),
-        "quads" => formats.iter().any(|format| format.has_quads()),
+    match MethodOptions::info(name).map(|info| info.group) {
+        Some(OptionGroup::Obstacles) => has_obstacles,
+        Some(OptionGroup::Mesh) if name == "quads" => formats.iter().any(|format| format.has_quads()),
+        Some(OptionGroup::Mesh) => formats.iter().any(|format| format.is_mesh()),
         _ => true,
     }
 }
@@ -161,18 +164,3 @@ fn quoted(text: String) -> String {
 fn list(texts: Vec<String>) -> String {
     Value::Array(texts.into_iter().map(Value::String).collect()).to_string()
 }
-
-/// The keys whose values are lengths.
-const LENGTHS: [&str; 8] = [
-    "spacing",
-    "voxel_size",
-    "radius_min",
-    "radius_init",
-    "offset",
-    "thin_radius",
-    "lone_radius",
-    "neighbor_radius",
-];
-
-/// The keys whose values are text. The others are numbers and switches.
-const WORDS: [&str; 6] = ["radius_attribute", "anisotropy", "attributes", "clip", "contour", "integrator"];

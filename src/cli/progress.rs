@@ -208,10 +208,10 @@ mod tests {
     use std::sync::Arc;
 
     use crate::pipeline::{FrameFile, OutputFormat, OutputOptions};
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
 
     fn frame(name: &str) -> Frame {
-        let settings = Settings::paper(0.1, &Choices::default()).expect("settings");
+        let settings = Settings::paper(0.1, &MethodOptions::default()).expect("settings");
         let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
         Frame::new(&FrameFile::new(name.into()), &Arc::new(settings), &Arc::new(outputs))
     }

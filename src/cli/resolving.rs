@@ -11,10 +11,9 @@ use crate::pipeline::{
     self, FrameError, FrameFile, MeasuredSpacing, NOTHING, NoSpacing, OutputOptions, Sequence, frame_name,
     frames_in, is_own_output, measure_spacing, sequence_bounds, step_of,
 };
-use crate::surface::options::{Choices, Measured, Settings};
+use crate::surface::options::{Length, Measured, MethodOptions, Settings};
 
 use super::args::MethodArgs;
-use super::choices::choices;
 use super::console::Console;
 use super::selecting::SelectedSequence;
 use super::wording::{counted, significant};
@@ -30,7 +29,7 @@ pub(super) fn resolve_settings(
     pool: &ThreadPool,
     console: &mut Console,
 ) -> Result<Result<Resolved, String>> {
-    let choices = choices(method);
+    let choices = method.to_options();
     let measured = match pool.install(|| measured_spacing(sequence, &choices, console)) {
         Ok(measured) => measured,
         Err(error) => return Ok(Err(error.to_string())),
@@ -58,7 +57,7 @@ pub(super) fn resolve_settings(
 /// When it cannot be measured, and no voxel size was chosen.
 pub(super) fn measured_spacing(
     sequence: &Sequence,
-    choices: &Choices,
+    choices: &MethodOptions,
     console: &Console,
 ) -> Result<Option<MeasuredSpacing>, NoSpacing> {
     if !choices.needs_spacing() {
@@ -68,7 +67,7 @@ pub(super) fn measured_spacing(
     let paths = sequence.frames.iter().map(|file| &*file.path);
     // A scale that is no number is refused with the settings.
     let own_radii = choices.own_radii().ok().flatten();
-    match (measure_spacing(paths, own_radii.as_ref()), choices.voxel_size) {
+    match (measure_spacing(paths, own_radii.as_ref()), choices.voxel_size.and_then(Length::world)) {
         (Ok(measured), _) => {
             measured.warnings.iter().for_each(|warning| warn(warning));
             Ok(Some(measured))

@@ -6,10 +6,9 @@ use anyhow::{Result, bail};
 use rayon::ThreadPool;
 
 use crate::pipeline::{Job, OutputOptions, is_level_set};
-use crate::surface::options::{Choices, Settings};
+use crate::surface::options::{LengthUnit, MethodOptions, OptionGroup, Settings};
 
-use super::args::{FirstArgs, MethodArgs, ObstacleArgs, ParticleArgs, SolverArgs, SurfaceArgs};
-use super::choices::choices;
+use super::args::{MethodArgs, typed};
 use super::console::Console;
 use super::resolving::{Resolved, outputs_of, resolve_settings};
 use super::selecting::{SelectedSequence, Selection};
@@ -48,8 +47,8 @@ pub(super) fn resolve_job(
 ) -> Result<Result<Resolved, String>> {
     let settings = match job {
         Job::Surface => return resolve_settings(sequence, method, outputs, pool, console),
-        Job::LevelSet { .. } => Settings::of_level_sets(&choices(method))?,
-        Job::Particles => Settings::of_level_sets(&Choices::default())?,
+        Job::LevelSet { .. } => Settings::of_level_sets(&method.to_options())?,
+        Job::Particles => Settings::of_level_sets(&MethodOptions::default())?,
     };
     let outputs = pool.install(|| outputs_of(&sequence.sequence, &settings, outputs));
     let resolved = outputs.map(|outputs| Resolved {
@@ -67,7 +66,7 @@ pub(super) fn resolve_job(
 pub(super) fn refuse_of_particles(method: &MethodArgs, slack_voxels: f64) -> Result<()> {
     refuse_of_surfaces_of_particles(method)?;
     match slack_voxels == 0.0 {
-        true => refuse("without --band-slack it is not smoothed", &of_solver(&method.solver)),
+        true => refuse("without --band-slack it is not smoothed", &given_of(method, OptionGroup::Solver)),
         false => Ok(()),
     }
 }
@@ -78,85 +77,45 @@ pub(super) fn refuse_of_particles(method: &MethodArgs, slack_voxels: f64) -> Res
 /// Which of the options.
 pub(super) fn refuse_method(method: &MethodArgs) -> Result<()> {
     refuse_of_surfaces_of_particles(method)?;
-    let of_surface = [("--offset", method.surface.offset.is_some())];
-    refuse("a picture is of the file as it is", &[&of_surface[..], &of_solver(&method.solver)].concat())
+    let mut given = given_of(method, OptionGroup::Solver);
+    if method.options.offset.is_some() {
+        given.insert(0, typed("offset"));
+    }
+    refuse("a picture is of the file as it is", &given)
 }
 
 /// Refuses what is about particles, and surfaces that are made of them.
 fn refuse_of_surfaces_of_particles(method: &MethodArgs) -> Result<()> {
-    let MethodArgs { first, surface, particles, obstacles, mesh: _, solver: _ } = method;
-    let FirstArgs { preset, spacing, voxel_size } = first;
-    refuse(
-        "the file has its voxels",
-        &[
-            ("--voxel-size", voxel_size.is_some()),
-            ("--spacing", spacing.spacing.is_some()),
-            ("--particle-radius", spacing.particle_radius.is_some()),
-            ("--preset", preset.is_some()),
-        ],
-    )?;
-    let SurfaceArgs { radius_min, radius_ratio, radius_init, offset: _, drop_islands, fill_cavities, clip } =
-        surface;
-    let of_surface = [
-        ("--radius-min", radius_min.is_some()),
-        ("--radius-ratio", radius_ratio.is_some()),
-        ("--radius-init", radius_init.is_some()),
-        ("--drop-islands", drop_islands.is_some()),
-        ("--fill-cavities", fill_cavities.is_some()),
-        ("--clip", clip.is_some()),
-    ];
+    let mut general = given_of(method, OptionGroup::General);
+    general.extend(method.particle_radius.map(|_| typed("particle_radius")));
+    refuse("the file has its voxels", &general)?;
+    // Its voxel size is known when it is read, and its particle spacing never.
+    if method.options.offset.is_some_and(|offset| offset.unit != LengthUnit::World) {
+        bail!("--offset must be in world units for a level set in .vdb, such as --offset 0.01");
+    }
+    let mut of_surface = given_of(method, OptionGroup::Surface);
+    of_surface.retain(|option| option != "--offset");
     refuse("that is for surfaces of particles, and it has none", &of_surface)?;
-    let ParticleArgs {
-        radius_attribute,
-        radius_scale,
-        anisotropy,
-        max_stretch,
-        thin_radius,
-        lone_radius,
-        neighbor_radius,
-        position_smoothing,
-        velocity_gain,
-        attributes,
-    } = particles;
-    let of_particles = [
-        ("--radius-attribute", radius_attribute.is_some()),
-        ("--radius-scale", radius_scale.is_some()),
-        ("--anisotropy", anisotropy.is_some()),
-        ("--max-stretch", max_stretch.is_some()),
-        ("--thin-radius", thin_radius.is_some()),
-        ("--lone-radius", lone_radius.is_some()),
-        ("--neighbor-radius", neighbor_radius.is_some()),
-        ("--position-smoothing", position_smoothing.is_some()),
-        ("--velocity-gain", velocity_gain.is_some()),
-        ("--attributes", attributes.is_some()),
-    ];
+    let of_particles = given_of(method, OptionGroup::Particles);
     refuse("that is for particles, and it has none", &of_particles)?;
-    let ObstacleArgs { obstacle, void_threshold } = obstacles;
-    refuse(
-        "obstacles are for particles",
-        &[("--obstacle", !obstacle.is_empty()), ("--void-threshold", void_threshold.is_some())],
-    )
+    let mut of_obstacles: Vec<String> =
+        method.obstacle.first().map(|_| typed("obstacle")).into_iter().collect();
+    of_obstacles.extend(given_of(method, OptionGroup::Obstacles));
+    refuse("obstacles are for particles", &of_obstacles)
 }
 
-fn of_solver(solver: &SolverArgs) -> [(&'static str, bool); 6] {
-    let SolverArgs { integrator, laplacian_steps, steps, step_size, redistance_every, cg_tolerance } = solver;
-    [
-        ("--integrator", integrator.is_some()),
-        ("--laplacian-steps", laplacian_steps.is_some()),
-        ("--steps", steps.is_some()),
-        ("--step-size", step_size.is_some()),
-        ("--redistance-every", redistance_every.is_some()),
-        ("--cg-tolerance", cg_tolerance.is_some()),
-    ]
+/// The options of a group that are given, as they are typed.
+fn given_of(method: &MethodArgs, group: OptionGroup) -> Vec<String> {
+    let given = method.options.to_pairs().into_iter();
+    let is_one = |name: &str| MethodOptions::info(name).is_some_and(|info| info.group == group);
+    given.filter(|(name, _)| is_one(name)).map(|(name, _)| typed(name)).collect()
 }
 
-/// Refuses those of the options that are given, by name.
+/// Refuses these options, which are given.
 ///
 /// # Errors
-/// Which.
-pub(super) fn refuse(why: &str, options: &[(&str, bool)]) -> Result<()> {
-    let given: Vec<&str> =
-        options.iter().filter(|(_, is_given)| *is_given).map(|(option, _)| *option).collect();
+/// Which, if there are any.
+pub(super) fn refuse(why: &str, given: &[String]) -> Result<()> {
     match given.is_empty() {
         true => Ok(()),
         false => bail!("{} cannot be given with a level set in .vdb: {why}", given.join(", ")),

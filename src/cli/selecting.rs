@@ -12,7 +12,7 @@ use crate::pipeline::{
 };
 
 use super::args::MethodArgs;
-use super::choices::{choices, refuse_stray_rounds};
+use super::choices::refuse_stray_rounds;
 use super::console::Console;
 use super::frame_selection::FrameSelection;
 use super::inputs::find_inputs;
@@ -63,7 +63,7 @@ pub(super) fn select_frames(
     let is_complete = found.unreadable.is_empty();
     let paths: Vec<PathBuf> = found.files.iter().map(|file| file.path.clone()).collect();
     let sequences = pipeline::sequences(found.files);
-    if choices(method).needs_spacing() {
+    if method.to_options().needs_spacing() {
         warn_of_single_frames(&sequences, console);
     }
     let sequences: Vec<SelectedSequence> = sequences

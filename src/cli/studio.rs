@@ -17,12 +17,12 @@ use crate::pipeline::{
     sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
-use crate::surface::options::{AttributeSelection, Choices, Measured, Settings};
+use crate::surface::options::{AttributeSelection, Measured, MethodOptions, Settings};
 use crate::surface::space::Lattice;
 
 use super::args::{FormatArgs, MethodArgs, RunArgs, ViewArgs};
 use super::camera_file::camera_of_file;
-use super::choices::{choices, ignored, output_options};
+use super::choices::{ignored, output_options};
 use super::console::Console;
 use super::inputs::{Found, find_beside_others, find_inputs};
 use super::quantities::{PictureSize, memory_bytes};
@@ -59,7 +59,7 @@ pub(super) struct Skinned {
 /// When it cannot be measured.
 pub(super) fn measured(
     sequence: &Sequence,
-    choices: &Choices,
+    choices: &MethodOptions,
     console: &Console,
 ) -> Result<Option<Measured>> {
     let measured = measured_spacing(sequence, choices, console).map_err(|none| match none.sparse_count {
@@ -88,7 +88,7 @@ impl<'a> Studio<'a> {
         let mut outputs = output_options(folder, None, &typed);
         outputs.picture.camera = camera;
         outputs.formats = vec![format];
-        let obstacles = ObstacleFiles::new(method.obstacles.obstacle.clone());
+        let obstacles = ObstacleFiles::new(method.obstacle.clone());
         if let Some(missing) = obstacles.missing() {
             bail!("{}: there is no such obstacle", missing.display());
         }
@@ -110,7 +110,7 @@ impl<'a> Studio<'a> {
         if sequence.frames.iter().all(|file| is_level_set(&file.path)) {
             return Ok(None);
         }
-        let mut choices = choices(self.method);
+        let mut choices = self.method.to_options();
         if self.has_velocities() && choices.attributes.is_none() {
             choices.attributes = Some(AttributeSelection::Named(vec![VELOCITY.to_owned()]));
         }
@@ -173,7 +173,7 @@ impl<'a> Studio<'a> {
             Subject::LevelSet(level_set) => &level_set.notes,
             Subject::Skinned(skinned) => &skinned.still.notes,
         };
-        let is_asked = self.method.particles.attributes.is_some();
+        let is_asked = self.method.options.attributes.is_some();
         notes.iter().filter(move |note| is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
     }
 

@@ -22,7 +22,7 @@ use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
     PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
 };
-use crate::surface::options::{Choices, Settings};
+use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::skin::SLACK_MAX_VOXELS;
 
 use super::dealing::SHARDS_MAX;
@@ -74,7 +74,7 @@ struct Outputs {
 #[serde(deny_unknown_fields)]
 struct SequenceEntry {
     name: String,
-    /// By name, as text: see [`Choices::to_pairs`].
+    /// By name, as text: see [`MethodOptions::to_pairs`].
     settings: BTreeMap<String, String>,
     /// Of level sets: by how many voxels smoothing may move their surfaces.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -319,7 +319,7 @@ impl SequenceEntry {
             })
         });
         let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
-        let pairs = settings.to_choices().to_pairs();
+        let pairs = settings.to_options().to_pairs();
         Ok(SequenceEntry {
             name: name.clone(),
             settings: pairs.into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
@@ -350,18 +350,17 @@ impl SequenceEntry {
     }
 
     fn settings(&self, place: &str) -> Result<Settings, PlanError> {
-        let mut choices = Choices::default();
+        let mut options = MethodOptions::default();
         for (name, value) in &self.settings {
-            let choice = Choices::from_pairs([(name.as_str(), value.as_str())]).ok_or_else(|| {
+            options.set(name, value).ok_or_else(|| {
                 let place = format!("{place}/settings/{}", escaped(name));
                 PlanError::at(place, format!("`{value}` is no value for it, or there is no such setting"))
             })?;
-            choices = choice.over(choices);
         }
-        let settings = Settings::resolve(&choices, None)
+        let settings = Settings::resolve(&options, None)
             .map_err(|error| PlanError::at(format!("{place}/settings"), error.to_string()))?;
         // Whatever a default would fill in may be another one for another shard.
-        let needed = settings.to_choices().to_pairs();
+        let needed = settings.to_options().to_pairs();
         let place = |name: &str| format!("{place}/settings/{}", escaped(name));
         if let Some((name, _)) = needed.iter().find(|(name, _)| !self.settings.contains_key(*name)) {
             return Err(PlanError::at(place(name), "missing: a plan has every setting"));

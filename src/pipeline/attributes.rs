@@ -201,7 +201,7 @@ fn attribute(attribute: FileAttribute) -> Attribute {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
 
     fn file_attribute(name: &str, role: Option<Role>, arity: usize, values: Values) -> FileAttribute {
         FileAttribute { name: name.to_owned(), arity, role, values }
@@ -216,7 +216,7 @@ mod tests {
         ]
     }
 
-    fn wanted(choices: Choices) -> Wanted {
+    fn wanted(choices: MethodOptions) -> Wanted {
         Wanted::by(&Settings::paper(1.0, &choices).expect("sound"))
     }
 
@@ -236,16 +236,20 @@ mod tests {
     fn what_is_wanted_is_kept_under_any_of_its_names() {
         let named = |names: &[&str]| {
             let names = names.iter().map(|&name| name.to_owned()).collect();
-            wanted(Choices { attributes: Some(AttributeSelection::Named(names)), ..Choices::default() })
+            wanted(MethodOptions {
+                attributes: Some(AttributeSelection::Named(names)),
+                ..MethodOptions::default()
+            })
         };
         let kept = |wanted: &Wanted| -> Vec<String> {
             let (kept, _) = wanted.of(two_particles()).expect("nothing is needed");
             kept.into_iter().map(|attribute| attribute.name).collect()
         };
-        assert_eq!(kept(&wanted(Choices::default())), [""; 0]);
+        assert_eq!(kept(&wanted(MethodOptions::default())), [""; 0]);
         assert_eq!(kept(&named(&["velocity", "kind"])), ["vel", "Kind"]);
         assert_eq!(kept(&named(&["Cd", "VEL"])), ["vel", "rgb"]);
-        let all = wanted(Choices { attributes: Some(AttributeSelection::All), ..Choices::default() });
+        let all =
+            wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
         assert_eq!(kept(&all), ["vel", "rgb", "pscale", "Kind"]);
         let (_, notes) = named(&["age"]).of(two_particles()).expect("nothing is needed");
         assert!(notes[0].contains("`age`") && notes[0].contains("vel, rgb, pscale, Kind"), "{notes:?}");
@@ -253,8 +257,9 @@ mod tests {
 
     #[test]
     fn what_is_needed_must_be_there() {
-        let by_radius =
-            |name: &str| wanted(Choices { radius_attribute: Some(name.to_owned()), ..Choices::default() });
+        let by_radius = |name: &str| {
+            wanted(MethodOptions { radius_attribute: Some(name.to_owned()), ..MethodOptions::default() })
+        };
         let (kept, _) = by_radius("radius").of(two_particles()).expect("there");
         assert_eq!(kept.len(), 1);
         assert_eq!(kept[0].values, AttributeValues::Numbers(vec![0.5, 1.0]));
@@ -283,7 +288,8 @@ mod tests {
 
     #[test]
     fn values_are_those_of_the_method() {
-        let all = wanted(Choices { attributes: Some(AttributeSelection::All), ..Choices::default() });
+        let all =
+            wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
         let (kept, _) = all.of(two_particles()).expect("nothing is needed");
         assert_eq!(kept[1].values, AttributeValues::Numbers(vec![1.0, 0.0, 0.2, 0.0, 0.0, 0.0]));
         assert_eq!(kept[3].values, AttributeValues::Integers(vec![7, -1]));

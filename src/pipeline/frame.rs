@@ -359,12 +359,12 @@ impl std::error::Error for FrameError {
 mod tests {
     use super::*;
     use crate::pipeline::OutputFormat;
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
 
     /// Whoever waits for room looks at the folder of the path.
     #[test]
     fn what_cannot_be_kept_is_told_of_where_it_was_to_be() {
-        let settings = Settings::paper(0.1, &Choices::default()).expect("settings");
+        let settings = Settings::paper(0.1, &MethodOptions::default()).expect("settings");
         let outputs = OutputOptions::new("out", &[OutputFormat::Glb]);
         let file = FrameFile::new("in/dam.1.ply".into());
         let frame = Frame::new(&file, &Arc::new(settings), &Arc::new(outputs));

@@ -40,7 +40,7 @@
 //! use meniscus::pipeline::{
 //!     PipelineOptions, Frame, FrameFile, LevelSetSkinning, Outcome, OutputFormat, OutputOptions, measure_spacing, run,
 //! };
-//! use meniscus::surface::options::{Choices, Settings};
+//! use meniscus::surface::options::{MethodOptions, Settings};
 //!
 //! # let folder = tempfile::tempdir()?;
 //! # let path = folder.path().join("block.csv");
@@ -48,7 +48,7 @@
 //! # std::fs::write(&path, (0..125).map(line).collect::<String>())?;
 //! # let out = folder.path().join("out");
 //! let measured = measure_spacing([&*path], None)?;
-//! let settings = Arc::new(Settings::resolve(&Choices::default(), Some((&measured).into()))?);
+//! let settings = Arc::new(Settings::resolve(&MethodOptions::default(), Some((&measured).into()))?);
 //! let outputs = Arc::new(OutputOptions::new(&out, &[OutputFormat::Glb, OutputFormat::Vdb]));
 //! let frames = [Frame::new(&FrameFile::new(path), &settings, &outputs)];
 //! let pool = rayon::ThreadPoolBuilder::new().build()?;

@@ -487,7 +487,8 @@ mod tests {
         let (path, buffer) = (folder.path().join("a.gltf"), folder.path().join("a.bin"));
         fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
         fs::write(&buffer, triangle(1.0)).expect("written");
-        let settings = Settings::paper(0.1, &crate::surface::options::Choices::default()).expect("settings");
+        let settings =
+            Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
         let files = ObstacleFiles::new(vec![path.clone()]);
         let find = || files.find(None).expect("both files");
         let is_known = |found: &FoundObstacles| matches!(found.found[0].content, Content::Obstacle(_));
@@ -548,7 +549,8 @@ mod tests {
         let path = folder.path().join("a.obj");
         fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
         let files = ObstacleFiles::new(vec![path.clone(), folder.path().join("./a.obj"), path.clone()]);
-        let settings = Settings::paper(0.1, &crate::surface::options::Choices::default()).expect("settings");
+        let settings =
+            Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
         let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 24).expect("a triangle");
         assert_eq!(loaded.obstacles.members.len(), 1);
         // What is known needs no more memory to be loaded, until it is another.
@@ -585,7 +587,8 @@ mod tests {
         fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
         fs::write(inner.join("a.bin"), triangle(1.0)).expect("written");
         let files = ObstacleFiles::new(vec![path]);
-        let settings = Settings::paper(0.1, &crate::surface::options::Choices::default()).expect("settings");
+        let settings =
+            Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
         let found = files.find(None).expect("readable");
         let error = files.load(found, &settings, 1 << 24).err().expect("a buffer elsewhere").to_string();
         assert!(error.contains("only a .gltf"), "{error}");

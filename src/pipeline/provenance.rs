@@ -12,7 +12,7 @@ use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{gltf, vdb};
 use twox_hash::XxHash3_64;
 
-use crate::surface::options::{Pairs, Settings};
+use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
 
 use super::certificate_file::hash_text;
 use super::frame::{Frame, Job};
@@ -71,10 +71,11 @@ fn condensed(pairs: Pairs) -> Pairs {
 
 /// The settings of a surface of a level set that is at most this many voxels away from it: those that have a say.
 pub(super) fn level_set_pairs(settings: &Settings, slack_voxels: f64, format: OutputFormat) -> Pairs {
-    const OF_MESH: [&str; 6] = ["voxel_size", "offset", "contour", "decimate", "smooth_normals", "quads"];
-    const OF_SOLVER: [&str; 6] =
-        ["integrator", "laplacian_steps", "steps", "step_size", "redistance_every", "cg_tolerance"];
-    let has_say = |name: &str| OF_MESH.contains(&name) || (slack_voxels > 0.0 && OF_SOLVER.contains(&name));
+    let has_say = |name: &str| match MethodOptions::info(name).map(|info| info.group) {
+        Some(OptionGroup::Mesh) => true,
+        Some(OptionGroup::Solver) => slack_voxels > 0.0,
+        _ => ["voxel_size", "offset"].contains(&name),
+    };
     let pairs = settings_pairs(settings, format).into_iter().filter(|(name, _)| has_say(name));
     [("band_slack", slack_voxels.to_string())].into_iter().chain(pairs).collect()
 }
@@ -318,13 +319,15 @@ pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Ve
     chosen
 }
 
-/// Every setting that matters to an output in `format`.
+/// Every setting that matters to an output in `format`. A level set is written as it is, before it becomes a mesh;
+/// obstacles have [their own](obstacle_pairs).
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
-    let mut pairs = settings.pairs(format.is_mesh());
-    if format.has_quads() && settings.quads {
-        pairs.push(("quads", true.to_string()));
-    }
-    pairs
+    settings.pairs(|name| match MethodOptions::info(name).map(|info| info.group) {
+        Some(OptionGroup::Obstacles) => false,
+        Some(OptionGroup::Mesh) if name == "quads" => format.has_quads(),
+        Some(OptionGroup::Mesh) => format.is_mesh(),
+        _ => true,
+    })
 }
 
 /// A way of packing values, as it is typed.

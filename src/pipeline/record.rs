@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::surface::options::{Settings, contouring_name, integrator_name};
+use crate::surface::options::Settings;
 use crate::surface::report::{
     EditReport, ParticlesOutside, Shaping, SkinReport, TransferCounts, TransferReport,
 };
@@ -402,7 +402,8 @@ impl SequenceRecord {
             let level_sets = Some(LevelSetsRecord { band_slack: *slack_voxels, more });
             return SequenceRecord { level_sets, ..SequenceRecord::named(name) };
         }
-        let mut more = settings.more();
+        let more = settings.pairs(|name| !NOT_MORE.contains(&name));
+        let mut more: BTreeMap<&str, String> = more.into_iter().collect();
         if !obstacles.is_empty() {
             more.insert("void_threshold", settings.void_threshold.to_string());
         }
@@ -436,19 +437,36 @@ impl SequenceRecord {
     }
 }
 
+/// Settings that have a field of their own in reports, and those that depend on the outputs and obstacles.
+const NOT_MORE: [&str; 13] = [
+    "voxel_size",
+    "radius_min",
+    "radius_init",
+    "radius_max",
+    "integrator",
+    "laplacian_steps",
+    "steps",
+    "step_size",
+    "redistance_every",
+    "cg_tolerance",
+    "contour",
+    "quads",
+    "void_threshold",
+];
+
 fn settings_record(settings: &Settings, more: BTreeMap<&'static str, String>) -> SettingsRecord {
     SettingsRecord {
         voxel_size: settings.voxel_size,
         radius_min: settings.radius_min,
         radius_init: settings.radius_init,
         radius_max: settings.radius_max,
-        integrator: integrator_name(settings.integrator),
+        integrator: settings.integrator.name(),
         laplacian_steps: settings.laplacian_steps,
         steps: settings.steps,
         step_size: settings.step_size,
         redistance_every: settings.redistance_every,
         cg_tolerance: settings.cg_tolerance,
-        contour: contouring_name(settings.contouring),
+        contour: settings.contouring.name(),
         more,
         warnings: settings.warnings(),
     }

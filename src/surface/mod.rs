@@ -25,8 +25,8 @@ pub use self::{
     mesh::MeshMeasures,
     obstacle::{ContactTally, DepthTally, LevelSetSource, MeshFindings, Obstacle, Sampled, Shape, Solid},
     options::{
-        Anisotropy, AnisotropyKind, AttributeSelection, Choices as Options, ClipBox, OwnRadii, Preset,
-        Settings, SettingsError,
+        Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit,
+        MethodOptions as Options, OwnRadii, Preset, Settings, SettingsError,
     },
     particles::{Attribute, AttributeValues, Meaning, Positions},
     report::{EditReport, Phase, Shaping, SkinReport as Report, StageSeconds, TransferReport},

@@ -29,6 +29,55 @@ pub(crate) fn rounded_down(value: f64) -> String {
     significant(below)
 }
 
+/// Defines an enum whose variants are words of the command line and of files, and the ways to these words and back.
+macro_rules! word_enum {
+    (
+        $(#[$attribute:meta])*
+        pub enum $name:ident { $($(#[$variant_attribute:meta])* $variant:ident = $word:literal,)+ }
+    ) => {
+        $(#[$attribute])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+        pub enum $name {
+            $(
+                $(#[$variant_attribute])*
+                #[cfg_attr(feature = "cli", value(name = $word))]
+                #[cfg_attr(feature = "serde", serde(rename = $word))]
+                $variant,
+            )+
+        }
+
+        impl $name {
+            /// Every variant.
+            pub const ALL: &'static [$name] = &[$($name::$variant),+];
+
+            /// The word of the command line and of files.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $($name::$variant => $word),+
+                }
+            }
+        }
+
+        impl std::fmt::Display for $name {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(self.name())
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = String;
+
+            fn from_str(word: &str) -> Result<$name, String> {
+                let found = $name::ALL.iter().copied().find(|variant| variant.name() == word);
+                found.ok_or_else(|| format!("`{word}` is unknown: expected one of {}", [$($word),+].join(", ")))
+            }
+        }
+    };
+}
+pub(crate) use word_enum;
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use crate::pipeline::{Job, OutputOptions, is_level_set};
-use crate::surface::options::Choices;
+use crate::surface::options::MethodOptions;
 
 /// All that one run of the daemon goes by.
 #[derive(Clone, Debug)]
@@ -52,7 +52,7 @@ pub struct Watch {
     /// What is written, and where.
     pub outputs: OutputOptions,
     /// All other choices of the method.
-    pub choices: Choices,
+    pub choices: MethodOptions,
     /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for
     /// a file of each frame.
     pub obstacles: Vec<PathBuf>,
@@ -78,10 +78,11 @@ pub fn names_level_sets(pattern: Option<&str>) -> bool {
 
 /// Which of several waiting frames is next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum Order {
-    /// By name, numbers as numbers.
+    /// By name, numbers as numbers
     Natural,
-    /// The one written last.
+    /// The one written last
     Latest,
 }
 

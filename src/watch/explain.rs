@@ -285,7 +285,7 @@ mod tests {
     use tempfile::TempDir;
 
     use crate::pipeline::{OutputFormat, OutputOptions};
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
     use crate::watch::core::completeness::Proof;
     use crate::watch::journal::{OutputRecord, Standing};
 
@@ -325,7 +325,7 @@ mod tests {
                     vdb_compression: meniscus_formats::vdb::Compression::None,
                     picture: crate::pipeline::PictureOptions::default(),
                 },
-                choices: Choices::default(),
+                choices: MethodOptions::default(),
                 obstacles: Vec::new(),
             };
             let bench = Bench { _folder: folder, frame, output, watch };

@@ -146,7 +146,7 @@ mod tests {
     use tempfile::TempDir;
 
     use crate::pipeline::{OutputFormat, OutputOptions};
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
 
     const HEADER: &str =
         "element vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
@@ -173,7 +173,7 @@ mod tests {
             recursive: false,
             sentinel: sentinel.map(str::to_owned),
             outputs: OutputOptions::new(folder, &[OutputFormat::Ply]),
-            choices: Choices::default(),
+            choices: MethodOptions::default(),
             obstacles: Vec::new(),
         }
     }

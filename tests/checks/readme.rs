@@ -18,7 +18,7 @@ use std::time::Duration;
 
 use glam::{IVec3, Vec3};
 use meniscus::pipeline::encode_level_set;
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::skin::skin;
 use meniscus_formats::{Attribute, ParticleFrame, Positions, Role, Values, bgeo, vdb};
@@ -372,7 +372,7 @@ fn write_ship(path: &Path) {
 
 /// The level set of a block.
 fn write_level_set(path: &Path) {
-    let settings = Settings::paper(0.05, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.05, &MethodOptions::default()).expect("sound");
     let surface = skin(&Particles::Double(block(4, 0.0)), &settings);
     let encoded = encode_level_set(&surface, &settings, &vdb::WriteOptions::default(), &[]);
     let mut out = BufWriter::new(File::create(path).expect("made"));

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use glam::{DVec3, Vec3};
 use meniscus::surface::mesh::Mesh;
 use meniscus::surface::obstacle::Obstacles;
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::report::Shaping;
 use meniscus::surface::skin::{Stored, Surface, contour, rasterize, skin, smooth};
@@ -61,8 +61,11 @@ fn eighths(mesh: &Mesh) -> Vec<Vec3> {
 fn particles_outside_the_written_mesh_are_counted_to_the_last() {
     let mut outside_in_all = 0;
     for (decimate, radius_min) in [(0.0, 0.4), (0.0, 0.9), (0.8, 0.7), (0.5, 1.2)] {
-        let choices =
-            Choices { decimate: Some(decimate), radius_min: Some(radius_min), ..Choices::default() };
+        let choices = MethodOptions {
+            decimate: Some(decimate),
+            radius_min: Some(radius_min.into()),
+            ..MethodOptions::default()
+        };
         let settings = Settings::paper(1.0, &choices).expect("sound");
         for (seed, stored) in [(1, Stored::AsTheyAre), (2, Stored::Rounded(quarters)), (3, Stored::AsTheyAre)]
         {
@@ -91,7 +94,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
 
 #[test]
 fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
-    let settings = Settings::paper(1.0, &Choices::default()).expect("sound");
+    let settings = Settings::paper(1.0, &MethodOptions::default()).expect("sound");
     let mut removed_count = 0;
     for seed in 0..4 {
         let positions = cloud(40 + seed, 400, 24.0);
@@ -126,7 +129,7 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
 /// Drops this far from all others are still closed meshes: what 32 bits make flat is taken out.
 #[test]
 fn drops_as_far_away_as_positions_reach_are_closed() {
-    let settings = Settings::paper(0.1, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let near: Vec<[f64; 3]> = block(10, 0.0).iter().map(|position| position.map(|x| 2.0 * x)).collect();
     let mut removed_count = 0;
     for (seed, voxels) in [2e4, 7e4, 2e5, 5e5, 8e5, 1e6].into_iter().enumerate() {
@@ -146,7 +149,7 @@ fn drops_as_far_away_as_positions_reach_are_closed() {
 
 #[test]
 fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
-    let settings = Settings::paper(0.1, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let positions = block(8, 0.0);
     let alone = skin(&Particles::Double(positions.clone()), &settings);
     for far in [3e5, -4e6, 9e7, 1e30] {
@@ -165,7 +168,7 @@ fn an_escaped_particle_is_left_out_and_the_others_are_certified() {
 /// A frame of two parts is as wide as it is.
 #[test]
 fn a_frame_of_two_parts_far_from_each_other_keeps_both() {
-    let settings = Settings::paper(0.1, &Choices::default()).expect("sound");
+    let settings = Settings::paper(0.1, &MethodOptions::default()).expect("sound");
     let mut positions = block(8, 0.0);
     positions.extend(block(8, 3e5));
     let report = skin(&Particles::Double(positions), &settings).report;

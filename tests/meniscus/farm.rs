@@ -589,7 +589,7 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ),
         ("/sequences/0/settings/voxel_size", json!("-1"), "/sequences/0/settings: the voxel size is -1"),
         ("/sequences/0/settings/steps", json!("1e99"), "/sequences/0/settings/steps: `1e99` is no value"),
-        ("/sequences/0/settings/step_size", json!("-1"), "/sequences/0/settings: the step size"),
+        ("/sequences/0/settings/step_size", json!("-1"), "/sequences/0/settings: step_size is -1"),
         ("/sequences/0/settings", json!({}), "/sequences/0/settings: the particle spacing is unknown"),
         ("/sequences/0/camera", json!("auto"), "/sequences/0/camera: there are no pictures"),
         ("/shards", json!([]), "/shards: there are 0"),

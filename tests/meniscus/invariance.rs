@@ -4,7 +4,7 @@
 
 use glam::{DVec3, IVec3};
 use meniscus::surface::level_set::NarrowBand;
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::rasterize::{Rasterized, Scene, rasterize};
 use meniscus::surface::skin::skin;
@@ -111,8 +111,10 @@ fn assert_same_band(here: &NarrowBand, there: &NarrowBand, shift: IVec3) -> usiz
 #[test]
 fn far_changes_change_nothing() {
     let reach = {
-        let one =
-            skin(&Particles::Double(vec![[0.0; 3]]), &Settings::paper(1.0, &Choices::default()).unwrap());
+        let one = skin(
+            &Particles::Double(vec![[0.0; 3]]),
+            &Settings::paper(1.0, &MethodOptions::default()).unwrap(),
+        );
         i32::try_from(one.report.reach_voxels.unwrap()).unwrap()
     };
     let (length, near) = (reach + 52, 16);
@@ -171,7 +173,7 @@ fn bounds_hold_and_no_particle_is_outside() {
 /// Spheres so small that they fall between the voxels leave no surface, and the certificate says so.
 #[test]
 fn lost_particles_are_certified_as_lost() {
-    let tiny = Choices { radius_min: Some(0.3), ..Choices::default() };
+    let tiny = MethodOptions { radius_min: Some(0.3.into()), ..MethodOptions::default() };
     let settings = Settings::paper(1.0, &tiny).unwrap();
     let lost = skin(&Particles::Double(vec![[0.5; 3]]), &settings).report;
     assert_eq!((lost.mesh.triangle_count, lost.certificate.particles_outside.count), (0, 1));
@@ -180,7 +182,7 @@ fn lost_particles_are_certified_as_lost() {
     assert_eq!(caught.particles_outside.count, 0, "{caught:?}");
     // Deep inside nothing is stored either.
     let block = (0..18 * 18 * 18).map(|i| [i / 324, i / 18 % 18, i % 18].map(|side| f64::from(side) * 2.0));
-    let settings = Settings::paper(1.0, &Choices::default()).unwrap();
+    let settings = Settings::paper(1.0, &MethodOptions::default()).unwrap();
     let inside = skin(&Particles::Double(block.collect()), &settings).report.certificate;
     assert!(inside.holds(), "{inside:?}");
 }
@@ -192,7 +194,7 @@ fn particles_that_are_left_out_are_certified_too() {
     let solid: Vec<DVec3> =
         jittered_lattice(&mut random, 34, |p| p.length() < 34.0).iter().map(|p| p * 0.5).collect();
     let particles = Particles::Double(solid.iter().map(|p| p.to_array()).collect());
-    let settings = Settings::paper(1.0, &Choices::default()).unwrap();
+    let settings = Settings::paper(1.0, &MethodOptions::default()).unwrap();
     let Ok(rasterized) = rasterize(&particles, &Scene::open(Lattice { voxel_size: 1.0 }, default_radii()));
     assert!(rasterized.bins.len() < solid.len() * 3 / 4, "{} are kept", rasterized.bins.len());
     let surface = skin(&particles, &settings);
@@ -218,7 +220,7 @@ fn particles_that_are_left_out_are_certified_too() {
 /// One particle gone astray costs the others nothing: their mesh has the positions that it had.
 #[test]
 fn a_stray_particle_costs_the_others_no_precision() {
-    let settings = Settings::paper(0.025, &Choices::default()).unwrap();
+    let settings = Settings::paper(0.025, &MethodOptions::default()).unwrap();
     let mut positions: Vec<[f64; 3]> =
         (0..512).map(|i| [i / 64, i / 8 % 8, i % 8].map(|side| f64::from(side) * 0.05)).collect();
     let alone = skin(&Particles::Double(positions.clone()), &settings);

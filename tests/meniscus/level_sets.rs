@@ -117,8 +117,9 @@ fn what_needs_particles_is_refused_by_name() {
         (&["--steps=3"], "without --band-slack it is not smoothed"),
         (&["--band-slack=4"], "0 to 3 voxels"),
         (&["block.ply"], "not together"),
-        (&["--band-slack=1", "--step-size=1e9"], "the step size"),
-        (&["--decimate=100"], "the error of decimation"),
+        (&["--offset=1h"], "--offset must be in world units"),
+        (&["--band-slack=1", "--step-size=1e9"], "--step-size"),
+        (&["--decimate=100"], "`100` is not a number from 0 to 1"),
     ] {
         let ran = convert(folder, options);
         assert_eq!(ran.status, 2, "{options:?}");

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::surface::grid::voxel_in_leaf;
 use meniscus::surface::obstacle::{Obstacle, Obstacles, Shape, Solid};
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::{Cloud, Particles, Shapes};
 use meniscus::surface::skin::{Surface, skin_cloud};
 use serde_json::Value;
@@ -135,8 +135,11 @@ fn skinned(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64) -> Surfac
 }
 
 fn skinned_and_moved(particles: Vec<[f64; 3]>, body: &Body, void_threshold: f64, offset: f64) -> Surface {
-    let choices =
-        Choices { void_threshold: Some(void_threshold), offset: Some(offset), ..Choices::default() };
+    let choices = MethodOptions {
+        void_threshold: Some(void_threshold),
+        offset: Some(offset.into()),
+        ..MethodOptions::default()
+    };
     let settings = Settings::paper(1.0, &choices).expect("sound");
     let positions = Particles::Double(particles);
     let cloud = Cloud { positions, shapes: Shapes::Balls, attributes: Vec::new() };

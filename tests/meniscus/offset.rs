@@ -4,7 +4,7 @@ use std::fs;
 
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
-use meniscus::surface::options::{AnisotropyKind, AttributeSelection, Choices, Settings};
+use meniscus::surface::options::{AnisotropyKind, AttributeSelection, MethodOptions, Settings};
 use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
 use meniscus::surface::skin::{Surface, skin, skin_cloud};
 use serde_json::Value;
@@ -13,13 +13,13 @@ use tempfile::tempdir;
 use crate::scene::{block, meniscus, write_ply};
 
 /// The surface of particles with voxels of 1.
-fn skinned(positions: &[DVec3], choices: &Choices) -> Surface {
+fn skinned(positions: &[DVec3], choices: &MethodOptions) -> Surface {
     let settings = Settings::paper(1.0, choices).expect("sound");
     skin(&Particles::Double(positions.iter().map(|position| position.to_array()).collect()), &settings)
 }
 
-fn with_offset(offset: f64) -> Choices {
-    Choices { offset: Some(offset), ..Choices::default() }
+fn with_offset(offset: f64) -> MethodOptions {
+    MethodOptions { offset: Some(offset.into()), ..MethodOptions::default() }
 }
 
 /// Particles 2 apart.
@@ -47,7 +47,8 @@ fn top(surface: &Surface, middle: DVec3) -> f64 {
 fn lone_particle_has_the_radius_of_its_sphere_and_the_offset() {
     let center = DVec3::new(0.31, -0.17, 0.43);
     for offset in [-2.5, -1.3, 0.8, 2.0] {
-        let choices = Choices { radius_min: Some(4.5), radius_ratio: Some(1.5), ..with_offset(offset) };
+        let choices =
+            MethodOptions { radius_min: Some(4.5.into()), radius_ratio: Some(1.5), ..with_offset(offset) };
         let surface = skinned(&[center], &choices);
         let expected = (5.625f64.powi(2) - 6.0).sqrt() + offset;
         let errors = vertices(&surface).map(|vertex| (vertex.distance(center) - expected).abs());
@@ -70,7 +71,7 @@ fn lone_particle_has_the_radius_of_its_sphere_and_the_offset() {
 fn flat_top_of_a_pool_moves_by_the_offset() {
     let positions = lattice([14, 14, 8]);
     let middle = DVec3::new(13.0, 13.0, 7.0);
-    let plain = top(&skinned(&positions, &Choices::default()), middle);
+    let plain = top(&skinned(&positions, &MethodOptions::default()), middle);
     for offset in [-1.7, -0.9, 0.6, 1.9] {
         let surface = skinned(&positions, &with_offset(offset));
         let moved = top(&surface, middle);
@@ -83,7 +84,8 @@ fn flat_top_of_a_pool_moves_by_the_offset() {
 #[test]
 fn offset_of_nothing_changes_nothing() {
     let positions = lattice([6, 6, 6]);
-    let (one, other) = (skinned(&positions, &Choices::default()), skinned(&positions, &with_offset(0.0)));
+    let (one, other) =
+        (skinned(&positions, &MethodOptions::default()), skinned(&positions, &with_offset(0.0)));
     assert!(one.mesh == other.mesh && one.band.phi == other.band.phi);
     assert_eq!(one.report.certificate, other.report.certificate);
 }
@@ -91,7 +93,7 @@ fn offset_of_nothing_changes_nothing() {
 /// Outside of a convex body, where no two parts of the surface are as near, the slope of φ is 1 in all of the band.
 #[test]
 fn level_set_holds_distances_after_the_offset() {
-    let plain = skinned(&lattice([12, 12, 8]), &Choices::default()).band;
+    let plain = skinned(&lattice([12, 12, 8]), &MethodOptions::default()).band;
     for offset in [-1.6, 1.8] {
         let band = skinned(&lattice([12, 12, 8]), &with_offset(offset)).band;
         assert_eq!(band.half_width, plain.half_width);
@@ -148,7 +150,7 @@ fn particles_stay_inside_where_the_offset_leaves_room_for_them() {
         let positions: Vec<DVec3> = places
             .map(|place| DVec3::from(place.map(|along| f64::from(along) * (20.0 + 1.0 / 6.0))))
             .collect();
-        let choices = Choices { radius_min: Some(radius_min), ..with_offset(offset) };
+        let choices = MethodOptions { radius_min: Some(radius_min.into()), ..with_offset(offset) };
         let certificate = skinned(&positions, &choices).report.certificate;
         assert_eq!(certificate.may_leave_particles_outside, !is_sure, "{offset}");
         assert!(certificate.holds(), "{offset}: {certificate:?}");
@@ -168,7 +170,7 @@ fn normals_and_attributes_follow_the_moved_surface() {
         values: AttributeValues::Numbers(velocities),
     };
     for offset in [-1.6, 2.0] {
-        let choices = Choices {
+        let choices = MethodOptions {
             attributes: Some(AttributeSelection::All),
             anisotropy: Some(AnisotropyKind::Neighbors),
             ..with_offset(offset)

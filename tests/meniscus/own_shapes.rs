@@ -4,7 +4,7 @@
 
 use glam::{DVec3, Vec3};
 use meniscus::surface::obstacle::Obstacles;
-use meniscus::surface::options::{AnisotropyKind, Choices, Preset, Settings};
+use meniscus::surface::options::{AnisotropyKind, MethodOptions, Preset, Settings};
 use meniscus::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
 use meniscus::surface::skin::{Surface, skin_cloud};
 use meniscus::surface::smooth::Integrator;
@@ -31,7 +31,7 @@ fn with_velocities(cloud: Cloud, velocities: &[Vec3]) -> Cloud {
 }
 
 /// Skins with a voxel of 1.
-fn skinned(cloud: Cloud, choices: &Choices) -> Surface {
+fn skinned(cloud: Cloud, choices: &MethodOptions) -> Surface {
     let settings = Settings::paper(1.0, choices).expect("sound");
     let surface = skin_cloud(cloud, &settings, &Obstacles::default());
     let certificate = &surface.report.certificate;
@@ -39,12 +39,12 @@ fn skinned(cloud: Cloud, choices: &Choices) -> Surface {
     surface
 }
 
-fn by_radii() -> Choices {
-    Choices { radius_attribute: Some("pscale".to_owned()), ..Choices::default() }
+fn by_radii() -> MethodOptions {
+    MethodOptions { radius_attribute: Some("pscale".to_owned()), ..MethodOptions::default() }
 }
 
-fn by_neighbors() -> Choices {
-    Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..Choices::default() }
+fn by_neighbors() -> MethodOptions {
+    MethodOptions { anisotropy: Some(AnisotropyKind::Neighbors), ..MethodOptions::default() }
 }
 
 /// Vertices in the world.
@@ -65,7 +65,7 @@ fn lone_spheres_have_the_radii_of_their_particles() {
         (Integrator::Implicit, [&*radii, &more].concat()),
     ];
     for (integrator, radii) in rows {
-        let errors = sphere_errors(&radii, &Choices { integrator: Some(integrator), ..by_radii() });
+        let errors = sphere_errors(&radii, &MethodOptions { integrator: Some(integrator), ..by_radii() });
         assert!(errors.iter().all(|error| *error < 0.15), "{integrator:?}: {errors:?}");
     }
 }
@@ -75,8 +75,11 @@ fn lone_spheres_have_the_radii_of_their_particles() {
 fn lone_spheres_keep_a_radius_that_was_chosen() {
     for (radius_min, ratio) in [(1.74, 2.0), (1.74, 3.0), (2.5, 2.0), (3.0, 2.0), (3.4, 1.5), (5.0, 2.0)] {
         for center in [DVec3::ZERO, DVec3::new(0.4, -0.2, 0.3), DVec3::splat(0.5)] {
-            let choices =
-                Choices { radius_min: Some(radius_min), radius_ratio: Some(ratio), ..Choices::default() };
+            let choices = MethodOptions {
+                radius_min: Some(radius_min.into()),
+                radius_ratio: Some(ratio),
+                ..MethodOptions::default()
+            };
             let surface = skinned(cloud(&[center]), &choices);
             let radius_init = radius_min * (1.0 + ratio) / 2.0;
             let expected = radius_min.max((radius_init * radius_init - 6.0).max(0.0).sqrt());
@@ -90,7 +93,7 @@ fn lone_spheres_keep_a_radius_that_was_chosen() {
 }
 
 /// How far lone spheres of these radii are from those that they should have.
-fn sphere_errors(radii: &[f32], choices: &Choices) -> Vec<f64> {
+fn sphere_errors(radii: &[f32], choices: &MethodOptions) -> Vec<f64> {
     let centers: Vec<DVec3> =
         (0..radii.len()).map(|index| DVec3::new(90.3 * index as f64, 0.4, -0.2)).collect();
     let surface = skinned(with_radii(cloud(&centers), radii.to_vec()), choices);
@@ -120,7 +123,7 @@ fn far_particles_of_any_size_change_nothing() {
     let velocities: Vec<Vec3> = (0..300).map(|_| Vec3::X * 40.0 * random.unit() as f32).collect();
     let kinds = [AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity];
     for (kind, part) in kinds.into_iter().flat_map(|kind| [(kind, 0.0), (kind, 0.9)]) {
-        let choices = Choices { anisotropy: Some(kind), position_smoothing: Some(part), ..by_radii() };
+        let choices = MethodOptions { anisotropy: Some(kind), position_smoothing: Some(part), ..by_radii() };
         let alone = with_velocities(with_radii(cloud(&positions), radii.clone()), &velocities);
         let alone = skinned(alone, &choices);
         let far = DVec3::splat(f64::from(alone.report.reach_voxels.expect("fast")) * 1.8);
@@ -147,7 +150,7 @@ fn the_number_of_threads_does_not_matter() {
     let positions: Vec<DVec3> =
         (0..900).map(|_| DVec3::new(random.unit(), random.unit(), random.unit() * 0.2) * 22.0).collect();
     let radii: Vec<f32> = (0..900).map(|_| 1.8 + 2.0 * random.unit() as f32).collect();
-    let choices = Choices {
+    let choices = MethodOptions {
         position_smoothing: Some(0.5),
         radius_attribute: by_radii().radius_attribute,
         ..by_neighbors()
@@ -187,13 +190,16 @@ fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
             DVec3::new(2.4 * x + jitter(), 2.4 * y + jitter(), 0.0)
         })
         .collect();
-    let of = |choices: &Choices| roughness(&skinned(cloud(&positions), choices), 34.0);
-    let balls = of(&Choices::default());
+    let of = |choices: &MethodOptions| roughness(&skinned(cloud(&positions), choices), 34.0);
+    let balls = of(&MethodOptions::default());
     let stretched = of(&by_neighbors());
-    let more = of(&Choices { max_stretch: Some(6.0), ..by_neighbors() });
-    let moved = of(&Choices { position_smoothing: Some(0.9), ..by_neighbors() });
-    let splash =
-        of(&Choices { preset: Some(Preset::Splash), fill_cavities: Some(0.0), ..Choices::default() });
+    let more = of(&MethodOptions { max_stretch: Some(6.0), ..by_neighbors() });
+    let moved = of(&MethodOptions { position_smoothing: Some(0.9), ..by_neighbors() });
+    let splash = of(&MethodOptions {
+        preset: Some(Preset::Splash),
+        fill_cavities: Some(0.0),
+        ..MethodOptions::default()
+    });
     println!("roughness of a sheet in h: balls {balls:.4}, stretched {stretched:.4}, by up to 6 {more:.4}");
     println!("stretched, and moved to their neighbours' mean: {moved:.4}, as the preset has it {splash:.4}");
     assert!(stretched < balls / 3.0, "{stretched} of {balls}");
@@ -207,23 +213,23 @@ fn particles_stretched_by_their_neighbors_make_a_flat_sheet() {
 #[test]
 fn a_pair_is_drawn_together_without_stretch() {
     let pair = [DVec3::new(-1.0, 0.2, 0.3), DVec3::new(1.0, 0.2, 0.3)];
-    let reach = |choices: &Choices| {
+    let reach = |choices: &MethodOptions| {
         let mesh = skinned(cloud(&pair), choices).mesh;
         mesh.positions.iter().map(|at| mesh.origin.x + f64::from(at.x)).fold(0.0, f64::max)
     };
-    let given = reach(&Choices::default());
-    let smoothed = reach(&Choices { position_smoothing: Some(0.9), ..Choices::default() });
+    let given = reach(&MethodOptions::default());
+    let smoothed = reach(&MethodOptions { position_smoothing: Some(0.9), ..MethodOptions::default() });
     assert!((given - smoothed - 0.874).abs() < 0.25, "{given} {smoothed}");
 }
 
 /// Fig. 11, on the right, and Eq. 16: half axes (1 + s)² along the velocity and 1/(1 + s) across.
 #[test]
 fn moving_drops_are_stretched_as_much_as_the_paper_says() {
-    let choices = |kind| Choices {
-        radius_min: Some(8.0),
+    let choices = |kind| MethodOptions {
+        radius_min: Some(8.0.into()),
         anisotropy: Some(kind),
         velocity_gain: Some(0.01),
-        ..Choices::default()
+        ..MethodOptions::default()
     };
     // s is 0.01 seconds of movement in units of r_min.
     let speeds = [0.0, 80.0, 160.0, 280.0];

@@ -12,7 +12,7 @@ use meniscus::pipeline::{
 use meniscus::surface::grid::{Field, Topology};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::mesh::Mesh;
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::report::SkinReport;
 use meniscus::surface::skin::{Plan, Surface, SurfaceAttributes};
 use meniscus_formats::{gltf, vdb};
@@ -103,7 +103,7 @@ impl Bench {
     /// A frame of `edge_count`³ particles for each; 0 is a frame that is no frame at all.
     pub(crate) fn new(edge_counts: &[usize]) -> Bench {
         let folder = tempdir().expect("a folder");
-        let settings = Arc::new(Settings::paper(0.05, &Choices::default()).expect("valid"));
+        let settings = Arc::new(Settings::paper(0.05, &MethodOptions::default()).expect("valid"));
         let outputs = Arc::new(OutputOptions {
             folder: folder.path().join("out"),
             formats: vec![OutputFormat::Glb, OutputFormat::Vdb, OutputFormat::Obj, OutputFormat::Ply],
@@ -337,7 +337,7 @@ fn what_is_done_is_left_alone_and_anything_else_made_again() {
     bench.change_outputs(|outputs| outputs.quantize = true);
     assert_eq!(run(&bench), "cccc");
     // Settings.
-    let choices = Choices { laplacian_steps: Some(14), ..Choices::default() };
+    let choices = MethodOptions { laplacian_steps: Some(14), ..MethodOptions::default() };
     bench.frames[2].settings = Arc::new(Settings::paper(0.05, &choices).expect("valid"));
     assert_eq!(run(&bench), "ddcd");
 }

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use meniscus::surface::obstacle::Obstacles;
-use meniscus::surface::options::{Choices, Settings};
+use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::particles::Particles;
 use meniscus::surface::skin::{Limit, Plan, Surroundings, Unfit, plan, skin};
 use tempfile::tempdir;
@@ -19,7 +19,8 @@ fn planned(particles: &[[f64; 3]], spacings: f64) -> Result<Plan, Unfit> {
     let voxel_size = 0.1 * spacings;
     let radius_min = (0.02..0.5).contains(&spacings).then_some(0.087);
     let radius_ratio = (spacings < 0.1).then_some(1.25);
-    let choices = Choices { radius_min, radius_ratio, ..Choices::default() };
+    let choices =
+        MethodOptions { radius_min: radius_min.map(Into::into), radius_ratio, ..MethodOptions::default() };
     let settings = Settings::paper(voxel_size, &choices).expect("settings");
     let around = Surroundings { obstacles: &Obstacles::default(), attribute_bytes: 0.0 };
     let Ok(planned) = plan(&Particles::Double(particles.to_vec()), &settings, around, u64::MAX);
@@ -180,7 +181,7 @@ fn a_torn_surface_is_told_and_no_other() {
             })
         })
         .collect();
-    let settings = Settings::paper(0.04, &Choices::default()).expect("settings");
+    let settings = Settings::paper(0.04, &MethodOptions::default()).expect("settings");
     assert_eq!(skin(&Particles::Double(bubble.clone()), &settings).mesh.measure().component_count, 2);
     for (particles, options, expected) in [
         (&ring, &["--voxel-size", "0.05"][..], false),

@@ -75,7 +75,7 @@ fn numbers_have_ranges_that_are_told_and_held() {
     let mut range_count = 0;
     for row in docs.lines().filter(|line| line.starts_with("| `--")) {
         let cells: Vec<&str> = row.split('|').map(str::trim).collect();
-        let [_, option, _, range, _, _, _] = cells[..] else { panic!("{row}") };
+        let [_, option, _, range, ..] = cells[..] else { panic!("{row}") };
         let option = option.trim_matches('`');
         if range.is_empty() {
             continue;
@@ -365,6 +365,10 @@ fn printed_settings_are_keys_of_a_file() {
             &["steps = 13\n", "quads = true\n", "step_size = 0.01\n"],
         ),
         (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
+        (
+            &["--spacing", "0.1", "--voxel-size", "0.5d", "--radius-min", "1.1d", "--offset", "-1h"],
+            &["voxel_size = 0.05\n", "radius_min = 0.11\n", "offset = -0.05\n"],
+        ),
     ]
     .into_iter()
     .enumerate()
@@ -396,4 +400,37 @@ fn printed_settings_are_keys_of_a_file() {
     // A length says nothing without a spacing.
     let refused = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.02"]);
     assert!(refused.status == 2 && refused.err.contains("--spacing"), "{}", refused.err);
+    let printed = meniscus(path, &["convert", "--print-settings", "--radius-min", "0.9d", "--offset=-0.5h"]);
+    assert!(printed.out.contains("\nradius_min = \"0.9d\"\n"), "{}{}", printed.out, printed.err);
+    assert!(printed.out.contains("\noffset = \"-0.5h\"\n"), "{}", printed.out);
+}
+
+/// A file says lengths in spacings and voxels as the command line does, and the results are those of world units.
+#[test]
+fn lengths_in_files_have_units() {
+    let folder = tempdir().expect("a folder");
+    let path = folder.path();
+    fs::create_dir_all(path.join("in")).expect("made");
+    write_ply(&path.join("in/dam.1.ply"), &block(5, 0.0));
+    let watched = |name: &str, keys: &str| {
+        let text = format!("[[watch]]\ninput = \"in\"\noutput = \"{name}\"\nspacing = 0.1\n{keys}\n");
+        fs::write(path.join("meniscus.toml"), text).expect("written");
+        meniscus(path, &["watch", "--config", "meniscus.toml", "--once"])
+    };
+    let bytes = |name: &str| fs::read(path.join(name).join("dam.1.vdb")).expect("a result");
+    assert_eq!(watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"").status, 0);
+    assert_eq!(watched("world", "voxel_size = 0.05\nradius_min = 0.11\noffset = -0.05").status, 0);
+    assert!(bytes("units") == bytes("world"));
+    // The journal has the lengths as they were given.
+    let ran = watched("units", "voxel_size = \"0.5d\"\nradius_min = \"1.1d\"\noffset = \"-1h\"");
+    assert_eq!((ran.status, ran.err.contains("dam.1.ply: converted")), (0, false), "{}", ran.err);
+    for (keys, why) in [
+        ("radius_min = \"5x\"", "meniscus.toml:5: `radius_min`: `5x` is not a length"),
+        ("voxel_size = \"2h\"", "meniscus.toml:5: `voxel_size`: `2h` is not a voxel size"),
+        ("spacing_ = 1", "meniscus.toml:5: unknown key `spacing_`"),
+        ("decimate = \"0.1h\"", "meniscus.toml:5: `decimate` is text: it wants a number"),
+    ] {
+        let ran = watched("wrong", keys);
+        assert!(ran.status == 2 && ran.err.contains(why), "{}", ran.err);
+    }
 }

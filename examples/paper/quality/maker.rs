@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 use meniscus::surface::obstacle::{Obstacles, Solid};
-use meniscus::surface::options::{Choices, Measured, Settings};
+use meniscus::surface::options::{Measured, MethodOptions, Settings};
 use meniscus::surface::particles::{Cloud, Particles};
 use meniscus::surface::skin::skin_cloud;
 use meniscus_formats::{Limits, MeshData, ply};
@@ -74,7 +74,7 @@ fn settings_of(pairs: &[(String, String)], spacing: f64) -> Outcome<Settings> {
             None => texts.push((name.as_str(), value.clone())),
         }
     }
-    let choices = Choices::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
+    let choices = MethodOptions::from_pairs(texts.iter().map(|(name, value)| (*name, value.as_str())));
     let choices = choices.ok_or("a setting is unknown, or its value is invalid")?;
     Ok(Settings::resolve(&choices, Some(Measured::from(spacing)))?)
 }

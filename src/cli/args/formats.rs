@@ -5,46 +5,49 @@
 
 use clap::{Args, ValueEnum};
 
+use super::merge::option_set;
 use crate::cli::quantities::{PictureSize, parse_meters_per_unit, parse_picture_size};
 use crate::pipeline::CameraChoice;
 
-#[derive(Clone, Debug, Default, PartialEq, Args)]
-pub(in crate::cli) struct FormatArgs {
-    /// Which axis of the particles points up: in glTF it must be y, and z is turned there; USD says it [default: y]
-    #[arg(long, value_name = "AXIS", ignore_case = true)]
-    pub(in crate::cli) up: Option<UpChoice>,
+option_set! {
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(in crate::cli) struct FormatArgs {
+        /// Which axis of the particles points up: in glTF it must be y, and z is turned there; USD says it [default: y]
+        #[arg(long, value_name = "AXIS", ignore_case = true)]
+        pub(in crate::cli) up: Option<UpChoice>,
 
-    /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 where particles are in centimetres [default: 1]
-    #[arg(long, value_name = "M", value_parser = parse_meters_per_unit)]
-    pub(in crate::cli) meters_per_unit: Option<f64>,
+        /// Length of a world unit in metres, 1e-9 to 1e9, for USD: 0.01 where particles are in centimetres [default: 1]
+        #[arg(long, value_name = "M", value_parser = parse_meters_per_unit)]
+        pub(in crate::cli) meters_per_unit: Option<f64>,
 
-    /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's width
-    ///
-    /// By the extension KHR_mesh_quantization, which Blender and browsers read. Other formats keep their positions; the attributes of
-    /// vertices stay as they are. Triangles that have no area in 16 bits are taken out of the mesh of every format. A frame so wide that a vertex is moved by more than a 50th of a voxel is told of.
-    #[arg(long)]
-    pub(in crate::cli) quantize: bool,
+        /// Write .glb in small integers: a quarter to a third smaller, positions to a 65535th of the frame's width
+        ///
+        /// By the extension KHR_mesh_quantization, which Blender and browsers read. Other formats keep their positions; the attributes of
+        /// vertices stay as they are. Triangles that have no area in 16 bits are taken out of the mesh of every format. A frame so wide that a vertex is moved by more than a 50th of a voxel is told of.
+        #[arg(long)]
+        pub(in crate::cli) quantize: bool,
 
-    /// Store 16-bit values in .vdb: smaller, with three decimal digits
-    #[arg(long)]
-    pub(in crate::cli) vdb_half: bool,
+        /// Store 16-bit values in .vdb: smaller, with three decimal digits
+        #[arg(long)]
+        pub(in crate::cli) vdb_half: bool,
 
-    /// How values are packed in .vdb [default: blosc]
-    #[arg(long, value_name = "HOW", ignore_case = true)]
-    pub(in crate::cli) vdb_compression: Option<CompressionChoice>,
+        /// How values are packed in .vdb [default: blosc]
+        #[arg(long, value_name = "HOW", ignore_case = true)]
+        pub(in crate::cli) vdb_compression: Option<CompressionChoice>,
 
-    /// Write a picture of each frame, too: one camera for the whole sequence [default: none]
-    #[arg(long, value_name = "FORMAT", ignore_case = true)]
-    pub(in crate::cli) preview: Option<PreviewChoice>,
+        /// Write a picture of each frame, too: one camera for the whole sequence [default: none]
+        #[arg(long, value_name = "FORMAT", ignore_case = true)]
+        pub(in crate::cli) preview: Option<PreviewChoice>,
 
-    /// Width and height of pictures, pixels, each 16 to 8192 [default: 1280x720]
-    #[arg(long, value_name = "SIZE", value_parser = parse_picture_size)]
-    pub(in crate::cli) preview_size: Option<PictureSize>,
+        /// Width and height of pictures, pixels, each 16 to 8192 [default: 1280x720]
+        #[arg(long, value_name = "SIZE", value_parser = parse_picture_size)]
+        pub(in crate::cli) preview_size: Option<PictureSize>,
 
-    /// Where pictures are taken from: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z
-    /// or eye=1:2:3,target=0:0:0,view=40,up=y [default: auto]
-    #[arg(long, value_name = "SPEC")]
-    pub(in crate::cli) camera: Option<CameraChoice>,
+        /// Where pictures are taken from: auto, or a list such as azimuth=32,elevation=22,view=30,zoom=1,up=z
+        /// or eye=1:2:3,target=0:0:0,view=40,up=y [default: auto]
+        #[arg(long, value_name = "SPEC")]
+        pub(in crate::cli) camera: Option<CameraChoice>,
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -91,20 +94,4 @@ pub(in crate::cli) enum CompressionChoice {
     Active,
     /// Active values only, compressed: OpenVDB's default
     Blosc,
-}
-
-impl FormatArgs {
-    /// These, and where one is not given, that of `below`.
-    pub(in crate::cli) fn over(&self, below: &FormatArgs) -> FormatArgs {
-        FormatArgs {
-            up: self.up.or(below.up),
-            meters_per_unit: self.meters_per_unit.or(below.meters_per_unit),
-            quantize: self.quantize || below.quantize,
-            vdb_half: self.vdb_half || below.vdb_half,
-            vdb_compression: self.vdb_compression.or(below.vdb_compression),
-            preview: self.preview.or(below.preview),
-            preview_size: self.preview_size.or(below.preview_size),
-            camera: self.camera.or(below.camera),
-        }
-    }
 }

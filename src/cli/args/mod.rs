@@ -8,6 +8,7 @@ mod farm;
 mod flicker;
 mod formats;
 mod manual;
+mod merge;
 mod method;
 mod render;
 mod sequence;
@@ -30,14 +31,12 @@ pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
 pub(super) use formats::{CompressionChoice, Format, FormatArgs, PreviewChoice, UpChoice};
 pub(super) use manual::{CompletionsArgs, ManArgs};
-pub(super) use method::{
-    AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,
-    ParticleArgs, PresetChoice, SolverArgs, SpacingArgs, SurfaceArgs,
-};
+pub(super) use merge::{OptionSet, option_set, typed};
+pub(super) use method::MethodArgs;
 pub(super) use render::{RenderArgs, RunArgs, ViewArgs};
 pub(super) use sequence::{FPS, SequenceArgs, ShotArgs};
 pub(super) use sheets::{ContactSheetArgs, TuneArgs};
-pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
+pub(super) use watch::{DaemonArgs, FrameArgs, LogChoice, WatchArgs};
 
 /// Particles in, smooth meshes and level sets out.
 #[derive(Debug, Parser)]
@@ -215,6 +214,9 @@ Choosing the spacing, the voxel size and the radii:
   half of it. Without either, d is measured on the first, middle and last frame of the sequence,
   printed, and the same for every frame.
 
+  A LENGTH is a number in world units, the particles' unit of length; or of particle spacings, such as
+  0.6d; or of voxels, such as 5h.
+
   Lengths and times follow d. The voxel size h is 0.4 d: half of it shows more detail of the same
   surface, and takes about four times the time and the memory. On a coarse grid radii are raised to
   √3·h, the diagonal of a voxel, so that the grid catches every particle, wherever it lies.
@@ -233,8 +235,8 @@ Choosing the spacing, the voxel size and the radii:
                   0 keeps every particle inside the surface where it was given.
 
   With --preset paper the radii follow h, as in the paper: for an h smaller than half the spacing
-  fix them, or the spheres come apart: --voxel-size 0.0125 --radius-min 0.0433 --radius-init 0.065
-  for particles 0.05 apart.
+  fix them, or the spheres come apart:
+  --voxel-size 0.25d --radius-min 0.866d --radius-init 1.3d.
 
 Exit status:
   0    every frame was converted, or was done already
@@ -242,3 +244,6 @@ Exit status:
        others are there
   2    the command cannot be carried out, or no frame was converted
   130  interrupted: what is there is whole, and --skip-done goes on from it";
+
+#[cfg(test)]
+mod tests;

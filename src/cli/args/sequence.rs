@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::merge::option_set;
 use crate::cli::quantities::parse_meters_per_unit;
 
 #[derive(Debug, Args)]
@@ -26,20 +27,22 @@ pub(in crate::cli) struct SequenceArgs {
     pub(in crate::cli) meters_per_unit: Option<f64>,
 }
 
-/// The same, where the frames are converted.
-#[derive(Clone, Debug, Default, PartialEq, Args)]
-pub(in crate::cli) struct ShotArgs {
-    /// In the end, gather the frames into one .glb that plays, as `meniscus sequence` does; for one sequence, with glb in --format
-    #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) sequence_glb: Option<PathBuf>,
+option_set! {
+    /// The same, where the frames are converted.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(in crate::cli) struct ShotArgs {
+        /// In the end, gather the frames into one .glb that plays, as `meniscus sequence` does; for one sequence, with glb in --format
+        #[arg(long, value_name = "FILE")]
+        pub(in crate::cli) sequence_glb: Option<PathBuf>,
 
-    /// In the end, gather the frames into one .usda with time samples; for one sequence, with glb in --format
-    #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) sequence_usda: Option<PathBuf>,
+        /// In the end, gather the frames into one .usda with time samples; for one sequence, with glb in --format
+        #[arg(long, value_name = "FILE")]
+        pub(in crate::cli) sequence_usda: Option<PathBuf>,
 
-    /// Frames per second of the shot, more than 0 and at most 1000: those of the scene that it is for [default: 24]
-    #[arg(long, value_name = "N", value_parser = parse_fps)]
-    pub(in crate::cli) fps: Option<f64>,
+        /// Frames per second of the shot, more than 0 and at most 1000: those of the scene that it is for [default: 24]
+        #[arg(long, value_name = "N", value_parser = parse_fps)]
+        pub(in crate::cli) fps: Option<f64>,
+    }
 }
 
 /// Frames per second, unless others are asked for.

@@ -10,9 +10,11 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 
 use super::formats::{Format, FormatArgs};
+use super::merge::{OptionSet, option_set};
 use super::method::MethodArgs;
 use crate::cli::quantities::{parse_bytes, parse_duration, parse_listen, parse_poll, parse_rescan};
-use crate::watch::Poll;
+use crate::surface::options::ranged;
+use crate::watch::{Order, Poll};
 
 #[derive(Clone, Debug, Default, Args)]
 #[command(after_long_help = WATCHING)]
@@ -49,126 +51,121 @@ pub(in crate::cli) struct WatchArgs {
 
     #[command(flatten, next_help_heading = "Daemon")]
     pub(in crate::cli) daemon: DaemonArgs,
-}
 
-/// What is a frame, and what becomes of it: the keys of a `[[watch]]` block.
-#[derive(Clone, Debug, Default, PartialEq, Args)]
-pub(in crate::cli) struct FrameArgs {
-    /// Only files whose name matches, such as 'dam.*.bgeo'; or, with a / in it and --recursive, whose
-    /// path within DIR does, such as '*/fluid*.ply'
-    ///
-    /// By default all whose names say that they hold particles, and text that does. Hidden files
-    /// and results of this program are never taken.
-    #[arg(long, value_name = "GLOB")]
-    pub(in crate::cli) pattern: Option<String>,
-
-    /// Watch sub-folders, too
-    #[arg(long)]
-    pub(in crate::cli) recursive: bool,
-
-    /// A frame is complete when the file of this name lies beside it, such as {name}.ok
-    ///
-    /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for
-    /// theirs. Without it, {stem}.done is proof where it is there.
-    #[arg(long, value_name = "NAME")]
-    pub(in crate::cli) sentinel: Option<String>,
-
-    /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
-    #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
-    pub(in crate::cli) format: Option<Vec<Format>>,
-
-    #[command(flatten)]
-    pub(in crate::cli) method: MethodArgs,
-
-    #[command(flatten, next_help_heading = "Formats")]
-    pub(in crate::cli) formats: FormatArgs,
-}
-
-/// How the daemon goes about it: the keys of the `[daemon]` block.
-#[derive(Clone, Debug, Default, PartialEq, Args)]
-pub(in crate::cli) struct DaemonArgs {
-    /// Which of several waiting frames is next [default: natural]
-    #[arg(long, value_name = "WHICH")]
-    pub(in crate::cli) order: Option<OrderChoice>,
-
-    /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub(in crate::cli) threads: Option<u16>,
-
-    /// Frames under way at once, at most, 1 to 1024; by the number of threads by default
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub(in crate::cli) in_flight: Option<u16>,
-
-    /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
-    /// default
-    ///
-    /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
-    /// out the same. One that cannot be fails, and says how much it needs.
-    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
-    pub(in crate::cli) memory: Option<u64>,
-
-    /// Begin no frame while the disk of the results has less room than this [default: 1GiB]
-    #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
-    pub(in crate::cli) disk_floor: Option<u64>,
-
-    /// How long a file must be left alone before it is read [default: 500ms]
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(in crate::cli) settle: Option<Duration>,
-
-    /// The same, for a file whose format cannot tell whether it is complete [default: 4 times
-    /// --settle, at least 2s]
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(in crate::cli) unproven: Option<Duration>,
-
-    /// The same, for a file whose format says that it is not complete: then it has failed
-    /// [default: 30s; with --once as --unproven]
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(in crate::cli) stalled: Option<Duration>,
-
-    /// Look at the folders so often; auto does where the system does not tell of changes, as on
-    /// network file systems [default: auto]
-    #[arg(long, value_name = "TIME", value_parser = parse_poll)]
-    pub(in crate::cli) poll: Option<Poll>,
-
-    /// About how often everything is looked at, whatever the system said [default: 60s]
-    #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
-    pub(in crate::cli) rescan: Option<Duration>,
-
-    /// Folder to remember in what is done; .meniscus in the folder for the results by default
-    #[arg(long, value_name = "DIR")]
-    pub(in crate::cli) journal: Option<PathBuf>,
-
-    /// How the log on the standard error is written [default: text]
-    #[arg(long, value_name = "HOW")]
-    pub(in crate::cli) log: Option<LogChoice>,
-
-    /// Show what is going on at this address, such as 127.0.0.1:7700: a page, and an interface for programs
-    ///
-    /// Nothing is shown by default. It only shows, and changes nothing. Another address than one of this machine
-    /// alone demands a token. Port 0 takes one that is free, and the log says which.
-    #[arg(long, value_name = "ADDRESS", value_parser = parse_listen)]
-    pub(in crate::cli) listen: Option<SocketAddr>,
-
-    /// Show it only to those who know this: 16 letters or digits or more. Others on this machine may see what is
-    /// typed here
-    #[arg(long, value_name = "TOKEN", conflicts_with = "token_file")]
+    /// The same, typed here, where others on this machine may see it
+    #[arg(long, value_name = "TOKEN", conflicts_with = "token_file", help_heading = "Daemon")]
     pub(in crate::cli) token: Option<String>,
-
-    /// The same, from the first line of a file
-    #[arg(long, value_name = "FILE")]
-    pub(in crate::cli) token_file: Option<PathBuf>,
-
-    /// How long frames under way may take to finish when the daemon is asked to end [default: 30s]
-    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(in crate::cli) stop_deadline: Option<Duration>,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum OrderChoice {
-    /// By name, numbers as numbers
-    Natural,
-    /// The one written last
-    Latest,
+option_set! {
+    /// What is a frame, and what becomes of it: the keys of a `[[watch]]` block.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(in crate::cli) struct FrameArgs {
+        /// Only files whose name matches, such as 'dam.*.bgeo'; or, with a / in it and --recursive, whose
+        /// path within DIR does, such as '*/fluid*.ply'
+        ///
+        /// By default all whose names say that they hold particles, and text that does. Hidden files
+        /// and results of this program are never taken.
+        #[arg(long, value_name = "GLOB")]
+        pub(in crate::cli) pattern: Option<String>,
+
+        /// Watch sub-folders, too
+        #[arg(long)]
+        pub(in crate::cli) recursive: bool,
+
+        /// A frame is complete when the file of this name lies beside it, such as {name}.ok
+        ///
+        /// {name} is the frame's name, {stem} the name without its extension. Frames then wait for
+        /// theirs. Without it, {stem}.done is proof where it is there.
+        #[arg(long, value_name = "NAME")]
+        pub(in crate::cli) sentinel: Option<String>,
+
+        /// What to write: a list of glb, gltf, vdb, obj, ply, vtp, stl, usda [default: glb,vdb]
+        #[arg(long, value_name = "LIST", value_delimiter = ',', ignore_case = true)]
+        pub(in crate::cli) format: Option<Vec<Format>>,
+
+        #[command(flatten)]
+        pub(in crate::cli) method: MethodArgs,
+
+        #[command(flatten, next_help_heading = "Formats")]
+        pub(in crate::cli) formats: FormatArgs,
+    }
+}
+
+option_set! {
+    /// How the daemon goes about it: the keys of the `[daemon]` block.
+    #[derive(Clone, Debug, Default, PartialEq, Args)]
+    pub(in crate::cli) struct DaemonArgs {
+        /// Which of several waiting frames is next [default: natural]
+        #[arg(long, value_name = "WHICH", ignore_case = true)]
+        pub(in crate::cli) order: Option<Order>,
+
+        /// Threads to compute on, 1 to 1024; all there are by default. The results do not depend on it
+        #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
+        pub(in crate::cli) threads: Option<u16>,
+
+        /// Frames under way at once, at most, 1 to 1024; by the number of threads by default
+        #[arg(long, value_name = "N", value_parser = ranged::<u16>(1..=1024))]
+        pub(in crate::cli) in_flight: Option<u16>,
+
+        /// Memory that the frames under way may take together, such as 8GiB; half of what there is by
+        /// default
+        ///
+        /// A frame that takes more by itself is skinned in tiles, which wait in files beside the results, and comes
+        /// out the same. One that cannot be fails, and says how much it needs.
+        #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+        pub(in crate::cli) memory: Option<u64>,
+
+        /// Begin no frame while the disk of the results has less room than this [default: 1GiB]
+        #[arg(long, value_name = "SIZE", value_parser = parse_bytes)]
+        pub(in crate::cli) disk_floor: Option<u64>,
+
+        /// How long a file must be left alone before it is read [default: 500ms]
+        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+        pub(in crate::cli) settle: Option<Duration>,
+
+        /// The same, for a file whose format cannot tell whether it is complete [default: 4 times
+        /// --settle, at least 2s]
+        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+        pub(in crate::cli) unproven: Option<Duration>,
+
+        /// The same, for a file whose format says that it is not complete: then it has failed
+        /// [default: 30s; with --once as --unproven]
+        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+        pub(in crate::cli) stalled: Option<Duration>,
+
+        /// Look at the folders so often; auto does where the system does not tell of changes, as on
+        /// network file systems [default: auto]
+        #[arg(long, value_name = "TIME", value_parser = parse_poll)]
+        pub(in crate::cli) poll: Option<Poll>,
+
+        /// About how often everything is looked at, whatever the system said [default: 60s]
+        #[arg(long, value_name = "TIME", value_parser = parse_rescan)]
+        pub(in crate::cli) rescan: Option<Duration>,
+
+        /// Folder to remember in what is done; .meniscus in the folder for the results by default
+        #[arg(long, value_name = "DIR")]
+        pub(in crate::cli) journal: Option<PathBuf>,
+
+        /// How the log on the standard error is written [default: text]
+        #[arg(long, value_name = "HOW", ignore_case = true)]
+        pub(in crate::cli) log: Option<LogChoice>,
+
+        /// Show what is going on at this address, such as 127.0.0.1:7700: a page, and an interface for programs
+        ///
+        /// Nothing is shown by default. It only shows, and changes nothing. Another address than one of this machine
+        /// alone demands a token. Port 0 takes one that is free, and the log says which.
+        #[arg(long, value_name = "ADDRESS", value_parser = parse_listen)]
+        pub(in crate::cli) listen: Option<SocketAddr>,
+
+        /// Show it only to those who know the first line of this file: 16 letters or digits or more
+        #[arg(long, value_name = "FILE")]
+        pub(in crate::cli) token_file: Option<PathBuf>,
+
+        /// How long frames under way may take to finish when the daemon is asked to end [default: 30s]
+        #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+        pub(in crate::cli) stop_deadline: Option<Duration>,
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -180,43 +177,13 @@ pub(in crate::cli) enum LogChoice {
 }
 
 impl FrameArgs {
-    /// These, and where one is not given, that of `below`.
-    pub(in crate::cli) fn over(&self, below: &FrameArgs) -> FrameArgs {
-        FrameArgs {
-            pattern: self.pattern.clone().or_else(|| below.pattern.clone()),
-            recursive: self.recursive || below.recursive,
-            sentinel: self.sentinel.clone().or_else(|| below.sentinel.clone()),
-            format: self.format.clone().or_else(|| below.format.clone()),
-            method: self.method.over(&below.method),
-            formats: self.formats.over(&below.formats),
+    /// These, and where one is not given, that of a file; a spacing takes the place of one in either form.
+    pub(in crate::cli) fn over_file(&self, file: &FrameArgs) -> FrameArgs {
+        let mut file = file.clone();
+        if self.method.to_options().spacing.is_some() {
+            (file.method.particle_radius, file.method.options.spacing) = (None, None);
         }
-    }
-}
-
-impl DaemonArgs {
-    /// These, and where one is not given, that of `below`.
-    pub(in crate::cli) fn over(&self, below: &DaemonArgs) -> DaemonArgs {
-        DaemonArgs {
-            order: self.order.or(below.order),
-            threads: self.threads.or(below.threads),
-            in_flight: self.in_flight.or(below.in_flight),
-            memory: self.memory.or(below.memory),
-            disk_floor: self.disk_floor.or(below.disk_floor),
-            settle: self.settle.or(below.settle),
-            unproven: self.unproven.or(below.unproven),
-            stalled: self.stalled.or(below.stalled),
-            poll: self.poll.or(below.poll),
-            rescan: self.rescan.or(below.rescan),
-            journal: self.journal.clone().or_else(|| below.journal.clone()),
-            log: self.log.or(below.log),
-            listen: self.listen.or(below.listen),
-            token: self.token.clone().or_else(|| below.token.clone().filter(|_| self.token_file.is_none())),
-            token_file: self
-                .token_file
-                .clone()
-                .or_else(|| below.token_file.clone().filter(|_| self.token.is_none())),
-            stop_deadline: self.stop_deadline.or(below.stop_deadline),
-        }
+        self.clone().over(file)
     }
 }
 

@@ -1,18 +1,25 @@
 //! A table of a TOML file, read key by key.
 //!
-//! Every error names the file and the line, and says what would be right.
+//! The options of the command line are the definition: a key is the name of an option, with underscores, and the
+//! option's own parser checks the value. Every error names the file and the line, and says what would be right.
 
+use std::any::TypeId;
+use std::error::Error as _;
+use std::ffi::OsString;
 use std::fmt::Display;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
+use std::time::Duration;
 
 use anyhow::{Result, anyhow};
-use clap::ValueEnum;
+use clap::error::{ContextKind, ContextValue};
+use clap::{Arg, ArgAction, Args, Command};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
 use super::keys_of;
+use crate::cli::args::{OptionSet, typed};
+use crate::surface::options::Length;
+use crate::watch::Poll;
 
 /// The file.
 pub(super) struct Source<'a> {
@@ -40,6 +47,9 @@ pub(super) struct Block<'a> {
     pub(super) start: usize,
 }
 
+/// A value and its offset in the file.
+type Value<'a> = &'a Spanned<DeValue<'a>>;
+
 impl<'a> Block<'a> {
     /// The block called `name`, which begins at `start`.
     ///
@@ -52,176 +62,120 @@ impl<'a> Block<'a> {
         start: usize,
     ) -> Result<Block<'a>> {
         let known = keys_of(name);
-        let unknown = table.keys().filter(|key| !known.contains(&&**key.get_ref()));
+        let unknown = table.keys().filter(|key| known.iter().all(|known| known != key.get_ref()));
         match unknown.min_by_key(|key| key.span().start) {
             Some(key) => Err(source.error(key.span().start, unknown_key(key.get_ref(), name))),
             None => Ok(Block { source, table, start }),
         }
     }
 
-    /// What is wrong with the block as a whole.
+    /// An error of the block as a whole.
     pub(super) fn error(&self, what: impl Display) -> anyhow::Error {
         self.source.error(self.start, what)
     }
 
     /// The only block of this name.
     pub(super) fn block(&self, name: &str) -> Result<Option<Block<'a>>> {
-        self.get(name, &format!("one block, [{name}]"), |value| value.as_table())?
-            .map(|(table, start)| Block::new(self.source, name, table, start))
-            .transpose()
+        let Some(value) = self.table.get(name) else { return Ok(None) };
+        match value.get_ref().as_table() {
+            Some(table) => Block::new(self.source, name, table, value.span().start).map(Some),
+            None => Err(self.wrong(name, &format!("one block, [{name}]"), value)),
+        }
     }
 
     /// All blocks of this name.
     pub(super) fn blocks(&self, name: &str) -> Result<Vec<Block<'a>>> {
         let wanted = format!("any number of blocks, [[{name}]]");
-        let Some((array, start)) = self.get(name, &wanted, DeValue::as_array)? else {
-            return Ok(Vec::new());
-        };
-        let block = |value: &'a Spanned<DeValue<'a>>| match value.get_ref().as_table() {
-            Some(table) => Block::new(self.source, name, table, value.span().start),
-            None => Err(self.wrong(name, &wanted, value.get_ref(), start)),
+        let Some(value) = self.table.get(name) else { return Ok(Vec::new()) };
+        let array = value.get_ref().as_array().ok_or_else(|| self.wrong(name, &wanted, value))?;
+        let block = |item: Value<'a>| match item.get_ref().as_table() {
+            Some(table) => Block::new(self.source, name, table, item.span().start),
+            None => Err(self.wrong(name, &wanted, item)),
         };
         array.iter().map(block).collect()
     }
 
-    /// A number, with a decimal point or without.
-    pub(super) fn number(&self, key: &str) -> Result<Option<f64>> {
-        let number = |value: &DeValue<'_>| match value {
-            DeValue::Float(float) => float.as_str().parse().ok(),
-            DeValue::Integer(_) => integer(value).map(|integer| integer as f64),
+    /// The options that the keys of the block set.
+    ///
+    /// # Errors
+    /// The first value, in the order of the file, that an option does not take, and what it takes.
+    pub(super) fn options<O: Args + OptionSet>(&self) -> Result<O> {
+        let command = command::<O>();
+        let parsed = |words: &[OsString]| {
+            let matches = command.clone().try_get_matches_from(words);
+            matches.and_then(|matches| O::from_arg_matches(&matches))
+        };
+        let mut entries: Vec<_> = self.table.iter().collect();
+        entries.sort_by_key(|(key, _)| key.span().start);
+        let mut options = parsed(&[])?;
+        for (key, value) in entries {
+            let key = key.get_ref();
+            let Some(option) = command.get_arguments().find(|option| key_of(option) == *key) else {
+                continue;
+            };
+            // Each key alone: two keys may state one thing, as two options may not.
+            let set = parsed(&self.words(key, option, value)?).map_err(|error| {
+                self.source.error(value.span().start, format_args!("`{key}`: {}", reason(&error, option)))
+            })?;
+            options = options.over(set);
+        }
+        Ok(options)
+    }
+
+    /// The words of the command line that set an option to a value.
+    fn words(&self, key: &str, option: &Arg, value: Value<'a>) -> Result<Vec<OsString>> {
+        let name = typed(option.get_id().as_str());
+        let word = |text: OsString| {
+            let mut word = OsString::from(format!("{name}="));
+            word.push(text);
+            word
+        };
+        let wanted = wanted(option);
+        if is_list(option) {
+            let wanted = format!("a list in brackets, each {wanted}");
+            let array = value.get_ref().as_array().ok_or_else(|| self.wrong(key, &wanted, value))?;
+            if array.is_empty() && !is_path(option) {
+                let what = format_args!("`{key}` is empty: it wants {wanted}");
+                return Err(self.source.error(value.span().start, what));
+            }
+            return array.iter().map(|item| self.text(key, option, item, &wanted).map(word)).collect();
+        }
+        let text = self.text(key, option, value, &wanted)?;
+        Ok(match option.get_action() {
+            ArgAction::SetTrue if text == "true" => vec![name.into()],
+            ArgAction::SetTrue => Vec::new(),
+            _ => vec![word(text)],
+        })
+    }
+
+    /// A value as it is typed on the command line.
+    fn text(&self, key: &str, option: &Arg, value: Value<'a>, wanted: &str) -> Result<OsString> {
+        let is_switch = is::<bool>(option);
+        let is_length = is::<Length>(option);
+        let is_number = is_length || is::<f64>(option) || is::<u32>(option) || is::<u16>(option);
+        let text = match value.get_ref() {
+            DeValue::Boolean(switch) if is_switch => Some(switch.to_string()),
+            DeValue::Float(number) if is_number => Some(number.as_str().to_owned()),
+            DeValue::Integer(number) if is_number || is::<u64>(option) => {
+                i128::from_str_radix(number.as_str(), number.radix()).ok().map(|number| number.to_string())
+            }
+            DeValue::String(text) if is_length || !is_number && !is_switch => Some(text.to_string()),
             _ => None,
         };
-        Ok(self.get(key, "a number", number)?.map(|(number, _)| number))
-    }
-
-    /// A number within the limits of an option.
-    pub(super) fn number_as(&self, key: &str, parse: fn(&str) -> Result<f64, String>) -> Result<Option<f64>> {
-        let number = |value: &DeValue<'_>| match value {
-            DeValue::Float(float) => Some(float.as_str().to_owned()),
-            DeValue::Integer(_) => integer(value).map(|integer| integer.to_string()),
-            _ => None,
-        };
-        let found = self.get(key, "a number", number)?;
-        found.map(|(text, start)| self.understood(key, parse(&text), start)).transpose()
-    }
-
-    /// A whole number in a range.
-    pub(super) fn count<T>(&self, key: &str, range: RangeInclusive<T>) -> Result<Option<T>>
-    where
-        T: TryFrom<i128> + PartialOrd + Display,
-    {
-        let wanted = format!("a whole number from {} to {}", range.start(), range.end());
-        let count = |value: &DeValue<'_>| {
-            integer(value).and_then(|count| T::try_from(count).ok()).filter(|count| range.contains(count))
-        };
-        Ok(self.get(key, &wanted, count)?.map(|(count, _)| count))
-    }
-
-    /// True or false; false where it is not there.
-    pub(super) fn switch(&self, key: &str) -> Result<bool> {
-        Ok(self.get(key, "true or false", DeValue::as_bool)?.is_some_and(|(switch, _)| switch))
-    }
-
-    pub(super) fn text(&self, key: &str) -> Result<Option<String>> {
-        Ok(self.string(key, "text in quotes")?.map(|(text, _)| text.to_owned()))
-    }
-
-    /// A path, from the file's folder if it is relative.
-    pub(super) fn path(&self, key: &str) -> Result<Option<PathBuf>> {
-        let Some((text, start)) = self.string(key, "a path in quotes")? else { return Ok(None) };
-        self.path_of(key, text, start).map(Some)
-    }
-
-    /// Paths, from the file's folder where they are relative; none where the key is not there.
-    pub(super) fn paths(&self, key: &str) -> Result<Vec<PathBuf>> {
-        let wanted = "a list of paths in brackets, each in quotes";
-        let Some((array, _)) = self.get(key, wanted, DeValue::as_array)? else { return Ok(Vec::new()) };
-        let path = |value: &'a Spanned<DeValue<'a>>| match value.get_ref().as_str() {
-            Some(text) => self.path_of(key, text, value.span().start),
-            None => Err(self.wrong(key, wanted, value.get_ref(), value.span().start)),
-        };
-        array.iter().map(path).collect()
-    }
-
-    fn path_of(&self, key: &str, text: &str, start: usize) -> Result<PathBuf> {
+        let text = text.ok_or_else(|| self.wrong(key, wanted, value))?;
+        if !is_path(option) {
+            return Ok(text.into());
+        }
         if text.is_empty() {
-            return Err(self.source.error(start, format_args!("`{key}` is empty: it wants a path")));
+            let what = format_args!("`{key}` is empty: it wants a path");
+            return Err(self.source.error(value.span().start, what));
         }
-        Ok(self.source.path.parent().unwrap_or(Path::new("")).join(text))
+        // From the file's folder if it is relative.
+        Ok(self.source.path.parent().unwrap_or(Path::new("")).join(text).into_os_string())
     }
 
-    /// What `parse` makes of text.
-    pub(super) fn parsed<T>(&self, key: &str, parse: fn(&str) -> Result<T, String>) -> Result<Option<T>> {
-        self.string(key, "text in quotes, with a unit")?
-            .map(|(text, start)| self.understood(key, parse(text), start))
-            .transpose()
-    }
-
-    /// What is written as on the command line.
-    pub(super) fn as_typed<T: FromStr<Err = String>>(&self, key: &str) -> Result<Option<T>> {
-        self.string(key, "text in quotes")?
-            .map(|(text, start)| self.understood(key, text.parse(), start))
-            .transpose()
-    }
-
-    /// A size as text, or as a number of bytes.
-    pub(super) fn size(&self, key: &str, parse: fn(&str) -> Result<u64, String>) -> Result<Option<u64>> {
-        match self.table.get(key).map(Spanned::get_ref) {
-            Some(DeValue::Integer(_)) => self.count(key, 0..=u64::MAX),
-            _ => self.parsed(key, parse),
-        }
-    }
-
-    /// One of several words.
-    pub(super) fn choice<T: ValueEnum>(&self, key: &str) -> Result<Option<T>> {
-        self.string(key, &one_of::<T>())?.map(|(text, start)| self.chosen(key, text, start)).transpose()
-    }
-
-    /// A list of one word or more.
-    pub(super) fn choices<T: ValueEnum>(&self, key: &str) -> Result<Option<Vec<T>>> {
-        let wanted = format!("a list in brackets, each {}", one_of::<T>());
-        let Some((array, start)) = self.get(key, &wanted, DeValue::as_array)? else { return Ok(None) };
-        if array.is_empty() {
-            return Err(self.source.error(start, format_args!("`{key}` is empty: it wants {wanted}")));
-        }
-        let chosen = array.iter().map(|value| match value.get_ref().as_str() {
-            Some(text) => self.chosen(key, text, value.span().start),
-            None => Err(self.wrong(key, &wanted, value.get_ref(), value.span().start)),
-        });
-        chosen.collect::<Result<Vec<T>>>().map(Some)
-    }
-
-    fn chosen<T: ValueEnum>(&self, key: &str, text: &str, start: usize) -> Result<T> {
-        let chosen =
-            T::from_str(text, true).map_err(|_| format!("`{text}` is not known: it wants {}", one_of::<T>()));
-        self.understood(key, chosen, start)
-    }
-
-    fn understood<T>(&self, key: &str, parsed: Result<T, String>, start: usize) -> Result<T> {
-        parsed.map_err(|why| self.source.error(start, format_args!("`{key}`: {why}")))
-    }
-
-    fn string(&self, key: &str, wanted: &str) -> Result<Option<(&'a str, usize)>> {
-        self.get(key, wanted, |value| value.as_str())
-    }
-
-    /// The value of a key, as `read` has it, and where it stands.
-    fn get<T>(
-        &self,
-        key: &str,
-        wanted: &str,
-        read: impl FnOnce(&'a DeValue<'a>) -> Option<T>,
-    ) -> Result<Option<(T, usize)>> {
-        let Some(value) = self.table.get(key) else { return Ok(None) };
-        let start = value.span().start;
-        match read(value.get_ref()) {
-            Some(read) => Ok(Some((read, start))),
-            None => Err(self.wrong(key, wanted, value.get_ref(), start)),
-        }
-    }
-
-    fn wrong(&self, key: &str, wanted: &str, value: &DeValue<'_>, start: usize) -> anyhow::Error {
-        let is = match value {
+    fn wrong(&self, key: &str, wanted: &str, value: Value<'_>) -> anyhow::Error {
+        let is = match value.get_ref() {
             DeValue::Integer(integer) => integer.to_string(),
             DeValue::Float(float) => float.to_string(),
             DeValue::Boolean(boolean) => boolean.to_string(),
@@ -230,23 +184,71 @@ impl<'a> Block<'a> {
             DeValue::Table(_) => "one block".to_owned(),
             DeValue::Datetime(_) => "a date".to_owned(),
         };
-        self.source.error(start, format_args!("`{key}` is {is}: it wants {wanted}"))
+        self.source.error(value.span().start, format_args!("`{key}` is {is}: it wants {wanted}"))
     }
 }
 
-/// Integers of any base.
-fn integer(value: &DeValue<'_>) -> Option<i128> {
-    let integer = value.as_integer()?;
-    i128::from_str_radix(integer.as_str(), integer.radix()).ok()
+/// The command line that has these options and nothing else.
+fn command<O: Args>() -> Command {
+    O::augment_args(Command::new("file").no_binary_name(true).disable_help_flag(true))
 }
 
-fn one_of<T: ValueEnum>() -> String {
-    let names = T::value_variants().iter().filter_map(ValueEnum::to_possible_value);
-    let names: Vec<String> = names.map(|value| format!("\"{}\"", value.get_name())).collect();
-    format!("one of {}", names.join(", "))
+/// The keys of these options, in the order of their definition.
+pub(super) fn keys<O: Args>() -> Vec<String> {
+    command::<O>().get_arguments().map(key_of).collect()
 }
 
-/// What to say of a key that no block of this name has.
+/// The key of an option: its name, in the plural where it takes a list.
+fn key_of(option: &Arg) -> String {
+    let plural = if is_list(option) { "s" } else { "" };
+    format!("{}{plural}", option.get_id())
+}
+
+fn is_list(option: &Arg) -> bool {
+    matches!(option.get_action(), ArgAction::Append)
+}
+
+fn is_path(option: &Arg) -> bool {
+    is::<PathBuf>(option)
+}
+
+/// Whether the values of an option have this type.
+fn is<T: 'static>(option: &Arg) -> bool {
+    option.get_value_parser().type_id() == TypeId::of::<T>()
+}
+
+/// What a file has to have as the value of an option.
+fn wanted(option: &Arg) -> String {
+    let words = option.get_possible_values();
+    let words: Vec<String> = words.iter().map(|word| format!("\"{}\"", word.get_name())).collect();
+    let wanted = match () {
+        () if is::<bool>(option) => "true or false",
+        () if !words.is_empty() => return format!("one of {}", words.join(", ")),
+        () if is::<Length>(option) => {
+            "a number in world units, or text in quotes with a unit, such as \"0.6d\""
+        }
+        () if is::<f64>(option) => "a number",
+        () if is::<u32>(option) || is::<u16>(option) => "a whole number",
+        () if is::<u64>(option) => "bytes, or text in quotes, with a unit, such as \"8GiB\"",
+        () if is::<Duration>(option) || is::<Poll>(option) => "text in quotes, with a unit, such as \"2s\"",
+        () if is_path(option) => "a path in quotes",
+        () => "text in quotes",
+    };
+    wanted.to_owned()
+}
+
+/// Why an option does not take a value: its parser says it, or the value is not one of the option's words.
+fn reason(error: &clap::Error, option: &Arg) -> String {
+    match (error.source(), error.get(ContextKind::InvalidValue)) {
+        (Some(source), _) => source.to_string(),
+        (None, Some(ContextValue::String(word))) => {
+            format!("`{word}` is not known: it wants {}", wanted(option))
+        }
+        (None, _) => error.to_string(),
+    }
+}
+
+/// The message for a key that no block of this name has.
 fn unknown_key(key: &str, block: &str) -> String {
     let known = keys_of(block);
     let place = |name| match name {
@@ -254,21 +256,21 @@ fn unknown_key(key: &str, block: &str) -> String {
         "daemon" => "the [daemon] block",
         _ => "the file, outside all blocks",
     };
-    let elsewhere = ["watch", "daemon"].into_iter().find(|&other| keys_of(other).contains(&key));
-    if let Some(other) = elsewhere {
+    let has_key = |other: &&str| keys_of(other).iter().any(|known| known == key);
+    if let Some(other) = ["watch", "daemon"].into_iter().find(has_key) {
         return format!("`{key}` does not belong in {}, but in {}", place(block), place(other));
     }
-    match nearest(key, known) {
+    match nearest(key, &known) {
         Some(nearest) => format!("unknown key `{key}` in {}; did you mean `{nearest}`?", place(block)),
         None => format!("unknown key `{key}` in {}; it knows {}", place(block), known.join(", ")),
     }
 }
 
-/// The known key that somebody most likely meant, if there is one that is like it.
-fn nearest(key: &str, known: &[&'static str]) -> Option<&'static str> {
+/// The known key that is most like this one, if one is like it.
+fn nearest<'k>(key: &str, known: &'k [String]) -> Option<&'k str> {
     let key = key.to_lowercase().replace('-', "_");
     let likeness = |known: &str| strsim::jaro_winkler(&key, known);
-    let nearest = known.iter().copied().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
+    let nearest = known.iter().max_by(|a, b| likeness(a).total_cmp(&likeness(b)))?;
     (likeness(nearest) >= LIKENESS_MIN).then_some(nearest)
 }
 

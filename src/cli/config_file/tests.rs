@@ -1,6 +1,7 @@
 use super::*;
-use crate::cli::args::{ContourChoice, Format, FormatArgs, LogChoice, OrderChoice, UpChoice};
-use crate::watch::Poll;
+use crate::cli::args::{Format, FormatArgs, LogChoice, UpChoice};
+use crate::surface::options::{Contouring, MethodOptions, ValueKind};
+use crate::watch::{Order, Poll};
 use std::time::Duration;
 use toml::de::DeValue;
 
@@ -28,7 +29,7 @@ fn blocks_become_options() {
     )
     .expect("a good file");
     let DaemonArgs { order, memory, disk_floor, poll, log, threads, settle, rescan, .. } = file.daemon;
-    assert_eq!((order, log), (Some(OrderChoice::Latest), Some(LogChoice::Json)));
+    assert_eq!((order, log), (Some(Order::Latest), Some(LogChoice::Json)));
     assert_eq!((memory, disk_floor), (Some(8 << 30), Some(1024)));
     assert_eq!((poll, settle), (Some(Poll::Auto), Some(Duration::from_secs(2))));
     assert_eq!((threads, rescan), (Some(4), None));
@@ -37,10 +38,10 @@ fn blocks_become_options() {
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
     assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
     assert_eq!(first.frames.format, Some(vec![Format::Glb, Format::Ply]));
-    assert_eq!(first.frames.method.mesh.contour, Some(ContourChoice::Tetrahedra));
+    assert_eq!(first.frames.method.options.contour, Some(Contouring::Tetrahedra));
     assert_eq!(
-        (first.frames.method.first.voxel_size, first.frames.method.solver.steps),
-        (Some(1.0), Some(10))
+        (first.frames.method.options.voxel_size, first.frames.method.options.steps),
+        (Some(1.0.into()), Some(10))
     );
     let formats = FormatArgs { up: Some(UpChoice::Z), ..FormatArgs::default() };
     let expected = FrameArgs { recursive: true, formats, ..FrameArgs::default() };
@@ -73,10 +74,10 @@ fn unknown_keys_are_errors_that_name_the_nearest() {
 #[test]
 fn wrong_values_are_errors_with_their_line() {
     for (entry, words) in [
-        ("voxel_size = \"1\"", &["`voxel_size` is text", "a number"][..]),
+        ("step_size = \"1\"", &["`step_size` is text", "a number"][..]),
         ("voxel_size = true", &["is true"]),
-        ("steps = -1", &["`steps` is -1", "from 0 to 1000000"]),
-        ("steps = 1.5", &["`steps` is 1.5", "whole number"]),
+        ("steps = -1", &["`steps`: `-1`", "whole number from 0 to 1000000"]),
+        ("steps = 1.5", &["`steps`: `1.5`", "whole number"]),
         ("recursive = 1", &["true or false"]),
         ("recursive = \"yes\"", &["true or false"]),
         ("contour = \"cubes\"", &["`contour`: `cubes`", "\"dual\", \"tetrahedra\""]),
@@ -98,7 +99,7 @@ fn wrong_values_are_errors_with_their_line() {
         ("poll = \"0s\"", &["too short"]),
         ("rescan = \"99d\"", &["too long"]),
         ("memory = \"lots\"", &["`memory`: `lots` is no size"]),
-        ("memory = -1", &["`memory` is -1"]),
+        ("memory = -1", &["`memory`: `-1` is no size"]),
         ("threads = 0", &["from 1 to 1024"]),
         ("in_flight = 99999", &["from 1 to 1024"]),
         ("log = \"xml\"", &["\"text\", \"json\""]),
@@ -134,6 +135,22 @@ fn the_example_can_be_read_as_it_is() {
     assert_eq!(file.watches[0].input, Path::new("farm/frames"));
 }
 
+/// The example, where `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::` adds the options of the method that it lacks.
+const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/meniscus.toml");
+
+/// An option of the method as the example mentions it.
+fn mention(key: &str) -> Option<String> {
+    let kind = MethodOptions::info(key)?.kind;
+    let command = WatchKeys::augment_args(clap::Command::new("watch"));
+    let option = command.get_arguments().find(|option| option.get_id() == key)?;
+    let value = match kind {
+        ValueKind::Length | ValueKind::Number | ValueKind::Count => "1".to_owned(),
+        ValueKind::Switch => "true".to_owned(),
+        ValueKind::Text => format!("\"{}\"", option.get_possible_values().first()?.get_name()),
+    };
+    Some(format!("\n# {}.\n#{key} = {value}\n", option.get_help()?))
+}
+
 #[test]
 fn the_example_has_every_key() {
     let text = example(true);
@@ -146,7 +163,15 @@ fn the_example_has_every_key() {
     for name in ["watch", "daemon"] {
         let blocks = blocks(name);
         for key in keys_of(name) {
-            assert!(blocks.iter().any(|block| block.contains_key(*key)), "no {key} in the example's {name}");
+            let mut is_there = blocks.iter().any(|block| block.contains_key(&*key));
+            if let Some(mention) = mention(&key).filter(|_| !is_there)
+                && std::env::var_os("MENISCUS_WRITE_DOCS").is_some()
+            {
+                let example = std::fs::read_to_string(EXAMPLE).expect("the example");
+                std::fs::write(EXAMPLE, example + &mention).expect("written");
+                is_there = true;
+            }
+            assert!(is_there, "no {key} in the example's {name}");
         }
     }
 }

@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cli::args::{MethodArgs, UpChoice};
-use crate::cli::choices::choices;
+use crate::cli::args::{MethodArgs, UpChoice, typed};
 
 /// The words of a command, each as a shell takes it.
 pub(super) struct CommandLine {
@@ -25,15 +24,15 @@ impl CommandLine {
         inputs.iter().for_each(|input| line.add_path(input));
         line.add("--out");
         line.add_path(out);
-        for (name, value) in choices(method).to_pairs() {
+        for (name, value) in method.to_options().to_pairs() {
             match name {
-                "quads" => line.add("--quads"),
-                // Its value is optional, and must be behind a =.
-                "smooth_normals" => line.add(&format!("--smooth-normals={value}")),
+                "quads" if value == "true" => line.add("--quads"),
+                // Their values are optional, and must be behind a =.
+                "quads" | "smooth_normals" => line.add(&format!("{}={value}", typed(name))),
                 _ => line.add_option(name, &value),
             }
         }
-        for obstacle in &method.obstacles.obstacle {
+        for obstacle in &method.obstacle {
             line.add("--obstacle");
             line.add_path(obstacle);
         }
@@ -59,7 +58,7 @@ impl CommandLine {
     }
 
     fn add_option(&mut self, name: &str, value: &str) {
-        let option = format!("--{}", name.replace('_', "-"));
+        let option = typed(name);
         // What begins like an option is a value only behind a =.
         if value.starts_with('-') {
             return self.add(&format!("{option}={value}"));
@@ -119,9 +118,9 @@ mod tests {
     fn long_paths_are_short_on_sheets_and_whole_elsewhere() {
         let long = "a/long/way/to/somewhere/that/nobody/knows/dam.####.bgeo";
         let mut method = MethodArgs::default();
-        method.surface.radius_ratio = Some(1.5);
-        method.mesh.smooth_normals = Some(3);
-        method.surface.clip = "-1,0,0,1,1,1".parse().ok();
+        method.options.radius_ratio = Some(1.5);
+        method.options.smooth_normals = Some(3);
+        method.options.clip = "-1,0,0,1,1,1".parse().ok();
         let inputs = [long.into(), "-x.ply".into()];
         let line = CommandLine::convert((&inputs, Path::new("my meshes")), &method, Some(UpChoice::Z));
         let options = "--radius-ratio 1.5 --clip=-1,0,0,1,1,1 --smooth-normals=3 --up z";

@@ -17,7 +17,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::cli::Verdict;
 use crate::cli::args::{MethodArgs, TuneArgs};
-use crate::cli::choices::{choices, refuse_stray_rounds};
+use crate::cli::choices::refuse_stray_rounds;
 use crate::cli::console::Console;
 use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
@@ -174,7 +174,7 @@ impl<'a> Tuning<'a> {
         file: &FrameFile,
         console: &Console,
     ) -> Result<Tuning<'a>> {
-        let choices = choices(&args.method);
+        let choices = args.method.to_options();
         let measured = measured(sequence, &choices, console)?;
         let without = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
         let frame = StillFrame::read((&file.path, file.number()), &without)?;
@@ -198,7 +198,7 @@ impl<'a> Tuning<'a> {
         for (index, values) in grid.settings.iter().enumerate() {
             let (number, method) = (index + 1, self.method(values));
             // Some values follow from others: a label tells those of the cell.
-            let settings = Settings::resolve(&choices(&method), self.measured);
+            let settings = Settings::resolve(&method.to_options(), self.measured);
             let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
             let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
@@ -239,7 +239,7 @@ impl<'a> Tuning<'a> {
     }
 
     fn taken(&self, method: &MethodArgs) -> Result<(Still, Settings, Picture)> {
-        let settings = Settings::resolve(&choices(method), self.measured)?;
+        let settings = Settings::resolve(&method.to_options(), self.measured)?;
         let still = self.studio.skin(&self.frame, &settings)?;
         let seen = (&self.viewpoint, self.studio.outputs.picture.size);
         let picture = picture_of_still(&still, &settings, seen, false);

@@ -10,9 +10,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use crate::cli::args::MethodArgs;
-use crate::cli::choices::choices;
 use crate::cli::wording::significant;
-use crate::surface::options::{Anisotropy, Settings};
+use crate::surface::options::Settings;
 
 /// What differs from cell to cell.
 #[derive(Clone, Debug, PartialEq)]
@@ -36,16 +35,14 @@ pub(super) struct Axis(usize);
 struct Parameter {
     /// Its short name.
     name: &'static str,
+    /// The option.
+    option: &'static str,
     /// What it is, in a title.
     meaning: &'static str,
     /// What is counted, one and several, where its values are whole numbers.
     counted: Option<[&'static str; 2]>,
-    /// The values beside that without, where none are given.
+    /// The values beside the one without, where none are given.
     amounts: &'static [Amount],
-    /// Its value in settings.
-    get: fn(&Settings) -> f64,
-    /// Puts a value into options.
-    put: fn(&mut MethodArgs, f64),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,133 +65,86 @@ use Amount::{Of, Times};
 
 static PARAMETERS: [Parameter; 14] = [
     // From the most faithful to the smoothest.
-    Parameter {
-        name: "ratio",
-        meaning: "r_max / r_min",
-        counted: None,
-        amounts: &[Of(1.25), Of(2.0), Of(3.0), Of(4.0)],
-        get: |settings| settings.radius_ratio,
-        put: |method, ratio| method.surface.radius_ratio = Some(ratio),
-    },
+    measured("ratio", "radius_ratio", "r_max / r_min", &[Of(1.25), Of(2.0), Of(3.0), Of(4.0)]),
     // None to twice as long.
-    Parameter {
-        name: "time",
-        meaning: "steps of smoothing",
-        counted: Some(["step", "steps"]),
-        amounts: &[Times(0.0), Times(0.5), Times(2.0)],
-        get: |settings| f64::from(settings.steps),
-        put: |method, steps| method.solver.steps = Some(steps as u32),
-    },
+    counted("time", "steps", ["step", "steps"], &[Times(0.0), Times(0.5), Times(2.0)], "steps of smoothing"),
     // A quick look to four times the work. The coarsest is first: it is the quickest.
-    Parameter {
-        name: "h",
-        meaning: "voxel size h",
-        counted: None,
-        amounts: &[Times(1.5), Times(0.75), Times(0.5)],
-        get: |settings| settings.voxel_size,
-        put: |method, voxel_size| method.first.voxel_size = Some(voxel_size),
-    },
-    Parameter {
-        name: "smoothing",
-        meaning: "position smoothing",
-        counted: None,
-        amounts: &[Of(0.0), Of(0.5), Of(0.7), Of(0.9)],
-        get: |settings| settings.position_smoothing,
-        put: |method, part| method.particles.position_smoothing = Some(part),
-    },
-    Parameter {
-        name: "min",
-        meaning: "r_min",
-        counted: None,
-        amounts: &[Times(0.75), Times(0.875), Times(1.25)],
-        get: |settings| settings.radius_min,
-        put: |method, radius| method.surface.radius_min = Some(radius),
-    },
-    Parameter {
-        name: "init",
-        meaning: "r_init",
-        counted: None,
-        amounts: &[Times(0.9), Times(1.1), Times(1.2)],
-        get: |settings| settings.radius_init,
-        put: |method, radius| method.surface.radius_init = Some(radius),
-    },
-    Parameter {
-        name: "thin",
-        meaning: "least half axis of flattened particles",
-        counted: None,
-        amounts: &[Times(1.5), Times(2.0), Times(3.0)],
-        get: |settings| match settings.anisotropy {
-            Anisotropy::Neighbors { thin_radius, .. } => thin_radius,
-            Anisotropy::None | Anisotropy::Velocity { .. } => settings.radius_min,
-        },
-        put: |method, radius| method.particles.thin_radius = Some(radius),
-    },
-    Parameter {
-        name: "alone",
-        meaning: "r_min of particles without neighbours",
-        counted: None,
-        amounts: &[Times(1.2), Times(1.4), Times(1.6)],
-        get: |settings| match settings.anisotropy {
-            Anisotropy::Neighbors { lone_radius, .. } => lone_radius,
-            Anisotropy::None | Anisotropy::Velocity { .. } => settings.radius_min,
-        },
-        put: |method, radius| method.particles.lone_radius = Some(radius),
-    },
-    Parameter {
-        name: "stretch",
-        meaning: "greatest stretch of particles",
-        counted: None,
-        amounts: &[Of(1.0), Of(2.0), Of(4.0), Of(8.0)],
-        get: |settings| match settings.anisotropy {
-            Anisotropy::None => 1.0,
-            Anisotropy::Neighbors { max_stretch, .. } | Anisotropy::Velocity { max_stretch, .. } => {
-                max_stretch
-            }
-        },
-        put: |method, stretch| method.particles.max_stretch = Some(stretch),
-    },
-    Parameter {
-        name: "neighbors",
-        meaning: "how far neighbours count",
-        counted: None,
-        amounts: &[Times(0.75), Times(1.25), Times(1.5)],
-        get: |settings| settings.neighbor_radius,
-        put: |method, radius| method.particles.neighbor_radius = Some(radius),
-    },
-    Parameter {
-        name: "laplacian",
-        meaning: "Laplacian steps",
-        counted: Some(["Laplacian step", "Laplacian steps"]),
-        amounts: &[Times(0.0), Times(0.5), Times(2.0), Times(4.0)],
-        get: |settings| f64::from(settings.laplacian_steps),
-        put: |method, steps| method.solver.laplacian_steps = Some(steps as u32),
-    },
-    Parameter {
-        name: "step",
-        meaning: "size of a step, h\u{2074}",
-        counted: None,
-        amounts: &[Times(0.25), Times(4.0), Times(16.0)],
-        get: |settings| settings.step_size,
-        put: |method, size| method.solver.step_size = Some(size),
-    },
-    Parameter {
-        name: "redistance",
-        meaning: "steps between redistancings",
-        counted: Some(["step between redistancings", "steps between redistancings"]),
-        amounts: &[Of(1.0), Of(2.0), Of(4.0)],
-        get: |settings| f64::from(settings.redistance_every),
-        put: |method, steps| method.solver.redistance_every = Some(steps as u32),
-    },
+    measured("h", "voxel_size", "voxel size h", &[Times(1.5), Times(0.75), Times(0.5)]),
+    measured("smoothing", "position_smoothing", "position smoothing", &[Of(0.0), Of(0.5), Of(0.7), Of(0.9)]),
+    measured("min", "radius_min", "r_min", &[Times(0.75), Times(0.875), Times(1.25)]),
+    measured("init", "radius_init", "r_init", &[Times(0.9), Times(1.1), Times(1.2)]),
+    measured(
+        "thin",
+        "thin_radius",
+        "least half axis of flattened particles",
+        &[Times(1.5), Times(2.0), Times(3.0)],
+    ),
+    measured(
+        "alone",
+        "lone_radius",
+        "r_min of particles without neighbours",
+        &[Times(1.2), Times(1.4), Times(1.6)],
+    ),
+    measured(
+        "stretch",
+        "max_stretch",
+        "greatest stretch of particles",
+        &[Of(1.0), Of(2.0), Of(4.0), Of(8.0)],
+    ),
+    measured(
+        "neighbors",
+        "neighbor_radius",
+        "how far neighbours count",
+        &[Times(0.75), Times(1.25), Times(1.5)],
+    ),
+    counted(
+        "laplacian",
+        "laplacian_steps",
+        ["Laplacian step", "Laplacian steps"],
+        &[Times(0.0), Times(0.5), Times(2.0), Times(4.0)],
+        "Laplacian steps",
+    ),
+    measured("step", "step_size", "size of a step, h\u{2074}", &[Times(0.25), Times(4.0), Times(16.0)]),
+    counted(
+        "redistance",
+        "redistance_every",
+        ["step between redistancings", "steps between redistancings"],
+        &[Of(1.0), Of(2.0), Of(4.0)],
+        "steps between redistancings",
+    ),
     // A multiple of 0 is 0: values must be given.
-    Parameter {
-        name: "offset",
-        meaning: "offset",
-        counted: None,
-        amounts: &[],
-        get: |settings| settings.offset,
-        put: |method, offset| method.surface.offset = Some(offset),
-    },
+    measured("offset", "offset", "offset", &[]),
 ];
+
+const fn measured(
+    name: &'static str,
+    option: &'static str,
+    meaning: &'static str,
+    amounts: &'static [Amount],
+) -> Parameter {
+    Parameter { name, option, meaning, counted: None, amounts }
+}
+
+const fn counted(
+    name: &'static str,
+    option: &'static str,
+    counted: [&'static str; 2],
+    amounts: &'static [Amount],
+    meaning: &'static str,
+) -> Parameter {
+    Parameter { name, option, meaning, counted: Some(counted), amounts }
+}
+
+impl Parameter {
+    /// Its value in settings; `None` where these do not use it.
+    fn value(&self, settings: &Settings) -> Option<f64> {
+        let pairs = settings.to_options().to_pairs();
+        let found =
+            pairs.iter().find(|(name, _)| *name == self.option).and_then(|(_, text)| text.parse().ok());
+        // Settings without an offset have one of 0.
+        found.or_else(|| (self.option == "offset").then_some(0.0))
+    }
+}
 
 impl Vary {
     /// The axes, and the values of each: one at least. `settings` are those without.
@@ -209,13 +159,7 @@ impl Vary {
 impl Varied {
     fn values(&self, settings: &Settings) -> Result<Vec<Value>, String> {
         let Parameter { name, amounts, .. } = self.axis.parameter();
-        let has_effect = match *name {
-            "thin" | "alone" => matches!(settings.anisotropy, Anisotropy::Neighbors { .. }),
-            "stretch" => settings.anisotropy != Anisotropy::None,
-            "neighbors" => settings.uses_neighbors(),
-            _ => true,
-        };
-        if !has_effect {
+        if self.axis.parameter().value(settings).is_none() {
             return Err(format!(
                 "--vary {name} changes nothing where neighbours do not shape particles: add --anisotropy neighbors"
             ));
@@ -252,9 +196,14 @@ impl Axis {
         self.parameter().meaning
     }
 
+    /// What it is without.
+    fn without(self, settings: &Settings) -> f64 {
+        self.parameter().value(settings).unwrap_or(f64::NAN)
+    }
+
     fn value(self, amount: Amount, settings: &Settings) -> Value {
         let parameter = self.parameter();
-        let without = (parameter.get)(settings);
+        let without = self.without(settings);
         let number = match amount {
             Times(1.0) => None,
             Of(number) => Some(number),
@@ -269,19 +218,20 @@ impl Axis {
 
 impl Value {
     fn number(self, settings: &Settings) -> f64 {
-        self.number.unwrap_or_else(|| (self.axis.parameter().get)(settings))
+        self.number.unwrap_or_else(|| self.axis.without(settings))
     }
 
     /// Puts it into options; `settings` are those without.
     pub(super) fn put(self, method: &mut MethodArgs, settings: &Settings) {
         let Some(number) = self.number else { return };
-        let parameter = self.axis.parameter();
-        (parameter.put)(method, number);
+        let Parameter { name, option, .. } = self.axis.parameter();
+        let is_set = method.options.set(option, &number.to_string());
+        debug_assert!(is_set.is_some(), "{option} takes numbers");
         // In smaller voxels the paper's spheres would shrink, too, and come apart. In larger ones they must grow.
-        let follows_voxel_size = choices(method).preset.unwrap_or_default().follows_voxel_size();
-        let is_finer = parameter.name == "h" && number < settings.voxel_size;
-        if follows_voxel_size && is_finer && method.surface.radius_min.is_none() {
-            method.surface.radius_min = Some(short(settings.radius_min));
+        let follows_voxel_size = method.to_options().preset.unwrap_or_default().follows_voxel_size();
+        let is_finer = *name == "h" && number < settings.voxel_size;
+        if follows_voxel_size && is_finer && method.options.radius_min.is_none() {
+            method.options.radius_min = Some(short(settings.radius_min).into());
         }
     }
 
@@ -297,7 +247,7 @@ impl Value {
 
     /// Whether it is what it is without.
     pub(super) fn is_without(self, settings: &Settings) -> bool {
-        self.number(settings) == (self.axis.parameter().get)(settings)
+        self.number(settings) == self.axis.without(settings)
     }
 }
 
@@ -382,11 +332,10 @@ fn names() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cli::args::PresetChoice;
-    use crate::surface::options::{Choices, Preset};
+    use crate::surface::options::{MethodOptions, Preset};
 
     fn settings() -> Settings {
-        Settings::paper(0.1, &Choices::default()).expect("sound")
+        Settings::paper(0.1, &MethodOptions::default()).expect("sound")
     }
 
     fn values(text: &str, settings: &Settings) -> Vec<Vec<Option<f64>>> {
@@ -408,8 +357,11 @@ mod tests {
         assert_eq!(values("time", &settings())[0], [Some(0.0), Some(3.0), None, Some(10.0)]);
         assert_eq!(values("ratio", &settings())[0], [Some(1.25), None, Some(3.0), Some(4.0)]);
         assert_eq!(values("h", &settings())[0], [Some(0.15), None, Some(0.075), Some(0.05)]);
-        let granular =
-            Choices { preset: Some(Preset::Granular), radius_ratio: Some(1.4), ..Choices::default() };
+        let granular = MethodOptions {
+            preset: Some(Preset::Granular),
+            radius_ratio: Some(1.4),
+            ..MethodOptions::default()
+        };
         let granular = Settings::paper(0.1, &granular).expect("sound");
         // Half of a step is one.
         assert_eq!(values("time", &granular)[0], [Some(0.0), None, Some(2.0)]);
@@ -433,10 +385,10 @@ mod tests {
     #[test]
     fn every_parameter_changes_the_settings() {
         let with =
-            |method: &MethodArgs| Settings::resolve(&choices(method), Some(0.2.into())).expect("sound");
+            |method: &MethodArgs| Settings::resolve(&method.to_options(), Some(0.2.into())).expect("sound");
         let without = with(&MethodArgs::default());
         for axis in (0..PARAMETERS.len()).map(Axis) {
-            let usual = (axis.parameter().get)(&without);
+            let usual = axis.without(&without);
             let number = match axis.parameter().name {
                 "offset" => -0.01,
                 "redistance" => 2.0,
@@ -446,7 +398,7 @@ mod tests {
             let mut method = MethodArgs::default();
             let value = Value { axis, number: Some(number) };
             value.put(&mut method, &without);
-            assert_eq!((axis.parameter().get)(&with(&method)), number, "{axis}");
+            assert_eq!(axis.without(&with(&method)), number, "{axis}");
             assert!(value.is_without(&with(&method)) && !value.is_without(&without), "{axis}");
         }
     }
@@ -458,17 +410,20 @@ mod tests {
     #[test]
     fn radii_stay_where_voxels_are_smaller_and_grow_where_they_are_larger() {
         let settings = settings();
-        for (voxel_size, radius_min) in [(0.05, Some(0.1732)), (0.1, None), (0.2, None)] {
+        for (voxel_size, radius_min) in [(0.05, Some(0.1732.into())), (0.1, None), (0.2, None)] {
             let mut method = MethodArgs::default();
-            method.first.preset = Some(PresetChoice::Paper);
+            method.options.preset = Some(Preset::Paper);
             voxel_size_of(voxel_size).put(&mut method, &settings);
-            assert_eq!((method.first.voxel_size, method.surface.radius_min), (Some(voxel_size), radius_min));
+            assert_eq!(
+                (method.options.voxel_size, method.options.radius_min),
+                (Some(voxel_size.into()), radius_min)
+            );
         }
         let mut method = MethodArgs::default();
-        method.first.preset = Some(PresetChoice::Paper);
-        method.surface.radius_min = Some(0.2);
+        method.options.preset = Some(Preset::Paper);
+        method.options.radius_min = Some(0.2.into());
         voxel_size_of(0.05).put(&mut method, &settings);
-        assert_eq!(method.surface.radius_min, Some(0.2));
+        assert_eq!(method.options.radius_min, Some(0.2.into()));
     }
 
     #[test]

@@ -1,6 +1,6 @@
 use super::*;
 use crate::pipeline::{FileStamp, OutputFormat, OutputOptions};
-use crate::surface::options::Choices;
+use crate::surface::options::MethodOptions;
 use crate::watch::Patience;
 use crate::watch::journal::{DaemonRecord, OutputRecord, PlanRecord};
 
@@ -68,7 +68,7 @@ fn plan() -> PlanRecord {
             vdb_compression: meniscus_formats::vdb::Compression::Blosc,
             picture: crate::pipeline::PictureOptions::default(),
         },
-        choices: Choices::default(),
+        choices: MethodOptions::default(),
         obstacles: Vec::new(),
     };
     let bare = Watch { pattern: None, recursive: false, sentinel: None, ..watch.clone() };

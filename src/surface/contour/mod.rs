@@ -37,15 +37,18 @@ use crate::surface::grid::{LEAF_EDGE, Topology};
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::space::{CoordBox, Lattice};
+use crate::surface::words::word_enum;
 
-/// How to make triangles from φ.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Contouring {
-    /// Dual contouring: even triangles, one vertex for each sheet in a cell.
-    #[default]
-    Dual,
-    /// Marching tetrahedra: about four times as many triangles, no special cases.
-    Tetrahedra,
+word_enum! {
+    /// How to make triangles from φ.
+    #[derive(Default)]
+    pub enum Contouring {
+        /// Dual contouring: fewer and better shaped triangles
+        #[default]
+        Dual = "dual",
+        /// Marching tetrahedra: as the paper does, about four times as many triangles
+        Tetrahedra = "tetrahedra",
+    }
 }
 
 /// The surface φ = 0 as a closed triangle mesh in world units, outward, with unit normals.

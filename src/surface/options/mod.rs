@@ -1,11 +1,14 @@
 //! Every number of the method, resolved and checked once.
 //!
-//! [`Choices`] is what somebody asked for; [`Settings`] is what is meant. A sequence has one
+//! [`MethodOptions`] is what a user asks for; [`Settings`] is what is meant. A sequence has one
 //! `Settings` for all its frames: an estimate for each frame would flicker.
 
-mod choices;
+mod definition;
+mod fields;
+mod length;
 mod pairs;
 mod presets;
+mod values;
 
 use std::fmt;
 
@@ -14,10 +17,16 @@ use crate::surface::particles::{Attribute, attribute_of};
 use crate::surface::smooth::EIGENVALUE_MAX;
 pub use crate::surface::smooth::Integrator;
 use crate::surface::words::significant;
-pub use choices::{AnisotropyKind, AttributeSelection, Choices, ClipBox, contouring_name, integrator_name};
+pub use definition::MethodOptions;
+use definition::{CAVITY_VOXELS_MAX, STEP_SIZE_MAX, STEP_SIZE_MIN, STEPS_MAX};
+#[cfg(feature = "cli")]
+pub(crate) use fields::ranged;
+pub use fields::{OptionGroup, OptionInfo, OptionValue, ValueKind};
+pub use length::{Length, LengthUnit};
 pub use pairs::Pairs;
 use presets::{InitialRadius, Recipe, Scale, Unit, tidy};
 pub use presets::{Measured, Preset};
+pub use values::{AnisotropyKind, AttributeSelection, ClipBox};
 
 /// All settings of a sequence, checked.
 #[derive(Clone, Debug, PartialEq)]
@@ -134,14 +143,8 @@ const OFFSET_MAX: f64 = 2.0;
 /// Narrower gaps between the surface and obstacles are filled, in units of h.
 const VOID_THRESHOLD: f64 = 1.0;
 
-/// Distances to obstacles are known no farther, in units of h.
-const VOID_THRESHOLD_MAX: f64 = 4.0;
-
 /// As Yu and Turk limit it.
 const MAX_STRETCH: f64 = 4.0;
-
-/// Beyond it a particle would reach over several leaves.
-const MAX_STRETCH_MAX: f64 = 8.0;
 
 /// The least half axis that a flattened particle may have, in units of h. Then the sides of a sheet are 1.8 voxels apart.
 const THIN_MIN_VOXELS: f64 = 0.9;
@@ -155,34 +158,13 @@ const VELOCITY_GAIN: f64 = 0.01;
 /// Neighbours within more voxels are a good part of a frame.
 const NEIGHBOR_RADIUS_MAX_VOXELS: f64 = 200.0;
 
-/// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
-pub const ISLAND_MAX: u32 = 1000;
-
-/// Cavities of this many voxels are rooms.
-const CAVITY_VOXELS_MAX: f64 = 1e6;
-
-/// A mesh that moves by more than this, in units of h, is another one.
-const DECIMATE_MAX: f64 = 1.0;
-
-/// Rounds after which normals tell nothing of the surface.
-pub const ROUNDS_MAX: u32 = 1000;
-
-/// Steps of either kind: a hundred times what the paper takes.
-pub const STEPS_MAX: u32 = 1_000_000;
-
 /// More steps than this take so long that somebody should know before.
 const STEPS_TOLD: f64 = 2000.0;
-
-/// The least size of a step, in units of h⁴.
-const STEP_SIZE_MIN: f64 = 1e-6;
-
-/// The greatest size of a step, in units of h⁴.
-const STEP_SIZE_MAX: f64 = 1e4;
 
 /// The time that adaptive steps may add up to, in units of h⁴: some so many steps as well.
 const ADAPTIVE_TIME_MAX: f64 = 1e4;
 
-/// Why choices make no settings.
+/// Why options make no settings.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SettingsError {
@@ -201,86 +183,82 @@ impl std::error::Error for SettingsError {}
 impl Settings {
     /// Fills in the defaults of the preset and checks every number.
     ///
-    /// Lengths that nobody chose follow the particle spacing: that of `choices`, else the `measured` one, else the one that
+    /// Lengths that nobody chose follow the particle spacing: that of `options`, else the `measured` one, else the one that
     /// has the chosen voxel size by default. The preset [`Preset::Paper`] follows the voxel size.
     ///
     /// # Errors
     /// When a number is not finite or out of its range, when the radii are out of order, or when neither spacing nor voxel
     /// size is known.
-    pub fn resolve(choices: &Choices, measured: Option<Measured>) -> Result<Settings, SettingsError> {
-        let recipe = choices.recipe();
-        let scale = Scale::new(choices, measured)?;
+    pub fn resolve(options: &MethodOptions, measured: Option<Measured>) -> Result<Settings, SettingsError> {
+        options.check_ranges()?;
+        let recipe = options.recipe();
+        let scale = Scale::new(options, measured)?;
         let Scale { spacing, voxel_size: h } = scale;
-        let radius_ratio = choices.radius_ratio.unwrap_or(recipe.radius_ratio);
-        let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, choices)?;
-        let integrator = choices.integrator.unwrap_or(Integrator::Fast);
+        let radius_ratio = options.radius_ratio.unwrap_or(recipe.radius_ratio);
+        let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, options)?;
+        let integrator = options.integrator.unwrap_or_default();
         let voxels = scale.voxels(recipe.unit);
         let explicit = is_explicit(integrator);
-        let neighbor_radius = match choices.uses_neighbors() {
-            true => neighbor_radius(choices, radius_min, &scale)?,
+        let neighbor_radius = match options.uses_neighbors() {
+            true => neighbor_radius(options, radius_min, &scale)?,
             false => 0.0,
         };
-        let position_smoothing = choices.position_smoothing();
-        within("smoothing of positions", position_smoothing, 0.0, 1.0)?;
         let settings = Settings {
             spacing,
             voxel_size: h,
             radius_min,
             radius_init,
             radius_max,
-            offset: offset(choices, radius_min, h)?,
+            offset: offset(options, radius_min, &scale)?,
             radius_ratio,
-            own_radii: choices.own_radii()?,
-            anisotropy: anisotropy(choices, radius_min, &scale)?,
-            position_smoothing,
+            own_radii: options.own_radii()?,
+            anisotropy: anisotropy(options, radius_min, &scale)?,
+            position_smoothing: options.position_smoothing(),
             neighbor_radius,
-            void_threshold: choices.void_threshold.unwrap_or(VOID_THRESHOLD),
-            drop_islands: choices.drop_islands.unwrap_or(0),
-            fill_cavities: choices.fill_cavities.unwrap_or_else(|| cavities(&recipe, voxels)),
-            clip: choices.clip.map(checked_box).transpose()?,
-            decimate: choices.decimate.unwrap_or(0.0),
-            smooth_normals: choices.smooth_normals.unwrap_or(0),
-            quads: choices.quads.unwrap_or(false),
-            attributes: choices.attributes.clone(),
+            void_threshold: options.void_threshold.unwrap_or(VOID_THRESHOLD),
+            drop_islands: options.drop_islands.unwrap_or(0),
+            fill_cavities: options.fill_cavities.unwrap_or_else(|| cavities(&recipe, voxels)),
+            clip: options.clip.map(checked_box).transpose()?,
+            decimate: options.decimate.unwrap_or(0.0),
+            smooth_normals: options.smooth_normals.unwrap_or(0),
+            quads: options.quads.unwrap_or(false),
+            attributes: options.attributes.clone(),
             integrator,
-            laplacian_steps: choices.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
-            steps: choices.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
-            step_size: positive(
-                "step size",
-                choices.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
-            )?,
-            redistance_every: choices.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
-            cg_tolerance: positive("conjugate gradient tolerance", choices.cg_tolerance.unwrap_or(1e-4))?,
-            contouring: choices.contouring.unwrap_or(Contouring::Dual),
+            laplacian_steps: options.laplacian_steps.unwrap_or_else(|| laplacian_steps(&recipe, voxels)),
+            steps: options.steps.unwrap_or_else(|| default_steps(&recipe, integrator, voxels)),
+            step_size: options.step_size.unwrap_or_else(|| default_step_size(&recipe, integrator, voxels)),
+            redistance_every: options.redistance_every.unwrap_or(if explicit { 50 } else { 1 }),
+            cg_tolerance: options.cg_tolerance.unwrap_or(1e-4),
+            contouring: options.contour.unwrap_or_default(),
         };
-        settings.check_solver()?;
-        settings.check_edits()?;
+        settings.check_together()?;
         Ok(settings)
     }
 
-    /// The paper's settings for a voxel size, with these choices over them: what tests and the paper's experiments
-    /// use. Particles count as two voxels apart, where a preset among the choices follows the spacing.
+    /// The paper's settings for a voxel size, with these options over them: what tests and the paper's experiments
+    /// use. Particles count as two voxels apart, where a preset among the options follows the spacing.
     ///
     /// # Errors
     /// Those of [`Settings::resolve`].
-    pub fn paper(voxel_size: f64, choices: &Choices) -> Result<Settings, SettingsError> {
-        let paper = Choices {
+    pub fn paper(voxel_size: f64, options: &MethodOptions) -> Result<Settings, SettingsError> {
+        let paper = MethodOptions {
             preset: Some(Preset::Paper),
-            voxel_size: Some(voxel_size),
+            voxel_size: Some(voxel_size.into()),
             spacing: Some(2.0 * voxel_size),
-            ..Choices::default()
+            ..MethodOptions::default()
         };
-        Settings::resolve(&choices.clone().over(paper), None)
+        Settings::resolve(&options.clone().over(paper), None)
     }
 
     /// The settings for level sets, whose files say how large their voxels are: with some voxel size that suits the offset,
     /// until [`with_voxel_size`](Settings::with_voxel_size) has the right one.
     ///
     /// # Errors
-    /// When there is no voxel size with which these choices make sense.
-    pub fn of_level_sets(choices: &Choices) -> Result<Settings, SettingsError> {
-        let offset = choices.offset.filter(|offset| offset.is_finite()).unwrap_or(0.0);
-        Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, choices)
+    /// When there is no voxel size with which these options make sense.
+    pub fn of_level_sets(options: &MethodOptions) -> Result<Settings, SettingsError> {
+        let offset =
+            options.offset.and_then(Length::world).filter(|offset| offset.is_finite()).unwrap_or(0.0);
+        Settings::paper(if offset == 0.0 { 1.0 } else { offset.abs() }, options)
     }
 
     /// The same settings on a lattice with these voxels: what follows from the voxel size is that of [`Settings::paper`].
@@ -288,8 +266,8 @@ impl Settings {
     /// # Errors
     /// When the voxel size is invalid, or too small or too large for the offset.
     pub fn with_voxel_size(&self, voxel_size: f64) -> Result<Settings, SettingsError> {
-        let offset = (self.offset != 0.0).then_some(self.offset);
-        let lengths = Settings::paper(voxel_size, &Choices { offset, ..Choices::default() })?;
+        let offset = (self.offset != 0.0).then_some(self.offset.into());
+        let lengths = Settings::paper(voxel_size, &MethodOptions { offset, ..MethodOptions::default() })?;
         Ok(Settings {
             spacing: lengths.spacing,
             voxel_size: lengths.voxel_size,
@@ -301,38 +279,21 @@ impl Settings {
         })
     }
 
-    fn check_solver(&self) -> Result<(), SettingsError> {
-        let steps_max = f64::from(STEPS_MAX);
-        let every = f64::from(self.redistance_every);
-        within("number of steps after which distances are restored", every, 1.0, steps_max)?;
-        within("number of steps", f64::from(self.steps), 0.0, steps_max)?;
-        within("number of Laplacian steps", f64::from(self.laplacian_steps), 0.0, steps_max)?;
-        within("step size in h⁴", self.step_size, STEP_SIZE_MIN, STEP_SIZE_MAX)?;
+    /// Checks what depends on several options.
+    fn check_together(&self) -> Result<(), SettingsError> {
         if self.integrator == Integrator::Adaptive {
             let time = f64::from(self.steps) * self.step_size;
             let what = "time of adaptive steps (their number times their size) in h⁴";
-            within(what, time, 0.0, ADAPTIVE_TIME_MAX)?;
+            require((0.0..=ADAPTIVE_TIME_MAX).contains(&time), || {
+                format!("the {what} is {time}; it must be from 0 to {ADAPTIVE_TIME_MAX}")
+            })?;
         }
-        within("conjugate gradient tolerance", self.cg_tolerance, 1e-12, 0.5)
-    }
-
-    fn check_edits(&self) -> Result<(), SettingsError> {
-        within("void threshold in h", self.void_threshold, 0.0, VOID_THRESHOLD_MAX)?;
-        within(
-            "number of particles of pieces to drop",
-            f64::from(self.drop_islands),
-            0.0,
-            f64::from(ISLAND_MAX),
-        )?;
-        within("volume of cavities to fill in h³", self.fill_cavities, 0.0, CAVITY_VOXELS_MAX)?;
-        within("error of decimation in h", self.decimate, 0.0, DECIMATE_MAX)?;
-        within(
-            "number of rounds of --smooth-normals",
-            f64::from(self.smooth_normals),
-            0.0,
-            f64::from(ROUNDS_MAX),
-        )?;
-        self.check_quads()
+        require(!self.quads || self.contouring == Contouring::Dual, || {
+            "quads come of dual contouring only: leave out --contour tetrahedra".into()
+        })?;
+        require(!self.quads || self.decimate == 0.0, || {
+            "decimation leaves no quads: choose one of --quads and --decimate".into()
+        })
     }
 
     /// Whether particles have shapes of their own.
@@ -354,84 +315,28 @@ impl Settings {
         self.position_smoothing > 0.0 || matches!(self.anisotropy, Anisotropy::Neighbors { .. })
     }
 
-    /// The choices that make these settings, every one of them, but for what is not used.
-    pub fn to_choices(&self) -> Choices {
-        let (kind, velocity_gain, max_stretch) = match self.anisotropy {
-            Anisotropy::None => (AnisotropyKind::None, None, None),
-            Anisotropy::Neighbors { max_stretch, .. } => (AnisotropyKind::Neighbors, None, Some(max_stretch)),
-            Anisotropy::Velocity { gain, max_stretch } => {
-                (AnisotropyKind::Velocity, Some(gain), Some(max_stretch))
-            }
-        };
-        let (thin_radius, lone_radius) = match self.anisotropy {
-            Anisotropy::Neighbors { thin_radius, lone_radius, .. } => (Some(thin_radius), Some(lone_radius)),
-            Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
-        };
-        let is_implicit = self.integrator == Integrator::Implicit;
-        Choices {
-            preset: None,
-            spacing: Some(self.spacing),
-            voxel_size: Some(self.voxel_size),
-            radius_min: Some(self.radius_min),
-            radius_ratio: Some(self.radius_ratio),
-            radius_init: Some(self.radius_init),
-            offset: (self.offset != 0.0).then_some(self.offset),
-            radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
-            radius_scale: self.own_radii.as_ref().map(|own| own.scale),
-            anisotropy: Some(kind),
-            max_stretch,
-            thin_radius,
-            lone_radius,
-            neighbor_radius: self.uses_neighbors().then_some(self.neighbor_radius),
-            position_smoothing: Some(self.position_smoothing),
-            velocity_gain,
-            void_threshold: Some(self.void_threshold),
-            attributes: self.attributes.clone(),
-            drop_islands: Some(self.drop_islands),
-            fill_cavities: Some(self.fill_cavities),
-            clip: self.clip,
-            contouring: Some(self.contouring),
-            decimate: Some(self.decimate),
-            smooth_normals: Some(self.smooth_normals),
-            quads: Some(self.quads),
-            integrator: Some(self.integrator),
-            laplacian_steps: Some(self.laplacian_steps),
-            steps: Some(self.steps),
-            step_size: Some(self.step_size),
-            redistance_every: Some(self.redistance_every),
-            cg_tolerance: is_implicit.then_some(self.cg_tolerance),
-        }
-    }
-
-    /// Quads are what dual contouring makes, until somebody changes them.
-    fn check_quads(&self) -> Result<(), SettingsError> {
-        require(!self.quads || self.contouring == Contouring::Dual, || {
-            "quads come of dual contouring only: leave out --contour tetrahedra".into()
-        })?;
-        require(!self.quads || self.decimate == 0.0, || {
-            "decimation leaves no quads: choose one of --quads and --decimate".into()
-        })
-    }
-
-    /// Whether there is a particle spacing with which these choices make sense: for a spacing that is not yet known.
+    /// Whether there is a particle spacing with which these options make sense: for a spacing that is not yet known.
     ///
     /// # Errors
     /// When there is none.
-    pub fn check(choices: &Choices) -> Result<(), SettingsError> {
-        if !choices.needs_spacing() {
-            return Settings::resolve(choices, None).map(|_| ());
+    pub fn check(options: &MethodOptions) -> Result<(), SettingsError> {
+        if !options.needs_spacing() {
+            return Settings::resolve(options, None).map(|_| ());
         }
         let sound = |length: &f64| length.is_finite() && *length > 0.0;
-        let recipe = choices.recipe();
+        let recipe = options.recipe();
         // One with which a length that was given is as long as by default. What is wrong with a length is told by
         // `resolve`.
         let unit = match recipe.unit {
             Unit::Spacing => 1.0,
             Unit::VoxelSize => recipe.voxel_size,
         };
-        let ratio = choices.radius_ratio.filter(|ratio| *ratio >= 1.0).unwrap_or(recipe.radius_ratio);
+        let ratio = options.radius_ratio.filter(|ratio| *ratio >= 1.0).unwrap_or(recipe.radius_ratio);
         let init = initial_radius(&recipe, 1.0, ratio);
-        let spacing = match (choices.voxel_size, choices.radius_min, choices.radius_init) {
+        let [voxel_size, radius_min, radius_init] =
+            [options.voxel_size, options.radius_min, options.radius_init]
+                .map(|it| it.and_then(Length::world));
+        let spacing = match (voxel_size, radius_min, radius_init) {
             (Some(voxel_size), ..) => voxel_size / recipe.voxel_size,
             (None, Some(radius), _) => radius / (recipe.radius_min * unit),
             (None, None, Some(radius)) => radius / (recipe.radius_min * init * unit),
@@ -439,20 +344,31 @@ impl Settings {
         };
         let spacing = Some(spacing).filter(sound).unwrap_or(1.0);
         // An inward offset can be compared with an r_min that is given; any other fits particles that are far enough apart.
-        let inward = choices.offset.filter(|offset| offset.is_finite()).map_or(0.0, |offset| -offset);
-        if let Some(radius_min) = choices.radius_min.filter(sound) {
-            require(inward <= (1.0 + 1e-9) * radius_min, || {
-                format!("the offset is {}; it must be from -r_min = {} on", -inward, -radius_min)
+        let inward = options.offset.and_then(Length::world).filter(|offset| offset.is_finite());
+        if let (Some(radius_min), Some(offset)) = (radius_min.filter(sound), inward) {
+            require(-offset <= (1.0 + 1e-9) * radius_min, || {
+                format!("the offset is {offset}; it must be from -r_min = {} on", -radius_min)
             })?;
         }
-        let offset = choices.offset.filter(|offset| !offset.is_finite());
-        let [thin_radius, lone_radius] =
-            [choices.thin_radius, choices.lone_radius].map(|radius| radius.filter(|radius| !sound(radius)));
-        // A neighbourhood can be compared with a voxel size that is given; without one it fits some spacing.
-        let is_too_wide = |radius: &f64| !sound(radius) || choices.voxel_size.is_some();
-        let neighbor_radius = choices.neighbor_radius.filter(is_too_wide);
-        let choices = Choices { offset, thin_radius, lone_radius, neighbor_radius, ..choices.clone() };
-        Settings::resolve(&choices, Some(Measured::from(spacing))).map(|_| ())
+        // Lengths in spacings and voxels can be compared with each other, but with none in world units.
+        let has_world = [voxel_size, radius_min, radius_init].iter().any(Option::is_some);
+        let kept = |given: Option<Length>, is_kept: &dyn Fn(f64) -> bool| {
+            given.filter(|length| length.world().map_or(!has_world, is_kept))
+        };
+        let is_unsound = |radius: f64| !sound(&radius);
+        let options = MethodOptions {
+            radius_min: kept(options.radius_min, &|_| true),
+            radius_init: kept(options.radius_init, &|_| true),
+            offset: kept(options.offset, &|offset| !offset.is_finite()),
+            thin_radius: kept(options.thin_radius, &is_unsound),
+            lone_radius: kept(options.lone_radius, &is_unsound),
+            // A neighbourhood can be compared with a voxel size that is given; without one it fits some spacing.
+            neighbor_radius: kept(options.neighbor_radius, &|radius| {
+                is_unsound(radius) || voxel_size.is_some()
+            }),
+            ..options.clone()
+        };
+        Settings::resolve(&options, Some(Measured::from(spacing))).map(|_| ())
     }
 
     /// What a user should be told before work begins, one sentence each.
@@ -546,16 +462,17 @@ fn initial_radius(recipe: &Recipe, radius_min: f64, ratio: f64) -> f64 {
 }
 
 /// r_min, r_init and r_max.
-fn radii(scale: &Scale, ratio: f64, choices: &Choices) -> Result<[f64; 3], SettingsError> {
-    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3], SettingsError> {
+    let (recipe, h) = (options.recipe(), scale.voxel_size);
     // On coarse voxels it is raised to the least with which no particle falls between them (Eq. 13).
     let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
-    let radius_min = positive("radius r_min", choices.radius_min.unwrap_or(usual))?;
+    let radius_min = positive("radius r_min", scale.length(options.radius_min).unwrap_or(usual))?;
     require(ratio.is_finite() && ratio >= 1.0, || {
         format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
     })?;
     let radius_max = ratio * radius_min;
-    let radius_init = choices.radius_init.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
+    let given = scale.length(options.radius_init);
+    let radius_init = given.unwrap_or_else(|| initial_radius(&recipe, radius_min, ratio));
     let radius_init = positive("radius r_init", radius_init)?;
     // A product of two numbers as typed may miss a third as typed by a rounding.
     let slack = 1e-9 * radius_max;
@@ -566,7 +483,7 @@ fn radii(scale: &Scale, ratio: f64, choices: &Choices) -> Result<[f64; 3], Setti
         format!(
             "r_max is {} voxels, and {RADIUS_MAX_VOXELS} are the most: choose {}",
             significant(radius_max / h),
-            match (choices.radius_min, recipe.unit) {
+            match (options.radius_min, recipe.unit) {
                 (Some(_), _) => "a smaller r_min or ratio, or a larger voxel size",
                 (None, Unit::VoxelSize) =>
                     "a smaller ratio, or a larger voxel size with r_min in world units",
@@ -577,22 +494,10 @@ fn radii(scale: &Scale, ratio: f64, choices: &Choices) -> Result<[f64; 3], Setti
     Ok([radius_min, radius_init.clamp(radius_min, radius_max), radius_max])
 }
 
-impl Choices {
-    /// Where particles have radii of their own, if they have.
-    ///
-    /// # Errors
-    /// When their scale is no positive number.
-    pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
-        let Some(attribute) = &self.radius_attribute else { return Ok(None) };
-        let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
-        Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
-    }
-}
-
 /// How far the finished surface is moved.
-fn offset(choices: &Choices, radius_min: f64, h: f64) -> Result<f64, SettingsError> {
-    let offset = choices.offset.unwrap_or(0.0);
-    let [inward, outward] = [-radius_min, OFFSET_MAX * h];
+fn offset(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
+    let offset = scale.length(options.offset).unwrap_or(0.0);
+    let [inward, outward] = [-radius_min, OFFSET_MAX * scale.voxel_size];
     // A radius that was computed may miss one as typed by a rounding.
     let slack = 1e-9 * radius_min;
     require((inward - slack..=outward).contains(&offset), || {
@@ -601,40 +506,46 @@ fn offset(choices: &Choices, radius_min: f64, h: f64) -> Result<f64, SettingsErr
     Ok(offset)
 }
 
-fn anisotropy(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<Anisotropy, SettingsError> {
-    let max_stretch = choices.max_stretch.unwrap_or(MAX_STRETCH);
-    within("greatest stretch", max_stretch, 1.0, MAX_STRETCH_MAX)?;
-    match choices.anisotropy_kind() {
+fn anisotropy(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<Anisotropy, SettingsError> {
+    let max_stretch = options.max_stretch.unwrap_or(MAX_STRETCH);
+    match options.anisotropy_kind() {
         AnisotropyKind::None => Ok(Anisotropy::None),
-        AnisotropyKind::Neighbors if has_no_room_to_flatten(choices, radius_min, scale) => {
+        AnisotropyKind::Neighbors if has_no_room_to_flatten(options, radius_min, scale) => {
             Ok(Anisotropy::None)
         }
         AnisotropyKind::Neighbors => {
-            let [thin_radius, lone_radius] = flattened_radii(choices, radius_min, scale)?;
+            let [thin_radius, lone_radius] = flattened_radii(options, radius_min, scale)?;
             Ok(Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius })
         }
         AnisotropyKind::Velocity => {
-            let gain = positive("velocity gain", choices.velocity_gain.unwrap_or(VELOCITY_GAIN))?;
+            let gain = positive("velocity gain", options.velocity_gain.unwrap_or(VELOCITY_GAIN))?;
             Ok(Anisotropy::Velocity { gain, max_stretch })
         }
     }
 }
 
 /// Whether the preset alone asks for flat particles, on a grid so coarse that none could be thinner than a ball.
-fn has_no_room_to_flatten(choices: &Choices, radius_min: f64, scale: &Scale) -> bool {
-    let Choices { anisotropy, max_stretch, thin_radius, lone_radius, .. } = choices;
-    let is_chosen = anisotropy.is_some()
-        || [max_stretch, thin_radius, lone_radius].into_iter().any(|choice| choice.is_some());
+fn has_no_room_to_flatten(options: &MethodOptions, radius_min: f64, scale: &Scale) -> bool {
+    let MethodOptions { anisotropy, max_stretch, thin_radius, lone_radius, .. } = options;
+    let is_chosen = anisotropy.is_some() || max_stretch.is_some();
+    let is_chosen = is_chosen || thin_radius.is_some() || lone_radius.is_some();
     !is_chosen && radius_min <= 3f64.sqrt() * scale.voxel_size * (1.0 + 1e-9)
 }
 
 /// The least half axis of flattened particles, and r_min of those without neighbours.
-fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<[f64; 2], SettingsError> {
-    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+fn flattened_radii(
+    options: &MethodOptions,
+    radius_min: f64,
+    scale: &Scale,
+) -> Result<[f64; 2], SettingsError> {
+    let (recipe, h) = (options.recipe(), scale.voxel_size);
     let (length, held) = (|count| scale.units(recipe.unit, count), 3f64.sqrt() * h);
     let [least, most] = [THIN_MIN_VOXELS * h, radius_min.max(held)];
     let thin = recipe.thin_radius.map_or(held, |radius| length(radius).max(tidy(least)).min(most));
-    let thin = positive("least half axis of flattened particles", choices.thin_radius.unwrap_or(thin))?;
+    let thin = positive(
+        "least half axis of flattened particles",
+        scale.length(options.thin_radius).unwrap_or(thin),
+    )?;
     // Numbers as typed may miss computed ones by a rounding.
     let slack = 1e-9 * most;
     require((least - slack..=most + slack).contains(&thin), || {
@@ -645,7 +556,10 @@ fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<
         )
     })?;
     let lone = recipe.lone_radius.map_or(radius_min, |radius| length(radius).max(held).min(radius_min));
-    let lone = positive("radius of particles without neighbours", choices.lone_radius.unwrap_or(lone))?;
+    let lone = positive(
+        "radius of particles without neighbours",
+        scale.length(options.lone_radius).unwrap_or(lone),
+    )?;
     require(lone <= radius_min + slack, || {
         format!(
             "the radius of particles without neighbours is {lone}; it must be at most r_min = {}",
@@ -655,10 +569,10 @@ fn flattened_radii(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<
     Ok([thin, lone.max(held).min(radius_min)])
 }
 
-fn neighbor_radius(choices: &Choices, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
-    let (recipe, h) = (choices.recipe(), scale.voxel_size);
+fn neighbor_radius(options: &MethodOptions, radius_min: f64, scale: &Scale) -> Result<f64, SettingsError> {
+    let (recipe, h) = (options.recipe(), scale.voxel_size);
     let of_recipe = recipe.neighbor_radius.map(|radius| scale.units(recipe.unit, radius));
-    let radius = choices.neighbor_radius.or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
+    let radius = scale.length(options.neighbor_radius).or(of_recipe).unwrap_or(NEIGHBOR_RADIUS * radius_min);
     let radius = positive("radius within which neighbours count", radius)?;
     require(radius <= NEIGHBOR_RADIUS_MAX_VOXELS * h, || {
         format!(
@@ -685,18 +599,6 @@ fn checked_box(clip: ClipBox) -> Result<ClipBox, SettingsError> {
         })?;
     }
     Ok(clip)
-}
-
-fn within(name: &str, value: f64, least: f64, most: f64) -> Result<(), SettingsError> {
-    require((least..=most).contains(&value), || {
-        let [least, most] = [least, most].map(in_short);
-        format!("the {name} is {value}; it must be from {least} to {most}")
-    })
-}
-
-/// A bound without a row of zeros.
-fn in_short(bound: f64) -> String {
-    if bound != 0.0 && bound < 1e-3 { format!("{bound:e}") } else { bound.to_string() }
 }
 
 fn positive(name: &str, value: f64) -> Result<f64, SettingsError> {

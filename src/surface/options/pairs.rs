@@ -1,100 +1,98 @@
-//! Settings by name, as what they are: numbers, words, switches.
+//! Settings as the options that make them, and as the names and values that files record.
 
-use std::collections::BTreeMap;
-
-use super::{Anisotropy, Integrator, OwnRadii, Settings, contouring_name, integrator_name};
+use super::{Anisotropy, AnisotropyKind, Integrator, MethodOptions, Settings};
 
 /// Names and values in a fixed order. A value reads as in `meniscus.toml`, but for words, which have no quotes.
 pub type Pairs = Vec<(&'static str, String)>;
 
+/// Options that change nothing at these values, and that files do not record then. Newer options need not be here:
+/// [`Settings::to_options`] leaves them out where they change nothing.
+const OFF: [(&str, &str); 6] = [
+    ("anisotropy", "none"),
+    ("drop_islands", "0"),
+    ("fill_cavities", "0"),
+    ("decimate", "0"),
+    ("smooth_normals", "0"),
+    ("quads", "false"),
+];
+
+/// Options that others stand for in files: the spacing is in all lengths, and the ratio in r_max.
+const IMPLIED: [&str; 2] = ["spacing", "radius_ratio"];
+
+/// Files record these after all others, in this order.
+const LAST: [&str; 8] =
+    ["offset", "drop_islands", "fill_cavities", "clip", "contour", "decimate", "smooth_normals", "quads"];
+
 impl Settings {
-    /// Every setting that a level set depends on, and those of the mesh where `has_mesh`. What does not matter to the
-    /// result, or is not asked for, is left out: changing it would make the same bytes again.
-    pub fn pairs(&self, has_mesh: bool) -> Pairs {
-        let mut pairs = vec![
-            ("voxel_size", self.voxel_size.to_string()),
-            ("radius_min", self.radius_min.to_string()),
-            ("radius_init", self.radius_init.to_string()),
-            ("radius_max", self.radius_max.to_string()),
-        ];
-        self.push_particles(&mut pairs);
-        pairs.extend([
-            ("integrator", integrator_name(self.integrator).to_owned()),
-            ("laplacian_steps", self.laplacian_steps.to_string()),
-            ("steps", self.steps.to_string()),
-            ("step_size", self.step_size.to_string()),
-            ("redistance_every", self.redistance_every.to_string()),
-        ]);
-        if self.integrator == Integrator::Implicit {
-            pairs.push(("cg_tolerance", self.cg_tolerance.to_string()));
+    /// The options that make these settings, every one of them, but for what is not used.
+    pub fn to_options(&self) -> MethodOptions {
+        let (kind, velocity_gain, max_stretch) = match self.anisotropy {
+            Anisotropy::None => (AnisotropyKind::None, None, None),
+            Anisotropy::Neighbors { max_stretch, .. } => (AnisotropyKind::Neighbors, None, Some(max_stretch)),
+            Anisotropy::Velocity { gain, max_stretch } => {
+                (AnisotropyKind::Velocity, Some(gain), Some(max_stretch))
+            }
+        };
+        let (thin_radius, lone_radius) = match self.anisotropy {
+            Anisotropy::Neighbors { thin_radius, lone_radius, .. } => {
+                (Some(thin_radius.into()), Some(lone_radius.into()))
+            }
+            Anisotropy::None | Anisotropy::Velocity { .. } => (None, None),
+        };
+        let is_implicit = self.integrator == Integrator::Implicit;
+        MethodOptions {
+            preset: None,
+            spacing: Some(self.spacing),
+            voxel_size: Some(self.voxel_size.into()),
+            radius_min: Some(self.radius_min.into()),
+            radius_ratio: Some(self.radius_ratio),
+            radius_init: Some(self.radius_init.into()),
+            offset: (self.offset != 0.0).then_some(self.offset.into()),
+            radius_attribute: self.own_radii.as_ref().map(|own| own.attribute.clone()),
+            radius_scale: self.own_radii.as_ref().map(|own| own.scale),
+            anisotropy: Some(kind),
+            max_stretch,
+            thin_radius,
+            lone_radius,
+            neighbor_radius: self.uses_neighbors().then_some(self.neighbor_radius.into()),
+            position_smoothing: Some(self.position_smoothing),
+            velocity_gain,
+            void_threshold: Some(self.void_threshold),
+            attributes: self.attributes.clone(),
+            drop_islands: Some(self.drop_islands),
+            fill_cavities: Some(self.fill_cavities),
+            clip: self.clip,
+            contour: Some(self.contouring),
+            decimate: Some(self.decimate),
+            smooth_normals: Some(self.smooth_normals),
+            quads: Some(self.quads),
+            integrator: Some(self.integrator),
+            laplacian_steps: Some(self.laplacian_steps),
+            steps: Some(self.steps),
+            step_size: Some(self.step_size),
+            redistance_every: Some(self.redistance_every),
+            cg_tolerance: is_implicit.then_some(self.cg_tolerance),
         }
-        self.push_edits(&mut pairs);
-        // A level set is written as it is, before it becomes a mesh.
-        if has_mesh {
-            self.push_mesh(&mut pairs);
+    }
+
+    /// The options that results depend on, with their values, as files record them: without those that change nothing,
+    /// so that files keep their bytes when an option is added. `is_relevant` says which options matter to a file.
+    pub fn pairs(&self, is_relevant: impl Fn(&str) -> bool) -> Pairs {
+        let changes_something = |(name, value): &(&str, String)| {
+            let is_off = OFF.contains(&(*name, value)) || IMPLIED.contains(name);
+            let is_used = *name != "position_smoothing" || self.uses_neighbors();
+            is_used && !is_off
+        };
+        let mut pairs = self.to_options().to_pairs();
+        let after = pairs.iter().position(|(name, _)| *name == "radius_init").map_or(0, |index| index + 1);
+        pairs.insert(after, ("radius_max", self.radius_max.to_string()));
+        pairs.retain(|pair| is_relevant(pair.0) && changes_something(pair));
+        // The order of the options, but for those whose place in files is another.
+        pairs.sort_by_key(|(name, _)| LAST.iter().position(|last| last == name).map_or(0, |index| index + 1));
+        let place = |wanted| pairs.iter().position(|(name, _)| *name == wanted);
+        if let (Some(stretch), Some(gain)) = (place("max_stretch"), place("velocity_gain")) {
+            pairs[stretch..=gain].rotate_right(1);
         }
         pairs
-    }
-
-    /// What was asked for beyond what every frame has.
-    pub fn more(&self) -> BTreeMap<&'static str, String> {
-        let mut pairs = Pairs::new();
-        self.push_particles(&mut pairs);
-        self.push_edits(&mut pairs);
-        self.push_mesh(&mut pairs);
-        pairs.into_iter().filter(|&(name, _)| name != "contour").collect()
-    }
-
-    fn push_particles(&self, pairs: &mut Pairs) {
-        if let Some(OwnRadii { attribute, scale }) = &self.own_radii {
-            pairs.push(("radius_attribute", attribute.clone()));
-            pairs.push(("radius_scale", scale.to_string()));
-        }
-        match self.anisotropy {
-            Anisotropy::None => {}
-            Anisotropy::Neighbors { max_stretch, thin_radius, lone_radius } => pairs.extend([
-                ("anisotropy", "neighbors".to_owned()),
-                ("max_stretch", max_stretch.to_string()),
-                ("thin_radius", thin_radius.to_string()),
-                ("lone_radius", lone_radius.to_string()),
-            ]),
-            Anisotropy::Velocity { gain, max_stretch } => pairs.extend([
-                ("anisotropy", "velocity".to_owned()),
-                ("velocity_gain", gain.to_string()),
-                ("max_stretch", max_stretch.to_string()),
-            ]),
-        }
-        if self.uses_neighbors() {
-            pairs.push(("neighbor_radius", self.neighbor_radius.to_string()));
-            pairs.push(("position_smoothing", self.position_smoothing.to_string()));
-        }
-        if let Some(attributes) = &self.attributes {
-            pairs.push(("attributes", attributes.to_string()));
-        }
-    }
-
-    fn push_edits(&self, pairs: &mut Pairs) {
-        if self.offset != 0.0 {
-            pairs.push(("offset", self.offset.to_string()));
-        }
-        if self.drop_islands > 0 {
-            pairs.push(("drop_islands", self.drop_islands.to_string()));
-        }
-        if self.fill_cavities > 0.0 {
-            pairs.push(("fill_cavities", self.fill_cavities.to_string()));
-        }
-        if let Some(clip) = &self.clip {
-            pairs.push(("clip", clip.to_string()));
-        }
-    }
-
-    fn push_mesh(&self, pairs: &mut Pairs) {
-        pairs.push(("contour", contouring_name(self.contouring).to_owned()));
-        if self.decimate > 0.0 {
-            pairs.push(("decimate", self.decimate.to_string()));
-        }
-        if self.smooth_normals > 0 {
-            pairs.push(("smooth_normals", self.smooth_normals.to_string()));
-        }
     }
 }

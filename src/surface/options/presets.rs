@@ -3,31 +3,36 @@
 //! Lengths of most presets are in particle spacings d: a finer grid then shows the same surface in more detail. Those of
 //! the paper's presets are in voxels h, as in the paper.
 
-use super::choices::AnisotropyKind;
-use super::{Choices, SettingsError, require};
+use crate::surface::words::word_enum;
 
-/// A bundle of defaults.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Preset {
-    /// Water and other liquids.
-    #[default]
-    Fluid,
-    /// Particles that lie at random, as those of FLIP and MPM do.
-    Noisy,
-    /// Sheets, threads and drops.
-    Splash,
-    /// Sand, snow, grain: near the particles and hardly smoothed, for every bump is meant.
-    Granular,
-    /// A quick look.
-    Preview,
-    /// The parameters of the paper; lengths follow the voxel size.
-    Paper,
-    /// Deprecated: as [`Preset::Paper`], with small cavities filled.
-    Water,
-    /// Deprecated: as [`Preset::Paper`], nearer to the particles.
-    Faithful,
-    /// Deprecated: as [`Preset::Paper`], with more room and more steps.
-    Smooth,
+use super::length::{Length, LengthUnit};
+use super::values::AnisotropyKind;
+use super::{MethodOptions, SettingsError, require};
+
+word_enum! {
+    /// A bundle of defaults.
+    #[derive(Default)]
+    pub enum Preset {
+        /// Water and other liquids: the default
+        #[default]
+        Fluid = "fluid",
+        /// Particles that lie at random, as those of FLIP and MPM do: smoothed more than fluid
+        Noisy = "noisy",
+        /// Sheets, threads and drops: finer and thinner than fluid
+        Splash = "splash",
+        /// Sand, snow, grain: near the particles, and hardly smoothed
+        Granular = "granular",
+        /// A quick look: voxels as large as the spacing
+        Preview = "preview",
+        /// The parameters of the paper: lengths follow the voxel size
+        Paper = "paper",
+        /// Deprecated: as paper, with small cavities filled
+        Water = "water",
+        /// Deprecated: as paper, nearer to the particles
+        Faithful = "faithful",
+        /// Deprecated: as paper, with more room and more steps
+        Smooth = "smooth",
+    }
 }
 
 /// What the lengths and times of a preset are multiples of.
@@ -123,39 +128,6 @@ const FLUID: Recipe = Recipe {
 };
 
 impl Preset {
-    /// Every preset there is.
-    pub const ALL: [Preset; 9] = [
-        Preset::Fluid,
-        Preset::Noisy,
-        Preset::Splash,
-        Preset::Granular,
-        Preset::Preview,
-        Preset::Paper,
-        Preset::Water,
-        Preset::Faithful,
-        Preset::Smooth,
-    ];
-
-    /// As it is typed.
-    pub fn name(self) -> &'static str {
-        match self {
-            Preset::Fluid => "fluid",
-            Preset::Noisy => "noisy",
-            Preset::Splash => "splash",
-            Preset::Granular => "granular",
-            Preset::Preview => "preview",
-            Preset::Paper => "paper",
-            Preset::Water => "water",
-            Preset::Faithful => "faithful",
-            Preset::Smooth => "smooth",
-        }
-    }
-
-    /// The preset of this name.
-    pub fn named(name: &str) -> Option<Preset> {
-        Preset::ALL.into_iter().find(|preset| preset.name() == name)
-    }
-
     /// For a deprecated preset, the one that takes its place.
     pub fn successor(self) -> Option<Preset> {
         match self {
@@ -243,11 +215,12 @@ impl Scale {
     ///
     /// # Errors
     /// When a length is not positive, or neither of them is known.
-    pub(super) fn new(choices: &Choices, measured: Option<Measured>) -> Result<Scale, SettingsError> {
-        let recipe = choices.recipe();
-        let voxel_size = choices.voxel_size.map(|h| super::positive("voxel size", h)).transpose()?;
-        let spacing = choices.spacing.or(measured.map(|measured| measured.spacing));
-        let spacing = match (spacing, voxel_size) {
+    pub(super) fn new(options: &MethodOptions, measured: Option<Measured>) -> Result<Scale, SettingsError> {
+        let recipe = options.recipe();
+        let in_world_units = options.voxel_size.and_then(Length::world);
+        in_world_units.map_or(Ok(0.0), |h| super::positive("voxel size", h))?;
+        let spacing = options.spacing.or(measured.map(|measured| measured.spacing));
+        let spacing = match (spacing, in_world_units) {
             (Some(spacing), _) => super::positive("particle spacing", spacing)?,
             (None, Some(h)) => tidy(h / recipe.voxel_size),
             (None, None) => {
@@ -258,8 +231,23 @@ impl Scale {
         let usual = tidy(recipe.voxel_size * spacing);
         let for_radii = |radius: f64| (radius / 3f64.sqrt()).max(spacing / VOXELS_PER_SPACING_MAX).min(usual);
         let median = measured.and_then(|measured| measured.radius_median);
-        let voxel_size = voxel_size.unwrap_or_else(|| median.map_or(usual, for_radii));
+        let voxel_size = match options.voxel_size {
+            Some(length) => {
+                require(length.unit != LengthUnit::Voxel, || {
+                    format!(
+                        "the voxel size is {length}; give it in world units or particle spacings, such as 0.4d"
+                    )
+                })?;
+                super::positive("voxel size", length.resolve(spacing, f64::NAN))?
+            }
+            None => median.map_or(usual, for_radii),
+        };
         Ok(Scale { spacing, voxel_size })
+    }
+
+    /// A length that an option gives, in world units.
+    pub(super) fn length(&self, given: Option<Length>) -> Option<f64> {
+        given.map(|length| length.resolve(self.spacing, self.voxel_size))
     }
 
     /// So many units, as a length.

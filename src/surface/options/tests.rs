@@ -2,17 +2,30 @@ use super::*;
 
 #[test]
 fn settings_are_made_again_of_their_choices() {
-    let presets = Preset::ALL.map(|preset| Choices { preset: Some(preset), ..Choices::default() });
+    let preset = |&preset| MethodOptions { preset: Some(preset), ..MethodOptions::default() };
+    let presets: Vec<MethodOptions> = Preset::ALL.iter().map(preset).collect();
     let others = [
-        Choices { anisotropy: Some(AnisotropyKind::Velocity), max_stretch: Some(2.0), ..Choices::default() },
-        Choices { position_smoothing: Some(0.9), ..Choices::default() },
-        Choices {
-            anisotropy: Some(AnisotropyKind::Neighbors),
-            neighbor_radius: Some(2.0),
-            ..Choices::default()
+        MethodOptions {
+            anisotropy: Some(AnisotropyKind::Velocity),
+            max_stretch: Some(2.0),
+            ..MethodOptions::default()
         },
-        Choices { radius_attribute: Some("pscale".into()), quads: Some(true), ..Choices::default() },
-        Choices { integrator: Some(Integrator::Implicit), decimate: Some(0.1), ..Choices::default() },
+        MethodOptions { position_smoothing: Some(0.9), ..MethodOptions::default() },
+        MethodOptions {
+            anisotropy: Some(AnisotropyKind::Neighbors),
+            neighbor_radius: Some(2.0.into()),
+            ..MethodOptions::default()
+        },
+        MethodOptions {
+            radius_attribute: Some("pscale".into()),
+            quads: Some(true),
+            ..MethodOptions::default()
+        },
+        MethodOptions {
+            integrator: Some(Integrator::Implicit),
+            decimate: Some(0.1),
+            ..MethodOptions::default()
+        },
     ];
     let all: Vec<Settings> = presets
         .iter()
@@ -20,7 +33,7 @@ fn settings_are_made_again_of_their_choices() {
         .map(|choices| Settings::resolve(choices, Some(Measured::from(1.0))).expect("sound"))
         .collect();
     for (index, settings) in all.iter().enumerate() {
-        assert_eq!(Settings::resolve(&settings.to_choices(), None).as_ref(), Ok(settings));
+        assert_eq!(Settings::resolve(&settings.to_options(), None).as_ref(), Ok(settings));
         assert!(!all[..index].contains(settings), "{settings:?} twice");
     }
 }
@@ -29,10 +42,10 @@ fn settings_are_made_again_of_their_choices() {
 fn ratios_are_printed_as_they_were_chosen() {
     // 3 r_min / r_min is not 3 for all of these.
     for voxel_size in [0.1, 0.03, 0.022_176_949_191_354_715, 1.0 / 3.0] {
-        let choices = Choices { preset: Some(Preset::Smooth), ..Choices::default() };
+        let choices = MethodOptions { preset: Some(Preset::Smooth), ..MethodOptions::default() };
         let settings = Settings::paper(voxel_size, &choices).expect("sound");
-        assert_eq!(settings.to_choices().radius_ratio, Some(3.0));
-        assert_eq!(Settings::resolve(&settings.to_choices(), None), Ok(settings));
+        assert_eq!(settings.to_options().radius_ratio, Some(3.0));
+        assert_eq!(Settings::resolve(&settings.to_options(), None), Ok(settings));
     }
 }
 
@@ -40,7 +53,8 @@ fn ratios_are_printed_as_they_were_chosen() {
 fn presets_take_as_much_more_or_less_with_any_integrator() {
     for integrator in [Integrator::Fast, Integrator::Implicit, Integrator::Explicit, Integrator::Adaptive] {
         let resolved = |preset, steps| {
-            let choices = Choices { preset, steps, integrator: Some(integrator), ..Choices::default() };
+            let choices =
+                MethodOptions { preset, steps, integrator: Some(integrator), ..MethodOptions::default() };
             Settings::paper(1.0, &choices).expect("sound")
         };
         let own = resolved(None, None);
@@ -70,9 +84,10 @@ fn in_spacings(settings: &Settings) -> [f64; 7] {
 fn a_finer_grid_has_the_same_surface_to_show() {
     for spacing in [1.0, 0.3, 7e5] {
         let resolved = |voxels: f64| {
-            let voxel_size = Some(spacing / voxels);
+            let voxel_size = Some((spacing / voxels).into());
             let preset = Some(Preset::Fluid);
-            let choices = Choices { preset, spacing: Some(spacing), voxel_size, ..Choices::default() };
+            let choices =
+                MethodOptions { preset, spacing: Some(spacing), voxel_size, ..MethodOptions::default() };
             in_spacings(&Settings::resolve(&choices, None).expect("sound"))
         };
         let usual = resolved(2.5);
@@ -83,9 +98,13 @@ fn a_finer_grid_has_the_same_surface_to_show() {
             }
         }
         let anisotropy = |voxels: f64, kind| {
-            let voxel_size = Some(spacing / voxels);
-            let choices =
-                Choices { voxel_size, spacing: Some(spacing), anisotropy: kind, ..Choices::default() };
+            let voxel_size = Some((spacing / voxels).into());
+            let choices = MethodOptions {
+                voxel_size,
+                spacing: Some(spacing),
+                anisotropy: kind,
+                ..MethodOptions::default()
+            };
             Settings::resolve(&choices, None).expect("sound").anisotropy
         };
         let thin = |voxels: f64| match anisotropy(voxels, None) {
@@ -109,8 +128,13 @@ fn a_finer_grid_has_the_same_surface_to_show() {
 #[test]
 fn the_spacing_is_the_one_that_was_stated_or_the_measured_one() {
     const FLUID: Option<Preset> = Some(Preset::Fluid);
-    let choices = |spacing, voxel_size, preset| Choices { spacing, voxel_size, preset, ..Choices::default() };
-    let resolved = |choices: &Choices, measured: Option<f64>| {
+    let choices = |spacing, voxel_size: Option<f64>, preset| MethodOptions {
+        spacing,
+        voxel_size: voxel_size.map(Length::from),
+        preset,
+        ..MethodOptions::default()
+    };
+    let resolved = |choices: &MethodOptions, measured: Option<f64>| {
         let settings = Settings::resolve(choices, measured.map(Measured::from))?;
         Ok::<_, SettingsError>((settings.spacing, settings.voxel_size))
     };
@@ -137,15 +161,19 @@ fn the_spacing_is_the_one_that_was_stated_or_the_measured_one() {
 #[test]
 fn offset_beyond_its_range_is_refused_with_the_range() {
     let resolved = |offset: f64| {
-        let choices = Choices { radius_min: Some(0.5), offset: Some(offset), ..Choices::default() };
+        let choices = MethodOptions {
+            radius_min: Some(0.5.into()),
+            offset: Some(offset.into()),
+            ..MethodOptions::default()
+        };
         Settings::paper(0.25, &choices)
     };
     for offset in [-0.5, -0.1, 0.0, 0.5] {
         let settings = resolved(offset).expect("in range");
         assert_eq!(settings.offset, offset);
         // Without an offset files say what they said before there was one.
-        assert_eq!(settings.pairs(true).iter().any(|(name, _)| *name == "offset"), offset != 0.0);
-        assert_eq!(Settings::resolve(&settings.to_choices(), None), Ok(settings));
+        assert_eq!(settings.pairs(|_| true).iter().any(|(name, _)| *name == "offset"), offset != 0.0);
+        assert_eq!(Settings::resolve(&settings.to_options(), None), Ok(settings));
     }
     for offset in [-0.51, 0.51, f64::INFINITY] {
         let error = resolved(offset).expect_err("out of range").to_string();
@@ -157,7 +185,8 @@ fn offset_beyond_its_range_is_refused_with_the_range() {
 #[test]
 fn many_steps_are_told_before_they_are_taken() {
     let told = |integrator, steps, step_size| {
-        let choices = Choices { integrator: Some(integrator), steps, step_size, ..Choices::default() };
+        let choices =
+            MethodOptions { integrator: Some(integrator), steps, step_size, ..MethodOptions::default() };
         Settings::paper(1.0, &choices)
             .expect("sound")
             .warnings()
@@ -176,11 +205,11 @@ fn many_steps_are_told_before_they_are_taken() {
 
 #[test]
 fn choices_are_checked_before_a_voxel_size_is_known() {
-    let choices = |radius_min, radius_ratio, radius_init| Choices {
-        radius_min,
+    let choices = |radius_min: Option<f64>, radius_ratio, radius_init: Option<f64>| MethodOptions {
+        radius_min: radius_min.map(Length::from),
         radius_ratio,
-        radius_init,
-        ..Choices::default()
+        radius_init: radius_init.map(Length::from),
+        ..MethodOptions::default()
     };
     for sound in [
         choices(None, None, None),
@@ -190,11 +219,11 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
         choices(None, Some(1.0), Some(1e9)),
         choices(None, Some(4.0), Some(0.3)),
         choices(Some(0.1), Some(4.0), Some(0.3)),
-        Choices { offset: Some(7.0), ..choices(Some(0.1), None, None) },
-        Choices { offset: Some(-0.1), ..choices(Some(0.1), None, None) },
-        Choices { offset: Some(-7.0), ..Choices::default() },
+        MethodOptions { offset: Some(7.0.into()), ..choices(Some(0.1), None, None) },
+        MethodOptions { offset: Some((-0.1).into()), ..choices(Some(0.1), None, None) },
+        MethodOptions { offset: Some((-7.0).into()), ..MethodOptions::default() },
         // Particles may be this far apart.
-        Choices { neighbor_radius: Some(201.0), ..Choices::default() },
+        MethodOptions { neighbor_radius: Some(201.0.into()), ..MethodOptions::default() },
     ] {
         assert_eq!(Settings::check(&sound), Ok(()), "{sound:?}");
     }
@@ -207,29 +236,111 @@ fn choices_are_checked_before_a_voxel_size_is_known() {
         (choices(None, None, Some(0.0)), "r_init"),
         (choices(Some(0.1), Some(2.0), Some(0.3)), "r_init is 0.3"),
         (choices(None, Some(1000.0), None), "voxels"),
-        (Choices { steps: Some(u32::MAX), ..Choices::default() }, "steps"),
-        (Choices { max_stretch: Some(0.5), ..Choices::default() }, "stretch"),
-        (Choices { position_smoothing: Some(1.1), ..Choices::default() }, "positions"),
         (
-            Choices {
-                voxel_size: Some(1.0),
+            MethodOptions { steps: Some(u32::MAX), ..MethodOptions::default() },
+            "steps is 4294967295; it must be from 0 to 1000000",
+        ),
+        (MethodOptions { max_stretch: Some(0.5), ..MethodOptions::default() }, "max_stretch is 0.5"),
+        (
+            MethodOptions { position_smoothing: Some(1.1), ..MethodOptions::default() },
+            "position_smoothing is 1.1",
+        ),
+        (
+            MethodOptions {
+                voxel_size: Some(1.0.into()),
                 position_smoothing: Some(0.5),
-                neighbor_radius: Some(201.0),
-                ..Choices::default()
+                neighbor_radius: Some(201.0.into()),
+                ..MethodOptions::default()
             },
             "neighbours",
         ),
-        (Choices { neighbor_radius: Some(-1.0), ..Choices::default() }, "neighbours"),
-        (Choices { void_threshold: Some(-1.0), ..Choices::default() }, "void"),
-        (Choices { offset: Some(f64::NAN), ..Choices::default() }, "offset is NaN"),
-        (Choices { offset: Some(-0.11), ..choices(Some(0.1), None, None) }, "from -r_min = -0.1 on"),
-        (Choices { quads: Some(true), decimate: Some(0.1), ..Choices::default() }, "quads"),
+        (MethodOptions { neighbor_radius: Some((-1.0).into()), ..MethodOptions::default() }, "neighbours"),
         (
-            Choices { clip: Some(ClipBox { min: [0.0; 3], max: [1.0, 0.0, 1.0] }), ..Choices::default() },
+            MethodOptions { void_threshold: Some(-1.0), ..MethodOptions::default() },
+            "void_threshold is -1; it must be from 0 to 4",
+        ),
+        (MethodOptions { offset: Some(f64::NAN.into()), ..MethodOptions::default() }, "offset is NaN"),
+        (
+            MethodOptions { offset: Some((-0.11).into()), ..choices(Some(0.1), None, None) },
+            "from -r_min = -0.1 on",
+        ),
+        (MethodOptions { quads: Some(true), decimate: Some(0.1), ..MethodOptions::default() }, "quads"),
+        (
+            MethodOptions {
+                clip: Some(ClipBox { min: [0.0; 3], max: [1.0, 0.0, 1.0] }),
+                ..MethodOptions::default()
+            },
             "box",
         ),
     ] {
         let error = Settings::check(&senseless).expect_err("senseless");
         assert!(error.what.contains(word), "{senseless:?}: {error}");
     }
+}
+
+/// Options of these texts.
+fn options(pairs: &[(&str, &str)]) -> MethodOptions {
+    MethodOptions::from_pairs(pairs.iter().copied()).expect("options")
+}
+
+#[test]
+fn lengths_in_spacings_and_voxels_are_those_in_world_units() {
+    let given = [
+        ("spacing", "0.5"),
+        ("voxel_size", "0.4d"),
+        ("radius_min", "0.6d"),
+        ("radius_init", "3.5h"),
+        ("offset", "-0.3d"),
+        ("thin_radius", "1h"),
+        ("lone_radius", "0.5d"),
+        ("neighbor_radius", "5h"),
+    ];
+    let world = [
+        ("spacing", "0.5"),
+        ("voxel_size", "0.2"),
+        ("radius_min", "0.3"),
+        ("radius_init", "0.7"),
+        ("offset", "-0.15"),
+        ("thin_radius", "0.2"),
+        ("lone_radius", "0.25"),
+        ("neighbor_radius", "1"),
+    ];
+    // r_max is then 0.75.
+    let [given, world] =
+        [given, world].map(|pairs| MethodOptions { radius_ratio: Some(2.5), ..options(&pairs) });
+    let settings = Settings::resolve(&given, None).expect("sound");
+    assert_eq!(Settings::resolve(&world, None).as_ref(), Ok(&settings));
+    assert_eq!(settings.to_options().radius_min, Some(0.3.into()));
+    assert_eq!(Settings::check(&MethodOptions { spacing: None, ..given }), Ok(()));
+}
+
+#[test]
+fn lengths_in_spacings_need_the_spacing_and_those_in_voxels_do_not() {
+    let paper = |name, value| options(&[("preset", "paper"), ("voxel_size", "0.1"), (name, value)]);
+    assert!(paper("radius_min", "0.9d").needs_spacing());
+    assert!(!paper("radius_min", "2h").needs_spacing() && !paper("radius_min", "0.2").needs_spacing());
+    assert!(options(&[("preset", "paper"), ("voxel_size", "0.5d")]).needs_spacing());
+    let error =
+        Settings::resolve(&options(&[("spacing", "1"), ("voxel_size", "2h")]), None).expect_err("no unit");
+    assert!(error.what.contains("2h") && error.what.contains("0.4d"), "{error}");
+    // Lengths that have nothing in common are compared when the spacing is known.
+    assert_eq!(Settings::check(&options(&[("radius_min", "0.1"), ("radius_init", "9d")])), Ok(()));
+    assert!(Settings::check(&options(&[("radius_min", "1d"), ("radius_init", "9d")])).is_err());
+}
+
+#[cfg(feature = "pipeline")]
+#[test]
+fn options_are_data_for_serde() {
+    let given = options(&[
+        ("preset", "splash"),
+        ("radius_min", "0.6d"),
+        ("offset", "0.1"),
+        ("steps", "3"),
+        ("clip", "0,0,0,1,1,1"),
+    ]);
+    let json = serde_json::to_string(&given).expect("written");
+    let expected = r#"{"preset":"splash","radius_min":"0.6d","offset":0.1,"clip":"0,0,0,1,1,1","steps":3}"#;
+    assert_eq!(json, expected);
+    assert_eq!(serde_json::from_str::<MethodOptions>(&json).expect("read"), given);
+    assert!(serde_json::from_str::<MethodOptions>(r#"{"radius_mine": 1}"#).is_err());
 }

@@ -112,7 +112,7 @@ fn of_grid(attribute: &Attribute) -> Option<Cow<'_, Attribute>> {
 mod tests {
     use super::*;
     use crate::surface::obstacle::Obstacles;
-    use crate::surface::options::{AttributeSelection, Choices};
+    use crate::surface::options::{AttributeSelection, MethodOptions};
     use crate::surface::particles::Particles;
     use crate::surface::skin::skin_cloud;
 
@@ -134,10 +134,10 @@ mod tests {
 
     #[test]
     fn large_drops_have_their_values_however_large_others_are() {
-        let choices = Choices {
+        let choices = MethodOptions {
             radius_attribute: Some("pscale".into()),
             attributes: Some(AttributeSelection::All),
-            ..Choices::default()
+            ..MethodOptions::default()
         };
         let settings = Settings::paper(0.1, &choices).expect("sound");
         let mut surface = skin_cloud(drops(&[(0.0, 1.5), (9.0, 2.0)]), &settings, &Obstacles::default());

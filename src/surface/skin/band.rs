@@ -197,7 +197,7 @@ mod tests {
     use super::*;
     use crate::surface::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
     use crate::surface::mesh::Mesh;
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
 
     #[test]
     fn mesh_far_from_the_origin_is_checked_at_its_rounded_world_positions() {
@@ -215,7 +215,7 @@ mod tests {
         };
         let phi = Field { leaves: topology.origins().iter().map(leaf).collect() };
         let band = NarrowBand { topology: topology.into(), phi, half_width: 3.0 };
-        let settings = Settings::paper(0.01, &Choices::default()).expect("sound");
+        let settings = Settings::paper(0.01, &MethodOptions::default()).expect("sound");
         let flat_count = |translation: DVec3| {
             let surface = resurface(band.clone(), translation, 0.0, &settings, &[world_positions]);
             surface.report.flat_triangles_removed + surface.report.mesh.degenerate_triangle_count

@@ -111,10 +111,10 @@ impl Smoothed {
 ///
 /// ```
 /// use meniscus::surface::particles::Particles;
-/// use meniscus::surface::options::{Choices, Settings};
+/// use meniscus::surface::options::{MethodOptions, Settings};
 /// use meniscus::surface::skin::skin;
 ///
-/// let settings = Settings::paper(0.1, &Choices::default())?;
+/// let settings = Settings::paper(0.1, &MethodOptions::default())?;
 /// let drop = skin(&Particles::Single(vec![[1.0, 2.0, 3.0]]), &settings);
 /// // A particle by itself becomes a ball, and its certificate says that it is between the particle's two radii.
 /// assert!(drop.report.certificate.holds());

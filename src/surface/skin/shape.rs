@@ -554,7 +554,7 @@ mod tests {
     use super::*;
     use crate::surface::anisotropy::from_neighbors;
     use crate::surface::obstacle::Obstacles;
-    use crate::surface::options::{AnisotropyKind, Choices};
+    use crate::surface::options::{AnisotropyKind, MethodOptions};
     use crate::surface::skin::{Stored, Surface, contour, rasterize, smooth};
 
     /// Batches of so many, as from a file.
@@ -621,11 +621,14 @@ mod tests {
         Particles::Double(order.into_iter().map(|index| positions[index]).collect()).into()
     }
 
-    fn choices() -> [Choices; 3] {
-        let balls =
-            Choices { position_smoothing: Some(0.9), neighbor_radius: Some(2.6), ..Choices::default() };
-        let neighbors = Choices { anisotropy: Some(AnisotropyKind::Neighbors), ..balls.clone() };
-        [balls, neighbors.clone(), Choices { position_smoothing: None, ..neighbors }]
+    fn choices() -> [MethodOptions; 3] {
+        let balls = MethodOptions {
+            position_smoothing: Some(0.9),
+            neighbor_radius: Some(2.6.into()),
+            ..MethodOptions::default()
+        };
+        let neighbors = MethodOptions { anisotropy: Some(AnisotropyKind::Neighbors), ..balls.clone() };
+        [balls, neighbors.clone(), MethodOptions { position_smoothing: None, ..neighbors }]
     }
 
     fn bits<S: ParticleSource>(source: &S) -> (Vec<[u64; 3]>, Vec<Ellipsoid>) {
@@ -701,18 +704,18 @@ mod tests {
     #[test]
     fn particles_given_outside_are_counted() {
         let settings = Settings::paper(0.25, &choices()[1]).expect("sound");
-        let surface = |choices: &Choices| {
+        let surface = |choices: &MethodOptions| {
             let settings = Settings::paper(0.25, choices).expect("sound");
             let (source, shaping) = shape(cloud(8), &settings);
             skinned(&source, shaping, &settings)
         };
-        let radius_min = Some(0.45);
-        let smoothed = surface(&Choices { radius_min, ..choices()[1].clone() }).report.certificate;
+        let radius_min = Some(0.45.into());
+        let smoothed = surface(&MethodOptions { radius_min, ..choices()[1].clone() }).report.certificate;
         let outside = smoothed.given_outside.expect("moved");
         assert!(outside.count > 0 && outside.deepest > 0.0, "{outside:?}");
         assert!(outside.deepest < settings.neighbor_radius, "{outside:?}");
         assert!(smoothed.holds());
-        let given = surface(&Choices { radius_min, ..choices()[2].clone() }).report.certificate;
+        let given = surface(&MethodOptions { radius_min, ..choices()[2].clone() }).report.certificate;
         assert_eq!(given.given_outside, None);
     }
 
@@ -721,7 +724,7 @@ mod tests {
         let double = Cloud::from(Particles::Double(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
         let single = Cloud::from(Particles::Single(vec![[0.0; 3], [1.0, 0.5, 0.0], [0.3, 0.7, 0.1]]));
         let moved = |cloud: &Cloud, part: f64| {
-            let choices = Choices { position_smoothing: Some(part), ..choices()[0].clone() };
+            let choices = MethodOptions { position_smoothing: Some(part), ..choices()[0].clone() };
             let settings = Settings::paper(0.5, &choices).expect("sound");
             shape(cloud.clone(), &settings).0.into_moved().positions
         };

@@ -227,7 +227,7 @@ mod tests {
     use super::super::{SHELF_COUNT, skin};
     use super::*;
     use crate::surface::obstacle::{Obstacle, Shape, Solid};
-    use crate::surface::options::{AnisotropyKind, Choices, ClipBox, Integrator};
+    use crate::surface::options::{AnisotropyKind, ClipBox, Integrator, MethodOptions};
     use crate::surface::particles::{Attribute, AttributeValues, Cloud, Meaning, Particles};
     use glam::DVec3;
 
@@ -302,12 +302,16 @@ mod tests {
     #[ignore = "slow: `.ci/run` runs it"]
     fn a_frame_in_tiles_is_the_whole_frame() {
         let choices = [
-            Choices::default(),
-            Choices { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..Choices::default() },
-            Choices { redistance_every: Some(2), ..Choices::default() },
-            Choices { integrator: Some(Integrator::Explicit), steps: Some(60), ..Choices::default() },
-            Choices { offset: Some(-0.7), ..Choices::default() },
-            Choices { offset: Some(0.9), steps: Some(2), ..Choices::default() },
+            MethodOptions::default(),
+            MethodOptions { laplacian_steps: Some(0), radius_ratio: Some(1.5), ..MethodOptions::default() },
+            MethodOptions { redistance_every: Some(2), ..MethodOptions::default() },
+            MethodOptions {
+                integrator: Some(Integrator::Explicit),
+                steps: Some(60),
+                ..MethodOptions::default()
+            },
+            MethodOptions { offset: Some((-0.7).into()), ..MethodOptions::default() },
+            MethodOptions { offset: Some(0.9.into()), steps: Some(2), ..MethodOptions::default() },
         ];
         for choices in choices {
             let settings = Settings::paper(0.5, &choices).expect("sound");
@@ -339,28 +343,32 @@ mod tests {
         let attributes = vec![attribute("pscale", Meaning::Radius, 1), attribute("v", Meaning::Velocity, 3)];
         let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
-        let plain = Choices {
+        let plain = MethodOptions {
             drop_islands: Some(3),
             fill_cavities: Some(500.0),
             clip: Some(ClipBox { min: [-8.0, -100.0, -11.0], max: [170.0, 100.0, 100.0] }),
-            ..Choices::default()
+            ..MethodOptions::default()
         };
         let all = [
-            Choices { radius_attribute: Some("pscale".into()), ..plain.clone() },
-            Choices { offset: Some(-0.6), ..plain.clone() },
-            Choices {
+            MethodOptions { radius_attribute: Some("pscale".into()), ..plain.clone() },
+            MethodOptions { offset: Some((-0.6).into()), ..plain.clone() },
+            MethodOptions {
                 anisotropy: Some(AnisotropyKind::Neighbors),
                 position_smoothing: Some(0.9),
                 ..plain.clone()
             },
-            Choices { anisotropy: Some(AnisotropyKind::Neighbors), offset: Some(0.8), ..plain.clone() },
-            Choices { position_smoothing: Some(0.9), ..plain.clone() },
-            Choices {
+            MethodOptions {
+                anisotropy: Some(AnisotropyKind::Neighbors),
+                offset: Some(0.8.into()),
+                ..plain.clone()
+            },
+            MethodOptions { position_smoothing: Some(0.9), ..plain.clone() },
+            MethodOptions {
                 radius_attribute: Some("pscale".into()),
                 position_smoothing: Some(0.5),
                 ..plain.clone()
             },
-            Choices { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
+            MethodOptions { anisotropy: Some(AnisotropyKind::Velocity), decimate: Some(0.1), ..plain },
         ];
         for choices in all {
             let settings = Settings::paper(0.5, &choices).expect("sound");
@@ -382,8 +390,11 @@ mod tests {
         let ball = Shape::Solid(octahedron(DVec3::new(20.0, -10.0, -9.0), 4.0));
         let obstacles = Obstacles { members: vec![Arc::new(Obstacle::new(ball, 1 << 24))] };
         for offset in [0.4, 0.8] {
-            let choices =
-                Choices { position_smoothing: Some(0.9), offset: Some(offset), ..Choices::default() };
+            let choices = MethodOptions {
+                position_smoothing: Some(0.9),
+                offset: Some(offset.into()),
+                ..MethodOptions::default()
+            };
             let settings = Settings::paper(0.5, &choices).expect("sound");
             let report = same_in_tiles(Cloud::from(particles()), &settings, &obstacles);
             assert!(report.certificate.holds(), "{:?}", report.certificate);
@@ -404,10 +415,10 @@ mod tests {
                 Obstacles { members: vec![Arc::new(Obstacle::new(Shape::Solid(solid), 1 << 24))] };
             for (offset, position_smoothing) in [(-0.8, 0.9), (0.25, 0.5), (0.4, 0.4), (0.8, 0.0), (1.0, 0.9)]
             {
-                let choices = Choices {
+                let choices = MethodOptions {
                     position_smoothing: Some(position_smoothing),
-                    offset: Some(offset),
-                    ..Choices::default()
+                    offset: Some(offset.into()),
+                    ..MethodOptions::default()
                 };
                 let settings = Settings::paper(0.5, &choices).expect("sound");
                 let report = same_in_tiles(Cloud::from(bar(36)), &settings, &obstacles);
@@ -433,12 +444,12 @@ mod tests {
             arity: 3,
             values: AttributeValues::Numbers(velocities.collect()),
         };
-        let choices = Choices {
+        let choices = MethodOptions {
             anisotropy: Some(AnisotropyKind::Velocity),
             velocity_gain: Some(0.05),
             max_stretch: Some(8.0),
-            radius_min: Some(0.05),
-            ..Choices::default()
+            radius_min: Some(0.05.into()),
+            ..MethodOptions::default()
         };
         let settings = Settings::paper(0.02, &choices).expect("sound");
         let cloud = Cloud { attributes: vec![velocity], ..Cloud::from(Particles::Double(places.collect())) };
@@ -483,7 +494,7 @@ mod tests {
     /// So the test above can fail: what a tile does not see, it does not get right.
     #[test]
     fn a_halo_that_is_too_narrow_shows() {
-        let settings = Settings::paper(0.5, &Choices::default()).expect("sound");
+        let settings = Settings::paper(0.5, &MethodOptions::default()).expect("sound");
         let mut frame = rasterized(&settings, 4);
         frame.tiling = frame.tiling.with_halo(4, 1);
         assert!(finished(frame, &settings).band.phi != skin(&particles(), &settings).band.phi);

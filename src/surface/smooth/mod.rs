@@ -33,18 +33,22 @@ use rayon::prelude::*;
 
 use crate::surface::grid::Field;
 use crate::surface::level_set::{Bounds, NEAREST_TO_ZERO, NarrowBand};
+use crate::surface::words::word_enum;
 
-/// How the constrained smoothing is integrated in fictitious time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Integrator {
-    /// Implicit steps solved without reductions: local, and the same bytes on any number of threads.
-    Fast,
-    /// The paper's Algorithm 2: conjugate gradients with an active set that grows.
-    Implicit,
-    /// The paper's Algorithm 1: many small explicit steps.
-    Explicit,
-    /// The same, each step as large as may be (paper, §3.5). How large depends on the whole frame: a sequence flickers.
-    Adaptive,
+word_enum! {
+    /// How the constrained smoothing is integrated in fictitious time.
+    #[derive(Default)]
+    pub enum Integrator {
+        /// Implicit steps without reductions: the quickest, and the same bytes on any number of threads
+        #[default]
+        Fast = "fast",
+        /// The paper's Algorithm 2, implicit steps: conjugate gradients with a growing active set
+        Implicit = "implicit",
+        /// The paper's Algorithm 1, explicit steps: many small ones
+        Explicit = "explicit",
+        /// The same, each as large as is stable (paper, §3.5): for stills, a sequence flickers
+        Adaptive = "adaptive",
+    }
 }
 
 impl Integrator {

@@ -85,7 +85,7 @@ impl PartialOrd for Rank {
 mod tests {
     use super::*;
     use crate::pipeline::{Job, OutputOptions};
-    use crate::surface::options::{Choices, Settings};
+    use crate::surface::options::{MethodOptions, Settings};
     use meniscus_formats::{gltf, vdb};
     use std::path::{Path, PathBuf};
     use std::sync::Arc;
@@ -95,7 +95,7 @@ mod tests {
     }
 
     fn frame(name: &str) -> Box<Frame> {
-        let settings = Settings::paper(0.1, &Choices::default()).expect("settings");
+        let settings = Settings::paper(0.1, &MethodOptions::default()).expect("settings");
         let outputs = OutputOptions {
             folder: PathBuf::new(),
             formats: Vec::new(),

@@ -12,7 +12,7 @@ use crate::pipeline::{
     FileStamp, Frame, FrameError, FrameReport, MeasuredSpacing, Outcome, OutputFormat, OutputOptions,
     ReadInput, Stage,
 };
-use crate::surface::options::Choices;
+use crate::surface::options::MethodOptions;
 use crate::watch::config::{Config, Order, Patience, Poll, Watch};
 use crate::watch::journal::{
     DaemonRecord, DaemonState, Entry, FrameRecord, OutputCheck, OutputRecord, SequenceRecord, Standing,
@@ -50,7 +50,7 @@ struct Rig {
     ended_pipelines: Vec<usize>,
 }
 
-fn config(root_count: usize, choices: &Choices) -> Config {
+fn config(root_count: usize, choices: &MethodOptions) -> Config {
     let watch = |root: usize| Watch {
         input: format!("/in{root}").into(),
         pattern: None,
@@ -83,7 +83,7 @@ fn config(root_count: usize, choices: &Choices) -> Config {
 impl Rig {
     /// Roots `/in0` and so on with outputs in `/out0` and so on, all settings known, and one pipeline.
     fn new(root_count: usize) -> Rig {
-        let choices = Choices { spacing: Some(0.1), ..Choices::default() };
+        let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
         Rig::with(config(root_count, &choices), JournalState::default())
     }
 
@@ -537,7 +537,7 @@ fn journal(standing: Standing) -> JournalState {
 
 #[test]
 fn after_a_reload_only_unfinished_frames_are_converted() {
-    let choices = Choices { spacing: Some(0.1), ..Choices::default() };
+    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     for (standing, has_output, expected) in [
         (Standing::Done, true, 0),
         (Standing::Done, false, 1),
@@ -558,7 +558,7 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
         assert_eq!(rig.started().len(), expected, "{standing:?}");
     }
     // Other settings are another thing.
-    let other = Choices { spacing: Some(0.2), ..Choices::default() };
+    let other = MethodOptions { spacing: Some(0.2), ..MethodOptions::default() };
     let mut rig = Rig::with(config(1, &other), journal(Standing::Done));
     rig.outputs.insert("/out0/a.1.glb".into());
     rig.want(0);
@@ -568,7 +568,7 @@ fn after_a_reload_only_unfinished_frames_are_converted() {
 
 #[test]
 fn run_that_ends_when_all_is_done_waits_for_all_of_it() {
-    let choices = Choices { spacing: Some(0.1), ..Choices::default() };
+    let choices = MethodOptions { spacing: Some(0.1), ..MethodOptions::default() };
     let mut rig = Rig::with(Config { once: true, ..config(1, &choices) }, JournalState::default());
     assert!(!rig.core.is_drained(), "nothing was looked at yet");
     rig.files.insert("/in0/a.1.ply".into(), (stamp(1), None));
@@ -643,7 +643,7 @@ fn outputs_that_hang_hold_up_the_frames_that_go_there() {
 
 #[test]
 fn sequence_is_measured_when_all_its_frames_were_looked_at() {
-    let mut rig = Rig::with(config(1, &Choices::default()), JournalState::default());
+    let mut rig = Rig::with(config(1, &MethodOptions::default()), JournalState::default());
     rig.want(0);
     rig.files.extend((1..=3).map(|number| (format!("/in0/a.{number}.ply").into(), (stamp(1), None))));
     rig.holds_inspections = true;

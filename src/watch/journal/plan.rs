@@ -12,7 +12,7 @@ use meniscus_formats::gltf::UpAxis;
 use meniscus_formats::vdb::Compression;
 
 use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
-use crate::surface::options::Choices;
+use crate::surface::options::MethodOptions;
 use crate::watch::config::{Patience, Watch};
 
 use super::line::WirePath;
@@ -35,7 +35,7 @@ struct WireWatch {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     sentinel: Option<String>,
     outputs: WireOutputs,
-    /// By name, as text: see [`Choices::to_pairs`].
+    /// By name, as text: see [`MethodOptions::to_pairs`].
     choices: BTreeMap<String, String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     obstacles: Vec<WirePath>,
@@ -129,7 +129,7 @@ impl WireWatch {
             recursive: self.recursive,
             sentinel: self.sentinel,
             outputs: self.outputs.into_options()?,
-            choices: Choices::from_pairs(
+            choices: MethodOptions::from_pairs(
                 self.choices.iter().map(|(name, value)| (name.as_str(), value.as_str())),
             )?,
             obstacles: self.obstacles.into_iter().map(WirePath::into_path).collect::<Option<_>>()?,
@@ -225,7 +225,7 @@ mod tests {
                 vdb_compression: Compression::None,
                 picture: PictureOptions::default(),
             },
-            choices: Choices::default(),
+            choices: MethodOptions::default(),
             obstacles: Vec::new(),
         }
     }
@@ -245,13 +245,15 @@ mod tests {
                 vdb_half: true,
                 ..bare().outputs
             },
-            choices: Choices {
-                voxel_size: Some(0.1_f64.next_up()),
-                radius_min: Some(1.0 / 3.0),
-                radius_init: Some(f64::MIN_POSITIVE / 3.0),
+            choices: MethodOptions {
+                voxel_size: Some(0.1_f64.next_up().into()),
+                radius_min: Some((1.0 / 3.0).into()),
+                radius_init: Some((f64::MIN_POSITIVE / 3.0).into()),
                 radius_attribute: Some("p \"é\"".to_owned()),
+                offset: Some("-0.3d".parse().expect("a length")),
+                neighbor_radius: Some("5h".parse().expect("a length")),
                 steps: Some(u32::MAX),
-                ..Choices::default()
+                ..MethodOptions::default()
             },
             obstacles: vec!["/sim/floor é.obj".into(), "/sim/body.####.glb".into()],
             ..bare()
@@ -275,7 +277,7 @@ mod tests {
     fn a_number_that_is_none_makes_no_plan() {
         let plan = PlanRecord {
             watches: vec![Watch {
-                choices: Choices { voxel_size: Some(0.1), ..Choices::default() },
+                choices: MethodOptions { voxel_size: Some(0.1.into()), ..MethodOptions::default() },
                 ..bare()
             }],
             patience: Patience { settle: Duration::ZERO, unproven: Duration::ZERO, stalled: Duration::ZERO },

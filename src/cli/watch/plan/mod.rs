@@ -17,9 +17,9 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, anyhow, bail};
 
-use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OrderChoice, WatchArgs};
+use crate::cli::args::{DaemonArgs, FrameArgs, LogChoice, OptionSet, WatchArgs};
 use crate::cli::choices::{
-    choices, ignored, output_options, refuse_idle_quantize, refuse_stray_rounds, written_formats,
+    ignored, output_options, refuse_idle_quantize, refuse_stray_rounds, written_formats,
 };
 use crate::cli::config_file::{ConfigFile, WatchBlock, read_config_file};
 use crate::cli::destination::refuse_file_name;
@@ -58,10 +58,10 @@ pub(in crate::cli) fn make_plan(args: &WatchArgs) -> Result<Plan> {
     // What is wrong with one option is wrong with it in every block.
     let mut told = HashSet::new();
     warnings.retain(|warning: &String| told.insert(warning.clone()));
-    let daemon = args.daemon.over(&file.map(|file| file.daemon).unwrap_or_default());
+    let daemon = args.daemon.clone().over(file.map(|file| file.daemon).unwrap_or_default());
     refuse_shared_journal(&watches, daemon.journal.as_deref())?;
     let config = config(watches, args.once, &daemon)?;
-    let listen = listen(&daemon)?;
+    let listen = listen(&daemon, args.token.as_deref())?;
     Ok(Plan { config, log: daemon.log.unwrap_or(LogChoice::Text), listen, warnings })
 }
 
@@ -122,13 +122,13 @@ fn folders_of_file(args: &WatchArgs, file: &ConfigFile) -> Result<Vec<Folder>> {
             anyhow!("{place}: this [[watch]] block names no output: add one, or give --out")
         })?;
         let (input, output) = (block.input.clone(), output.clone());
-        Ok(Folder { input, output, frames: args.frames.over(&block.frames), place })
+        Ok(Folder { input, output, frames: args.frames.over_file(&block.frames), place })
     };
     file.watches.iter().map(folder).collect()
 }
 
 fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<String>) -> Result<Watch> {
-    let choices = choices(&frames.method);
+    let choices = frames.method.to_options();
     if names_level_sets(frames.pattern.as_deref()) {
         refuse_of_particles(&frames.method, 0.0)?;
         Settings::of_level_sets(&choices)?;
@@ -157,13 +157,7 @@ fn watch(input: &Path, output: &Path, frames: &FrameArgs, warnings: &mut Vec<Str
         sentinel: frames.sentinel.clone(),
         outputs: output_options(folder, frames.format.as_deref(), &frames.formats),
         choices,
-        obstacles: frames
-            .method
-            .obstacles
-            .obstacle
-            .iter()
-            .map(|path| absolute(path))
-            .collect::<Result<_>>()?,
+        obstacles: frames.method.obstacle.iter().map(|path| absolute(path)).collect::<Result<_>>()?,
     })
 }
 
@@ -222,10 +216,7 @@ fn config(watches: Vec<Watch>, once: bool, daemon: &DaemonArgs) -> Result<Config
     Ok(Config {
         watches,
         once,
-        order: match daemon.order.unwrap_or(OrderChoice::Natural) {
-            OrderChoice::Natural => Order::Natural,
-            OrderChoice::Latest => Order::Latest,
-        },
+        order: daemon.order.unwrap_or(Order::Natural),
         threads,
         in_flight: daemon.in_flight.map_or_else(|| default_in_flight(threads), usize::from),
         memory_bytes: memory_bytes(daemon.memory)?,
@@ -257,8 +248,8 @@ fn patience(once: bool, daemon: &DaemonArgs) -> Result<Patience> {
 }
 
 /// Where to show what is going on, and to whom.
-fn listen(daemon: &DaemonArgs) -> Result<Option<Listen>> {
-    let token = match (&daemon.token, &daemon.token_file) {
+fn listen(daemon: &DaemonArgs, token: Option<&str>) -> Result<Option<Listen>> {
+    let token = match (token, &daemon.token_file) {
         (Some(token), _) => Some(Token::new(token).context("--token")?),
         (None, Some(path)) => Some(token_in(path)?),
         (None, None) => None,

@@ -113,7 +113,7 @@ fn options_override_every_block() {
     assert_eq!((config.order, config.patience.settle.as_secs()), (Order::Natural, 3));
     assert_eq!(config.watches[1].pattern.as_deref(), Some("*.ply"));
     for watch in &config.watches {
-        assert_eq!((watch.choices.voxel_size, watch.recursive), (Some(1.0), true));
+        assert_eq!((watch.choices.voxel_size, watch.recursive), (Some(1.0.into()), true));
         assert_eq!(watch.outputs.formats, [OutputFormat::Ply]);
         assert!(
             watch.outputs.folder.ends_with("x") && !watch.outputs.folder.starts_with(bench.folder.path())

@@ -1,0 +1,91 @@
+//! What is done with every struct of options alike: which of them are given, and those of the command line over those
+//! of a file.
+
+use crate::surface::options::MethodOptions;
+
+/// Options that can be given or not.
+pub(in crate::cli) trait OptionSet: Sized {
+    /// These, and where one is not given, that of `below`.
+    fn over(self, below: Self) -> Self;
+
+    /// Adds the options that are given, as they are typed, such as `--up`; `name` is that of the field that holds these.
+    fn add_given(&self, name: &str, given: &mut Vec<String>);
+
+    /// The options that are given, as they are typed.
+    fn given(&self) -> Vec<String> {
+        let mut given = Vec::new();
+        self.add_given("", &mut given);
+        given
+    }
+}
+
+/// An option as it is typed.
+pub(in crate::cli) fn typed(name: &str) -> String {
+    format!("--{}", name.replace('_', "-"))
+}
+
+impl<T> OptionSet for Option<T> {
+    fn over(self, below: Self) -> Self {
+        self.or(below)
+    }
+
+    fn add_given(&self, name: &str, given: &mut Vec<String>) {
+        given.extend(self.is_some().then(|| typed(name)));
+    }
+}
+
+impl<T> OptionSet for Vec<T> {
+    fn over(self, below: Self) -> Self {
+        if self.is_empty() { below } else { self }
+    }
+
+    fn add_given(&self, name: &str, given: &mut Vec<String>) {
+        given.extend((!self.is_empty()).then(|| typed(name)));
+    }
+}
+
+impl OptionSet for bool {
+    fn over(self, below: Self) -> Self {
+        self || below
+    }
+
+    fn add_given(&self, name: &str, given: &mut Vec<String>) {
+        given.extend(self.then(|| typed(name)));
+    }
+}
+
+impl OptionSet for MethodOptions {
+    fn over(self, below: Self) -> Self {
+        MethodOptions::over(self, below)
+    }
+
+    fn add_given(&self, _: &str, given: &mut Vec<String>) {
+        given.extend(self.to_pairs().iter().map(|(name, _)| typed(name)));
+    }
+}
+
+/// Defines a struct of options, each a field with its help, and what is done with all of them.
+macro_rules! option_set {
+    (
+        $(#[$attribute:meta])*
+        $visibility:vis struct $name:ident {
+            $($(#[$field_attribute:meta])* $field_visibility:vis $field:ident: $type:ty,)+
+        }
+    ) => {
+        $(#[$attribute])*
+        $visibility struct $name {
+            $($(#[$field_attribute])* $field_visibility $field: $type,)+
+        }
+
+        impl $crate::cli::args::OptionSet for $name {
+            fn over(self, below: $name) -> $name {
+                $name { $($field: $crate::cli::args::OptionSet::over(self.$field, below.$field),)+ }
+            }
+
+            fn add_given(&self, _: &str, given: &mut Vec<String>) {
+                $($crate::cli::args::OptionSet::add_given(&self.$field, stringify!($field), given);)+
+            }
+        }
+    };
+}
+pub(in crate::cli) use option_set;

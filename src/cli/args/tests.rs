@@ -1,0 +1,154 @@
+//! What is said of options is said once: pages and files agree with the definition.
+
+use std::any::TypeId;
+use std::fmt::Write;
+
+use clap::{Arg, CommandFactory};
+
+use super::*;
+use crate::surface::options::{Length, MethodOptions, ValueKind};
+
+/// The page, whose tables are generated: `MENISCUS_WRITE_DOCS=1 cargo test --lib cli::args` writes them again.
+const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/options.md");
+
+fn options_of_convert() -> Vec<Arg> {
+    let mut program = Typed::command();
+    program.build();
+    let convert = program.find_subcommand("convert").expect("a command");
+    convert.get_arguments().filter(|option| option.get_id() != "help").cloned().collect()
+}
+
+/// The range of a number, as its help states it.
+fn stated_range(option: &Arg) -> Option<String> {
+    let type_id = option.get_value_parser().type_id();
+    let numbers = [TypeId::of::<f64>(), TypeId::of::<u16>(), TypeId::of::<Length>()];
+    let help = option.get_help().filter(|_| numbers.iter().any(|number| type_id == *number))?.to_string();
+    let phrases = ["-r_min to 2 h", "r_min to r_max", "at least 1", "positive"];
+    let phrase = phrases.into_iter().find(|phrase| help.contains(phrase)).map(str::to_owned);
+    phrase.or_else(|| {
+        let words: Vec<&str> = help.split([' ', '\n', ',', ';']).collect();
+        let is_number = |word: &str| word.parse::<f64>().is_ok();
+        let range =
+            words.windows(3).find(|words| words[1] == "to" && is_number(words[0]) && is_number(words[2]));
+        range.map(|words| words.join(" "))
+    })
+}
+
+/// The table of the options under a heading.
+fn table(heading: Option<&str>) -> String {
+    let mut table = "| option | value | range | what |\n|---|---|---|---|\n".to_owned();
+    for option in options_of_convert().iter().filter(|option| option.get_help_heading() == heading) {
+        let id = option.get_id().as_str();
+        let name = match option.get_long() {
+            Some(long) => format!("--{long}"),
+            None => option.get_value_names().map_or(id.to_owned(), |names| names[0].to_string()),
+        };
+        let short = option.get_short().map_or(String::new(), |short| format!(", `-{short}`"));
+        let words = option.get_possible_values();
+        let value = match option.get_value_names() {
+            _ if !option.get_action().takes_values() => String::new(),
+            _ if !words.is_empty() && !option.is_hide_possible_values_set() => {
+                let names: Vec<String> = words.iter().map(|word| format!("`{}`", word.get_name())).collect();
+                names.join(", ")
+            }
+            names => names.map_or(String::new(), |names| names[0].to_string()),
+        };
+        let range = MethodOptions::range(id).or_else(|| stated_range(option)).unwrap_or_default();
+        let help = option.get_long_help().or(option.get_help()).map(ToString::to_string).unwrap_or_default();
+        let what = help.trim().replace("\n\n", ". ");
+        let what = what.split_whitespace().collect::<Vec<_>>().join(" ").replace('|', "\\|");
+        writeln!(table, "| `{name}`{short} | {value} | {range} | {what} |").expect("text");
+    }
+    table
+}
+
+/// The page with its tables as the definition has them.
+fn generated(page: &str) -> String {
+    let mut written = String::new();
+    let mut is_table = false;
+    let mut heading = None;
+    for line in page.lines() {
+        if let Some(name) = line.strip_prefix("## ") {
+            heading = Some(name);
+        }
+        let begins_table = line.starts_with("| option |");
+        is_table = begins_table || (is_table && line.starts_with('|'));
+        match heading {
+            Some(name) if begins_table => written += &table(Some(name).filter(|name| *name != "First")),
+            _ if is_table => {}
+            _ => written += &format!("{line}\n"),
+        }
+    }
+    written
+}
+
+#[test]
+fn tables_of_the_page_are_those_of_the_definition() {
+    let mut page = std::fs::read_to_string(PAGE).expect("the page");
+    let generated = generated(&page);
+    if std::env::var_os("MENISCUS_WRITE_DOCS").is_some() {
+        std::fs::write(PAGE, &generated).expect("written");
+        page.clone_from(&generated);
+    }
+    assert!(page == generated, "docs/options.md differs from the definition: run with MENISCUS_WRITE_DOCS=1");
+    for option in options_of_convert() {
+        let name = option.get_long().unwrap_or("INPUT");
+        assert!(page.contains(&format!("`--{name}`")) || name == "INPUT", "no {name} in docs/options.md");
+    }
+}
+
+#[test]
+fn help_states_the_range_and_lengths_say_their_unit() {
+    let options = options_of_convert();
+    for info in MethodOptions::ALL {
+        let option = options.iter().find(|option| option.get_id() == info.name).expect(info.name);
+        let help = option.get_help().expect(info.name).to_string();
+        if let Some(range) = MethodOptions::range(info.name) {
+            assert!(help.contains(&range), "{}: {range}: {help}", info.name);
+        }
+        let value = option.get_value_names().expect(info.name)[0].as_str();
+        assert_eq!(
+            value == "LENGTH",
+            info.kind == ValueKind::Length || info.name == "spacing",
+            "{}",
+            info.name
+        );
+        assert_eq!(option.get_help_heading(), info.group.heading(), "{}", info.name);
+    }
+}
+
+#[test]
+fn lengths_have_units_on_the_command_line() {
+    let parsed = |words: &[&str]| {
+        let words = ["meniscus", "convert", "a.ply", "--out", "b"].iter().chain(words);
+        let typed = Typed::try_parse_from(words).map_err(|error| error.to_string())?;
+        match typed.command {
+            Command::Convert(args) => Ok(args.method.to_options()),
+            _ => Err("another command".to_owned()),
+        }
+    };
+    let options = parsed(&[
+        "--radius-min",
+        "0.6d",
+        "--offset",
+        "-0.3d",
+        "--neighbor-radius",
+        "5h",
+        "--voxel-size=0.5d",
+    ]);
+    let pairs = options.expect("lengths").to_pairs();
+    let expected =
+        [("voxel_size", "0.5d"), ("radius_min", "0.6d"), ("offset", "-0.3d"), ("neighbor_radius", "5h")];
+    assert_eq!(pairs, expected.map(|(name, text)| (name, text.to_owned())));
+    assert_eq!(parsed(&["--offset", "-1"]).expect("a length").offset, Some((-1.0).into()));
+    for (words, why) in [
+        (["--voxel-size", "2h"], "0.4d"),
+        (["--radius-min", "5x"], "such as 0.6d"),
+        (["--spacing", "1d"], "world units"),
+        (["--particle-radius", "1h"], "world units"),
+        (["--decimate", "0.1h"], "from 0 to 1"),
+    ] {
+        let error = parsed(&words).expect_err("no such unit");
+        assert!(error.contains(why) && error.contains(words[1]), "{error}");
+    }
+}

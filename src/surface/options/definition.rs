@@ -1,0 +1,373 @@
+//! Every option of the method, and its form as text.
+//!
+//! ```text
+//!   command line ─┐
+//!   meniscus.toml ┼─▶ MethodOptions ──over the defaults of a preset──resolve──▶ Settings
+//!   journal, plan ┘      ▲ │
+//!      (name, text) ─────┘ └─────▶ (name, text)
+//! ```
+//!
+//! Numbers as text are in the shortest form that reads back as the same number.
+
+use std::fmt::{Display, LowerExp};
+use std::ops::RangeInclusive;
+
+use crate::surface::contour::Contouring;
+use crate::surface::smooth::Integrator;
+
+use super::fields::{self, OptionGroup, OptionInfo, OptionValue, ValueKind, method_options};
+use super::length::{Length, LengthUnit};
+use super::pairs::Pairs;
+use super::presets::{Preset, Recipe};
+use super::values::{AnisotropyKind, AttributeSelection, ClipBox};
+use super::{OwnRadii, SettingsError, positive};
+
+/// A piece of more particles may be so thick that its inside is not stored, and is none to be dropped.
+const ISLAND_MAX: u32 = 1000;
+
+/// Upper limit of `fill_cavities`, in voxels.
+pub(super) const CAVITY_VOXELS_MAX: f64 = 1e6;
+
+/// Distances to obstacles are known no farther, in units of h.
+const VOID_THRESHOLD_MAX: f64 = 4.0;
+
+/// Beyond it a particle would reach over several leaves.
+const MAX_STRETCH_MAX: f64 = 8.0;
+
+/// A mesh that moves by more than this, in units of h, has another shape.
+const DECIMATE_MAX: f64 = 1.0;
+
+/// Rounds after which normals tell nothing of the surface.
+const ROUNDS_MAX: u32 = 1000;
+
+/// Steps of either kind: a hundred times what the paper takes.
+pub(super) const STEPS_MAX: u32 = 1_000_000;
+
+/// The least size of a step, in units of h⁴.
+pub(super) const STEP_SIZE_MIN: f64 = 1e-6;
+
+/// The greatest size of a step, in units of h⁴.
+pub(super) const STEP_SIZE_MAX: f64 = 1e4;
+
+method_options! {
+    /// What a user may choose. `None` means what the preset says.
+    pub struct MethodOptions {
+        General {
+            /// The defaults of the options below, for what the particles are; options beside it override it [default: fluid]
+            #[arg(value_name = "NAME", ignore_case = true)]
+            preset: Preset,
+
+            /// Distance between neighbouring particles d, in world units, positive; measured by default
+            #[arg(value_name = "LENGTH", value_parser = Length::parse_world)]
+            spacing: f64,
+
+            /// Edge of a voxel h, in world units or particle spacings, such as 0.4d, positive; 0.4d by default, and what another
+            /// preset says
+            #[arg(value_name = "LENGTH", value_parser = Length::parse_voxel_size)]
+            voxel_size: Length,
+        }
+        Surface {
+            /// Radius r_min around each particle that is always inside, before neighbours flatten it, positive; 1.15d by
+            /// default, √3·h at least
+            #[arg(value_name = "LENGTH")]
+            radius_min: Length,
+
+            /// r_max / r_min, at least 1: nothing farther than r_max, which is at most 64 h, from all particles is inside
+            /// [default: 2]
+            #[arg(value_name = "RATIO")]
+            radius_ratio: f64,
+
+            /// Radius of the spheres that smoothing starts from, r_min to r_max; 1.26 r_min by default
+            #[arg(value_name = "LENGTH")]
+            radius_init: Length,
+
+            /// Move the finished surface outward by this, or inward where negative, -r_min to 2 h [default: 0]
+            #[arg(value_name = "LENGTH", allow_hyphen_values = true)]
+            offset: Length,
+        }
+        Particles {
+            /// The attribute that has each particle's own radius, in the particles' unit of length, such as pscale: its r_min is
+            /// then that radius, and r_init and r_max are larger by the same ratios as without
+            #[arg(value_name = "NAME")]
+            radius_attribute: String,
+
+            /// r_min of a particle in units of its own radius, positive [default: 1]
+            #[arg(value_name = "S")]
+            radius_scale: f64,
+
+            /// What stretches particles, so that sheets and jets are thin and smooth [default: neighbors]
+            #[arg(value_name = "BY", ignore_case = true)]
+            anisotropy: AnisotropyKind,
+
+            /// The longest half axis of a particle in units of its shortest, at most, 1 to 8 [default: 4]
+            #[arg(value_name = "K")]
+            max_stretch: f64 in 1.0..=MAX_STRETCH_MAX,
+
+            /// The least half axis of particles that neighbours flatten, positive, from 0.9h to r_min, for --anisotropy
+            /// neighbors: smaller makes thinner sheets; 0.36d by default
+            #[arg(value_name = "LENGTH")]
+            thin_radius: Length,
+
+            /// r_min of a particle without neighbours, positive and at most r_min, for --anisotropy neighbors: the radius of
+            /// drops; 0.7d by default
+            #[arg(value_name = "LENGTH")]
+            lone_radius: Length,
+
+            /// How far neighbours count, positive and at most 200h, for --anisotropy neighbors and --position-smoothing; 2.6d
+            /// by default
+            #[arg(value_name = "LENGTH")]
+            neighbor_radius: Length,
+
+            /// Move particles near the surface toward the mean of their neighbours by this part of the way, 0 to 1 [default: 0.7]
+            #[arg(value_name = "L")]
+            position_smoothing: f64 in 0.0..=1.0,
+
+            /// Seconds of movement by which particles are stretched, positive, for --anisotropy velocity [default: 0.01]
+            #[arg(value_name = "SECONDS")]
+            velocity_gain: f64,
+        }
+        Obstacles {
+            /// Fill gaps between the surface and obstacles that are narrower than this, in units of h, 0 to 4 [default: 1]
+            #[arg(value_name = "VOXELS")]
+            void_threshold: f64 in 0.0..=VOID_THRESHOLD_MAX,
+        }
+        Particles {
+            /// Attributes that the surface gets: a list of names, such as velocity,Cd,id; or all, by itself
+            ///
+            /// Numbers are averaged over the particles around, identities and words are those of the nearest. They are written
+            /// as vertex attributes, and to .vdb as grids beside the level set.
+            #[arg(value_name = "LIST")]
+            attributes: AttributeSelection,
+        }
+        Surface {
+            /// Drop pieces of surface with fewer particles than this, 0 to 1000 [default: 0]
+            #[arg(value_name = "N")]
+            drop_islands: u32 in 0..=ISLAND_MAX,
+
+            /// Fill enclosed cavities of less volume than this, in units of h³, 0 to 1000000; 25 cubes of the particle spacing by
+            /// default
+            #[arg(value_name = "VOLUME")]
+            fill_cavities: f64 in 0.0..=CAVITY_VOXELS_MAX,
+
+            /// Cut off what is outside the box x0,y0,z0,x1,y1,z1, least corner first, in the particles' unit of length
+            #[arg(value_name = "BOX", allow_hyphen_values = true)]
+            clip: ClipBox,
+        }
+        Mesh {
+            /// How the level set becomes triangles [default: dual]
+            #[arg(value_name = "HOW", ignore_case = true)]
+            contour: Contouring,
+
+            /// Save triangles where the mesh moves by no more than this, in units of h, 0 to 1 [default: 0]
+            #[arg(value_name = "VOXELS")]
+            decimate: f64 in 0.0..=DECIMATE_MAX,
+
+            /// Average normals with their neighbours, in so many rounds, 0 to 1000; 10 without =N [default: 0]
+            #[arg(value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "10")]
+            smooth_normals: u32 in 0..=ROUNDS_MAX,
+
+            /// Write quads to .obj, .vtp and .usda, as dual contouring makes them; =false where a file says otherwise
+            #[arg(
+                value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true",
+                hide_possible_values = true
+            )]
+            quads: bool,
+        }
+        Solver {
+            /// How the smoothing is integrated [default: fast]
+            #[arg(value_name = "WHICH", ignore_case = true)]
+            integrator: Integrator,
+
+            /// Laplacian steps before the biharmonic ones, 0 to 1000000; with 0 distances are restored instead; 10 by default,
+            /// and more on a finer grid
+            #[arg(value_name = "N")]
+            laplacian_steps: u32 in 0..=STEPS_MAX,
+
+            /// Biharmonic steps, 0 to 1000000 [default: 2; explicit, adaptive: as many as take the same time]
+            #[arg(value_name = "N")]
+            steps: u32 in 0..=STEPS_MAX,
+
+            /// Size of a biharmonic step, in units of h⁴, 1e-6 to 10000; 0.25 fourth powers of the particle spacing by default,
+            /// and 0.01 h⁴ for explicit and adaptive
+            #[arg(value_name = "S")]
+            step_size: f64 in STEP_SIZE_MIN..=STEP_SIZE_MAX,
+
+            /// Restore distances after so many biharmonic steps, 1 to 1000000 [default: 1; explicit, adaptive: 50]
+            #[arg(value_name = "N")]
+            redistance_every: u32 in 1..=STEPS_MAX,
+
+            /// Relative tolerance of the conjugate gradients, 1e-12 to 0.5, for implicit only [default: 0.0001]
+            #[arg(value_name = "E")]
+            cg_tolerance: f64 in 1e-12..=0.5,
+        }
+    }
+}
+
+impl MethodOptions {
+    /// The options of these names and texts; `None` where a name is unknown, or a text is not a value of its option.
+    pub fn from_pairs<'a>(pairs: impl IntoIterator<Item = (&'a str, &'a str)>) -> Option<MethodOptions> {
+        let mut options = MethodOptions::default();
+        pairs.into_iter().try_for_each(|(name, text)| options.set(name, text))?;
+        Some(options)
+    }
+
+    /// What is known of the option of this name.
+    pub fn info(name: &str) -> Option<&'static OptionInfo> {
+        MethodOptions::ALL.iter().find(|info| info.name == name)
+    }
+
+    /// The numbers of the preset.
+    pub(super) fn recipe(&self) -> Recipe {
+        self.preset.unwrap_or_default().recipe()
+    }
+
+    /// Whether the particle spacing has to be measured to know the settings.
+    pub fn needs_spacing(&self) -> bool {
+        let follows_voxel_size = self.preset.unwrap_or_default().follows_voxel_size();
+        let has_voxel_size = self.voxel_size.and_then(Length::world).is_some();
+        self.spacing.is_none()
+            && (!has_voxel_size || !follows_voxel_size || self.has_length_in(LengthUnit::Spacing))
+    }
+
+    /// Whether a length beside the voxel size is given in this unit.
+    pub fn has_length_in(&self, unit: LengthUnit) -> bool {
+        let pairs = self.to_pairs().into_iter();
+        let is_beside = |name: &str| !["spacing", "voxel_size"].contains(&name);
+        let mut lengths = pairs.filter(|(name, _)| {
+            is_beside(name) && MethodOptions::info(name).is_some_and(|info| info.kind == ValueKind::Length)
+        });
+        lengths.any(|(_, text)| text.parse().is_ok_and(|length: Length| length.unit == unit))
+    }
+
+    /// How far particles are moved to the mean of their neighbours.
+    pub(super) fn position_smoothing(&self) -> f64 {
+        self.position_smoothing.unwrap_or(self.recipe().position_smoothing)
+    }
+
+    /// Whether a particle's position or shape depends on its neighbours.
+    pub fn uses_neighbors(&self) -> bool {
+        self.position_smoothing() > 0.0 || self.anisotropy_kind() == AnisotropyKind::Neighbors
+    }
+
+    /// What stretches particles.
+    pub fn anisotropy_kind(&self) -> AnisotropyKind {
+        self.anisotropy.unwrap_or(self.recipe().anisotropy)
+    }
+
+    /// Where particles have radii of their own, if they have.
+    ///
+    /// # Errors
+    /// When their scale is not a positive number.
+    pub fn own_radii(&self) -> Result<Option<OwnRadii>, SettingsError> {
+        let Some(attribute) = &self.radius_attribute else { return Ok(None) };
+        let scale = positive("radius scale", self.radius_scale.unwrap_or(1.0))?;
+        Ok(Some(OwnRadii { attribute: attribute.clone(), scale }))
+    }
+
+    /// The options that are given and have no effect, each with what it is for; `has_obstacles` says whether any are given.
+    pub fn without_effect(&self, has_obstacles: bool) -> Vec<(&'static str, &'static str)> {
+        let pairs = self.to_pairs().into_iter();
+        pairs.filter_map(|(name, _)| Some((name, self.unmet_need(name, has_obstacles)?))).collect()
+    }
+
+    /// What an option is for, where that is not there.
+    fn unmet_need(&self, name: &str, has_obstacles: bool) -> Option<&'static str> {
+        let kind = self.anisotropy_kind();
+        let (is_met, need) = match name {
+            "cg_tolerance" => (self.integrator == Some(Integrator::Implicit), "--integrator implicit"),
+            "radius_scale" => (self.radius_attribute.is_some(), "--radius-attribute"),
+            "max_stretch" => (kind != AnisotropyKind::None, "--anisotropy"),
+            "thin_radius" | "lone_radius" => (kind == AnisotropyKind::Neighbors, "--anisotropy neighbors"),
+            "neighbor_radius" => (self.uses_neighbors(), "--anisotropy neighbors and --position-smoothing"),
+            "velocity_gain" => (kind == AnisotropyKind::Velocity, "--anisotropy velocity"),
+            "void_threshold" => (has_obstacles, "--obstacle"),
+            _ => return None,
+        };
+        (!is_met).then_some(need)
+    }
+}
+
+fn out_of_range<T: Display + LowerExp>(name: &str, value: T, range: &RangeInclusive<T>) -> SettingsError {
+    SettingsError { what: format!("{name} is {value}; it must be from {}", fields::range_text(range)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every option, each with the first of these texts that is a value of it.
+    fn every() -> MethodOptions {
+        let mut options = MethodOptions::default();
+        for info in MethodOptions::ALL {
+            let texts = ["1", "true", "fluid", "none", "dual", "fast", "0,0,0,1,1,1"];
+            assert!(texts.iter().any(|text| options.set(info.name, text).is_some()), "{}", info.name);
+        }
+        options
+    }
+
+    /// The same, with numbers that are hard to write.
+    #[expect(clippy::needless_update, reason = "options yet to be added have values, too")]
+    fn all() -> MethodOptions {
+        MethodOptions {
+            preset: Some(Preset::Splash),
+            spacing: Some(0.2_f64.next_up()),
+            voxel_size: Some((1.0 / 7.0).into()),
+            radius_min: Some((1.0 / 3.0).into()),
+            radius_ratio: Some(1.5),
+            radius_init: Some((f64::MIN_POSITIVE / 3.0).into()),
+            offset: Some((-1.0 / 7.0).into()),
+            radius_attribute: Some("p scale, \"é\"".to_owned()),
+            radius_scale: Some(0.1_f64.next_up()),
+            anisotropy: Some(AnisotropyKind::Velocity),
+            max_stretch: Some(1e300),
+            thin_radius: Some(0.1.into()),
+            lone_radius: Some("0.15d".parse().expect("a length")),
+            neighbor_radius: Some("-5h".parse().expect("a length")),
+            position_smoothing: Some(0.9),
+            velocity_gain: Some(1.0 / 48.0),
+            void_threshold: Some(1.7),
+            attributes: Some(AttributeSelection::Named(vec!["v".to_owned(), "Cd".to_owned()])),
+            drop_islands: Some(33),
+            fill_cavities: Some(1e-300),
+            clip: Some(ClipBox { min: [-1.0, 0.0, 1.0 / 3.0], max: [1.0, 2.0, 1e9] }),
+            contour: Some(Contouring::Tetrahedra),
+            decimate: Some(0.05),
+            smooth_normals: Some(3),
+            quads: Some(true),
+            integrator: Some(Integrator::Implicit),
+            laplacian_steps: Some(0),
+            steps: Some(u32::MAX),
+            step_size: Some(1e-300),
+            redistance_every: Some(7),
+            cg_tolerance: Some(1e-4_f64.next_down()),
+            ..every()
+        }
+    }
+
+    fn read(pairs: &[(&'static str, String)]) -> Option<MethodOptions> {
+        MethodOptions::from_pairs(pairs.iter().map(|(name, value)| (*name, value.as_str())))
+    }
+
+    #[test]
+    fn choices_come_back_to_the_last_bit() {
+        let pairs = all().to_pairs();
+        assert_eq!(read(&pairs), Some(all()));
+        // Each by itself, and each is told from none.
+        for pair in &pairs {
+            let one = read(std::slice::from_ref(pair)).expect("known");
+            assert_eq!(one.to_pairs(), std::slice::from_ref(pair));
+            assert_ne!(one, MethodOptions::default());
+        }
+        assert_eq!(read(&[]), Some(MethodOptions::default()));
+        assert_eq!(read(&[("radius_min", "wide".to_owned())]), None);
+        assert_eq!(read(&[("radius_mine", "1".to_owned())]), None);
+    }
+
+    #[test]
+    fn what_is_chosen_is_over_what_is_below() {
+        assert_eq!(all().over(MethodOptions::default()), all());
+        assert_eq!(MethodOptions::default().over(all()), all());
+        let above = MethodOptions { steps: Some(2), ..MethodOptions::default() };
+        assert_eq!(above.over(all()), MethodOptions { steps: Some(2), ..all() });
+    }
+}

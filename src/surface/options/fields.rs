@@ -1,0 +1,195 @@
+//! How a struct of options is defined: one place for everything that is said of an option.
+//!
+//! ```text
+//!   Surface {                              the heading of --help, and what the option belongs to
+//!       /// Fill enclosed cavities …       the help, and the documentation of the field
+//!       #[arg(value_name = "VOXELS")]      what else the command line shows
+//!       fill_cavities: f64 in 0.0..=1e6,   the name, on the command line, in files and here; type and range
+//!   }
+//! ```
+
+use std::fmt::{Display, LowerExp};
+use std::ops::RangeInclusive;
+use std::str::FromStr;
+
+/// What an option belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OptionGroup {
+    /// The preset and the scale.
+    General,
+    /// Radii, and edits of the level set.
+    Surface,
+    /// Sizes and shapes of particles, and their attributes.
+    Particles,
+    /// Obstacles.
+    Obstacles,
+    /// Triangles.
+    Mesh,
+    /// The smoothing.
+    Solver,
+}
+
+/// How the value of an option is written in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ValueKind {
+    /// A number in world units, or text with a unit: a [`Length`](super::Length).
+    Length,
+    /// A number, with a decimal point or without.
+    Number,
+    /// A whole number.
+    Count,
+    /// `true` or `false`.
+    Switch,
+    /// Text in quotes.
+    Text,
+}
+
+/// What is known of an option beside its value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct OptionInfo {
+    /// The name of its field, and its key in files. On the command line it has hyphens for underscores.
+    pub name: &'static str,
+    /// What it belongs to.
+    pub group: OptionGroup,
+    /// How its value is written.
+    pub kind: ValueKind,
+}
+
+/// The value of an option: its text on the command line, in journals and in plans reads back as the same value.
+pub trait OptionValue: Display + FromStr {
+    /// How it is written in a file.
+    const KIND: ValueKind = ValueKind::Text;
+}
+
+impl OptionValue for f64 {
+    const KIND: ValueKind = ValueKind::Number;
+}
+
+impl OptionValue for u32 {
+    const KIND: ValueKind = ValueKind::Count;
+}
+
+impl OptionValue for bool {
+    const KIND: ValueKind = ValueKind::Switch;
+}
+
+impl OptionValue for String {}
+
+impl OptionGroup {
+    /// The heading of its options in `--help`; `None` for the first.
+    pub fn heading(self) -> Option<&'static str> {
+        match self {
+            OptionGroup::General => None,
+            OptionGroup::Surface => Some("Surface"),
+            OptionGroup::Particles => Some("Particles"),
+            OptionGroup::Obstacles => Some("Obstacles"),
+            OptionGroup::Mesh => Some("Mesh"),
+            OptionGroup::Solver => Some("Solver"),
+        }
+    }
+}
+
+/// A range in words, without rows of zeros.
+pub(super) fn range_text<T: Display + LowerExp>(range: &RangeInclusive<T>) -> String {
+    let bound = |bound: &T| match bound.to_string() {
+        small if small.starts_with("0.000") => format!("{bound:e}"),
+        text => text,
+    };
+    format!("{} to {}", bound(range.start()), bound(range.end()))
+}
+
+/// Parses a value within a range, for the command line.
+#[cfg(feature = "cli")]
+pub(crate) fn ranged<T>(
+    range: RangeInclusive<T>,
+) -> impl Fn(&str) -> Result<T, String> + Clone + Send + Sync + 'static
+where
+    T: FromStr + PartialOrd + Display + LowerExp + Clone + Send + Sync + 'static,
+{
+    move |text| {
+        let value = text.trim().parse().ok().filter(|value| range.contains(value));
+        let noun = if "0.5".parse::<T>().is_ok() { "number" } else { "whole number" };
+        value.ok_or_else(|| format!("`{text}` is not a {noun} from {}", range_text(&range)))
+    }
+}
+
+/// Defines [`MethodOptions`](super::MethodOptions), and all that is done with every option alike.
+macro_rules! method_options {
+    (
+        $(#[$attribute:meta])*
+        pub struct $options:ident {
+            $($group:ident {
+                $($(#[doc = $help:literal])+ $(#[arg($($arg:tt)*)])? $name:ident: $value:ident $(in $range:expr)?,)+
+            })+
+        }
+    ) => {
+        $(#[$attribute])*
+        #[derive(Clone, Debug, Default, PartialEq)]
+        #[cfg_attr(feature = "cli", derive(clap::Args))]
+        #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+        #[cfg_attr(feature = "serde", serde(default, deny_unknown_fields))]
+        pub struct $options {
+            $($(
+                $(#[doc = $help])+
+                #[cfg_attr(feature = "cli", arg(
+                    long,
+                    help_heading = OptionGroup::$group.heading(),
+                    allow_negative_numbers = true,
+                    $(value_parser = fields::ranged::<$value>($range),)?
+                    $($($arg)*)?
+                ))]
+                #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
+                pub $name: Option<$value>,
+            )+)+
+        }
+
+        impl $options {
+            /// Every option, in the order of `--help` and of files.
+            pub const ALL: &'static [OptionInfo] = &[$($(OptionInfo {
+                name: stringify!($name),
+                group: OptionGroup::$group,
+                kind: <$value as OptionValue>::KIND,
+            },)+)+];
+
+            /// These, and where one is not given, that of `below`.
+            pub fn over(self, below: $options) -> $options {
+                $options { $($($name: self.$name.or(below.$name),)+)+ }
+            }
+
+            /// The options that are given, as text by name.
+            pub fn to_pairs(&self) -> Pairs {
+                let pairs = [$($((stringify!($name), self.$name.as_ref().map(ToString::to_string)),)+)+];
+                pairs.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+            }
+
+            /// Sets the option of this name; `None` where there is no such option, or the text is not a value of it.
+            pub fn set(&mut self, name: &str, text: &str) -> Option<()> {
+                match name {
+                    $($(stringify!($name) => self.$name = Some(text.parse().ok()?),)+)+
+                    _ => return None,
+                }
+                Some(())
+            }
+
+            /// The range of an option, such as `0 to 4`, where it has one of its own.
+            pub fn range(name: &str) -> Option<String> {
+                match name {
+                    $($($(stringify!($name) => Some(fields::range_text::<$value>(&$range)),)?)+)+
+                    _ => None,
+                }
+            }
+
+            /// Checks every option that has a range of its own.
+            pub(super) fn check_ranges(&self) -> Result<(), SettingsError> {
+                $($($(
+                    let range: RangeInclusive<$value> = $range;
+                    if let Some(value) = self.$name && !range.contains(&value) {
+                        return Err(out_of_range(stringify!($name), value, &range));
+                    }
+                )?)+)+
+                Ok(())
+            }
+        }
+    };
+}
+pub(super) use method_options;

@@ -1,0 +1,159 @@
+//! Lengths as users give them: `0.05`, `0.6d`, `5h`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::fields::{OptionValue, ValueKind};
+use super::presets::tidy;
+
+/// A length in one of the units that options take.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(into = "Written", try_from = "Written"))]
+pub struct Length {
+    /// How many units.
+    pub value: f64,
+    /// The unit.
+    pub unit: LengthUnit,
+}
+
+/// The unit of a [`Length`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LengthUnit {
+    /// The particles' unit of length.
+    World,
+    /// The particle spacing d.
+    Spacing,
+    /// The voxel size h.
+    Voxel,
+}
+
+impl Length {
+    /// The length in world units, for this particle spacing and voxel size in world units.
+    pub fn resolve(self, spacing: f64, voxel_size: f64) -> f64 {
+        match self.unit {
+            LengthUnit::World => self.value,
+            LengthUnit::Spacing => tidy(self.value * spacing),
+            LengthUnit::Voxel => tidy(self.value * voxel_size),
+        }
+    }
+
+    /// The number, where it is in world units.
+    pub fn world(self) -> Option<f64> {
+        (self.unit == LengthUnit::World).then_some(self.value)
+    }
+
+    /// Parses a voxel size, which can have any unit but itself.
+    #[cfg(feature = "cli")]
+    pub(super) fn parse_voxel_size(text: &str) -> Result<Length, String> {
+        let length = text.parse().ok().filter(|length: &Length| length.unit != LengthUnit::Voxel);
+        length.ok_or_else(|| {
+            format!("`{text}` is not a voxel size: expected a number in world units, or of particle spacings such as 0.4d")
+        })
+    }
+
+    /// Parses a length that others are measured by.
+    #[cfg(feature = "cli")]
+    pub(crate) fn parse_world(text: &str) -> Result<f64, String> {
+        text.trim()
+            .parse()
+            .map_err(|_| format!("`{text}` is not a number: expected a length in world units, such as 0.05"))
+    }
+}
+
+/// A length in world units.
+impl From<f64> for Length {
+    fn from(value: f64) -> Length {
+        Length { value, unit: LengthUnit::World }
+    }
+}
+
+impl OptionValue for Length {
+    const KIND: ValueKind = ValueKind::Length;
+}
+
+impl fmt::Display for Length {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let unit = match self.unit {
+            LengthUnit::World => "",
+            LengthUnit::Spacing => "d",
+            LengthUnit::Voxel => "h",
+        };
+        write!(f, "{}{unit}", self.value)
+    }
+}
+
+impl FromStr for Length {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Length, String> {
+        let text = text.trim();
+        let (number, unit) = match (text.strip_suffix('d'), text.strip_suffix('h')) {
+            (Some(number), _) => (number, LengthUnit::Spacing),
+            (_, Some(number)) => (number, LengthUnit::Voxel),
+            (None, None) => (text, LengthUnit::World),
+        };
+        let value = number.trim_end().parse().map_err(|_| {
+            format!(
+                "`{text}` is not a length: expected a number in world units, of particle spacings such as 0.6d, \
+                 or of voxels such as 5h"
+            )
+        })?;
+        Ok(Length { value, unit })
+    }
+}
+
+/// A length in a file: a number in world units is a number, others are text.
+#[cfg(feature = "serde")]
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(untagged)]
+enum Written {
+    Number(f64),
+    Text(String),
+}
+
+#[cfg(feature = "serde")]
+impl From<Length> for Written {
+    fn from(length: Length) -> Written {
+        length.world().map_or_else(|| Written::Text(length.to_string()), Written::Number)
+    }
+}
+
+#[cfg(feature = "serde")]
+impl TryFrom<Written> for Length {
+    type Error = String;
+
+    fn try_from(written: Written) -> Result<Length, String> {
+        match written {
+            Written::Number(value) => Ok(value.into()),
+            Written::Text(text) => text.parse(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lengths_have_a_number_and_a_unit() {
+        use LengthUnit::{Spacing, Voxel, World};
+        for (text, value, unit, resolved) in [
+            ("0.05", 0.05, World, 0.05),
+            ("-1e-3", -1e-3, World, -1e-3),
+            ("0.6d", 0.6, Spacing, 0.3),
+            ("-0.3d", -0.3, Spacing, -0.15),
+            ("5h", 5.0, Voxel, 1.0),
+            (" 2 h ", 2.0, Voxel, 0.4),
+        ] {
+            let length: Length = text.parse().expect(text);
+            assert_eq!(length, Length { value, unit });
+            assert_eq!(length.resolve(0.5, 0.2), resolved);
+            assert_eq!(length.to_string().parse(), Ok(length));
+        }
+        for text in ["", "d", "5x", "5 m", "5dh", "wide", "5 d h"] {
+            let why = text.parse::<Length>().expect_err(text);
+            assert!(why.contains("0.6d") && why.contains("5h"), "{why}");
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! The values of options that are neither numbers nor switches.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::surface::contour::Contouring;
+use crate::surface::particles::Attribute;
+use crate::surface::smooth::Integrator;
+use crate::surface::words::word_enum;
+
+use super::fields::OptionValue;
+use super::presets::Preset;
+
+word_enum! {
+    /// What stretches particles (paper, Fig. 11).
+    pub enum AnisotropyKind {
+        /// Nothing: spheres
+        None = "none",
+        /// Where the neighbours are, as Yu and Turk have it: flat in sheets, long in threads
+        Neighbors = "neighbors",
+        /// The velocity (paper, Eq. 16): long along it
+        Velocity = "velocity",
+    }
+}
+
+/// Which attributes of the particles the surface gets.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(into = "String", try_from = "String"))]
+pub enum AttributeSelection {
+    /// All there are.
+    All,
+    /// Those with these names or meanings: at least one.
+    Named(Vec<String>),
+}
+
+/// A box with faces along the axes, world units; `min` is below `max` on each axis once it is resolved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(into = "String", try_from = "String"))]
+pub struct ClipBox {
+    /// Least corner.
+    pub min: [f64; 3],
+    /// Greatest corner.
+    pub max: [f64; 3],
+}
+
+impl OptionValue for Preset {}
+impl OptionValue for AnisotropyKind {}
+impl OptionValue for Contouring {}
+impl OptionValue for Integrator {}
+impl OptionValue for AttributeSelection {}
+impl OptionValue for ClipBox {}
+
+impl AttributeSelection {
+    /// Whether the surface is to have this attribute.
+    pub fn selects(&self, attribute: &Attribute) -> bool {
+        match self {
+            AttributeSelection::All => true,
+            AttributeSelection::Named(names) => names.iter().any(|name| attribute.is_called(name)),
+        }
+    }
+}
+
+impl fmt::Display for AttributeSelection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            AttributeSelection::All => f.write_str("all"),
+            AttributeSelection::Named(names) => f.write_str(&names.join(",")),
+        }
+    }
+}
+
+impl FromStr for AttributeSelection {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<AttributeSelection, String> {
+        let names: Vec<String> = text.split(',').map(|name| name.trim().to_owned()).collect();
+        if names.iter().any(String::is_empty) {
+            return Err(format!("`{text}` is no list of attributes, such as velocity,Cd; or all"));
+        }
+        if names.len() > 1 && names.iter().any(|name| name == "all") {
+            return Err(format!(
+                "`{text}` names attributes beside all: write all, or only names, such as velocity,Cd"
+            ));
+        }
+        Ok(if names == ["all"] { AttributeSelection::All } else { AttributeSelection::Named(names) })
+    }
+}
+
+impl fmt::Display for ClipBox {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [x, y, z] = self.min;
+        let [to_x, to_y, to_z] = self.max;
+        write!(f, "{x},{y},{z},{to_x},{to_y},{to_z}")
+    }
+}
+
+impl FromStr for ClipBox {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<ClipBox, String> {
+        let wanted = || format!("`{text}` is no box: six numbers x0,y0,z0,x1,y1,z1, from the least corner");
+        let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+        let [x, y, z, to_x, to_y, to_z] = numbers.map_err(|_| wanted())?[..] else { return Err(wanted()) };
+        Ok(ClipBox { min: [x, y, z], max: [to_x, to_y, to_z] })
+    }
+}
+
+/// As text in files.
+macro_rules! as_text {
+    ($($name:ident),+) => {$(
+        #[cfg(feature = "serde")]
+        impl From<$name> for String {
+            fn from(value: $name) -> String {
+                value.to_string()
+            }
+        }
+
+        #[cfg(feature = "serde")]
+        impl TryFrom<String> for $name {
+            type Error = String;
+
+            fn try_from(text: String) -> Result<$name, String> {
+                text.parse()
+            }
+        }
+    )+};
+}
+as_text!(AttributeSelection, ClipBox);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn boxes_and_lists_are_understood_or_refused() {
+        let parsed: ClipBox = "-1, 0,0.5, 1e3,2,3".parse().expect("a box");
+        assert_eq!(parsed, ClipBox { min: [-1.0, 0.0, 0.5], max: [1000.0, 2.0, 3.0] });
+        for text in ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,3,4,5,x"] {
+            assert!(text.parse::<ClipBox>().is_err_and(|why| why.contains("six numbers")), "{text}");
+        }
+        assert_eq!("all".parse(), Ok(AttributeSelection::All));
+        assert_eq!("v, id".parse(), Ok(AttributeSelection::Named(vec!["v".into(), "id".into()])));
+        assert!("v,,id".parse::<AttributeSelection>().is_err());
+        for text in ["all,age", "age, all", "all,all"] {
+            let why = text.parse::<AttributeSelection>().expect_err(text);
+            assert!(why.contains(text) && why.contains("beside all"), "{why}");
+        }
+    }
+}
