@@ -148,6 +148,9 @@ impl Core {
             }
             Recovery::AwaitSpace => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
+                // What was free before says nothing any more.
+                let output = &mut self.outputs[self.output_of[id.root]];
+                output.free_bytes = free_bytes.or(output.free_bytes);
                 match error.is_disk_full() {
                     true => self.guard.on_full(folder, free_bytes, now),
                     false => self.guard.on_refusal(reason.clone(), now),
