@@ -317,24 +317,119 @@ fn publish(core: &mut Core, board: &Board) {
 
 /// Whether an event still matters when no further frame begins.
 fn is_of_frames(event: &Event) -> bool {
-    match event {
+    matches!(
+        event,
         Event::FrameWanted { .. }
-        | Event::FrameReturned { .. }
-        | Event::FrameFinished(_)
-        | Event::PipelineEnded { .. }
-        | Event::OutputDirChecked(_)
-        | Event::JournalSynced
-        | Event::WorkerStalled(_)
-        | Event::WorkerAnswered(_) => true,
-        Event::FileSeen { .. }
-        | Event::FileGone(_)
-        | Event::FileUnreadable(..)
-        | Event::SentinelSeen(..)
-        | Event::FolderScanned { .. }
-        | Event::RootScanned { .. }
-        | Event::Inspected(_)
-        | Event::ObstaclesStamped { .. }
-        | Event::Measured(_)
-        | Event::StepsFound(_) => false,
+            | Event::FrameReturned { .. }
+            | Event::FrameFinished(_)
+            | Event::PipelineEnded { .. }
+            | Event::OutputDirChecked(_)
+            | Event::JournalSynced
+            | Event::WorkerStalled(_)
+            | Event::WorkerAnswered(_)
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::path::Path;
+    use std::thread;
+
+    use crossbeam::channel::bounded;
+
+    use crate::pipeline::{OutputFormat, OutputOptions};
+    use crate::surface::options::Choices;
+    use crate::watch::config::{Order, Patience, Poll, Watch};
+    use crate::watch::core::events::Worker;
+    use crate::watch::io::fs_events::NoEvents;
+    use crate::watch::io::worker::{Pulse, StallMonitor, Work, spawn};
+
+    /// A file system that does not answer while the other end of the channel is there.
+    struct Hanging(Receiver<()>);
+
+    impl Work for Hanging {
+        type Request = RootRequest;
+        type Hint = NoEvents;
+
+        fn handle(&mut self, _request: RootRequest, _report: &dyn Fn(Event)) {
+            let _ = self.0.recv();
+        }
+
+        fn on_time(&mut self, _report: &dyn Fn(Event)) {}
+
+        fn next_time(&self) -> Instant {
+            Instant::now() + Duration::from_secs(3600)
+        }
+    }
+
+    fn watch(folder: &Path, name: &str) -> Watch {
+        fs::create_dir(folder.join(name)).expect("made");
+        Watch {
+            input: folder.join(name),
+            pattern: None,
+            recursive: false,
+            sentinel: None,
+            outputs: OutputOptions::new(folder.join("out").join(name), &[OutputFormat::Obj]),
+            choices: Choices { spacing: Some(1.0), ..Choices::default() },
+            obstacles: Vec::new(),
+        }
+    }
+
+    fn config(watches: Vec<Watch>) -> Config {
+        Config {
+            watches,
+            once: false,
+            order: Order::Natural,
+            threads: 1,
+            in_flight: 2,
+            memory_bytes: 1 << 30,
+            disk_floor_bytes: 0,
+            patience: Patience {
+                settle: Duration::ZERO,
+                unproven: Duration::ZERO,
+                stalled: Duration::from_secs(60),
+            },
+            poll: Poll::Every(Duration::from_millis(50)),
+            rescan_every: Duration::from_secs(60),
+            journal: None,
+            stop_deadline: Duration::from_secs(60),
+        }
+    }
+
+    #[test]
+    fn folder_that_hangs_stops_neither_the_loop_nor_other_folders() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let config = Arc::new(config(["hanging", "sound"].map(|name| watch(folder.path(), name)).to_vec()));
+        let block = (0..64).map(|i| format!("{},{},{}\n", i % 4, i / 4 % 4, i / 16)).collect::<String>();
+        fs::write(folder.path().join("sound/a.1.csv"), format!("x,y,z\n{block}")).expect("written");
+
+        let (to_loop, events) = unbounded();
+        let (core, mut workers, surroundings) = start(&config, None, &to_loop).expect("started");
+        let (answers, hanging) = bounded(0);
+        let pulse = Pulse::default();
+        let started = Instant::now();
+        workers.roots[0] =
+            spawn("hanging", Hanging(hanging), None, pulse.clone(), to_loop).expect("a thread");
+        workers.monitors.push(StallMonitor::new(Worker::Root(0), pulse, started));
+
+        let (commands, to_obey) = bounded(1);
+        let (to_tell, notices) = unbounded();
+        let mut tell = move |notice| drop(to_tell.send(notice));
+        let running = thread::spawn(move || {
+            EventLoop::new(core, workers, surroundings, events, &mut tell).run(&to_obey)
+        });
+        let out = folder.path().join("out/sound/a.1.obj");
+        let mut alive_count = 0;
+        while !out.exists() || alive_count < 3 {
+            let notice = notices.recv_timeout(Duration::from_secs(60)).expect("a sign of life");
+            alive_count += usize::from(notice == Notice::Alive);
+            assert!(alive_count < 60, "the other folder waits");
+        }
+        commands.send(Command::Finish).expect("it listens");
+        let summary = running.join().expect("no panic").expect("no error");
+        assert_eq!((summary.ended, summary.done_count), (Ended::Finish, 1));
+        drop(answers);
     }
 }

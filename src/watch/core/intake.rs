@@ -406,7 +406,7 @@ impl Core {
             framing,
         };
         self.set_phase(id, Phase::Queued(stamp));
-        self.note(id, Standing::Queued, stamp, None);
+        self.note(id, Standing::Queued, stamp, None, None);
         self.queue.push(id, Box::new(frame), stamp.modified_ns);
     }
 

@@ -138,28 +138,29 @@ impl Core {
         error: &FrameError,
         free_bytes: Option<u64>,
     ) {
-        let (now, path, reason) = (self.now.at, Arc::clone(&id.path), error.to_string());
+        let (now, reason) = (self.now.at, error.to_string());
         match recovery(error) {
             Recovery::Forget => {
+                let path = Arc::clone(&id.path);
                 self.log(move || tracing::info!(frame = %path.display(), "is gone"));
                 self.set_phase(id, Phase::Failed(stamp));
                 self.forget(id);
             }
             Recovery::AwaitSpace => {
                 let folder = error.path.parent().unwrap_or(Path::new("."));
+                // What was free before says nothing any more.
+                let output = &mut self.outputs[self.output_of[id.root]];
+                output.free_bytes = free_bytes.or(output.free_bytes);
                 match error.is_disk_full() {
                     true => self.guard.on_full(folder, free_bytes, now),
                     false => self.guard.on_refusal(reason.clone(), now),
                 }
-                self.retry_at(id, stamp, now, &reason);
-                let what = "paused until that has changed";
-                self.log(move || tracing::warn!(frame = %path.display(), "{reason}: {what}"));
+                self.retry_at(id, stamp, now, &reason, |path, why| {
+                    tracing::warn!(frame = %path.display(), "{why}: paused until that has changed");
+                });
             }
             Recovery::Retry => self.fail_for_now(id, stamp, reason, now),
-            Recovery::AwaitRestart => {
-                self.fail_until_restart(id, stamp, reason.clone());
-                self.log(move || tracing::error!(frame = %path.display(), "{reason}"));
-            }
+            Recovery::AwaitRestart => self.fail(id, Standing::GivenUp, stamp, reason),
             Recovery::GiveUp => self.fail_for_good(id, stamp, reason),
         }
     }
@@ -167,62 +168,58 @@ impl Core {
     fn fail_for_now(&mut self, id: &FrameId, stamp: FileStamp, reason: String, now: Instant) {
         let Some(frame) = self.frames.get_mut(id) else { return };
         frame.attempt_count += 1;
-        let (attempt, path) = (frame.attempt_count, Arc::clone(&id.path));
-        match backoff(attempt, self.config.once) {
-            Some(wait) => {
-                self.retry_at(id, stamp, now + wait, &reason);
-                self.log(move || {
-                    tracing::warn!(frame = %path.display(), attempt, "{reason}; again in {wait:?}");
-                });
-            }
-            None => {
-                self.fail_until_restart(id, stamp, reason.clone());
-                self.log(move || tracing::error!(frame = %path.display(), attempt, "{reason}; given up"));
-            }
-        }
+        let attempt = frame.attempt_count;
+        let Some(wait) = backoff(attempt, self.config.once) else {
+            return self.fail(id, Standing::GivenUp, stamp, reason);
+        };
+        self.retry_at(id, stamp, now + wait, &reason, move |path, why| {
+            tracing::warn!(frame = %path.display(), attempt, "{why}; again in {wait:?}");
+        });
     }
 
-    /// Not the file's fault: it is tried again when its file changes, or after a restart.
-    fn fail_until_restart(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        self.set_phase(id, Phase::Failed(stamp));
-        self.note(id, Standing::GivenUp, stamp, Some(reason.clone()));
-        self.note_failure(id, reason);
-    }
-
-    fn retry_at(&mut self, id: &FrameId, stamp: FileStamp, at: Instant, reason: &str) {
+    fn retry_at(
+        &mut self,
+        id: &FrameId,
+        stamp: FileStamp,
+        at: Instant,
+        reason: &str,
+        log: impl FnOnce(&Path, &str) + Send + 'static,
+    ) {
         self.count(|counters| counters.retries += 1);
         self.set_phase(id, Phase::Retrying(stamp, at));
-        self.note(id, Standing::Retrying, stamp, Some(reason.to_owned()));
+        let (path, why) = (Arc::clone(&id.path), reason.to_owned());
+        let log = Log::new(move || log(&path, &why));
+        self.note(id, Standing::Retrying, stamp, Some(reason.to_owned()), Some(log));
         self.frames.set_alarm(id, at);
     }
 
     /// A frame is not tried again until its file changes.
     pub(super) fn fail_for_good(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        self.set_phase(id, Phase::Failed(stamp));
-        self.note(id, Standing::Failed, stamp, Some(reason.clone()));
-        self.note_failure(id, reason.clone());
-        let path = Arc::clone(&id.path);
-        self.log(move || tracing::error!(frame = %path.display(), "{reason}"));
+        self.fail(id, Standing::Failed, stamp, reason);
         self.release_claim(id);
     }
 
     /// Other files keep a frame from being converted. They may change without it, so it is looked at again
     /// after a restart.
     pub(super) fn refuse(&mut self, id: &FrameId, stamp: FileStamp, reason: String) {
-        self.set_phase(id, Phase::Failed(stamp));
-        self.note(id, Standing::Refused, stamp, Some(reason.clone()));
+        self.fail(id, Standing::Refused, stamp, reason);
         self.refused.insert(id.clone());
-        self.note_failure(id, reason.clone());
-        let path = Arc::clone(&id.path);
-        self.log(move || tracing::error!(frame = %path.display(), "{reason}"));
     }
 
-    /// A failure that is logged now.
-    fn note_failure(&mut self, id: &FrameId, reason: String) {
-        let logged_at = Some(self.finished_count);
-        self.failed.insert(id.clone(), Failure { reason, logged_at });
+    /// A frame is not tried again until its file changes, or, as its standing says, after a restart.
+    fn fail(&mut self, id: &FrameId, standing: Standing, stamp: FileStamp, reason: String) {
+        self.set_phase(id, Phase::Failed(stamp));
+        let attempts = self.frames.get(id).map_or(0, |frame| frame.attempt_count);
+        let (path, why) = (Arc::clone(&id.path), reason.clone());
+        let log = Log::new(move || match standing {
+            Standing::GivenUp if attempts > 0 => {
+                tracing::error!(frame = %path.display(), attempt = attempts, "{why}; given up");
+            }
+            _ => tracing::error!(frame = %path.display(), "{why}"),
+        });
+        self.note(id, standing, stamp, Some(reason.clone()), Some(log));
+        self.failed.insert(id.clone(), Failure { reason, logged_at: Some(self.finished_count) });
         self.count(|counters| counters.failures += 1);
-        self.changed.insert(id.clone());
     }
 
     /// A frame asked to be inspected now.
@@ -264,6 +261,7 @@ impl Core {
         standing: Standing,
         stamp: FileStamp,
         reason: Option<String>,
+        log: Option<Log>,
     ) {
         let mut record = FrameRecord { reason, ..self.new_record(id, standing, stamp) };
         // A frame that is inspected again may turn out to be done: its outputs, and what was measured when they were
@@ -274,7 +272,7 @@ impl Core {
             let FrameRecord { outputs, particle_count, seconds, flaws, figures, .. } = (**known).clone();
             record = FrameRecord { outputs, particle_count, seconds, flaws, figures, ..record };
         }
-        self.record(self.output_of[id.root], Entry::Frame(Arc::clone(&id.path), Arc::new(record)), None);
+        self.record(self.output_of[id.root], Entry::Frame(Arc::clone(&id.path), Arc::new(record)), log);
         self.changed.insert(id.clone());
     }
 

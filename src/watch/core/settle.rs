@@ -155,7 +155,7 @@ impl Core {
         }
         for id in sparse {
             if let Some(stamp) = self.frames.get(id).map(|frame| frame.phase.stamp()) {
-                self.note(id, Standing::Queued, stamp, Some(why.to_owned()));
+                self.note(id, Standing::Queued, stamp, Some(why.to_owned()), None);
             }
         }
     }

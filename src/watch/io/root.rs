@@ -51,6 +51,8 @@ pub(super) struct Root {
     /// Folders whose events are heard.
     heard: HashSet<PathBuf>,
     next_scan: Instant,
+    /// The time that inspections have taken since the last scan.
+    inspected_for: Duration,
     /// When its identity was compared last.
     compared_at: Instant,
     /// It had frames when it was last scanned.
@@ -111,6 +113,7 @@ impl Root {
             heard: HashSet::new(),
             // The core asks for the first one.
             next_scan: Instant::now() + NEVER,
+            inspected_for: Duration::ZERO,
             compared_at: Instant::now(),
             had_frames: false,
             identity: None,
@@ -152,7 +155,9 @@ impl Root {
             after_loss,
         });
         if found.is_ok() {
-            self.next_scan = Instant::now() + self.interval(started.elapsed());
+            // What a scan finds is inspected: that is a part of its cost.
+            let cost = started.elapsed() + std::mem::take(&mut self.inspected_for);
+            self.next_scan = Instant::now() + self.interval(cost);
         }
         report(Event::RootScanned { root: self.index, found, at: Instant::now() });
     }
@@ -326,6 +331,7 @@ impl Work for Root {
         match request {
             RootRequest::Scan => self.next_scan = Instant::now(),
             RootRequest::Inspect(request) => {
+                let started = Instant::now();
                 let surroundings = Surroundings {
                     watch: &self.watch,
                     patience: self.patience(),
@@ -335,6 +341,7 @@ impl Work for Root {
                     output: &self.output,
                 };
                 report(Event::Inspected(Box::new(inspect(*request, &surroundings))));
+                self.inspected_for += started.elapsed();
             }
             RootRequest::StampObstacles(numbers) => {
                 let obstacles = &self.obstacles[self.index];
