@@ -206,7 +206,7 @@ pub fn run(
     let output_states = OutputStates::default();
     let daemon = Daemon::open(config, board, (&queue, &output_states), (to_measure, to_find_steps), notices)?;
     let mirrors: Vec<PathBuf> = daemon.stores.iter().map(|store| store.folder.clone()).collect();
-    let conduct = PipelineOptions {
+    let pipeline_options = PipelineOptions {
         pool: &pool,
         on_error: OnError::Continue,
         skip_done: true,
@@ -227,7 +227,7 @@ pub fn run(
             stream(
                 &LevelSetSkinning,
                 || queue.next(),
-                &conduct,
+                &pipeline_options,
                 |root, frame, outcome| {
                     let _ = to_loop.send((FrameId::new(root, &frame.input), frame, outcome));
                 },
