@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::pipeline::{FileStamp, FrameFile, natural_order, order_subframes, single_frames_note};
+use crate::pipeline::{FileStamp, FrameFile, Job, natural_order, order_subframes, single_frames_note};
 
 use super::config::Watch;
 use super::frames::{FrameId, FrameState, Phase};
@@ -163,6 +163,10 @@ impl Daemon<'_> {
     fn tell_settings(&self, index: usize, warnings: &[String]) {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return };
+        // Level sets have their voxel size in their files.
+        if self.config.watches[sequence.root].job() != Job::Surface {
+            return;
+        }
         tracing::info!(
             sequence = %sequence.key.folder.join(&sequence.key.name).display(),
             spacing = six_digits(settings.spacing),
