@@ -92,9 +92,9 @@ fn block(edge_count: usize, number: usize) -> Vec<[f32; 3]> {
 fn convert_together(frames: &[Frame], pool: &ThreadPool) -> Result<f64, Box<dyn Error>> {
     let start = Instant::now();
     let mut first = None;
-    let conduct = PipelineOptions { memory_bytes: u64::MAX, ..PipelineOptions::new(pool) };
+    let pipeline_options = PipelineOptions { memory_bytes: u64::MAX, ..PipelineOptions::new(pool) };
     let mut failures = Vec::new();
-    run(&LevelSetSkinning, frames, &conduct, |index, outcome| {
+    run(&LevelSetSkinning, frames, &pipeline_options, |index, outcome| {
         first.get_or_insert_with(|| start.elapsed().as_secs_f64());
         if !matches!(outcome, Outcome::Converted(_)) {
             failures.push(format!("frame {index}: {outcome:?}"));

@@ -71,8 +71,8 @@ fn taken_by_frames(frame_count: usize, memory_bytes: u64, steps: Option<u32>) ->
         })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
-    let conduct = PipelineOptions { in_flight: 8, memory_bytes, ..PipelineOptions::new(&pool) };
-    run(&LevelSetSkinning, &frames, &conduct, |index, outcome| {
+    let pipeline_options = PipelineOptions { in_flight: 8, memory_bytes, ..PipelineOptions::new(&pool) };
+    run(&LevelSetSkinning, &frames, &pipeline_options, |index, outcome| {
         let Outcome::Converted(mut report) = outcome else { panic!("frame {index}: {outcome:?}") };
         // Spray that is full of holes is told of.
         report.notes.retain(|note| !note.contains("holes, through it and within"));

@@ -12,9 +12,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
-    FrameError, FrameFile, LevelSetFile, NOTHING, ObstacleFiles, OutputFormat, OutputOptions, PictureOptions,
-    Scene, Sequence, Stage, Still, StillFrame, Viewpoint, files_in, is_level_set, picture_provenance,
-    sequence_bounds, up_of, velocities,
+    FrameError, FrameFile, LevelSetFile, LoadedFrame, NOTHING, ObstacleFiles, OutputFormat, OutputOptions,
+    PictureOptions, Reconstruction, Scene, Sequence, Stage, Viewpoint, files_in, is_level_set,
+    picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
 use crate::surface::options::{AttributeSelection, Measured, MethodOptions, Settings};
@@ -48,8 +48,8 @@ pub(super) enum Subject {
 
 /// A frame that was skinned for its pictures.
 pub(super) struct Skinned {
-    pub(super) frame: StillFrame,
-    pub(super) still: Still,
+    pub(super) frame: LoadedFrame,
+    pub(super) made: Reconstruction,
     pub(super) settings: Settings,
 }
 
@@ -154,16 +154,20 @@ impl<'a> Studio<'a> {
             return Ok(Subject::LevelSet(Box::new(level_set)));
         }
         let settings = settings.context("there are no settings for particles among level sets")?;
-        let frame = StillFrame::read((&file.path, file.number()), settings)?;
-        let still = self.skin(&frame, settings)?;
-        Ok(Subject::Skinned(Box::new(Skinned { frame, still, settings: settings.clone() })))
+        let frame = LoadedFrame::read((&file.path, file.number()), settings)?;
+        let made = self.skin(&frame, settings)?;
+        Ok(Subject::Skinned(Box::new(Skinned { frame, made, settings: settings.clone() })))
     }
 
     /// Skins particles.
     ///
     /// # Errors
     /// Those of every stage.
-    pub(super) fn skin(&self, frame: &StillFrame, settings: &Settings) -> Result<Still, FrameError> {
+    pub(super) fn skin(
+        &self,
+        frame: &LoadedFrame,
+        settings: &Settings,
+    ) -> Result<Reconstruction, FrameError> {
         frame.skin(settings, &self.obstacles, &self.outputs, self.memory_bytes)
     }
 
@@ -171,7 +175,7 @@ impl<'a> Studio<'a> {
     pub(super) fn notes_of<'n>(&self, subject: &'n Subject) -> impl Iterator<Item = &'n String> {
         let notes = match subject {
             Subject::LevelSet(level_set) => &level_set.notes,
-            Subject::Skinned(skinned) => &skinned.still.notes,
+            Subject::Skinned(skinned) => &skinned.made.notes,
         };
         let is_asked = self.method.options.attributes.is_some();
         notes.iter().filter(move |note| is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
@@ -189,7 +193,7 @@ impl Subject {
         match self {
             Subject::LevelSet(level_set) => level_set.scene().picture(viewpoint, size, has_data),
             Subject::Skinned(skinned) => {
-                picture_of_still(&skinned.still, &skinned.settings, (viewpoint, size), has_data)
+                picture_of_reconstruction(&skinned.made, &skinned.settings, (viewpoint, size), has_data)
             }
         }
     }
@@ -209,8 +213,8 @@ impl Subject {
         match self {
             Subject::LevelSet(level_set) => picture_provenance(input, level_set.hash, None, options),
             Subject::Skinned(skinned) => {
-                let Skinned { frame, still, settings } = &**skinned;
-                picture_provenance(input, frame.hash(), Some((settings, &still.obstacles)), options)
+                let Skinned { frame, made, settings } = &**skinned;
+                picture_provenance(input, frame.hash(), Some((settings, &made.obstacles)), options)
             }
         }
     }
@@ -222,15 +226,15 @@ pub(super) fn caught<T>(file: &Path, work: impl FnOnce() -> Result<T>) -> Result
 }
 
 /// A picture of a surface, with what is known of its pixels if that is wanted.
-pub(super) fn picture_of_still(
-    still: &Still,
+pub(super) fn picture_of_reconstruction(
+    made: &Reconstruction,
     settings: &Settings,
     (viewpoint, size): (&Viewpoint, [usize; 2]),
     has_data: bool,
 ) -> Picture {
-    let velocity = if has_data { velocities(&still.surface) } else { None };
+    let velocity = if has_data { velocities(&made.surface) } else { None };
     let lattice = Lattice { voxel_size: settings.voxel_size };
-    let (band, origin) = (&still.surface.band, glam::DVec3::ZERO);
+    let (band, origin) = (&made.surface.band, glam::DVec3::ZERO);
     Scene { band, lattice, origin, velocity: velocity.as_ref() }.picture(viewpoint, size, has_data)
 }
 

@@ -1,17 +1,16 @@
 //! How much memory the frames under way may take together.
 //!
 //! ```text
-//!   hold     before reading: about what the file is large        waits for room, or until nothing else is held
-//!   resize   after reading: the particles
-//!   admit    before computing: all that the frame will take      waits for room, or until no other is admitted
-//!   resize   after computing: the surface
-//!   drop     after writing
+//!   reserve_input    before reading: about what the file is large      waits for room, or until nothing else is reserved
+//!   resize           after reading: the input
+//!   reserve_compute  before computing: all that the frame will take    waits for room, or until no other frame computes
+//!   resize           after computing: the surface
+//!   drop             after writing
 //! ```
 //!
-//! What is waited for always comes. A frame that was admitted never waits for memory again, so it ends and
-//! gives back what it has; when none is admitted, the one that waits is. For that, one thread holds and one
-//! thread admits at a time: then at most two frames have memory and are not admitted, of which the earlier
-//! is next.
+//! Every wait ends. A frame that computes never waits for memory again, so it ends and
+//! gives back what it has; when none computes, the one that waits may. For that, one thread reserves for input and one
+//! for computing: then at most two frames have memory and do not compute, of which the earlier is next.
 //!
 //! A plan that is larger than the whole budget so runs alone, beside at most the particles of the next. The
 //! method makes none such: it skins in tiles what does not fit, or says that it cannot.
@@ -49,7 +48,7 @@ impl Budget {
     }
 
     /// Waits until there is room for so much more, or nothing is taken.
-    pub(super) fn hold(&self, bytes: u64) -> Reservation<'_> {
+    pub(super) fn reserve_input(&self, bytes: u64) -> Reservation<'_> {
         let mut taken = self.wait_while(|taken| taken.bytes > 0 && !self.fits(taken, 0, bytes));
         taken.bytes += u128::from(bytes);
         Reservation { budget: self, bytes, is_admitted: false }
@@ -57,7 +56,7 @@ impl Budget {
 
     /// Counts what is there for all frames, as long as there are any, in place of what `owner` had before. That there
     /// is less room then makes nobody wait for ever: who waits still waits for other frames only.
-    pub(super) fn set_aside(&self, owner: usize, bytes: u64) {
+    pub(super) fn set_shared(&self, owner: usize, bytes: u64) {
         self.taken().aside.insert(owner, bytes);
         self.given_back.notify_all();
     }
@@ -89,7 +88,7 @@ impl Reservation<'_> {
 
     /// Waits until there is room for so much in place of what is taken already, or until no other
     /// frame is admitted.
-    pub(super) fn admit(&mut self, bytes: u64) {
+    pub(super) fn reserve_compute(&mut self, bytes: u64) {
         let budget = self.budget;
         let own = u128::from(self.bytes);
         let mut taken =
@@ -118,12 +117,12 @@ mod tests {
     fn what_is_set_aside_is_room_for_nobody() {
         let budget = Budget::new(10);
         // Who is alone never waits.
-        budget.set_aside(1, 20);
-        drop(budget.hold(30));
+        budget.set_shared(1, 20);
+        drop(budget.reserve_input(30));
         for (owner, bytes) in [(1, 3), (2, 1)] {
-            budget.set_aside(owner, bytes);
+            budget.set_shared(owner, bytes);
         }
-        let mut held = budget.hold(4);
+        let mut held = budget.reserve_input(4);
         let fits = |bytes| budget.fits(&budget.taken(), 0, bytes);
         assert!(fits(2) && !fits(3));
         held.resize(1);

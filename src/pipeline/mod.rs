@@ -19,7 +19,7 @@
 //!   picture     surfaces to pictures                   viewpoint   where they are taken from
 //!   level_set_file  level sets from .vdb                 picture_file  pictures from .png
 //!   mesh_file   meshes of any program
-//!   still       a frame by itself, and no files       particle_files  particles as they are, and no surface
+//!   reconstruct  one frame in memory, and no files       particle_files  particles as they are, and no surface
 //!   sink        all files of a frame, whole, or none   temporary   what they are until then
 //!   file_set    replaces several files, or none        open        opens files without waiting at pipes
 //!   output_states  finds outputs with damaged bytes    stored      positions as files hold them
@@ -92,6 +92,7 @@ mod picture;
 mod picture_file;
 mod provenance;
 mod reading;
+mod reconstruct;
 mod record;
 mod scheduler;
 mod semaphore;
@@ -102,7 +103,7 @@ mod source;
 mod stages;
 mod stamp;
 mod steps;
-mod still;
+
 mod stored;
 mod temporary;
 mod viewpoint;
@@ -146,6 +147,7 @@ pub use provenance::{
     outputs_made_from, picture_provenance, settings_fingerprint, sheet_provenance, up_name,
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
+pub use reconstruct::{LoadedFrame, Reconstruction};
 pub use record::{RunRecord, SequenceRecord};
 pub use shot::{ShotError, ShotFormat, ShotOptions, ShotReport, ShotSource, is_shot, write_shot};
 pub use shown::{STANDARD_INPUT, show_as, shown};
@@ -160,7 +162,6 @@ pub use steps::{
     FileFrames, StepsFoundBy, file_of, frame_name, frames_in, frames_in_unless, is_missing_step,
     may_hold_several, size_bytes, step_of,
 };
-pub use still::{Still, StillFrame};
 pub use temporary::{SweepError, Swept, remove_left_behind, sweep_temporaries};
 pub use viewpoint::{CameraChoice, Viewpoint};
 pub use writing::{encode_level_set, mesh_view, vertex_attributes};

@@ -340,7 +340,7 @@ mod tests {
     use crossbeam::channel::bounded;
 
     use crate::pipeline::{OutputFormat, OutputOptions};
-    use crate::surface::options::Choices;
+    use crate::surface::options::MethodOptions;
     use crate::watch::config::{Order, Patience, Poll, Watch};
     use crate::watch::core::events::Worker;
     use crate::watch::io::fs_events::NoEvents;
@@ -372,7 +372,7 @@ mod tests {
             recursive: false,
             sentinel: None,
             outputs: OutputOptions::new(folder.join("out").join(name), &[OutputFormat::Obj]),
-            choices: Choices { spacing: Some(1.0), ..Choices::default() },
+            choices: MethodOptions { spacing: Some(1.0), ..MethodOptions::default() },
             obstacles: Vec::new(),
         }
     }

@@ -156,9 +156,9 @@ impl Bench {
         threads: usize,
     ) -> Vec<Outcome> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        let conduct = PipelineOptions { on_error, skip_done, ..conduct(&pool) };
+        let pipeline_options = PipelineOptions { on_error, skip_done, ..pipeline_options(&pool) };
         let mut outcomes = Vec::new();
-        run(method, &self.frames, &conduct, |index, outcome| {
+        run(method, &self.frames, &pipeline_options, |index, outcome| {
             assert_eq!(index, outcomes.len(), "outcomes come in order");
             outcomes.push(outcome);
         });
@@ -170,7 +170,7 @@ impl Bench {
     fn run_all(&self) -> Vec<Outcome> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
         let mut outcomes = Vec::new();
-        run(&Quick::new(None), &self.frames, &conduct(&pool), |_, outcome| outcomes.push(outcome));
+        run(&Quick::new(None), &self.frames, &pipeline_options(&pool), |_, outcome| outcomes.push(outcome));
         outcomes
     }
 
@@ -189,7 +189,7 @@ impl Bench {
 }
 
 /// How frames are converted where it does not matter.
-pub(crate) fn conduct(pool: &ThreadPool) -> PipelineOptions<'_> {
+pub(crate) fn pipeline_options(pool: &ThreadPool) -> PipelineOptions<'_> {
     PipelineOptions {
         pool,
         on_error: OnError::Continue,
@@ -264,10 +264,10 @@ fn linked_output_folder_is_refused_before_rasterization() {
     bench.change_outputs(|outputs| outputs.folder = mirror.join("linked"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let mirrors = [mirror.clone()];
-    let conduct = PipelineOptions { mirrors: &mirrors, ..conduct(&pool) };
+    let pipeline_options = PipelineOptions { mirrors: &mirrors, ..pipeline_options(&pool) };
     let mut errors = Vec::new();
     let quick = Quick::new(Some(Stage::Rasterize));
-    run(&quick, &bench.frames, &conduct, |_, outcome| match outcome {
+    run(&quick, &bench.frames, &pipeline_options, |_, outcome| match outcome {
         Outcome::Failed(error) => errors.push(error.to_string()),
         other => panic!("not failed: {other:?}"),
     });

@@ -18,7 +18,7 @@ use meniscus::surface::skin::{Plan, Surface};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
-use crate::pipeline::{Bench, conduct, letters, tetrahedron};
+use crate::pipeline::{Bench, letters, pipeline_options, tetrahedron};
 use crate::scene::names_in;
 
 /// A quick method that says which stage it does, of a frame of how many particles, and takes a mebibyte for
@@ -106,7 +106,7 @@ fn a_source_may_wait_for_what_came_of_earlier_frames() {
         }
         Some((number, frame))
     };
-    stream(&Told(|_, _| ()), next, &conduct(&pool(2)), |number, frame, outcome| {
+    stream(&Told(|_, _| ()), next, &pipeline_options(&pool(2)), |number, frame, outcome| {
         assert_eq!(frame.stem, format!("f.{number}"));
         outcomes.push(outcome);
         let _ = finished.send(());
@@ -139,9 +139,9 @@ fn frames_are_asked_for_only_when_there_is_room() {
                 full.wait()
             }
         });
-        let conduct = PipelineOptions { in_flight, ..conduct(&pool) };
+        let pipeline_options = PipelineOptions { in_flight, ..pipeline_options(&pool) };
         let mut count = 0;
-        stream(&method, next, &conduct, |_, _, _| {
+        stream(&method, next, &pipeline_options, |_, _, _| {
             count += 1;
             ended.fetch_add(1, Ordering::SeqCst);
         });
@@ -166,7 +166,7 @@ fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
     stream(
         &method,
         || frames.next(),
-        &conduct(&pool),
+        &pipeline_options(&pool),
         |number, _, _| {
             order.push(number);
             if order.len() == 2 {
@@ -176,7 +176,7 @@ fn a_frame_that_takes_long_is_overtaken_and_told_in_order_all_the_same() {
     );
     assert_eq!(order.last(), Some(&0), "{order:?}");
     order.clear();
-    run(&method, &bench.frames, &conduct(&pool), |number, _| order.push(number));
+    run(&method, &bench.frames, &pipeline_options(&pool), |number, _| order.push(number));
     assert_eq!(order, [0, 1, 2]);
 }
 
@@ -194,7 +194,7 @@ fn stages_of_different_frames_overlap() {
                 together.iter().for_each(Signal::wait);
             }
         });
-        let options = PipelineOptions { on_error, ..conduct(&pool) };
+        let options = PipelineOptions { on_error, ..pipeline_options(&pool) };
         let mut outcomes = Vec::new();
         run(&method, &bench.frames, &options, |_, outcome| outcomes.push(outcome));
         assert_eq!(letters(&outcomes), "ccc", "{on_error:?}");
@@ -217,7 +217,7 @@ fn slow_stage_holds_back_the_stages_before_it() {
         }
         _ => {}
     });
-    let options = PipelineOptions { in_flight: 20, on_error: OnError::Stop, ..conduct(&pool) };
+    let options = PipelineOptions { in_flight: 20, on_error: OnError::Stop, ..pipeline_options(&pool) };
     let mut frames = numbered(&bench);
     let next = || {
         asked.fetch_add(1, Ordering::SeqCst);
@@ -270,7 +270,8 @@ fn what_runs_together_keeps_within_the_budget() {
     let edges = [5, 2, 2, 4, 3, 3, 2, 5, 4, 4, 2, 3, 2, 2, 4, 2, 3, 3, 3, 5];
     let bench = Bench::new(&edges);
     let pool = pool(4);
-    let conduct = PipelineOptions { memory_bytes: 100 << 20, in_flight: 8, ..conduct(&pool) };
+    let pipeline_options =
+        PipelineOptions { memory_bytes: 100 << 20, in_flight: 8, ..pipeline_options(&pool) };
     let together = Together::default();
     let two = Signal::default();
     let method = Told(|stage, count| {
@@ -284,7 +285,7 @@ fn what_runs_together_keeps_within_the_budget() {
         }
     });
     let mut outcomes = Vec::new();
-    run(&method, &bench.frames, &conduct, |_, outcome| outcomes.push(outcome));
+    run(&method, &bench.frames, &pipeline_options, |_, outcome| outcomes.push(outcome));
     assert_eq!(letters(&outcomes), "c".repeat(edges.len()));
     let seen = together.seen.lock().expect("nobody panics with it");
     for &(sum, count) in &*seen {
@@ -326,8 +327,8 @@ fn a_file_that_is_written_while_it_is_read_is_told_and_can_be_read_later() {
             Some(((), frame.clone()))
         };
         let pool = pool(2);
-        let conduct = PipelineOptions { in_flight: 1, ..conduct(&pool) };
-        stream(&Told(|_, _| ()), next, &conduct, |(), _, outcome| {
+        let pipeline_options = PipelineOptions { in_flight: 1, ..pipeline_options(&pool) };
+        stream(&Told(|_, _| ()), next, &pipeline_options, |(), _, outcome| {
             if matches!(outcome, Outcome::Changed) {
                 is_over.store(true, Ordering::SeqCst);
             }
@@ -355,7 +356,9 @@ fn loops_of_many_frames_and_of_two_streams_in_one_pool_all_end() {
             for bench in &benches {
                 scope.spawn(|| {
                     let mut outcomes = Vec::new();
-                    run(&method, &bench.frames, &conduct(&pool), |_, outcome| outcomes.push(outcome));
+                    run(&method, &bench.frames, &pipeline_options(&pool), |_, outcome| {
+                        outcomes.push(outcome)
+                    });
                     assert_eq!(letters(&outcomes), "c".repeat(40));
                 });
             }
@@ -369,7 +372,12 @@ fn a_caller_that_panics_ends_it() {
     let pool = pool(2);
     let mut frames = numbered(&bench);
     let ended = catch_unwind(AssertUnwindSafe(|| {
-        stream(&Told(|_, _| ()), || frames.next(), &conduct(&pool), |_, _, _| panic!("a broken caller"));
+        stream(
+            &Told(|_, _| ()),
+            || frames.next(),
+            &pipeline_options(&pool),
+            |_, _, _| panic!("a broken caller"),
+        );
     }));
     assert!(ended.is_err());
     assert!(names_in(&bench.out()).iter().all(|name| !name.contains("tmp")));
@@ -389,7 +397,7 @@ fn a_full_disk_is_told_from_other_failures() {
 #[test]
 fn outputs_are_known_for_our_own_and_frames_are_not() {
     let bench = Bench::new(&[2]);
-    run(&Told(|_, _| ()), &bench.frames, &conduct(&pool(1)), |_, _| ());
+    run(&Told(|_, _| ()), &bench.frames, &pipeline_options(&pool(1)), |_, _| ());
     let names = names_in(&bench.out());
     assert_eq!(names.len(), 4);
     for name in names {

@@ -23,11 +23,11 @@ use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
 use crate::cli::interrupt::clean_up_when_interrupted;
-use crate::cli::studio::{Studio, caught, measured, picture_of_still};
+use crate::cli::studio::{Studio, caught, measured, picture_of_reconstruction};
 use crate::cli::wording::{counted, with_causes};
 use crate::pipeline::{
-    self, CameraChoice, FrameFile, NOTHING, OutputFormat, Sequence, SheetPart, Still, StillFrame, Viewpoint,
-    bounds_of_particles, close_up, gist, is_level_set, up_of,
+    self, CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, Sequence, SheetPart,
+    Viewpoint, bounds_of_particles, close_up, gist, is_level_set, up_of,
 };
 use crate::render::{Block, Cell, Picture, Sheet, Shown};
 use crate::surface::options::{Measured, Settings};
@@ -158,7 +158,7 @@ const ROW_MAX: usize = 6;
 struct Tuning<'a> {
     args: &'a TuneArgs,
     studio: Studio<'a>,
-    frame: StillFrame,
+    frame: LoadedFrame,
     /// What was measured of its sequence.
     measured: Option<Measured>,
     /// The settings without --vary.
@@ -177,7 +177,7 @@ impl<'a> Tuning<'a> {
         let choices = args.method.to_options();
         let measured = measured(sequence, &choices, console)?;
         let without = Settings::resolve(&choices, measured).with_context(|| sequence.name.clone())?;
-        let frame = StillFrame::read((&file.path, file.number()), &without)?;
+        let frame = LoadedFrame::read((&file.path, file.number()), &without)?;
         let picture = studio.outputs.picture;
         let bounds = bounds_of_particles(frame.particles(), without.radius_init).unwrap_or(NOTHING);
         let viewpoint = |bounds| picture.camera.viewpoint(bounds, picture.aspect(), up_of(studio.outputs.up));
@@ -202,18 +202,18 @@ impl<'a> Tuning<'a> {
             let label = self.label(number, values, settings.as_ref().unwrap_or(&self.without));
             let mut lines = vec![label.clone()];
             let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
-                Ok((still, settings, picture)) => {
+                Ok((made, settings, picture)) => {
                     tally.done_count += 1;
-                    for note in settings.warnings().iter().chain(&still.notes) {
+                    for note in settings.warnings().iter().chain(&made.notes) {
                         if told.insert(gist(note)) {
                             console.warn(format_args!("warning: cell {number}: {note}"));
                         }
                     }
-                    let triangles = counted(still.surface.report.mesh.triangle_count, "triangle");
+                    let triangles = counted(made.surface.report.mesh.triangle_count, "triangle");
                     let places = (&*self.args.inputs, &*self.args.out);
                     let command = CommandLine::convert(places, &method, self.args.view.up);
                     // That differs from run to run, and is no part of the picture.
-                    let seconds = seconds(&still);
+                    let seconds = seconds(&made);
                     console.say(format_args!("{label}: {seconds:.2} s, {triangles}"));
                     console.say(command.text());
                     lines.push(triangles);
@@ -238,12 +238,12 @@ impl<'a> Tuning<'a> {
         method
     }
 
-    fn taken(&self, method: &MethodArgs) -> Result<(Still, Settings, Picture)> {
+    fn taken(&self, method: &MethodArgs) -> Result<(Reconstruction, Settings, Picture)> {
         let settings = Settings::resolve(&method.to_options(), self.measured)?;
-        let still = self.studio.skin(&self.frame, &settings)?;
+        let made = self.studio.skin(&self.frame, &settings)?;
         let seen = (&self.viewpoint, self.studio.outputs.picture.size);
-        let picture = picture_of_still(&still, &settings, seen, false);
-        Ok((still, settings, picture))
+        let picture = picture_of_reconstruction(&made, &settings, seen, false);
+        Ok((made, settings, picture))
     }
 
     fn label(&self, number: usize, values: &[Value], settings: &Settings) -> String {
@@ -291,7 +291,7 @@ impl<'a> Tuning<'a> {
 }
 
 /// What skinning took.
-fn seconds(still: &Still) -> f64 {
-    let seconds = &still.surface.report.seconds;
+fn seconds(made: &Reconstruction) -> f64 {
+    let seconds = &made.surface.report.seconds;
     seconds.rasterize + seconds.smooth + seconds.contour
 }

@@ -137,11 +137,14 @@ fn conclude(once: Option<bool>, watches: &[Watch], summary: &Summary) -> Verdict
     }
 }
 
-/// What lies in the folders and is done by another command.
+/// Names the level sets in the folders, which were not converted.
 fn level_sets_left(watches: &[Watch]) -> String {
     match watches.iter().map(|watch| level_sets_in(&watch.input).len()).sum() {
         0 => String::new(),
-        count => format!(": {} left alone, `meniscus convert` does these", counted(count, "level set")),
+        count => format!(
+            ": {} left alone; --pattern '*.vdb' takes those that meniscus did not write",
+            counted(count, "level set")
+        ),
     }
 }
 

@@ -22,7 +22,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         loop {
             let place = to.reserve();
             let Ok(mut item) = from.recv() else { return };
-            item.info.memory.admit(item.info.needed_bytes);
+            item.info.memory.reserve_compute(item.info.needed_bytes);
             self.start(Stage::Rasterize, item, (place, finished), |content, frame, _| match content {
                 Read::Particles(bytes) => parsed(&bytes, frame),
                 Read::Surface { input, obstacles, plan } => {
@@ -30,7 +30,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
                     let scratch = &frame.outputs.folder;
                     // A frame in tiles makes this folder and writes scratch files into it.
                     shared.refuse_links(scratch)?;
-                    let made = shared.method.rasterize(input, obstacles, &frame.settings, &plan, scratch);
+                    let made = shared.method.rasterize(*input, obstacles, &frame.settings, &plan, scratch);
                     staged(made, frame, Stage::Rasterize)
                 }
             });

@@ -60,7 +60,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let file_bytes = reading_bytes(&frame.input, shared.options.steps_found_by);
         let obstacle_bytes = frame.obstacles.loading_bytes(frame.number);
         let bytes = file_bytes.saturating_mul(reading_memory(&frame.job)).saturating_add(obstacle_bytes);
-        let mut memory = shared.budget.hold(bytes);
+        let mut memory = shared.budget.reserve_input(bytes);
         shared.begin(frame, Stage::Read);
         let start = Instant::now();
         let read = FrameError::catch(&frame.input.clone(), Stage::Read, || match frame.job {
@@ -77,7 +77,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         // Those that stand still are there for the frames that follow, too. They are named by where they are, which the
         // frames of this pipeline keep as it is; and nobody takes their room between this and the next.
         let standing_bytes = obstacles.all_bytes - obstacles.own_bytes;
-        shared.budget.set_aside(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
+        shared.budget.set_shared(Arc::as_ptr(&frame.obstacles).addr(), standing_bytes);
         let given_bytes = given.size_bytes().saturating_add(obstacles.own_bytes);
         if let Some(observer) = shared.options.observer {
             observer.planned(frame, plan, given_bytes);
@@ -214,7 +214,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
                     "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB (--memory)"
                 ));
             }
-            Ok((Read::Surface { input: given, obstacles, plan }, noted))
+            Ok((Read::Surface { input: Box::new(given), obstacles, plan }, noted))
         });
         let (read, noted) = planned.map_err(outcome_of)?;
         Ok((read, input, noted))

@@ -69,7 +69,7 @@ pub(super) struct Noted {
 /// What reading hands to the first stage that computes.
 pub(super) enum Read {
     /// For a surface, and how it will be computed.
-    Surface { input: FrameInput, obstacles: FrameObstacles, plan: Plan },
+    Surface { input: Box<FrameInput>, obstacles: FrameObstacles, plan: Plan },
     /// The bytes of a file of particles, to be written in another format.
     Particles(Vec<u8>),
 }

@@ -46,7 +46,7 @@ fn surface_is_that_of_the_stages_with_absolute_positions() {
 fn positions_of_either_precision_are_borrowed() {
     let double = block(5, [0.0; 3]);
     let single: Vec<[f32; 3]> = double.iter().map(|position| position.map(|along| along as f32)).collect();
-    let options = Options { voxel_size: Some(0.5), ..Options::default() };
+    let options = Options { voxel_size: Some(0.5.into()), ..Options::default() };
     let [one, other] = [reconstruct(&double, &options), reconstruct(&*single, &options)].map(Result::unwrap);
     assert_eq!(one.positions, other.positions);
     assert!(matches!(Positions::from(&single), Positions::F32(std::borrow::Cow::Borrowed(_))));
@@ -181,7 +181,7 @@ fn everything_that_is_wrong_is_an_error_that_says_what() {
     let radii = |values| numbers("pscale", Meaning::Radius, 1, values);
     let by_radius = Options { radius_attribute: Some("pscale".into()), ..Options::default() };
     let by_speed = Options { anisotropy: Some(AnisotropyKind::Velocity), ..Options::default() };
-    let with = |voxel_size| Options { voxel_size: Some(voxel_size), ..Options::default() };
+    let with = |voxel_size: f64| Options { voxel_size: Some(voxel_size.into()), ..Options::default() };
     assert!(matches!(error(&[], &[], default.clone()), Error::NoParticles { given: 0 }));
     let nowhere = [[f64::NAN; 3], [f64::INFINITY, 0.0, 0.0]];
     assert!(matches!(error(&nowhere, &[], with(0.5)), Error::NoParticles { given: 2 }));
@@ -205,7 +205,7 @@ fn everything_that_is_wrong_is_an_error_that_says_what() {
     assert!(matches!(error(&particles, &[of_nothing], default.clone()), Error::AttributeLength { .. }));
     // Far apart, each with a surface of its own as large as can be.
     let spray: Vec<[f64; 3]> = (0..4000).map(|i| [f64::from(i) * 150.0, 0.0, 0.0]).collect();
-    let large = Options { radius_min: Some(30.0), ..with(1.0) };
+    let large = Options { radius_min: Some(30.0.into()), ..with(1.0) };
     let large = Options { spacing: Some(26.0), ..large };
     assert!(matches!(error(&spray, &[], large), Error::MemoryLimit { .. }));
 }
@@ -280,20 +280,20 @@ impl Hostile {
         Options {
             preset: self.some(2, |from| from.pick(&Preset::ALL)),
             spacing: self.some(3, Hostile::number),
-            voxel_size: self.some(3, Hostile::number),
-            radius_min: self.some(8, Hostile::number),
+            voxel_size: self.some(3, |from| from.number().into()),
+            radius_min: self.some(8, |from| from.number().into()),
             radius_ratio: self.some(8, Hostile::number),
-            radius_init: self.some(12, Hostile::number),
-            offset: self.some(8, Hostile::number),
+            radius_init: self.some(12, |from| from.number().into()),
+            offset: self.some(8, |from| from.number().into()),
             radius_attribute: self.some(4, |_| "pscale".to_owned()),
             radius_scale: self.some(8, Hostile::number),
             anisotropy: self.some(2, |from| {
                 from.pick(&[AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity])
             }),
             max_stretch: self.some(8, Hostile::number),
-            thin_radius: self.some(12, Hostile::number),
-            lone_radius: self.some(12, Hostile::number),
-            neighbor_radius: self.some(8, Hostile::number),
+            thin_radius: self.some(12, |from| from.number().into()),
+            lone_radius: self.some(12, |from| from.number().into()),
+            neighbor_radius: self.some(8, |from| from.number().into()),
             position_smoothing: self.some(4, Hostile::number),
             velocity_gain: self.some(4, Hostile::number),
             void_threshold: self.some(8, Hostile::number),

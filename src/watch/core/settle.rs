@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::pipeline::{FileStamp, natural_order, order_subframes, single_frames_note};
+use crate::pipeline::{FileStamp, Job, natural_order, order_subframes, single_frames_note};
 use crate::watch::config::Watch;
 use crate::watch::journal::{Entry, SequenceRecord, Standing};
 
@@ -163,6 +163,10 @@ impl Core {
     fn log_of_settings(&self, index: usize, warnings: Vec<String>) -> Option<Log> {
         let sequence = self.sequences.get(index);
         let SequenceSettings::Fixed(settings, _) = &sequence.settings else { return None };
+        // Level sets have their voxel size in their files.
+        if self.config.watches[sequence.root].job() != Job::Surface {
+            return None;
+        }
         let (settings, key) = (Arc::clone(settings), sequence.key.clone());
         Some(Log::new(move || {
             tracing::info!(

@@ -20,7 +20,7 @@ use super::writing::surface_notes;
 
 /// A frame that was read, to be skinned any number of times.
 #[derive(Debug)]
-pub struct StillFrame {
+pub struct LoadedFrame {
     path: PathBuf,
     number: Option<u64>,
     cloud: Cloud,
@@ -30,7 +30,7 @@ pub struct StillFrame {
 
 /// A frame that was skinned.
 #[derive(Debug)]
-pub struct Still {
+pub struct Reconstruction {
     /// Its surface.
     pub surface: Surface,
     /// What stood in the way: names and hashes of files. Empty if nothing did.
@@ -39,18 +39,21 @@ pub struct Still {
     pub notes: Vec<String>,
 }
 
-impl StillFrame {
+impl LoadedFrame {
     /// Reads the frame in a file, with those attributes that the settings ask for.
     ///
     /// # Errors
     /// When the system refuses, or there are no particles that are read.
-    pub fn read((path, number): (&Path, Option<u64>), settings: &Settings) -> Result<StillFrame, FrameError> {
+    pub fn read(
+        (path, number): (&Path, Option<u64>),
+        settings: &Settings,
+    ) -> Result<LoadedFrame, FrameError> {
         stage(path, Stage::Read, || {
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);
             let read = parse_particles(path, &bytes, &Wanted::by(settings)).map_err(|error| error.cause)?;
             let ReadFrame { cloud, notes, .. } = read;
-            Ok(StillFrame { path: path.to_owned(), number, cloud, hash, notes })
+            Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, notes })
         })
     }
 
@@ -81,7 +84,7 @@ impl StillFrame {
         obstacles: &ObstacleFiles,
         outputs: &OutputOptions,
         memory_bytes: u64,
-    ) -> Result<Still, FrameError> {
+    ) -> Result<Reconstruction, FrameError> {
         let path = &*self.path;
         let mut loaded = stage(path, Stage::Read, || {
             let of_obstacle = |error| Cause::Obstacle(Box::new(error));
@@ -100,7 +103,7 @@ impl StillFrame {
         let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
         notes.extend(surface_notes(&surface, outputs, settings));
         notes.extend(left_out(&surface.report));
-        Ok(Still { surface, obstacles, notes })
+        Ok(Reconstruction { surface, obstacles, notes })
     }
 }
 
