@@ -103,7 +103,6 @@ mod source;
 mod stages;
 mod stamp;
 mod steps;
-
 mod stored;
 mod temporary;
 mod viewpoint;

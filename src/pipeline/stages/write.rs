@@ -25,13 +25,18 @@ use crate::surface::space::Lattice;
 use super::shared::{Finished, Inlet, InputInfo, Noted, Shared, Staged, Stages, WorkItem};
 
 impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
-    /// Writes what frames became until there are none, or the caller is gone.
+    /// Writes what frames became until there are none; nothing more once the caller is gone.
     pub(super) fn write<K>(
         &self,
         from: &Inlet<WorkItem<'env, K, Staged<Surface>>>,
         finished: &Sender<Finished<K>>,
     ) {
+        let mut is_abandoned = false;
         while let Some(WorkItem { number, key, frame, info, content }) = from.receive() {
+            // The stages before wait for places: frames are taken from the channel also when the caller is gone.
+            if is_abandoned {
+                continue;
+            }
             // Where frames keep their order, those before this one are past all other stages: what is
             // written before a stop does not depend on timing.
             let outcome = match content {
@@ -39,9 +44,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
                 Staged::Surface(surface) => self.write_one((number, &frame), info, surface),
                 Staged::Particles(particles) => self.write_particles(&frame, info, &particles),
             };
-            if !self.shared.finish(number, finished, Finished { key, frame, outcome }) {
-                return;
-            }
+            is_abandoned = !self.shared.finish(number, finished, Finished { key, frame, outcome });
         }
     }
 
