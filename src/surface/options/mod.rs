@@ -134,6 +134,12 @@ pub enum Anisotropy {
 /// Explicit steps of this much and more, in units of h⁴, are unstable.
 pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
+/// Voxel sizes in world units: with others, vertices have no place in the range of 32-bit numbers.
+const VOXEL_SIZE_MIN: f64 = 1e-30;
+
+/// The greatest voxel size, world units.
+const VOXEL_SIZE_MAX: f64 = 1e30;
+
 /// The least r_min in voxels: half axes are measured in units of it, and the voxel in these units must be a number in 32 bits.
 const RADIUS_MIN_VOXELS: f64 = 1e-6;
 
@@ -197,6 +203,9 @@ impl Settings {
         let recipe = options.recipe();
         let scale = Scale::new(options, measured)?;
         let Scale { spacing, voxel_size: h } = scale;
+        require((VOXEL_SIZE_MIN..=VOXEL_SIZE_MAX).contains(&h), || {
+            format!("the voxel size is {h:e}; it must be from {VOXEL_SIZE_MIN:e} to {VOXEL_SIZE_MAX:e}")
+        })?;
         let radius_ratio = options.radius_ratio.unwrap_or(recipe.radius_ratio);
         let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, options)?;
         let integrator = options.integrator.unwrap_or_default();

@@ -193,6 +193,9 @@ fn everything_that_is_wrong_is_an_error_that_says_what() {
     assert!(matches!(error(&[[1.0; 3]; 9], &[], default.clone()), Error::UnknownSpacing));
     assert!(matches!(error(&particles, &[], with(-1.0)), Error::Options(_)));
     assert!(matches!(error(&particles, &[], with(f64::NAN)), Error::Options(_)));
+    assert!(matches!(error(&particles, &[], with(1e200)), Error::Options(_)));
+    let thin = Options { radius_min: Some(1e-40.into()), ..with(1.0) };
+    assert!(matches!(error(&particles, &[], thin), Error::Options(_)));
     assert!(matches!(error(&particles, &[], with(1e-9)), Error::VoxelTooSmall { .. } | Error::Options(_)));
     assert!(matches!(error(&particles, &[], by_radius.clone()), Error::MissingAttribute { arity: 1, .. }));
     assert!(matches!(error(&particles, &[], by_speed), Error::MissingAttribute { arity: 3, .. }));
