@@ -14,8 +14,8 @@ use crate::surface::skin::Storage;
 /// Cancels a [`Reconstructor`](crate::surface::Reconstructor) from another thread, a signal handler or its progress
 /// callback. Clones cancel the same work. A cancelled token stays cancelled: make a new one for the next frame.
 ///
-/// The work stops between batches of particles while it rasterizes, between steps while it smooths, and between passes
-/// over the mesh while it contours: usually within a tenth of the time of the frame.
+/// The work stops between batches of particles while it rasterizes, between steps while it smooths, and between making and
+/// checking the mesh while it contours. One such part is never interrupted.
 #[derive(Clone, Debug, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 

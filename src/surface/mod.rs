@@ -23,7 +23,7 @@ pub use self::{
     grid::{Field, LEAF_EDGE, LEAF_VOXELS, Leaf, Topology},
     level_set::NarrowBand,
     mesh::MeshMeasures,
-    obstacle::{ContactTally, DepthTally, LevelSetSource, MeshFindings, Obstacle, Sampled, Shape, Solid},
+    obstacle::{ContactTally, DepthTally, MeshFindings, Obstacle},
     options::{
         Anisotropy, AnisotropyKind, AttributeSelection, ClipBox, Length, LengthUnit,
         MethodOptions as Options, OwnRadii, Preset, Settings, SettingsError,

@@ -158,8 +158,9 @@ impl<'a> Reconstructor<'a> {
         self
     }
 
-    /// Where to put what does not fit into the memory limit: `make` is called for each of eight files, say, that are dropped
-    /// after the frame. The surface is the same to the bit. Implicit and adaptive integration cannot use it.
+    /// Where to put what does not fit into the memory limit: for such a frame `make` is called eight times, for temporary files as a
+    /// rule, which are dropped with the frame. The surface is the same to the bit. The integrators
+    /// [`Implicit`](crate::surface::Integrator::Implicit) and [`Adaptive`](crate::surface::Integrator::Adaptive) cannot use it.
     pub fn scratch(&mut self, make: impl FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a) -> &mut Self {
         self.scratch = Some(Box::new(make));
         self
@@ -275,8 +276,11 @@ impl<'a> Reconstructor<'a> {
             needed_bytes: least_bytes.saturating_add(of_obstacles),
             limit_bytes: self.memory_limit,
         };
-        match skin::plan(given, settings, surroundings, allowed_bytes)? {
-            Ok(plan) if plan.tile_leaves.is_some() && self.scratch.is_none() => Err(over(plan.whole_bytes)),
+        let planned = match &self.scratch {
+            Some(_) => skin::plan(given, settings, surroundings, allowed_bytes)?,
+            None => skin::plan_whole(given, settings, surroundings, allowed_bytes)?,
+        };
+        match planned {
             Ok(plan) => Ok(plan),
             Err(Unfit::TooLarge(too_large)) => Err(over(too_large.least_bytes)),
             Err(Unfit::TooFine(too_fine)) => {

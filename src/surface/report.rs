@@ -8,24 +8,25 @@ pub use crate::surface::obstacle::{ContactTally, DepthTally};
 pub use crate::surface::smooth::Convergence;
 pub use crate::surface::validation::{Certificate, ParticlesOutside};
 
-/// Everything measured while skinning one frame.
+/// Everything that was measured and checked while a frame was reconstructed. Check `certificate.holds()` before you use a
+/// surface, and `dropped_count` if the input may be damaged.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct SkinReport {
-    /// Particles that were skinned.
+    /// Particles that the surface was made of.
     pub particle_count: usize,
     /// Particles left out: not finite, outside the grid's range of indices, or so far from the others that 32-bit positions
     /// cannot hold a surface around them.
     pub dropped_count: usize,
     /// About where one of them is, in world units, if any of them is finite.
     pub stray: Option<DVec3>,
-    /// What was done to give particles shapes of their own; all zero where that was not asked for.
+    /// How particles got their shapes; all zero where they are balls of one size.
     pub shaping: Shaping,
     /// What obstacles changed of the level sets.
     pub contact: ContactTally,
     /// How deep vertices are in obstacles.
     pub depth: DepthTally,
-    /// What was taken from the surface, or added, because somebody asked for it.
+    /// What the options for edits changed.
     pub edits: EditReport,
     /// Leaves of 8³ voxels that were stored.
     pub leaf_count: usize,
@@ -58,7 +59,7 @@ pub struct SkinReport {
     pub transfer: Option<TransferReport>,
 }
 
-/// What a surface got of the particles' attributes.
+/// Which attributes the surface got from its particles, and how well they cover it.
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct TransferReport {
@@ -72,7 +73,8 @@ pub struct TransferReport {
     pub seconds: f64,
 }
 
-/// What was done to give particles shapes of their own.
+/// How particles got their shapes: by their own radii, by stretching, and by their neighbours. All 0 where the options leave
+/// particles as balls of one size.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Shaping {
@@ -97,7 +99,7 @@ pub struct Shaping {
     pub seconds: f64,
 }
 
-/// What was taken from the surface, or added, because somebody asked for it.
+/// What the options for edits changed: islands dropped, cavities filled, what a box clips, triangles saved. All 0 without them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct EditReport {
@@ -133,7 +135,7 @@ pub enum Phase {
     Interpolate,
 }
 
-/// Wall-clock seconds in each stage of the method.
+/// Wall-clock seconds in each stage of the method, where the caller measured them; else 0.
 ///
 /// When several frames are under way in one pool of threads, each has fewer of them than it would have
 /// alone, and a stage that waits for a part of its work may wait for another frame's stage, too. Only of

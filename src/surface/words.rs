@@ -1,6 +1,6 @@
 //! Numbers and counts as they are told.
 
-#[cfg(feature = "pipeline")]
+#[cfg(any(test, feature = "pipeline"))]
 /// So many of something.
 pub(crate) fn counted(count: usize, noun: &str) -> String {
     if count == 1 {
@@ -21,7 +21,7 @@ pub(crate) fn significant(value: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
-#[cfg(feature = "pipeline")]
+#[cfg(any(test, feature = "pipeline"))]
 /// A positive number to three significant digits, and not above it.
 pub(crate) fn rounded_down(value: f64) -> String {
     let near: f64 = format!("{value:.2e}").parse().unwrap_or(value);

@@ -66,7 +66,8 @@ impl Reach<'_> {
     }
 }
 
-/// What happened on the way.
+/// How many places got attribute values, and from how near. Many isolated places mean that the surface is far from its
+/// particles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TransferCounts {

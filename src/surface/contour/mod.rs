@@ -40,7 +40,7 @@ use crate::surface::space::{CoordBox, Lattice};
 use crate::surface::words::word_enum;
 
 word_enum! {
-    /// How to make triangles from φ.
+    /// How the level set becomes triangles.
     #[derive(Default)]
     pub enum Contouring {
         /// Dual contouring: fewer and better shaped triangles

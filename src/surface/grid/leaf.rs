@@ -3,16 +3,16 @@
 use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
 
-/// Voxels along an edge of a leaf.
+/// Voxels along an edge of a leaf: level sets are stored in blocks of 8³ voxels.
 pub const LEAF_EDGE: i32 = 8;
 
-/// Voxels in a leaf.
+/// Voxels in a leaf: 8³.
 pub const LEAF_VOXELS: usize = 512;
 
 /// The 8 values of a row.
 pub type Row = [f32; 8];
 
-/// The values of one leaf, z fastest, on a cache line of their own.
+/// The 512 values of one leaf, z fastest.
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
 pub struct Leaf {
@@ -39,7 +39,7 @@ impl Leaf {
     }
 }
 
-/// One value for every voxel of a topology's leaves, in the topology's order.
+/// One value for every voxel of the leaves of a [`Topology`](crate::surface::Topology), in its order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Field {
     /// One entry a leaf.

@@ -26,7 +26,8 @@ pub enum Direction {
     ZPlus,
 }
 
-/// The leaves of a frame.
+/// Which leaves of 8³ voxels a frame stores: their origins, in voxels, in the order of an OpenVDB tree, and which are next to
+/// each other. Voxel (0, 0, 0) is centred on the world's origin.
 #[derive(Clone, Debug, Default)]
 pub struct Topology {
     origins: Vec<IVec3>,

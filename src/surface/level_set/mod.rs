@@ -25,7 +25,9 @@ pub use rebuilt::{
 pub use redistance::{Sweeps, UNREACHED, extend, redistance, redistance_in};
 pub use widen::{WIDENED_MAX, widened, widened_leaf_count};
 
-use crate::surface::grid::{Field, Topology};
+use glam::IVec3;
+
+use crate::surface::grid::{Field, LEAF_VOXELS, Topology};
 
 /// No value of a finished level set is nearer to zero than this, in voxels, unless something demands it: its bounds, or an
 /// obstacle. Where the surface all but touches a voxel, meshers fold it around that voxel in triangles that are the sharper the
@@ -33,7 +35,8 @@ use crate::surface::grid::{Field, Topology};
 /// had 320, at 0.003 it has 30, at 1/128 less than a drop's 4π.
 pub const NEAREST_TO_ZERO: f32 = 1.0 / 128.0;
 
-/// Signed distances near a surface.
+/// A level set: signed distances in voxels near a surface, negative inside. Multiply by the voxel size for world units. Beyond
+/// the stored leaves a point is farther from the surface than the half width.
 #[derive(Clone, Debug)]
 pub struct NarrowBand {
     /// Which leaves are stored.
@@ -42,4 +45,13 @@ pub struct NarrowBand {
     pub phi: Field,
     /// The largest |φ| that is stored, in voxels.
     pub half_width: f32,
+}
+
+impl NarrowBand {
+    /// The stored leaves: the least voxel of each, and its 512 values in voxels, z fastest. The voxel (x, y, z) has its centre at
+    /// (x, y, z) times the voxel size in world space.
+    pub fn leaves(&self) -> impl ExactSizeIterator<Item = (IVec3, &[f32; LEAF_VOXELS])> {
+        let values = self.phi.leaves.iter().map(|leaf| &leaf.values);
+        self.topology.origins().iter().copied().zip(values)
+    }
 }

@@ -52,7 +52,7 @@ pub struct Mesh {
     pub origin: DVec3,
 }
 
-/// What [`Mesh::measure`] finds.
+/// Measures of a triangle mesh: area, volume, bending energy, and whether it is closed and manifold.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct MeshMeasures {

@@ -37,7 +37,7 @@ use crate::surface::grid::{Leaf, ROW_COUNT};
 use crate::surface::level_set::{Bounds, NarrowBand};
 use crate::surface::simd::{self, Kernel, Lanes};
 
-/// What obstacles changed.
+/// How the fluid meets the obstacles: gaps that were filled, and what the obstacles displaced. All 0 without obstacles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ContactTally {

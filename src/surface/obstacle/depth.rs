@@ -15,7 +15,7 @@ use crate::surface::grid::{LEAF_EDGE, offset_in_leaf};
 use crate::surface::mesh::Mesh;
 use crate::surface::space::Lattice;
 
-/// What was found of vertices.
+/// How deep vertices are inside obstacles, after those that were too deep were moved out.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct DepthTally {

@@ -67,7 +67,7 @@ impl Shape {
     }
 }
 
-/// Something that the fluid must not enter.
+/// A body that the fluid must not enter. Share it between frames by an `Arc`: its distances are cached in it.
 pub struct Obstacle {
     shape: Shape,
     kept: KeptLeaves,
@@ -75,19 +75,29 @@ pub struct Obstacle {
 
 impl Obstacle {
     /// What a triangle mesh in world units encloses. It may have holes, repeated vertices and triangles that face the wrong way;
-    /// triangles that cannot be part of a surface are left out. [`Solid::findings`] says what was found. Distances around it
+    /// triangles that cannot be part of a surface are left out: see [`mesh_findings`](Self::mesh_findings). Distances around it
     /// are cached in up to 64 MiB.
     pub fn from_mesh(positions: &[[f64; 3]], triangles: &[[u32; 3]]) -> Obstacle {
         Obstacle::new(Shape::Solid(Solid::new(positions, triangles)), CACHED_BYTES_MAX)
     }
 
+    #[doc(hidden)]
     /// An obstacle whose leaves are kept, in at most so many bytes: a frame asks for them more than once, and if
     /// the obstacle stands still the next frame asks for the same.
     pub fn new(shape: Shape, kept_bytes_max: usize) -> Obstacle {
         Obstacle { shape, kept: KeptLeaves::new(kept_bytes_max) }
     }
 
+    /// What was found in its mesh: holes, and triangles that were left out or turned.
+    pub fn mesh_findings(&self) -> Option<&MeshFindings> {
+        match &self.shape {
+            Shape::Solid(solid) => Some(solid.findings()),
+            Shape::Sampled(_) => None,
+        }
+    }
+
     /// What it is made of.
+    #[doc(hidden)]
     pub fn shape(&self) -> &Shape {
         &self.shape
     }
@@ -97,11 +107,12 @@ impl Obstacle {
         self.kept.size_bytes() + self.shape.size_bytes()
     }
 
-    /// The memory that it takes once as many leaves are kept as may be, in bytes.
+    /// The memory that it takes once its cache is full, in bytes.
     pub fn size_bytes_max(&self) -> usize {
         self.kept.size_bytes_max().saturating_add(self.shape.size_bytes())
     }
 
+    #[doc(hidden)]
     /// Its signed distances in the leaf with this origin, in voxels, within ± `half_width`.
     pub fn leaf(&self, origin: IVec3, lattice: &Lattice, half_width: f32) -> ObstacleLeaf {
         let compute = || match &self.shape {
@@ -111,6 +122,7 @@ impl Obstacle {
         self.kept.get(origin, lattice, half_width, compute)
     }
 
+    #[doc(hidden)]
     /// Whether its surface may come within `margin_voxels` of the voxels of the leaf with this origin. Cheap, and
     /// never wrongly no.
     pub fn touches(&self, origin: IVec3, lattice: &Lattice, margin_voxels: f32) -> bool {

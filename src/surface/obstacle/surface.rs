@@ -23,7 +23,8 @@ use super::rim::Rim;
 use super::tree::Tree;
 use super::winding::{WINDING_ERROR, winding};
 
-/// What was found in a mesh.
+/// What was found in the mesh of an obstacle: triangles that were left out or turned, and holes. An obstacle with open edges is
+/// closed by its winding number; one that [encloses nothing](Self::encloses_nothing) displaces no fluid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MeshFindings {
@@ -41,7 +42,7 @@ pub struct MeshFindings {
     pub open_edge_count: usize,
     /// Whether it is so open that it encloses nothing, like a plane.
     pub encloses_nothing: bool,
-    /// Parts that seem to face inwards, and were left as they are: of so many parts nobody asked which are cavities.
+    /// Parts that seem to face inwards and were left as they are: there are too many parts to find out which are cavities.
     pub unasked_part_count: usize,
 }
 

@@ -134,6 +134,15 @@ pub enum Anisotropy {
 /// Explicit steps of this much and more, in units of h⁴, are unstable.
 pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
+/// Voxel sizes in world units: with others, vertices have no place in the range of 32-bit numbers.
+const VOXEL_SIZE_MIN: f64 = 1e-30;
+
+/// The greatest voxel size, world units.
+const VOXEL_SIZE_MAX: f64 = 1e30;
+
+/// The least r_min in voxels: half axes are measured in units of it, and the voxel in these units must be a number in 32 bits.
+const RADIUS_MIN_VOXELS: f64 = 1e-6;
+
 /// The largest radius in voxels: beyond it the bins around a particle would be most of the frame.
 pub const RADIUS_MAX_VOXELS: f64 = 64.0;
 
@@ -194,6 +203,9 @@ impl Settings {
         let recipe = options.recipe();
         let scale = Scale::new(options, measured)?;
         let Scale { spacing, voxel_size: h } = scale;
+        require((VOXEL_SIZE_MIN..=VOXEL_SIZE_MAX).contains(&h), || {
+            format!("the voxel size is {h:e}; it must be from {VOXEL_SIZE_MIN:e} to {VOXEL_SIZE_MAX:e}")
+        })?;
         let radius_ratio = options.radius_ratio.unwrap_or(recipe.radius_ratio);
         let [radius_min, radius_init, radius_max] = radii(&scale, radius_ratio, options)?;
         let integrator = options.integrator.unwrap_or_default();
@@ -467,6 +479,12 @@ fn radii(scale: &Scale, ratio: f64, options: &MethodOptions) -> Result<[f64; 3],
     // On coarse voxels it is raised to the least with which no particle falls between them (Eq. 13).
     let usual = scale.units(recipe.unit, recipe.radius_min).max(3f64.sqrt() * h);
     let radius_min = positive("radius r_min", scale.length(options.radius_min).unwrap_or(usual))?;
+    require(radius_min >= RADIUS_MIN_VOXELS * h, || {
+        format!(
+            "r_min is {} voxels; it must be at least {RADIUS_MIN_VOXELS}: choose a larger r_min or a smaller voxel size",
+            radius_min / h
+        )
+    })?;
     require(ratio.is_finite() && ratio >= 1.0, || {
         format!("the radius ratio is {ratio}; r_max may not be below r_min: at least 1")
     })?;

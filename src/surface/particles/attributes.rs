@@ -3,10 +3,10 @@
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// One named attribute of all particles, or of all vertices.
+/// A named attribute of all particles, or of all vertices of a surface: velocities, colours, identities, anything.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attribute {
-    /// Its name in the file of particles.
+    /// Its name.
     pub name: String,
     /// What it is known to mean.
     pub meaning: Meaning,
@@ -16,7 +16,7 @@ pub struct Attribute {
     pub values: AttributeValues,
 }
 
-/// What an attribute means to the method or to who reads what is written.
+/// What an attribute means. Options find velocities and radii by it, whatever they are called.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Meaning {
     /// World units per second, arity 3.
@@ -31,7 +31,8 @@ pub enum Meaning {
     Other,
 }
 
-/// The values of an attribute.
+/// The values of an attribute, particle by particle. Numbers are averaged at the vertices; integers and strings are those of the
+/// nearest particle.
 #[derive(Clone, Debug, PartialEq)]
 pub enum AttributeValues {
     /// Numbers that can be averaged.

@@ -23,6 +23,7 @@ pub use attributes::{SurfaceAttributes, Targets, transfer};
 pub use band::{BoundedBand, SLACK_MAX_VOXELS, bound, resurface, resurfacing_bytes};
 pub use fineness::{Limit, SPREAD_MAX_VOXELS, TooFine};
 pub use finish::Stored;
+pub(crate) use plan::plan_whole;
 pub use plan::{Plan, Surroundings, TooLarge, Unfit, plan};
 pub(crate) use shape::shapes_by_attributes;
 pub use shape::{ShapedSource, shape, shape_by_attributes, shape_by_neighbors};

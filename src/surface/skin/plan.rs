@@ -92,6 +92,26 @@ pub fn plan<S: ParticleSource>(
     surroundings: Surroundings,
     allowed_bytes: u64,
 ) -> Result<Result<Plan, Unfit>, S::Error> {
+    plan_with_tiles(source, settings, surroundings, allowed_bytes, &TILE_EDGES)
+}
+
+/// The same without tiles.
+pub(crate) fn plan_whole<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    surroundings: Surroundings,
+    allowed_bytes: u64,
+) -> Result<Result<Plan, Unfit>, S::Error> {
+    plan_with_tiles(source, settings, surroundings, allowed_bytes, &[])
+}
+
+fn plan_with_tiles<S: ParticleSource>(
+    source: &S,
+    settings: &Settings,
+    surroundings: Surroundings,
+    allowed_bytes: u64,
+    tile_edges: &[i32],
+) -> Result<Result<Plan, Unfit>, S::Error> {
     let Surroundings { obstacles, attribute_bytes } = surroundings;
     let footprint = rasterize::footprint(source, &scene(settings, obstacles), shape::near_surface(settings))?;
     if let Some(too_fine) = too_fine(source, settings, &footprint)? {
@@ -106,7 +126,7 @@ pub fn plan<S: ParticleSource>(
         return Ok(Err(Unfit::TooLarge(too_large)));
     }
     let mut least_bytes = whole;
-    for tile_leaves in TILE_EDGES {
+    for &tile_leaves in tile_edges {
         let memory_bytes = tiled_bytes(&footprint, settings, attribute_bytes, tile_leaves);
         if memory_bytes <= allowed_bytes {
             let tile_leaves = Some(tile_leaves);

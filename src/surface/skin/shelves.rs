@@ -18,7 +18,8 @@ use std::ops::Range;
 use crate::surface::grid::{Field, LEAF_VOXELS, Leaf};
 use crate::surface::smooth::FieldSet;
 
-/// Bytes that are somewhere else: a file, as a rule.
+/// A place for what does not fit into memory: usually a temporary file. Reads and writes are at absolute offsets and may come
+/// from several threads; what was never written is never read.
 pub trait Storage: Send + Sync {
     /// Fills `bytes` with what was written at `offset`.
     ///

@@ -19,7 +19,7 @@ use crate::surface::level_set::{Bounds, NarrowBand};
 /// Iterations of conjugate gradients a step (paper, §3.7).
 const ITERATIONS_MAX: usize = 1500;
 
-/// How the linear solver fared.
+/// How the conjugate gradients of [`Integrator::Implicit`](crate::surface::Integrator::Implicit) converged.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Convergence {

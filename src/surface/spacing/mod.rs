@@ -60,7 +60,7 @@ pub const SPREAD_MAX: f64 = 0.1;
 /// An estimate of less [confidence](Estimate::confidence) is worth a warning.
 pub const CONFIDENCE_MIN: f64 = 0.5;
 
-/// The spacing of the particles of a frame.
+/// The particle spacing of one frame, by [`estimate_spacing`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Estimate {
@@ -71,10 +71,10 @@ pub struct Estimate {
     pub confidence: f64,
 }
 
-/// The spacing of particles, measured on up to 2000 of them.
+/// Measures the distance between neighbouring particles, on up to 2000 of them: what
+/// [`Options::spacing`](crate::surface::Options::spacing) is where it is not set, up to rounding.
 ///
-/// `None` where fewer than two distinct finite positions are there to measure it on, or when the
-/// spacing has no place in the range of a 64-bit real.
+/// `None` if fewer than two positions are finite and distinct, or if the spacing is out of the range of a 64-bit real.
 pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estimate> {
     let mut points = finite_positions(&positions.into());
     let sample = sample(&points, SAMPLE_COUNT);
@@ -89,7 +89,7 @@ pub fn estimate_spacing<'a>(positions: impl Into<Positions<'a>>) -> Option<Estim
     Some(Estimate { spacing, confidence: share * (1.0 - 1.0 / count.sqrt()) })
 }
 
-/// The spacing of the particles of a sequence.
+/// The particle spacing of a sequence, by [`combine_estimates`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct SequenceEstimate {
@@ -108,7 +108,8 @@ impl SequenceEstimate {
     }
 }
 
-/// The one spacing of a sequence by those of some of its frames, in any order; `None` of no frames.
+/// The spacing of a sequence by the estimates of some of its frames, in any order: the median by confidence. `None` without
+/// frames.
 pub fn combine_estimates(estimates: &[Estimate]) -> Option<SequenceEstimate> {
     let mut sorted = estimates.to_vec();
     let order = |a: &Estimate, b: &Estimate| {

@@ -44,8 +44,9 @@ use crate::surface::mesh::{Mesh, MeshMeasures};
 use crate::surface::rasterize::Radii;
 use crate::surface::space::Lattice;
 
-/// What is checked of every result. Distances are in voxels, to the nearest particle's centre. What is said of r_min and
-/// r_max is, of particles with shapes of their own, said of their surfaces.
+/// What was checked of the finished surface: [`holds`](Self::holds) says whether all of it is as guaranteed, and
+/// [`fault`](Self::fault) what is not. Distances are in voxels unless a field says world units, to the nearest particle's centre. For
+/// particles with shapes of their own, r_min and r_max mean their surfaces.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Certificate {
@@ -115,7 +116,7 @@ impl Certificate {
     }
 }
 
-/// Particles outside a surface.
+/// How many particles are outside of a surface, and how far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct ParticlesOutside {
