@@ -32,8 +32,6 @@ const KNOWN_CYCLES: &[&str] = &[
     "src/surface/rasterize: distances, signed_distance",
     "src/surface/smooth: acts, explicit",
     "src/surface/validation: containment, distances, particle_checks, rays, strays, surfaces",
-    "src/watch: rounds, showing, steps",
-    "src/watch/journal: line, plan",
     "formats/src: atoms, probe, steps",
     "formats/src: batches, bgeo, ply",
     "formats/src: data, vertex_attributes",
