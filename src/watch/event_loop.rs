@@ -9,13 +9,14 @@ use crossbeam::channel::{Receiver, Sender, never, select, unbounded};
 
 use crate::pipeline::resident_memory_bytes;
 
-use super::api::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
+use super::api::{Command, Ended, FailedFrame, Notice, Summary};
 use super::board::Board;
 use super::config::Config;
 use super::core::Tally;
 use super::core::events::{Effect, Event, RootRequest};
 use super::core::publish::Shown;
 use super::core::state::Core;
+use super::io::error::DaemonError;
 use super::io::pipeline::{Start, Surroundings, start as start_pipeline};
 use super::io::start::{Workers, now, start};
 use super::journal::DaemonState;

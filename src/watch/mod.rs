@@ -25,7 +25,8 @@ pub mod journal;
 pub mod waiting;
 
 pub use self::core::{completeness, decision};
-pub use api::{Command, DaemonError, Ended, FailedFrame, Notice, Summary};
+pub use api::{Command, Ended, FailedFrame, Notice, Summary};
 pub use config::{Config, Order, Patience, Poll, Watch, names_level_sets};
 pub use event_loop::run;
+pub use io::error::DaemonError;
 pub use io::{canonical_path as place, fs_events, lock, mounts, scan, selection};

@@ -19,9 +19,9 @@ use crate::surface::options::Settings;
 use crate::watch::journal::{Entry, FrameRecord, OutputCheck, OutputRecord};
 
 use super::completeness::{Candidate, Proof, Seen, WaitReason};
+use super::file_steps::{FoundSteps, StepsOrder};
 use super::frames::FrameId;
 use super::sequences::{MeasureOrder, Measured};
-use super::steps::{FoundSteps, StepsOrder};
 
 /// The time, by both clocks.
 #[derive(Clone, Copy, Debug)]

@@ -14,6 +14,7 @@ pub mod completeness;
 pub mod decision;
 pub(in crate::watch) mod disk_guard;
 pub(in crate::watch) mod events;
+pub(in crate::watch) mod file_steps;
 pub(in crate::watch) mod frames;
 mod handle;
 mod intake;
@@ -24,7 +25,7 @@ mod retry;
 pub(in crate::watch) mod sequences;
 mod settle;
 pub(in crate::watch) mod state;
-pub(in crate::watch) mod steps;
+mod steps;
 
 #[cfg(test)]
 mod tests;

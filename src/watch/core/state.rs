@@ -12,10 +12,10 @@ use crate::watch::journal::{DaemonRecord, DaemonState, Entry, PlanRecord, State 
 
 use super::disk_guard::{DiskGuard, FoundSpace};
 use super::events::{Effect, Log, Now, OutputRequest, RootRequest};
+use super::file_steps::FileSteps;
 use super::frames::{FrameId, Frames};
 use super::queue::Queue;
 use super::sequences::Sequences;
-use super::steps::FileSteps;
 
 /// The state of the daemon, and what it decides: pure, so no file, clock or thread is used here. Time comes with each
 /// event; what is to be done is collected as effects.

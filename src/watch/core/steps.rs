@@ -15,47 +15,15 @@
 //! steps that are done, and of which the file is known to be as it was, are left as they are. Those of a file that was written
 //! anew are looked at again: each is read, and may be found to be what its outputs were made from.
 
-use std::collections::HashMap;
 use std::time::Instant;
 
-use crate::pipeline::{FileFrames, FileStamp, FrameError};
+use crate::pipeline::{FileFrames, FileStamp};
 
 use super::completeness::{Candidate, Seen};
 use super::events::RootRequest;
+use super::file_steps::{FileSteps, FoundSteps, StepsOrder};
 use super::frames::{FrameId, Phase};
 use super::state::Core;
-
-/// The steps of a file.
-#[derive(Debug)]
-pub(in crate::watch) struct FileSteps {
-    /// The place of each among them.
-    index_of: HashMap<FrameId, usize>,
-    found: FileFrames,
-}
-
-impl FileSteps {
-    /// Whether a step is as it was when its file had this stamp.
-    fn is_kept_since(&self, id: &FrameId, stamp: &FileStamp) -> bool {
-        self.index_of.get(id).is_some_and(|&index| index < self.found.kept_since(stamp))
-    }
-}
-
-/// A complete file that is to be gone through.
-#[derive(Debug)]
-pub(in crate::watch) struct StepsOrder {
-    pub(in crate::watch) id: FrameId,
-    pub(in crate::watch) stamp: FileStamp,
-    /// Why the frame is refused if it has no steps: what its outputs would replace.
-    pub(in crate::watch) conflict: Option<String>,
-}
-
-/// What came of it.
-#[derive(Debug)]
-pub(in crate::watch) struct FoundSteps {
-    pub(in crate::watch) order: StepsOrder,
-    /// Its frames; `None` if the file was written again meanwhile.
-    pub(in crate::watch) frames: Result<Option<FileFrames>, FrameError>,
-}
 
 impl Core {
     /// Has a complete file searched for steps.

@@ -3,7 +3,7 @@
 use std::sync::atomic::AtomicBool;
 
 use crate::pipeline::{FileStamp, FrameError, Stage, frames_in_unless};
-use crate::watch::core::steps::{FoundSteps, StepsOrder};
+use crate::watch::core::file_steps::{FoundSteps, StepsOrder};
 
 /// Goes through a file; when all is over, not to its end.
 pub(super) fn find_steps(order: StepsOrder, is_over: &AtomicBool) -> FoundSteps {

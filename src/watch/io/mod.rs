@@ -8,6 +8,7 @@
 //! ```
 
 pub mod canonical_path;
+pub(in crate::watch) mod error;
 pub(in crate::watch) mod evidence;
 mod find_steps;
 pub mod fs_events;

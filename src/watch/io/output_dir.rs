@@ -8,11 +8,11 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::pipeline::{make_out_folder, remove_left_behind, sweep_temporaries};
-use crate::watch::api::DaemonError;
 use crate::watch::config::Config;
 use crate::watch::core::events::{Event, OutputDirState, OutputRequest, Presence};
 use crate::watch::journal::{FILE_NAME as JOURNAL_FILE_NAME, Journal, STATE_FOLDER};
 
+use super::error::DaemonError;
 use super::fs_events::NoEvents;
 use super::lock::{FILE_NAME as LOCK_FILE_NAME, OutputLock};
 use super::mounts::{RootIdentity, free_bytes};
@@ -49,7 +49,7 @@ struct Held {
 }
 
 /// How often a folder of outputs is looked at.
-const CHECK_EVERY: Duration = Duration::from_millis(500);
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// All folders of outputs, and the index of that of each watch.
 ///

@@ -7,7 +7,6 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 
 use crate::pipeline::ObstacleFiles;
-use crate::watch::api::DaemonError;
 use crate::watch::board::Board;
 use crate::watch::config::Config;
 use crate::watch::core::events::{Event, Now, OutputRequest, RootRequest, Worker};
@@ -15,6 +14,7 @@ use crate::watch::core::state::Core;
 use crate::watch::journal::{DaemonRecord, DaemonState, now_ms};
 
 use super::canonical_path::known_path;
+use super::error::DaemonError;
 use super::fs_events::Watcher;
 use super::lock::host_name;
 use super::output_dir::{OutputGuard, open_outputs};

@@ -18,9 +18,8 @@
 //! - a number that results depend on is the shortest text that reads back as that number: a parser
 //!   of JSON may round the last bit.
 
-use std::ffi::OsString;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -30,6 +29,7 @@ use twox_hash::XxHash3_64;
 use crate::pipeline::MeasuredSpacing;
 use crate::pipeline::{FileStamp, Framed, OutputState};
 
+use super::path::WirePath;
 use super::plan::WirePlan;
 use super::state::{
     DaemonRecord, DaemonState, Entry, FrameRecord, OutputRecord, SequenceCamera, SequenceKey, SequenceRecord,
@@ -168,13 +168,6 @@ enum WireState {
     Running,
     Paused(String),
     Stopped,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(untagged)]
-pub(super) enum WirePath {
-    Text(String),
-    Units(Vec<u16>),
 }
 
 impl From<&Entry> for WireEntry {
@@ -379,51 +372,11 @@ impl WireDaemon {
     }
 }
 
-impl WirePath {
-    pub(super) fn of(path: &Path) -> WirePath {
-        match path.to_str() {
-            Some(text) => WirePath::Text(text.to_owned()),
-            None => WirePath::Units(units(path)),
-        }
-    }
-
-    pub(super) fn into_path(self) -> Option<PathBuf> {
-        match self {
-            WirePath::Text(text) => Some(PathBuf::from(text)),
-            WirePath::Units(units) => from_units(&units).map(PathBuf::from),
-        }
-    }
-}
-
-#[cfg(unix)]
-fn units(path: &Path) -> Vec<u16> {
-    use std::os::unix::ffi::OsStrExt;
-    path.as_os_str().as_bytes().iter().copied().map(u16::from).collect()
-}
-
-#[cfg(unix)]
-fn from_units(units: &[u16]) -> Option<OsString> {
-    use std::os::unix::ffi::OsStringExt;
-    let bytes = units.iter().map(|&unit| u8::try_from(unit).ok()).collect::<Option<_>>()?;
-    Some(OsString::from_vec(bytes))
-}
-
-#[cfg(windows)]
-fn units(path: &Path) -> Vec<u16> {
-    use std::os::windows::ffi::OsStrExt;
-    path.as_os_str().encode_wide().collect()
-}
-
-#[cfg(windows)]
-fn from_units(units: &[u16]) -> Option<OsString> {
-    use std::os::windows::ffi::OsStringExt;
-    Some(OsString::from_wide(units))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::watch::board::Figures;
+    use std::path::PathBuf;
 
     #[track_caller]
     fn comes_back(entry: &Entry) {
@@ -512,7 +465,7 @@ mod tests {
     #[test]
     fn paths_that_are_no_text_come_back() {
         use std::os::unix::ffi::OsStringExt;
-        let path = PathBuf::from(OsString::from_vec((1..=255).collect()));
+        let path = PathBuf::from(std::ffi::OsString::from_vec((1..=255).collect()));
         let Entry::Frame(_, record) = frame("", Standing::Done) else { unreachable!() };
         let mut record = (*record).clone();
         record.outputs[0].path.clone_from(&path);

@@ -27,6 +27,7 @@
 //! One daemon writes a journal: the lock of the outputs sees to that. Anybody may read it meanwhile.
 
 mod line;
+mod path;
 mod plan;
 mod state;
 #[cfg(test)]

@@ -15,7 +15,7 @@ use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions};
 use crate::surface::options::MethodOptions;
 use crate::watch::config::{Patience, Watch};
 
-use super::line::WirePath;
+use super::path::WirePath;
 use super::state::PlanRecord;
 
 #[derive(Serialize, Deserialize)]
