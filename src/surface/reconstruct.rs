@@ -12,7 +12,7 @@ use crate::surface::error::Error;
 use crate::surface::level_set::NarrowBand;
 use crate::surface::mesh::Mesh;
 use crate::surface::obstacle::{Obstacle, Obstacles};
-use crate::surface::options::{Anisotropy, Measured, Settings};
+use crate::surface::options::{Anisotropy, Length, Measured, Settings};
 use crate::surface::particles::{Attribute, Positions, Shapes, attribute_of};
 use crate::surface::report::{Phase, Shaping};
 use crate::surface::skin::tiled::{self, TiledError};
@@ -356,7 +356,7 @@ fn resolve(
             spacing: rounded(estimate.spacing),
             radius_median: own_radii.and_then(|own| median(own.radii_min(attributes))),
         });
-        if measured.is_none() && options.voxel_size.is_none() {
+        if measured.is_none() && options.voxel_size.and_then(Length::world).is_none() {
             return Err(Error::UnknownSpacing);
         }
     }

@@ -50,7 +50,8 @@ pub(super) const STEP_SIZE_MIN: f64 = 1e-6;
 pub(super) const STEP_SIZE_MAX: f64 = 1e4;
 
 method_options! {
-    /// What a user may choose. `None` means what the preset says.
+    /// Every option of the method. `None` means what the preset says. Lengths are in world units, particle spacings or voxels:
+    /// see [`Length`].
     pub struct MethodOptions {
         General {
             /// The defaults of the options below, for what the particles are; options beside it override it [default: fluid]

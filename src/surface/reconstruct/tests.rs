@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use glam::DVec3;
 
 use super::*;
-use crate::surface::options::{AnisotropyKind, AttributeSelection, ClipBox, Integrator, Preset};
+use crate::surface::options::{AnisotropyKind, AttributeSelection, ClipBox, Integrator, LengthUnit, Preset};
 use crate::surface::particles::{AttributeValues, Meaning, Particles};
 use crate::surface::skin::skin;
 
@@ -233,6 +233,11 @@ impl Hostile {
         all[self.below(all.len() as u64) as usize].clone()
     }
 
+    fn length(&mut self) -> Length {
+        let unit = self.pick(&[LengthUnit::World, LengthUnit::Spacing, LengthUnit::Voxel]);
+        Length { value: self.number(), unit }
+    }
+
     fn number(&mut self) -> f64 {
         const ODD: [f64; 16] = [
             0.0,
@@ -283,20 +288,20 @@ impl Hostile {
         Options {
             preset: self.some(2, |from| from.pick(&Preset::ALL)),
             spacing: self.some(3, Hostile::number),
-            voxel_size: self.some(3, |from| from.number().into()),
-            radius_min: self.some(8, |from| from.number().into()),
+            voxel_size: self.some(3, Hostile::length),
+            radius_min: self.some(8, Hostile::length),
             radius_ratio: self.some(8, Hostile::number),
-            radius_init: self.some(12, |from| from.number().into()),
-            offset: self.some(8, |from| from.number().into()),
+            radius_init: self.some(12, Hostile::length),
+            offset: self.some(8, Hostile::length),
             radius_attribute: self.some(4, |_| "pscale".to_owned()),
             radius_scale: self.some(8, Hostile::number),
             anisotropy: self.some(2, |from| {
                 from.pick(&[AnisotropyKind::None, AnisotropyKind::Neighbors, AnisotropyKind::Velocity])
             }),
             max_stretch: self.some(8, Hostile::number),
-            thin_radius: self.some(12, |from| from.number().into()),
-            lone_radius: self.some(12, |from| from.number().into()),
-            neighbor_radius: self.some(8, |from| from.number().into()),
+            thin_radius: self.some(12, Hostile::length),
+            lone_radius: self.some(12, Hostile::length),
+            neighbor_radius: self.some(8, Hostile::length),
             position_smoothing: self.some(4, Hostile::number),
             velocity_gain: self.some(4, Hostile::number),
             void_threshold: self.some(8, Hostile::number),
