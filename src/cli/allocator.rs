@@ -19,7 +19,7 @@ pub fn give_memory_back() {
     use std::thread::available_parallelism;
 
     let is_chosen = |name: &&str| env::var_os(name).is_some();
-    if CHOSEN_BY.iter().any(|name| is_chosen(name)) {
+    if CHOSEN_BY.iter().any(is_chosen) {
         return;
     }
     let arenas = available_parallelism().map_or(1, usize::from);

@@ -130,10 +130,13 @@ pub struct Reconstructor<'a> {
     settings: Option<Settings>,
     obstacles: Obstacles,
     memory_limit: u64,
-    scratch: Option<Box<dyn FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a>>,
+    scratch: Option<Box<MakeStorage<'a>>>,
     token: CancelToken,
     on_progress: Option<Box<dyn FnMut(Progress) + Send + 'a>>,
 }
+
+/// Makes scratch storage.
+type MakeStorage<'a> = dyn FnMut() -> io::Result<Box<dyn Storage>> + Send + 'a;
 
 impl<'a> Reconstructor<'a> {
     /// A reconstructor with these options, no obstacles and the default [memory limit](MEMORY_LIMIT). The options are checked

@@ -118,7 +118,7 @@ fn spacing_found(set: &Set) -> Map<String, Value> {
     indices.dedup();
     let estimate = |index: usize| {
         let points = set.frames[index].points.iter().map(|point| point.to_array()).collect();
-        estimate_spacing(&Particles::Double(points))
+        estimate_spacing(Particles::Double(points))
     };
     let estimates: Vec<Estimate> = indices.into_iter().filter_map(estimate).collect();
     let found = combine_estimates(&estimates);

@@ -379,7 +379,7 @@ fn no_voxel_between_two_surfaces_is_without_values() {
     let sides = positions.iter().map(|position| position[0].signum() as f32).collect();
     let side = numbers("side", 1, sides);
     let (band, lattice) = (band_of(&centers, 0.8, 6.0), Lattice { voxel_size: VOXEL });
-    let (found, counts) = to_band(&Particles::Double(positions), &[&side], (&band, &lattice), 3.0, REACH);
+    let (found, counts) = to_band(Particles::Double(positions), &[&side], (&band, &lattice), 3.0, REACH);
     assert_eq!((counts.lonely_count, counts.empty_count), (0, 0));
     each_voxel(&band, &found[0], |voxel, _, values| {
         let of_one = values[0] == voxel.x.signum() as f32;

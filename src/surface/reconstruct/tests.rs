@@ -56,7 +56,7 @@ fn positions_of_either_precision_are_borrowed() {
 fn settings_of_the_first_frame_serve_all() {
     let mut reconstructor = Reconstructor::new(Options::default());
     assert_eq!(reconstructor.settings(), None);
-    reconstructor.reconstruct(&block(5, [0.0; 3])).expect("valid");
+    reconstructor.reconstruct(block(5, [0.0; 3])).expect("valid");
     let wider: Vec<[f64; 3]> = block(5, [0.0; 3]).iter().map(|position| position.map(|x| 1.2 * x)).collect();
     let surface = reconstructor.reconstruct(&wider).expect("valid");
     assert_eq!((surface.settings.spacing, Some(&surface.settings)), (1.0, reconstructor.settings()));
@@ -286,7 +286,7 @@ impl Hostile {
         const COUNTS: [u32; 6] = [0, 1, 2, 5, 1_000_001, u32::MAX];
         let count = |from: &mut Hostile| from.pick(&COUNTS);
         Options {
-            preset: self.some(2, |from| from.pick(&Preset::ALL)),
+            preset: self.some(2, |from| from.pick(Preset::ALL)),
             spacing: self.some(3, Hostile::number),
             voxel_size: self.some(3, Hostile::length),
             radius_min: self.some(8, Hostile::length),

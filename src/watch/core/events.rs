@@ -51,7 +51,7 @@ pub(in crate::watch) enum Event {
     /// The result of [`RootRequest::StampObstacles`].
     ObstaclesStamped { root: usize, stamps: FoundObstacleStamps },
     /// A sequence was measured.
-    Measured(Measured),
+    Measured(Box<Measured>),
     /// A file was searched for steps.
     StepsFound(FoundSteps),
     /// A pipeline has room for one more frame.

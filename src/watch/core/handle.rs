@@ -35,7 +35,7 @@ impl Core {
             Event::RootScanned { root, found, at } => self.on_root_scanned(root, found, at),
             Event::Inspected(inspected) => self.on_inspected(*inspected),
             Event::ObstaclesStamped { root, stamps } => self.on_obstacles_stamped(root, &stamps),
-            Event::Measured(measured) => self.on_measured(measured),
+            Event::Measured(measured) => self.on_measured(*measured),
             Event::StepsFound(found) => self.on_steps_found(found),
             Event::FrameWanted { pipeline } => self.wanting.push_back(pipeline),
             Event::FrameReturned { id, frame, found } => {

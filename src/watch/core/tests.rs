@@ -668,14 +668,14 @@ fn sequence_is_measured_when_all_its_frames_were_looked_at() {
         measured_on: "/in0/a.1.ply".into(),
         warnings: Vec::new(),
     };
-    rig.event(Event::Measured(Measured {
+    rig.event(Event::Measured(Box::new(Measured {
         sequence: order.sequence,
         record: Some(SequenceRecord { measured: Some(measured), camera: None }),
         sparse: Vec::new(),
         unreadable: Vec::new(),
         changed: None,
         warnings: Vec::new(),
-    }));
+    })));
     assert_eq!(rig.started(), ["a.1.ply"]);
     assert_eq!(rig.status(), "0 done, 3 queued");
 }

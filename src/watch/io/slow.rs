@@ -34,8 +34,8 @@ pub(super) fn spawn(
                 RootRequest::FindSteps(order) => Event::StepsFound(find_steps(order, &is_over)),
                 // In threads of its own: those of the pipeline must not hang with a file.
                 RootRequest::Measure(order) => match ThreadPoolBuilder::new().num_threads(threads).build() {
-                    Ok(pool) => Event::Measured(pool.install(|| measure(*order))),
-                    Err(_) => Event::Measured(measure(*order)),
+                    Ok(pool) => Event::Measured(Box::new(pool.install(|| measure(*order)))),
+                    Err(_) => Event::Measured(Box::new(measure(*order))),
                 },
                 RootRequest::Inspect(_) | RootRequest::Scan | RootRequest::StampObstacles(_) => continue,
             };

@@ -346,7 +346,7 @@ impl WireSequence {
                 None => None,
             },
         };
-        Some(Entry::Sequence(key, record))
+        Some(Entry::Sequence(key, Box::new(record)))
     }
 }
 
@@ -499,8 +499,8 @@ mod tests {
                     },
                 }),
             };
-            comes_back(&Entry::Sequence(key.clone(), record));
-            comes_back(&Entry::Sequence(key, SequenceRecord::default()));
+            comes_back(&Entry::Sequence(key.clone(), Box::new(record)));
+            comes_back(&Entry::Sequence(key, Box::default()));
         }
     }
 

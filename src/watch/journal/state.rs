@@ -217,7 +217,7 @@ pub(super) enum Key {
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::watch) enum Entry {
     Frame(Arc<Path>, Arc<FrameRecord>),
-    Sequence(SequenceKey, SequenceRecord),
+    Sequence(SequenceKey, Box<SequenceRecord>),
     Daemon(DaemonRecord),
     Plan(PlanRecord),
 }
@@ -241,7 +241,7 @@ impl State {
                 self.frames.insert(input, record);
             }
             Entry::Sequence(key, record) => {
-                self.sequences.insert(key, record);
+                self.sequences.insert(key, *record);
             }
             Entry::Daemon(record) => self.daemon = Some(record),
             Entry::Plan(record) => self.plan = Some(record),
@@ -278,5 +278,5 @@ fn frame_entry((input, record): (&Arc<Path>, &Arc<FrameRecord>)) -> Entry {
 }
 
 fn sequence_entry((key, record): (&SequenceKey, &SequenceRecord)) -> Entry {
-    Entry::Sequence(key.clone(), record.clone())
+    Entry::Sequence(key.clone(), Box::new(record.clone()))
 }

@@ -10,7 +10,7 @@ use super::*;
 
 impl Journal {
     fn note_sequence(&mut self, key: &SequenceKey, record: SequenceRecord) -> io::Result<()> {
-        self.note(Entry::Sequence(key.clone(), record))
+        self.note(Entry::Sequence(key.clone(), record.into()))
     }
 
     fn note_daemon(&mut self, record: DaemonRecord) -> io::Result<()> {
