@@ -234,7 +234,7 @@ fn farther() -> Vec<Set> {
 }
 
 fn estimate(points: &[DVec3]) -> Option<Estimate> {
-    estimate_spacing(&Particles::Double(points.iter().map(DVec3::to_array).collect()))
+    estimate_spacing(Particles::Double(points.iter().map(DVec3::to_array).collect()))
 }
 
 /// The sets whose spacing is not found to this share, with what was found.
@@ -282,7 +282,7 @@ fn estimate_of(file: &Path) -> Estimate {
     let name = file.file_name().expect("a name").to_string_lossy();
     let frame = read_particles(&std::fs::read(file).expect("readable"), &name, &Limits::default())
         .expect("particles");
-    estimate_spacing(&particles(frame.positions)).expect("enough particles")
+    estimate_spacing(particles(frame.positions)).expect("enough particles")
 }
 
 #[test]
