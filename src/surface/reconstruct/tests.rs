@@ -161,8 +161,9 @@ fn obstacles_keep_the_surface_out() {
     let open = reconstructor.reconstruct(&particles).expect("valid");
     let kept_out = reconstructor.obstacles([Arc::new(tetrahedron)]).reconstruct(&particles).expect("valid");
     assert_eq!(open.report.contact.particle_count, 0);
-    assert!(kept_out.report.contact.particle_count > 5);
-    assert!(kept_out.report.mesh.volume < open.report.mesh.volume - 1.0);
+    let [kept_out, open] =
+        [&kept_out, &open].map(|surface| (surface.report.contact.particle_count, surface.report.mesh.volume));
+    assert!(kept_out.0 > 0 && kept_out.1 < open.1 - 1.0, "{kept_out:?}, {open:?}");
 }
 
 fn error(positions: &[[f64; 3]], attributes: &[Attribute], options: Options) -> Error {

@@ -326,7 +326,7 @@ mod tests {
         }
         let out = folder();
         let mut child = Command::new(std::env::current_exe().expect("this test"))
-            .args(["watch::lock::tests::a_killed_process_leaves_no_lock", "--exact", "--nocapture"])
+            .args(["watch::io::lock::tests::a_killed_process_leaves_no_lock", "--exact", "--nocapture"])
             .env(CHILD_FOLDER, out.path())
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
