@@ -366,8 +366,8 @@ fn printed_settings_are_keys_of_a_file() {
         ),
         (&["--format", "vdb"], &["formats = [\"vdb\"]\n"]),
         (
-            &["--spacing", "0.1", "--voxel-size", "0.5d", "--radius-min", "1.1d", "--offset", "-1h"],
-            &["voxel_size = 0.05\n", "radius_min = 0.11\n", "offset = -0.05\n"],
+            &["--spacing", "0.1", "--voxel-size", "0.5d", "--radius-min", "1.1d", "--offset", "1h"],
+            &["voxel_size = 0.05\n", "radius_min = 0.11\n", "offset = 0.05\n"],
         ),
     ]
     .into_iter()
