@@ -33,9 +33,14 @@ fn the_docs_have_every_field_of_the_report() {
     ];
     let ran = meniscus(path, &[&["convert"], &arguments[..]].concat());
     assert_eq!(ran.status, 0, "{}", ran.err);
+    // Level sets have fields of their own.
+    let ran = meniscus(path, &["convert", "o/dam.1.vdb", "--out=l", "--format=glb", "--report=l.json"]);
+    assert_eq!(ran.status, 0, "{}", ran.err);
     let mut fields = BTreeSet::new();
-    let report = fs::read(path.join("r.json")).expect("written");
-    collect_fields(&serde_json::from_slice(&report).expect("JSON"), &mut fields);
+    for report in ["r.json", "l.json"] {
+        let report = fs::read(path.join(report)).expect("written");
+        collect_fields(&serde_json::from_slice(&report).expect("JSON"), &mut fields);
+    }
     for field in ["vertices_cleared", "clipped_voxels", "lonely", "balls", "restarts", "holds"] {
         assert!(fields.contains(field), "{field} is not in this report");
     }
