@@ -20,7 +20,7 @@ use meniscus::pipeline::{
 use meniscus::surface::options::{Choices, Settings};
 use meniscus::surface::skin::skin;
 use meniscus::surface::spacing::{estimate_spacing, rounded};
-use meniscus_formats::{Limits, gltf, read_particles};
+use meniscus_formats::{Limits, MeshOptions, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -49,7 +49,7 @@ pub(crate) fn skin_file(from: &Path, to: &Path) -> Result<(), Box<dyn Error>> {
     let settings = Settings::resolve(&Choices::default(), Some(rounded(spacing).into()))?;
     let surface = skin(&particles, &settings);
     let mesh = pipeline::mesh_view(&surface.mesh, &[]);
-    let options = gltf::WriteOptions::default();
+    let options = MeshOptions::default();
     Ok(pipeline::write_whole(to, |out| gltf::write_glb(&mesh, &options, &[], out))?)
 }
 

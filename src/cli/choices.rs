@@ -4,15 +4,14 @@ use std::io;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use meniscus_formats::{gltf, vdb};
+use meniscus_formats::{UpAxis, WriteOption, listed, vdb};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat, OutputOptions, PictureOptions};
 use crate::surface::options::{AnisotropyKind, Choices, Contouring, Integrator, Preset, Settings};
 
 use super::args::{
     AnisotropyChoice, CompressionChoice, ContourChoice, FirstArgs, Format, FormatArgs, IntegratorChoice,
-    MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, PreviewChoice, SolverArgs, SurfaceArgs,
-    UpChoice,
+    MeshArgs, MethodArgs, ObstacleArgs, ParticleArgs, PresetChoice, SolverArgs, SurfaceArgs, UpChoice,
 };
 use super::console::Console;
 
@@ -201,27 +200,44 @@ fn without_file(
     args: &MethodArgs,
     written: &[OutputFormat],
     format_args: &FormatArgs,
-) -> Vec<(&'static str, &'static str)> {
+) -> Vec<(&'static str, String)> {
     let MeshArgs { contour, decimate, smooth_normals, quads } = &args.mesh;
-    let has = |format| written.contains(&format);
-    let has_mesh = written.iter().any(|format| format.is_mesh());
-    let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].into_iter().any(has);
-    let (has_quads, vdb) = (written.iter().any(|format| format.has_quads()), has(OutputFormat::Vdb));
-    let has_picture = written.iter().any(|format| format.picture().is_some());
-    let cases = [
-        ("--contour", contour.is_some(), has_mesh, "meshes"),
-        ("--decimate", decimate.is_some(), has_mesh, "meshes"),
-        ("--smooth-normals", smooth_normals.is_some(), has_mesh, "meshes"),
-        ("--quads", *quads, has_quads, ".obj, .vtp and .usda"),
-        ("--up", format_args.up.is_some(), has_up || has_picture, ".glb, .gltf, .usda and pictures"),
-        ("--meters-per-unit", format_args.meters_per_unit.is_some(), has(OutputFormat::Usda), ".usda"),
-        ("--preview-size", format_args.preview_size.is_some(), has_picture, "--preview"),
-        ("--camera", format_args.camera.is_some(), has_picture, "--preview"),
-        ("--vdb-half", format_args.vdb_half, vdb, ".vdb"),
-        ("--vdb-compression", format_args.vdb_compression.is_some(), vdb, ".vdb"),
+    let meshes = || OutputFormat::ALL.into_iter().filter(|format| format.is_mesh()).collect();
+    let of = |option: WriteOption| {
+        OutputFormat::ALL.into_iter().filter(|format| format.has_option(option)).collect::<Vec<_>>()
+    };
+    let cases: [(&str, bool, Vec<OutputFormat>); 10] = [
+        ("--contour", contour.is_some(), meshes()),
+        ("--decimate", decimate.is_some(), meshes()),
+        ("--smooth-normals", smooth_normals.is_some(), meshes()),
+        ("--quads", *quads, of(WriteOption::Quads)),
+        ("--up", format_args.up.is_some(), of(WriteOption::Up)),
+        ("--meters-per-unit", format_args.meters_per_unit.is_some(), of(WriteOption::MetersPerUnit)),
+        ("--preview-size", format_args.preview_size.is_some(), of(WriteOption::Size)),
+        ("--camera", format_args.camera.is_some(), of(WriteOption::Camera)),
+        ("--vdb-half", format_args.vdb_half, of(WriteOption::Half)),
+        ("--vdb-compression", format_args.vdb_compression.is_some(), of(WriteOption::Compression)),
     ];
-    let idle = cases.into_iter().filter(|(_, is_given, is_written, _)| *is_given && !is_written);
-    idle.map(|(option, _, _, kind)| (option, kind)).collect()
+    let is_idle = |(_, is_given, formats): &(&str, bool, Vec<OutputFormat>)| {
+        *is_given && !formats.iter().any(|format| written.contains(format))
+    };
+    let idle = cases.into_iter().filter(is_idle);
+    idle.map(|(option, _, formats)| (option, kinds(&formats))).collect()
+}
+
+/// What these formats are called where an option is for them only.
+fn kinds(formats: &[OutputFormat]) -> String {
+    let (pictures, files): (Vec<_>, Vec<_>) = formats.iter().partition(|format| format.is_picture());
+    let has_all_meshes = OutputFormat::ALL.iter().all(|format| !format.is_mesh() || files.contains(format));
+    match (files.as_slice(), pictures.as_slice()) {
+        ([], _) => "--preview".to_owned(),
+        (_, []) if has_all_meshes => "meshes".to_owned(),
+        (files, []) => listed(files.iter().map(|format| format!(".{format}")).collect(), "and"),
+        (files, _) => {
+            let files = files.iter().map(|format| format!(".{format}"));
+            listed(files.chain(["pictures".to_owned()]).collect(), "and")
+        }
+    }
 }
 
 /// Refuses a number that was to be the value of --smooth-normals and is taken for an input, since that has its value
@@ -247,7 +263,8 @@ pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Resu
 /// # Errors
 /// What to do instead.
 pub(super) fn refuse_idle_quantize(formats: Option<&[Format]>, args: &FormatArgs) -> Result<()> {
-    if args.quantize && !written_formats(formats, args).contains(&OutputFormat::Glb) {
+    let written = written_formats(formats, args);
+    if args.quantize && !written.iter().any(|format| format.has_option(WriteOption::Quantize)) {
         bail!("--quantize is for .glb only, and none is written: leave it out, or add glb to --format");
     }
     Ok(())
@@ -263,8 +280,8 @@ pub(super) fn output_options(
         folder,
         formats: written_formats(formats, args),
         up: match args.up.unwrap_or(UpChoice::Y) {
-            UpChoice::Y => gltf::UpAxis::Y,
-            UpChoice::Z => gltf::UpAxis::Z,
+            UpChoice::Y => UpAxis::Y,
+            UpChoice::Z => UpAxis::Z,
         },
         meters_per_unit: args.meters_per_unit.unwrap_or(1.0),
         quantize: args.quantize,
@@ -289,30 +306,14 @@ fn picture_options(args: &FormatArgs) -> PictureOptions {
 
 /// The formats to write, each once: .glb and .vdb by default; and a picture if that was asked for.
 pub(super) fn written_formats(formats: Option<&[Format]>, args: &FormatArgs) -> Vec<OutputFormat> {
-    let preview = args.preview.map(|preview| match preview {
-        PreviewChoice::Png => OutputFormat::Png,
-        PreviewChoice::Exr => OutputFormat::Exr,
-    });
-    distinct(formats).into_iter().chain(preview).collect()
-}
-
-/// The formats to write, each once: .glb and .vdb by default.
-fn distinct(formats: Option<&[Format]>) -> Vec<OutputFormat> {
-    let mut distinct = Vec::new();
-    for &format in formats.unwrap_or(&[Format::Glb, Format::Vdb]) {
-        let format = match format {
-            Format::Glb => OutputFormat::Glb,
-            Format::Gltf => OutputFormat::Gltf,
-            Format::Vdb => OutputFormat::Vdb,
-            Format::Obj => OutputFormat::Obj,
-            Format::Ply => OutputFormat::Ply,
-            Format::Vtp => OutputFormat::Vtp,
-            Format::Stl => OutputFormat::Stl,
-            Format::Usda => OutputFormat::Usda,
-        };
-        if !distinct.contains(&format) {
-            distinct.push(format);
+    let mut written = Vec::new();
+    let formats = formats.unwrap_or(&DEFAULT_FORMATS).iter().map(|format| format.0);
+    for format in formats.chain(args.preview.map(|preview| preview.0)) {
+        if !written.contains(&format) {
+            written.push(format);
         }
     }
-    distinct
+    written
 }
+
+const DEFAULT_FORMATS: [Format; 2] = [Format(OutputFormat::Glb), Format(OutputFormat::Vdb)];

@@ -4,7 +4,9 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 
-use crate::pipeline::{FrameReport, OutputOptions, ParticleFormat, ParticlesToWrite, write_particles_of};
+use crate::pipeline::{
+    FrameReport, OutputFormat, OutputOptions, ParticleFormat, ParticlesToWrite, write_particles_of,
+};
 
 use super::Verdict;
 use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, ShotArgs};
@@ -93,10 +95,10 @@ fn refuse_beside_particles(args: &ConvertArgs) -> Result<()> {
 /// The formats to write, each once: .ply by default.
 fn particle_formats(formats: Option<&[Format]>) -> Result<Vec<ParticleFormat>> {
     let mut distinct = Vec::new();
-    for format in formats.unwrap_or(&[Format::Ply]) {
-        let format = match format {
-            Format::Ply => ParticleFormat::Ply,
-            Format::Vtp => ParticleFormat::Vtp,
+    for format in formats.unwrap_or(&[Format(OutputFormat::Ply)]) {
+        let format = match format.0 {
+            OutputFormat::Ply => ParticleFormat::Ply,
+            OutputFormat::Vtp => ParticleFormat::Vtp,
             _ => bail!("--particles-only writes ply and vtp: the other formats are of surfaces"),
         };
         if !distinct.contains(&format) {

@@ -14,13 +14,13 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::gltf::UpAxis;
+use meniscus_formats::UpAxis;
 use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
-    PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
+    PictureOptions, file_of, open_regular, write_whole,
 };
 use crate::surface::options::{Choices, Settings};
 
@@ -254,11 +254,11 @@ impl Outputs {
     fn of(options: &OutputOptions) -> Outputs {
         Outputs {
             formats: options.formats.iter().map(|format| format.extension().to_owned()).collect(),
-            up: up_name(options.up).to_owned(),
+            up: options.up.name().to_owned(),
             meters_per_unit: options.meters_per_unit,
             quantize: options.quantize,
             vdb_half: options.vdb_half,
-            vdb_compression: compression_name(options.vdb_compression).to_owned(),
+            vdb_compression: options.vdb_compression.name().to_owned(),
             picture_size: options.picture.size,
         }
     }
@@ -266,7 +266,7 @@ impl Outputs {
     fn into_options(self, folder: PathBuf) -> Result<OutputOptions, PlanError> {
         let mut formats = Vec::new();
         for (index, name) in self.formats.iter().enumerate() {
-            let found = OutputFormat::ALL.into_iter().find(|format| format.extension() == name);
+            let found = OutputFormat::from_extension(name);
             let place = format!("/outputs/formats/{index}");
             match found {
                 None => return Err(PlanError::at(place, format!("`{name}` is no format"))),
@@ -279,9 +279,8 @@ impl Outputs {
         if formats.is_empty() {
             return Err(PlanError::at("/outputs/formats", "there are none"));
         }
-        let up = [UpAxis::Y, UpAxis::Z].into_iter().find(|&up| up_name(up) == self.up);
-        let compressions = [Compression::None, Compression::ActiveMask, Compression::Blosc];
-        let compression = compressions.into_iter().find(|&way| compression_name(way) == self.vdb_compression);
+        let up = UpAxis::ALL.into_iter().find(|up| up.name() == self.up);
+        let compression = Compression::ALL.into_iter().find(|way| way.name() == self.vdb_compression);
         if !self.picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
             return Err(PlanError::at("/outputs/picture_size", "each must be 16 to 8192"));
         }
@@ -314,7 +313,7 @@ impl SequenceEntry {
                 radius_median: measured.radius_median.map(|radius| radius.to_string()),
             })
         });
-        let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
+        let has_pictures = outputs.has_pictures();
         let pairs = settings.to_choices().to_pairs();
         Ok(SequenceEntry {
             name: name.clone(),
@@ -389,7 +388,7 @@ fn with_camera(
     place: &str,
 ) -> Result<OutputOptions, PlanError> {
     let place = format!("{place}/camera");
-    let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
+    let has_pictures = outputs.has_pictures();
     let camera = match (camera, has_pictures) {
         (None, false) => return Ok(outputs.clone()),
         (None, true) => return Err(PlanError::at(place, "missing, and there are pictures to take")),

@@ -17,7 +17,7 @@ use twox_hash::XxHash3_128;
 
 use super::frame::{FrameError, FrameReport, Outcome, ReadInput, Stage};
 use super::outputs::{OutputFormat, output_path};
-use super::provenance::{particles_provenance, provenance_kind, records};
+use super::provenance::{particles_provenance, records};
 use super::reading::read_frame_unchanged;
 use super::sink::{Unseen, publish, write_unseen};
 use super::stages::{Conduct, OnError};
@@ -124,7 +124,7 @@ fn is_done(frame: &ParticlesToWrite, provenance: &[(String, String)]) -> bool {
     frame.formats.iter().all(|format| {
         let format = format.output();
         let path = output_path(&frame.folder, &frame.stem, format);
-        records(&path, provenance_kind(format), provenance).unwrap_or(false)
+        records(&path, format, provenance).unwrap_or(false)
     })
 }
 

@@ -22,7 +22,7 @@ use super::level_set_file::{LevelSetFile, level_set_limits};
 use super::notes::fault;
 use super::obstacles::ObstacleFiles;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
-use super::provenance::{level_set_provenance, provenance_kind, records};
+use super::provenance::{level_set_provenance, records};
 use super::reading::read_unchanged;
 use super::stages::{Conduct, OnError};
 use super::stored::stored;
@@ -102,7 +102,7 @@ fn made(band: &BandToSurface, conduct: &Conduct<'_>) -> Result<Outcome, Outcome>
     let provenance = |format| level_set_provenance(&frame, input.hash, band.slack_voxels, format);
     let is_done = |&format: &OutputFormat| {
         let path = output_path(&band.outputs.folder, &band.stem, format);
-        records(&path, provenance_kind(format), &provenance(format)).unwrap_or(false)
+        records(&path, format, &provenance(format)).unwrap_or(false)
     };
     if conduct.skip_done
         && band.outputs.formats.iter().all(is_done)

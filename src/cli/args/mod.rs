@@ -28,7 +28,7 @@ use farm::parse_shard;
 pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
-pub(super) use formats::{CompressionChoice, Format, FormatArgs, PreviewChoice, UpChoice};
+pub(super) use formats::{CompressionChoice, Format, FormatArgs, UpChoice};
 pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use method::{
     AnisotropyChoice, ContourChoice, FirstArgs, IntegratorChoice, MeshArgs, MethodArgs, ObstacleArgs,

@@ -63,7 +63,7 @@ impl<'scope, 'env: 'scope, M> Line<'_, 'scope, 'env, M> {
             let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
                 let mut write =
                     || write_surface(&surface, (label.number, frame), made_from, format, &self.crew, out);
-                if format.picture().is_none() {
+                if !format.is_picture() {
                     return write();
                 }
                 let start = Instant::now();
