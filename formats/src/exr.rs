@@ -208,6 +208,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[&MAGIC], ..FormatRow::new("OpenEXR image", &["exr"]) },
     help: "OpenEXR: colours, depth, normals and more, a layer each",
     content: Content::Picture(|picture, mut out| write(picture, &mut out)),
+    write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
     read_provenance: |head| Ok(from_comments(&provenance_text(head)?, "")),

@@ -60,7 +60,7 @@ pub use batches::{ParticleBatch, ParticleBatches};
 pub use compression::Codec;
 pub use data::{
     Attribute, BandGrid, LeafValues, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance,
-    Role, Values,
+    Role, Values, VertexAttribute, VertexValues,
 };
 pub use error::{Error, Place, Result};
 pub use excerpt::{Escaped, escaped, is_unsafe};
@@ -74,10 +74,10 @@ use probe::LAMMPS_DATA;
 pub use probe::{Kind, Probe, looks_like_particles, probe};
 pub use records::ReadAt;
 pub use row::{
-    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, PictureWriter, Rounding, StreamWriter,
+    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, Rounding,
+    StreamWriter,
 };
 pub use table::{Format, OutputFormat, listed, read_provenance};
-pub use vertex_attributes::{VertexAttribute, VertexValues};
 
 /// Reads a frame of particles from a file of any format that can be read, compressed or not.
 ///

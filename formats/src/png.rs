@@ -170,6 +170,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b"\x89PNG"], ..FormatRow::new("PNG image", &["png"]) },
     help: "Colours, for any viewer",
     content: Content::Picture(|picture, mut out| write(picture, &mut out)),
+    write_particles: None,
     has_attributes: false,
     options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
     read_provenance: |head| Ok(from_entries(texts(head)?)),

@@ -2,14 +2,13 @@
 
 use std::io::Write;
 
-use crate::data::{MeshData, MeshView, ParticleFrame, Provenance};
+use crate::data::{MeshData, MeshView, ParticleFrame, Provenance, VertexAttribute};
 use crate::error::Result;
 use crate::limits::Limits;
 use crate::mesh_options::{MeshOptions, WriteOption};
 use crate::picture::PictureView;
 use crate::records::{ReadAt, Records};
 use crate::step_finders::FindSteps;
-use crate::vertex_attributes::VertexAttribute;
 
 /// What is known of a format whose files are read or recognised.
 pub(crate) struct FormatRow {
@@ -79,6 +78,8 @@ pub(crate) struct OutputRow {
     pub(crate) help: &'static str,
     /// What its files hold.
     pub(crate) content: Content,
+    /// How particles are written, if they are.
+    pub(crate) write_particles: Option<ParticleWriter>,
     /// Whether its files have attributes such as velocities.
     pub(crate) has_attributes: bool,
     /// The options that change its files.
@@ -98,6 +99,15 @@ pub enum Content {
     LevelSet,
     /// A picture.
     Picture(PictureWriter),
+}
+
+/// How a format writes particles.
+#[derive(Clone, Copy, Debug)]
+pub struct ParticleWriter {
+    /// Writes all of them.
+    pub write: fn(&ParticleFrame, &Provenance, &mut dyn Write) -> Result<()>,
+    /// Notes on what its files do not hold as it is.
+    pub notes: fn(&ParticleFrame) -> Vec<String>,
 }
 
 /// Writes a picture.

@@ -244,6 +244,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
             write(mesh, provenance, &mut out)
         }))
     }),
+    write_particles: None,
     has_attributes: false,
     options: &[],
     read_provenance,

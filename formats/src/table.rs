@@ -19,7 +19,7 @@ use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Result};
 use crate::mesh_options::{MeshOptions, WriteOption};
 use crate::provenance::HEAD_BYTES_MAX;
-use crate::row::{Content, FormatRow, MeshWriter, OutputRow};
+use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
 use crate::{bgeo, csv, exr, gltf, houdini, lammps, npy, obj, ply, png, stl, usda, vdb, vtk, xyz, xyz_ext};
 
 /// Defines the two enums of formats from the rows.
@@ -137,6 +137,11 @@ impl Format {
         self.row().extensions
     }
 
+    /// Whether meshes are read from its files.
+    pub fn has_mesh(self) -> bool {
+        self.row().read_mesh.is_some()
+    }
+
     /// Whether particles are read from its files.
     pub fn has_particles(self) -> bool {
         self.row().particles.is_some()
@@ -170,6 +175,11 @@ impl OutputFormat {
             Content::Mesh(writer) => Some(writer),
             Content::LevelSet | Content::Picture(_) => None,
         }
+    }
+
+    /// How it writes particles, if it does.
+    pub fn particles(self) -> Option<&'static ParticleWriter> {
+        self.row().write_particles.as_ref()
     }
 
     /// Whether its files hold a mesh.

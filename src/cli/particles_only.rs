@@ -3,10 +3,9 @@
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
+use meniscus_formats::listed;
 
-use crate::pipeline::{
-    FrameReport, OutputFormat, OutputOptions, ParticleFormat, ParticlesToWrite, write_particles_of,
-};
+use crate::pipeline::{FrameReport, OutputFormat, OutputOptions, ParticlesToWrite, write_particles_of};
 
 use super::Verdict;
 use super::args::{ConvertArgs, Format, FormatArgs, MethodArgs, ShotArgs};
@@ -36,10 +35,7 @@ pub(super) fn write_particles(
     refuse_level_sets(&selection, "--particles-only")?;
     let Selection { sequences, found, .. } = selection;
     let folder = args.out.clone().context("--out is missing: the folder for the results")?;
-    let outputs = OutputOptions {
-        formats: formats.iter().map(|format| format.output()).collect(),
-        ..output_options(folder, None, &args.formats)
-    };
+    let outputs = OutputOptions { formats: formats.clone(), ..output_options(folder, None, &args.formats) };
     let out_folder = OutFolder::make(&outputs.folder)?;
     refuse_conflicts(&sequences, &found, &obstacle_files(&args.method)?, &outputs, None)?;
     let frames: Vec<ParticlesToWrite> = sequences
@@ -93,14 +89,14 @@ fn refuse_beside_particles(args: &ConvertArgs) -> Result<()> {
 }
 
 /// The formats to write, each once: .ply by default.
-fn particle_formats(formats: Option<&[Format]>) -> Result<Vec<ParticleFormat>> {
+fn particle_formats(formats: Option<&[Format]>) -> Result<Vec<OutputFormat>> {
     let mut distinct = Vec::new();
-    for format in formats.unwrap_or(&[Format(OutputFormat::Ply)]) {
-        let format = match format.0 {
-            OutputFormat::Ply => ParticleFormat::Ply,
-            OutputFormat::Vtp => ParticleFormat::Vtp,
-            _ => bail!("--particles-only writes ply and vtp: the other formats are of surfaces"),
-        };
+    for &Format(format) in formats.unwrap_or(&[Format(OutputFormat::Ply)]) {
+        if format.particles().is_none() {
+            let all = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
+            let all = listed(all.map(|format| format.to_string()).collect(), "and");
+            bail!("--particles-only writes {all}: the other formats are of surfaces");
+        }
         if !distinct.contains(&format) {
             distinct.push(format);
         }

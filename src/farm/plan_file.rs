@@ -46,7 +46,7 @@ struct PlanFile {
     obstacles: Vec<String>,
     sequences: Vec<SequenceEntry>,
     shards: Vec<ShardEntry>,
-    frames: Vec<FrameEntry>,
+    frames: Vec<PlannedFrame>,
 }
 
 /// What tells a plan from other files, and which form it has.
@@ -95,16 +95,6 @@ struct Measured {
 struct ShardEntry {
     first: usize,
     count: usize,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FrameEntry {
-    input: String,
-    stem: String,
-    number: Option<u64>,
-    size_bytes: u64,
-    sequence: usize,
 }
 
 /// What is wrong with a plan.
@@ -198,6 +188,7 @@ pub fn parse(bytes: &[u8]) -> Result<Plan, PlanError> {
 impl PlanFile {
     fn of(plan: &Plan) -> Result<PlanFile, PlanError> {
         let first = plan.sequences.first().ok_or_else(|| PlanError::at("/sequences", "there are none"))?;
+        plan.frames.iter().try_for_each(|frame| text(&frame.input).map(drop))?;
         Ok(PlanFile {
             meniscus_plan: VERSION,
             generator: GENERATOR_AND_VERSION.to_owned(),
@@ -206,7 +197,7 @@ impl PlanFile {
             obstacles: plan.obstacles.iter().map(|path| text(path)).collect::<Result<_, _>>()?,
             sequences: plan.sequences.iter().map(SequenceEntry::of).collect::<Result<_, _>>()?,
             shards: plan.shards.iter().map(|s| ShardEntry { first: s.start, count: s.len() }).collect(),
-            frames: plan.frames.iter().map(FrameEntry::of).collect::<Result<_, _>>()?,
+            frames: plan.frames.clone(),
         })
     }
 
@@ -222,12 +213,10 @@ impl PlanFile {
         if sequences.is_empty() {
             return Err(PlanError::at("/sequences", "there are none"));
         }
-        let plan = Plan {
-            shards: shards(&self.shards, self.frames.len())?,
-            frames: frames(self.frames, sequences.len())?,
-            sequences,
-            obstacles: obstacles.collect::<Result<_, _>>()?,
-        };
+        let shards = shards(&self.shards, self.frames.len())?;
+        check_frames(&self.frames, sequences.len())?;
+        let plan =
+            Plan { shards, frames: self.frames, sequences, obstacles: obstacles.collect::<Result<_, _>>()? };
         match replaced_input(&plan) {
             Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is an output, too")),
             None => Ok(plan),
@@ -373,14 +362,6 @@ impl Measured {
     }
 }
 
-impl FrameEntry {
-    fn of(frame: &PlannedFrame) -> Result<FrameEntry, PlanError> {
-        let PlannedFrame { input, stem, number, size_bytes, sequence } = frame;
-        let (input, stem) = (text(input)?, stem.clone());
-        Ok(FrameEntry { input, stem, number: *number, size_bytes: *size_bytes, sequence: *sequence })
-    }
-}
-
 /// The same outputs with the camera of a sequence.
 fn with_camera(
     outputs: &OutputOptions,
@@ -432,29 +413,28 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
     }
 }
 
-fn frames(entries: Vec<FrameEntry>, sequence_count: usize) -> Result<Vec<PlannedFrame>, PlanError> {
-    if entries.is_empty() {
+/// Refuses frames that no plan may have.
+fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), PlanError> {
+    if frames.is_empty() {
         return Err(PlanError::at("/frames", "there are none"));
     }
-    let mut index_of: HashMap<String, usize> = HashMap::with_capacity(entries.len());
-    let mut frames = Vec::with_capacity(entries.len());
-    for (index, FrameEntry { input, stem, number, size_bytes, sequence }) in entries.into_iter().enumerate() {
+    let mut index_of: HashMap<&str, usize> = HashMap::with_capacity(frames.len());
+    for (index, PlannedFrame { input, stem, sequence, .. }) in frames.iter().enumerate() {
         let place = |name: &str| format!("/frames/{index}/{name}");
-        if sequence >= sequence_count {
+        if *sequence >= sequence_count {
             let what = format!("there is no sequence {sequence}: there are {sequence_count}");
             return Err(PlanError::at(place("sequence"), what));
         }
-        if !is_plain_name(&stem) {
+        if !is_plain_name(stem) {
             return Err(PlanError::at(place("stem"), format!("`{stem}` is no plain name of a file")));
         }
-        if let Some(other) = index_of.insert(stem.clone(), index) {
+        if let Some(other) = index_of.insert(stem, index) {
             let what = format!("`{stem}` is what the outputs of frame {other} are called");
             return Err(PlanError::at(place("stem"), what));
         }
-        let input = absolute(&place("input"), &input)?;
-        frames.push(PlannedFrame { input, stem, number, size_bytes, sequence });
+        absolute(&place("input"), &text(input)?)?;
     }
-    Ok(frames)
+    Ok(())
 }
 
 /// A name that stays in its folder, on any system.

@@ -139,7 +139,7 @@ pub use output_states::{OutputState, OutputStates};
 pub use outputs::{
     Conflict, METERS_PER_UNIT, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path,
 };
-pub use particles_only::{ParticleFormat, ParticlesToWrite, write_particles_of};
+pub use particles_only::{ParticlesToWrite, write_particles_of};
 pub use picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{

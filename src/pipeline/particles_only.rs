@@ -11,7 +11,7 @@
 use std::fs;
 use std::path::PathBuf;
 
-use meniscus_formats::{Limits, ParticleFrame, Positions, ply, read_particles, vtk};
+use meniscus_formats::{Error, Limits, ParticleFrame, Positions, read_particles};
 use rayon::prelude::*;
 use twox_hash::XxHash3_128;
 
@@ -23,15 +23,6 @@ use super::sink::{Unseen, publish, write_unseen};
 use super::stages::{Conduct, OnError};
 use super::steps::{StepsFoundBy, by_lines_of_file, file_of, reading_bytes};
 
-/// A format that holds particles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ParticleFormat {
-    /// Binary PLY.
-    Ply,
-    /// VTK PolyData.
-    Vtp,
-}
-
 /// A frame of which the particles are to be written.
 #[derive(Clone, Debug)]
 pub struct ParticlesToWrite {
@@ -41,8 +32,8 @@ pub struct ParticlesToWrite {
     pub stem: String,
     /// Where they go.
     pub folder: PathBuf,
-    /// One file for each.
-    pub formats: Vec<ParticleFormat>,
+    /// One file for each; formats that hold particles.
+    pub formats: Vec<OutputFormat>,
 }
 
 /// Writes the particles of the frames of a list; `finished` hears of each, by its index and in order. As many frames are
@@ -117,12 +108,11 @@ fn made(frame: &ParticlesToWrite, conduct: &Conduct<'_>) -> Result<Outcome, Outc
 }
 
 fn output_paths(frame: &ParticlesToWrite) -> Vec<PathBuf> {
-    frame.formats.iter().map(|format| output_path(&frame.folder, &frame.stem, format.output())).collect()
+    frame.formats.iter().map(|format| output_path(&frame.folder, &frame.stem, *format)).collect()
 }
 
 fn is_done(frame: &ParticlesToWrite, provenance: &[(String, String)]) -> bool {
-    frame.formats.iter().all(|format| {
-        let format = format.output();
+    frame.formats.iter().all(|&format| {
         let path = output_path(&frame.folder, &frame.stem, format);
         records(&path, format, provenance).unwrap_or(false)
     })
@@ -135,11 +125,11 @@ fn written(
 ) -> Result<(Vec<PathBuf>, Vec<u64>), FrameError> {
     let fail = |path: &std::path::Path, error| FrameError::file(path, Stage::Write, error);
     fs::create_dir_all(&frame.folder).map_err(|error| fail(&frame.folder, error.into()))?;
-    let write_one = |format: &ParticleFormat| {
-        let path = output_path(&frame.folder, &frame.stem, format.output());
-        let written = write_unseen(&path, |out| match format {
-            ParticleFormat::Ply => ply::write_particles(particles, provenance, out),
-            ParticleFormat::Vtp => vtk::write_particles(particles, provenance, out),
+    let write_one = |&format: &OutputFormat| {
+        let path = output_path(&frame.folder, &frame.stem, format);
+        let written = write_unseen(&path, |out| match format.particles() {
+            Some(writer) => (writer.write)(particles, provenance, out),
+            None => Err(Error::unsupported("particles", format!("a .{format} holds no particles"))),
         });
         written.map_err(|error| fail(&path, error))
     };
@@ -151,9 +141,8 @@ fn written(
 
 /// What a user should know of the file and of what became of it.
 fn notes(frame: &ParticlesToWrite, particles: &ParticleFrame) -> Vec<String> {
-    let of_format = |format: &ParticleFormat| match format {
-        ParticleFormat::Ply => ply::particle_notes(particles),
-        ParticleFormat::Vtp => vtk::particle_notes(particles),
+    let of_format = |format: &OutputFormat| {
+        format.particles().map(|writer| (writer.notes)(particles)).unwrap_or_default()
     };
     let of_positions = match not_finite_count(&particles.positions) {
         0 => None,
@@ -167,15 +156,5 @@ fn not_finite_count(positions: &Positions) -> usize {
     match positions {
         Positions::F32(positions) => positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count(),
         Positions::F64(positions) => positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count(),
-    }
-}
-
-impl ParticleFormat {
-    /// The same among all formats.
-    pub fn output(self) -> OutputFormat {
-        match self {
-            ParticleFormat::Ply => OutputFormat::Ply,
-            ParticleFormat::Vtp => OutputFormat::Vtp,
-        }
     }
 }

@@ -258,7 +258,7 @@ pub(super) fn surface_notes(surface: &Surface, outputs: &OutputOptions, settings
 fn position_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<String> {
     let mesh = mesh_view(&surface.mesh, &[]);
     let note = |format: OutputFormat| {
-        let rounding = rounding(format, outputs)?;
+        let rounding = rounding(format, outputs).filter(|_| !mesh.triangles.is_empty())?;
         let moved = (rounding.error)(mesh.positions, mesh.origin) / voxel_size;
         let reason = rounding.reason;
         (moved > TOLD_FROM_VOXELS)

@@ -78,6 +78,7 @@ pub(crate) static GLB: OutputRow = OutputRow {
             write_glb(mesh, options, provenance, &mut out)
         }))
     }),
+    write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Up, WriteOption::Quantize],
     read_provenance: |head| read_provenance(json_of_glb_head(head)?),
@@ -94,6 +95,7 @@ pub(crate) static GLTF: OutputRow = OutputRow {
             write_gltf(mesh, options, provenance, &mut out)
         }))
     }),
+    write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Up],
     read_provenance,

@@ -25,6 +25,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
         attribute_notes,
         ..MeshWriter::new(MeshEncoder::Batches { count: batch_count, encode: encode_batch })
     }),
+    write_particles: None,
     has_attributes: false,
     options: &[WriteOption::Quads],
     read_provenance: |head| Ok(from_comments(head, "# ")),

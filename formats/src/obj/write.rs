@@ -18,12 +18,12 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::FORMAT;
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::provenance::{GENERATOR, comments};
 use crate::quads::{Face, check_quads, faces, quad_count};
-use crate::vertex_attributes::{Purpose, VertexAttribute, cut_note, purposes};
+use crate::vertex_attributes::{Purpose, cut_note, purposes};
 
 /// Elements that are formatted as one task, and tasks whose text is held at once.
 const ELEMENTS_PER_TASK: usize = 1 << 13;

@@ -21,7 +21,7 @@ use crate::error::Result;
 use crate::limits::Limits;
 use crate::provenance::from_comments;
 use crate::row::{Completeness, HeadCheck, Integrity, at_least, exactly};
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, ParticleInput};
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, ParticleInput, ParticleWriter};
 
 mod ascii;
 mod batches;
@@ -68,6 +68,10 @@ pub(crate) static ROW: OutputRow = OutputRow {
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, mut out| {
             write::write_mesh(mesh, provenance, &mut out)
         }))
+    }),
+    write_particles: Some(ParticleWriter {
+        write: |particles, provenance, mut out| write_particles(particles, provenance, &mut out),
+        notes: particle_notes,
     }),
     has_attributes: true,
     options: &[],

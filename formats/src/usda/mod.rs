@@ -50,6 +50,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
         attribute_notes,
         ..MeshWriter::new(MeshEncoder::Batches { count: batch_count, encode: encode_batch })
     }),
+    write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
     read_provenance,

@@ -16,11 +16,11 @@
 
 use rayon::prelude::*;
 
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::vertex_attributes::{NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes};
+use crate::vertex_attributes::{NamesTaken, Purpose, plain_name, purposes};
 
 use super::FORMAT;
 use super::arrays::Elements;

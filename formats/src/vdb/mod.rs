@@ -79,6 +79,7 @@ pub(crate) static ROW: OutputRow = OutputRow {
     format: FormatRow { signatures: &[b" BDV\0\0\0\0"], ..FormatRow::new(FORMAT, &["vdb"]) },
     help: "The level set, for OpenVDB",
     content: Content::LevelSet,
+    write_particles: None,
     has_attributes: true,
     options: &[WriteOption::Half, WriteOption::Compression],
     read_provenance: |head| {

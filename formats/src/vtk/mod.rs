@@ -9,7 +9,7 @@
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_strings;
 use crate::row::Integrity;
-use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, ParticleInput};
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, ParticleInput, ParticleWriter};
 
 mod appended;
 mod blocks;
@@ -59,6 +59,10 @@ pub(crate) static ROW: OutputRow = OutputRow {
         ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
             write_mesh(mesh, options, provenance, &mut out)
         }))
+    }),
+    write_particles: Some(ParticleWriter {
+        write: |particles, provenance, mut out| write_particles(particles, provenance, &mut out),
+        notes: particle_notes,
     }),
     has_attributes: true,
     options: &[WriteOption::Quads],

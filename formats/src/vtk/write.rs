@@ -11,12 +11,12 @@
 
 use std::io::Write;
 
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
 use crate::mesh_options::MeshOptions;
 use crate::quads::{Face, check_quads, faces, quad_count};
-use crate::vertex_attributes::{VertexAttribute, VertexValues, string_index};
+use crate::vertex_attributes::string_index;
 
 use super::XML;
 use super::appended::{

@@ -10,15 +10,15 @@ mod volume;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
-use std::iter;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
 use meniscus_formats::{
-    Codec, Format, Kind, Limits, OutputFormat, Probe, escaped, gltf, obj, ply, probe, read_particles,
-    read_provenance, stl, usda, vdb, vtk,
+    Codec, Format, Kind, Limits, OutputFormat, Probe, escaped, gltf, ply, probe, read_mesh, read_particles,
+    read_provenance, usda, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -185,9 +185,6 @@ impl FileInfo {
                     }
                 }
             }
-            Kind::Format(Format::Stl) if codec.is_none() => {
-                self.mesh = Some(MeshInfo::of(&stl::read_mesh(&bytes, &limits)?))
-            }
             Kind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
                 Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
                     self.set_shot(frames, [vertices, faces]);
@@ -205,13 +202,14 @@ impl FileInfo {
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            Kind::Format(Format::Obj) if codec.is_none() => {
-                self.mesh = Some(MeshInfo::of(&obj::read_mesh(&bytes)?))
-            }
             Kind::Format(Format::Ply) if codec.is_none() && holds_mesh(&bytes, &limits)? => {
                 let (mesh, vertices) = ply::read_mesh_and_vertices(&bytes, &limits)?;
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
+            }
+            Kind::Format(format) if codec.is_none() && format.has_mesh() && !format.has_particles() => {
+                let no_files = |_: &str| Err(io::ErrorKind::NotFound.into());
+                self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
             }
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;

@@ -20,6 +20,7 @@ use crate::surface::level_set::{Bounds, NarrowBand};
 const ITERATIONS_MAX: usize = 1500;
 
 /// How the linear solver fared.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Convergence {
     /// Iterations of conjugate gradients.

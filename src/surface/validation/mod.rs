@@ -115,6 +115,7 @@ impl Certificate {
 }
 
 /// Particles outside a surface.
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ParticlesOutside {
     /// How many.
