@@ -208,7 +208,7 @@ impl FileInfo {
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
             Kind::Format(format) if codec.is_none() && format.has_mesh() && !format.has_particles() => {
-                let no_files = |_: &str| Err(io::ErrorKind::NotFound.into());
+                let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
                 self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
             }
             _ => {

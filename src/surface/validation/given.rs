@@ -86,7 +86,12 @@ pub fn given_outside(
     exempt: &dyn Exempt,
 ) -> ParticlesOutside {
     let count = |tally: Tally, place: &GivenPlace| tally.and(place.tally((band, offset), exempt));
-    places.par_iter().flatten().fold(Tally::default, count).reduce(Tally::default, Tally::and).in_world(lattice)
+    places
+        .par_iter()
+        .flatten()
+        .fold(Tally::default, count)
+        .reduce(Tally::default, Tally::and)
+        .in_world(lattice)
 }
 
 /// The same of all particles of a source that were moved.
