@@ -20,7 +20,6 @@ use crate::error::{Error, Result};
 use crate::mesh_options::{MeshOptions, WriteOption};
 use crate::provenance::HEAD_BYTES_MAX;
 use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
-use crate::{bgeo, csv, exr, gltf, houdini, lammps, npy, obj, ply, png, stl, usda, vdb, vtk, xyz, xyz_ext};
 
 /// Defines the two enums of formats from the rows.
 macro_rules! formats {
@@ -78,51 +77,51 @@ macro_rules! formats {
 formats! {
     written {
         /// Binary glTF.
-        Glb => gltf::GLB,
+        Glb => crate::gltf::GLB,
         /// glTF as text, with its buffer inside.
-        Gltf => gltf::GLTF,
+        Gltf => crate::gltf::GLTF,
         /// OpenVDB: sparse volumes.
-        Vdb => vdb::ROW,
+        Vdb => crate::vdb::ROW,
         /// Wavefront OBJ.
-        Obj => obj::ROW,
+        Obj => crate::obj::ROW,
         /// PLY, with points or a mesh.
-        Ply => ply::ROW,
+        Ply => crate::ply::ROW,
         /// VTK's XML formats: `.vtp`, which is written, and `.vtu`.
-        Vtp => vtk::ROW,
+        Vtp => crate::vtk::ROW,
         /// USD as text.
-        Usda => usda::ROW,
+        Usda => crate::usda::ROW,
         /// Binary STL.
-        Stl => stl::ROW,
+        Stl => crate::stl::ROW,
         /// A picture: colours.
-        Png => png::ROW,
+        Png => crate::png::ROW,
         /// A picture: colours, depth, normals and more.
-        Exr => exr::ROW,
+        Exr => crate::exr::ROW,
     }
     read_only {
         /// Houdini's geometry before version 12, binary; what simulators write.
-        ClassicBgeo => bgeo::BINARY,
+        ClassicBgeo => crate::bgeo::BINARY,
         /// The same as text.
-        ClassicGeo => bgeo::TEXT,
+        ClassicGeo => crate::bgeo::TEXT,
         /// Houdini's geometry from version 12 on, binary.
-        HoudiniJsonBinary => houdini::BINARY,
+        HoudiniJsonBinary => crate::houdini::BINARY,
         /// The same as text.
-        HoudiniJsonText => houdini::TEXT,
+        HoudiniJsonText => crate::houdini::TEXT,
         /// The same, compressed with Blosc.
-        HoudiniSc => houdini::CONTAINER,
+        HoudiniSc => crate::houdini::CONTAINER,
         /// VTK's old format, text or binary.
-        VtkLegacy => vtk::LEGACY_ROW,
+        VtkLegacy => crate::vtk::LEGACY_ROW,
         /// A table as text: CSV, tab- or space-separated.
-        Delimited => csv::ROW,
+        Delimited => crate::csv::ROW,
         /// Tables of particles by LAMMPS, one for each time step.
-        LammpsDump => lammps::ROW,
+        LammpsDump => crate::lammps::ROW,
         /// Atoms as text, after their count and a comment; frames may follow each other.
-        XyzAtoms => xyz_ext::ROW,
+        XyzAtoms => crate::xyz_ext::ROW,
         /// Positions as raw 32-bit reals.
-        RawXyz => xyz::ROW,
+        RawXyz => crate::xyz::ROW,
         /// One NumPy array.
-        Npy => npy::ROW,
+        Npy => crate::npy::ROW,
         /// NumPy arrays with names, in a ZIP archive.
-        Npz => npy::ARCHIVE_ROW,
+        Npz => crate::npy::ARCHIVE_ROW,
     }
 }
 
