@@ -74,8 +74,8 @@ use probe::LAMMPS_DATA;
 pub use probe::{Kind, Probe, looks_like_particles, probe};
 pub use records::ReadAt;
 pub use row::{
-    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter, Rounding,
-    StreamWriter,
+    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter,
+    RoundPositions, Rounding, StreamWriter,
 };
 pub use table::{Format, OutputFormat, listed, read_provenance};
 

@@ -23,7 +23,7 @@ pub(crate) struct FormatRow {
     /// How particles are read.
     pub(crate) particles: Option<ParticleInput>,
     /// How a mesh is read.
-    pub(crate) read_mesh: Option<fn(&[u8], &Limits, &Beside) -> Result<MeshData>>,
+    pub(crate) read_mesh: Option<MeshReader>,
 }
 
 impl FormatRow {
@@ -32,6 +32,12 @@ impl FormatRow {
         FormatRow { name, extensions, signatures: &[], beginnings: &[], particles: None, read_mesh: None }
     }
 }
+
+/// Reads a mesh from a whole file, and from those beside it that it names.
+pub(crate) type MeshReader = fn(&[u8], &Limits, &Beside) -> Result<MeshData>;
+
+/// Reads from the first bytes of a file the names and values that its writer recorded there.
+pub(crate) type ProvenanceReader = fn(&[u8]) -> Result<Vec<(String, String)>>;
 
 /// Finds the records of a file in its first bytes and its size: the outer error is that of the header, which may only
 /// be longer than these bytes.
@@ -85,7 +91,7 @@ pub(crate) struct OutputRow {
     /// The options that change its files.
     pub(crate) options: &'static [WriteOption],
     /// Reads from the first bytes of a file what its writer recorded there.
-    pub(crate) read_provenance: fn(&[u8]) -> Result<Vec<(String, String)>>,
+    pub(crate) read_provenance: ProvenanceReader,
     /// How a file is checked for being whole.
     pub(crate) integrity: Integrity,
 }
@@ -145,11 +151,14 @@ pub enum MeshEncoder {
     },
 }
 
+/// Positions relative to an origin, world units, as a reader of a file gets them.
+pub type RoundPositions = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
+
 /// How a format rounds the positions of a mesh. Its functions take positions relative to an origin, in world units.
 #[derive(Debug)]
 pub struct Rounding {
     /// The positions that a reader gets, relative to the same origin.
-    pub positions: fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>,
+    pub positions: RoundPositions,
     /// The largest distance along an axis by which a position is moved.
     pub error: fn(&[[f32; 3]], [f64; 3]) -> f64,
     /// What of such a file a certificate is about.

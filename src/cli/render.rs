@@ -77,7 +77,7 @@ impl<'a> Shots<'a> {
         let (folder, stem, format) = match (&args.output, &args.out) {
             (Some(file), _) => {
                 let (folder, stem, extension) = named_picture(file, &["png", "exr"])?;
-                let format = OutputFormat::from_extension(&extension).unwrap_or(OutputFormat::Png);
+                let format = OutputFormat::from_extension(extension).unwrap_or(OutputFormat::Png);
                 (folder, Some(stem), format)
             }
             (None, Some(folder)) => {
