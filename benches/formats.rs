@@ -24,8 +24,8 @@ use std::thread;
 use std::time::Instant;
 
 use meniscus_formats::{
-    Attribute, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, ParticleFrame, Positions,
-    Role, Values, bgeo, gltf, obj, ply, read_particles, vdb,
+    Attribute, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat, ParticleBatch, ParticleBatches,
+    ParticleFrame, Positions, Role, Values, bgeo, gltf, ply, read_particles, vdb,
 };
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -135,14 +135,14 @@ fn writing_rows(pools: &[ThreadPool; 2]) -> bool {
     type WriteMesh<'a> = &'a (dyn Fn(&mut Vec<u8>) + Sync);
     let writers: [(&str, Promise, WriteMesh); 4] = [
         ("write .glb", Some((500.0, Cores::All)), &|out| {
-            gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out).expect("written");
+            gltf::write_glb(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
         ("write .gltf", None, &|out| {
-            gltf::write_gltf(&mesh, &gltf::WriteOptions::default(), &[], out).expect("written");
+            gltf::write_gltf(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
         ("write .ply", None, &|out| ply::write::write_mesh(&mesh, &[], out).expect("written")),
         ("write .obj", Some((150.0, Cores::All)), &|out| {
-            obj::write(&mesh, &obj::WriteOptions::default(), &[], out).expect("written");
+            OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &[], out).expect("written");
         }),
     ];
     for (name, promise, write) in writers {

@@ -24,7 +24,7 @@ use meniscus::pipeline::{
 };
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::skin::skin;
-use meniscus_formats::{ParticleFrame, Positions, bgeo, gltf, vdb};
+use meniscus_formats::{MeshOptions, ParticleFrame, Positions, bgeo, gltf, vdb};
 use rayon::ThreadPool;
 
 /// Distance between particles.
@@ -112,7 +112,7 @@ fn convert_alone(frame: &Frame, pool: &ThreadPool) -> Result<(), Box<dyn Error>>
         |extension: &str| -> PathBuf { frame.outputs.folder.join(format!("{}.{extension}", frame.stem)) };
     write_whole(&path("glb"), |out| {
         let mesh = mesh_view(&surface.mesh, &[]);
-        pool.install(|| gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out))
+        pool.install(|| gltf::write_glb(&mesh, &MeshOptions::default(), &[], out))
     })?;
     write_whole(&path("vdb"), |out| {
         let options = vdb::WriteOptions::default();

@@ -26,7 +26,7 @@ use std::time::Instant;
 use meniscus::pipeline::{Wanted, parse_particles, read_file, write_whole};
 use meniscus::surface::options::{MethodOptions, Settings};
 use meniscus::surface::skin::{Surface, skin};
-use meniscus_formats::{LevelSetView, MeshView, gltf, vdb};
+use meniscus_formats::{LevelSetView, MeshOptions, MeshView, gltf, vdb};
 use rayon::ThreadPoolBuilder;
 
 use block::block_ply;
@@ -155,7 +155,7 @@ fn write_surface(surface: &Surface, settings: &Settings, folder: &Path, stem: &s
         attributes: &[],
     };
     write_whole(&folder.join(format!("{stem}.glb")), |out| {
-        gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], out)
+        gltf::write_glb(&mesh, &MeshOptions::default(), &[], out)
     })
     .expect("written");
     let origins: Vec<[i32; 3]> =

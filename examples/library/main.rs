@@ -26,7 +26,7 @@ use meniscus::pipeline::{
 };
 use meniscus::surface::options::Settings;
 use meniscus::surface::{Options, Phase, Reconstructor};
-use meniscus_formats::{Limits, MeshView, Positions, gltf, read_particles};
+use meniscus_formats::{Limits, MeshOptions, MeshView, Positions, gltf, read_particles};
 use rayon::ThreadPoolBuilder;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -79,7 +79,7 @@ pub(crate) fn reconstruct_file(from: &Path, to: &Path) -> Result<(), Box<dyn Err
         attributes: &[],
     };
     let mut out = BufWriter::new(File::create(to)?);
-    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut out)?;
+    gltf::write_glb(&mesh, &MeshOptions::default(), &[], &mut out)?;
     Ok(out.flush()?)
 }
 

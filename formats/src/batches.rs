@@ -12,62 +12,14 @@
 
 use std::io;
 use std::ops::Range;
-use std::sync::Arc;
 
-use crate::bytes::Endian;
 use crate::data::Positions;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 use crate::probe::{Kind, Probe, probe};
-use crate::{bgeo, ply};
+use crate::records::{Records, read};
 
-/// What can be read at any position, by several threads at once: a file, or bytes in memory.
-pub trait ReadAt: Sync {
-    /// Bytes.
-    ///
-    /// # Errors
-    /// When the system refuses.
-    fn size_bytes(&self) -> io::Result<u64>;
-
-    /// Fills `out` with the bytes from `offset` on.
-    ///
-    /// # Errors
-    /// When the system refuses; `UnexpectedEof` where the file ends before.
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()>;
-}
-
-impl ReadAt for [u8] {
-    fn size_bytes(&self) -> io::Result<u64> {
-        Ok(self.len() as u64)
-    }
-
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
-        let rest = usize::try_from(offset).ok().and_then(|offset| self.get(offset..));
-        let bytes = rest.and_then(|rest| rest.get(..out.len())).ok_or(io::ErrorKind::UnexpectedEof)?;
-        out.copy_from_slice(bytes);
-        Ok(())
-    }
-}
-
-impl<T: ReadAt + ?Sized> ReadAt for &T {
-    fn size_bytes(&self) -> io::Result<u64> {
-        (**self).size_bytes()
-    }
-
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
-        (**self).read_exact_at(out, offset)
-    }
-}
-
-impl<T: ReadAt + Send + ?Sized> ReadAt for Arc<T> {
-    fn size_bytes(&self) -> io::Result<u64> {
-        (**self).size_bytes()
-    }
-
-    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
-        (**self).read_exact_at(out, offset)
-    }
-}
+pub use crate::records::ReadAt;
 
 /// The particles of an open file, batch by batch.
 #[derive(Debug)]
@@ -75,31 +27,6 @@ pub struct ParticleBatches<F> {
     file: F,
     records: Records,
     batch_particle_count: usize,
-}
-
-/// Where the particles of a file are.
-#[derive(Clone, Debug)]
-pub(crate) struct Records {
-    /// The format's name in errors.
-    pub(crate) format: &'static str,
-    /// Where the first record begins, bytes from the start of the file.
-    pub(crate) offset: u64,
-    /// Bytes from one record to the next; never 0.
-    pub(crate) stride: usize,
-    /// Records, all of which are there.
-    pub(crate) count: usize,
-    pub(crate) position: PositionInRecord,
-    /// What a user should know.
-    pub(crate) notes: Vec<String>,
-    /// The name of the attribute that is the velocity.
-    pub(crate) velocity: Option<String>,
-}
-
-/// How to take a position from a record.
-#[derive(Clone, Debug)]
-pub(crate) enum PositionInRecord {
-    Ply { columns: ply::PositionColumns, endian: Endian },
-    Bgeo,
 }
 
 /// One batch, and the memory in which it was read. It can be used again for another.
@@ -165,12 +92,7 @@ impl<F: ReadAt> ParticleBatches<F> {
             }
             _ => error.into(),
         })?;
-        match &self.records.position {
-            PositionInRecord::Ply { columns, endian } => {
-                columns.gather(records, stride, *endian, particles.len(), positions);
-            }
-            PositionInRecord::Bgeo => bgeo::gather_batch(records, stride, positions),
-        }
+        (self.records.gather)(records, stride, particles.len(), positions);
         Ok(())
     }
 
@@ -190,37 +112,20 @@ fn records(file: &impl ReadAt, file_name: &str, limits: &Limits) -> Result<Optio
     let file_bytes = file.size_bytes()?;
     // A byte more than a header may have, so that the reader of headers can tell that it has too many.
     for head_bytes in [HEAD_BYTES, limits.header_bytes.saturating_add(1)] {
-        let head = read(file, 0..head_bytes.min(file_bytes))?;
+        let head = read(&file, 0..head_bytes.min(file_bytes))?;
         let may_go_on = |error: &Error| error.is_short() && (head.len() as u64) < file_bytes;
-        match probe(&head, file_name) {
-            Probe { kind: Kind::Ply, packing: None } => match ply::read_header(&head, limits) {
-                Err(error) if may_go_on(&error) => {}
-                header => return ply::records(&header?, file_bytes, limits),
-            },
-            Probe { kind: Kind::ClassicBgeo, packing: None } => match bgeo::header_within(&head, limits) {
-                Err(error) if may_go_on(&error) => {}
-                header => {
-                    let header = header?;
-                    let rest = match file_bytes.checked_sub(header.expected_bytes) {
-                        Some(0) => read(file, header.points_end()..file_bytes)?,
-                        _ => Vec::new(),
-                    };
-                    return bgeo::records(&header, file_bytes, &rest).map(Some);
-                }
-            },
-            _ => return Ok(None),
+        let Probe { kind: Kind::Format(format), codec: None } = probe(&head, file_name) else {
+            return Ok(None);
+        };
+        let Some(find) = format.row().particles.as_ref().and_then(|particles| particles.find_records) else {
+            return Ok(None);
+        };
+        match find(&head, file_bytes, &file, limits) {
+            Err(error) if may_go_on(&error) => {}
+            found => return found?,
         }
     }
     Ok(None)
-}
-
-/// A piece of the file, which is not long.
-fn read(file: &impl ReadAt, range: Range<u64>) -> Result<Vec<u8>> {
-    let length =
-        usize::try_from(range.end - range.start).map_err(|_| io::Error::from(io::ErrorKind::OutOfMemory))?;
-    let mut bytes = vec![0; length];
-    file.read_exact_at(&mut bytes, range.start)?;
-    Ok(bytes)
 }
 
 /// Bytes of a head that has most headers.

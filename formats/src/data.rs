@@ -5,7 +5,6 @@
 use std::fmt;
 
 use crate::error::{Error, Place, Result};
-use crate::vertex_attributes::{VertexAttribute, all_finite};
 
 /// Particle positions, in the precision of the file.
 #[derive(Clone, Debug, PartialEq)]
@@ -170,6 +169,62 @@ impl MeshView<'_> {
         }
         self.attributes.iter().try_for_each(|attribute| attribute.check(vertices, format))
     }
+}
+
+/// One named attribute of all vertices: borrowed from whoever made it.
+#[derive(Clone, Copy, Debug)]
+pub struct VertexAttribute<'a> {
+    /// Its name among the particles.
+    pub name: &'a str,
+    /// What it was recognised as.
+    pub role: Option<Role>,
+    /// Values per vertex, at least 1.
+    pub arity: usize,
+    /// `arity` values per vertex, vertex by vertex.
+    pub values: VertexValues<'a>,
+}
+
+/// The values of one attribute.
+#[derive(Clone, Copy, Debug)]
+pub enum VertexValues<'a> {
+    /// Finite numbers.
+    Numbers(&'a [f32]),
+    /// Numbers that name something.
+    Integers(&'a [i64]),
+    /// Indices into a table of strings; an index outside the table means none.
+    Strings {
+        /// The distinct strings.
+        table: &'a [String],
+        /// One index per component.
+        indices: &'a [i32],
+    },
+}
+
+impl<'a> VertexAttribute<'a> {
+    /// Refuses what no file can hold: lengths that do not fit, numbers that are not finite.
+    pub(crate) fn check(&self, vertex_count: usize, format: &'static str) -> Result<()> {
+        let VertexAttribute { name, arity, values, .. } = self;
+        let found = match values {
+            VertexValues::Numbers(values) => values.len(),
+            VertexValues::Integers(values) => values.len(),
+            VertexValues::Strings { indices, .. } => indices.len(),
+        };
+        let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
+        if *arity == 0 || vertex_count.checked_mul(*arity) != Some(found) {
+            return invalid(format!("{found} values of {name} for {vertex_count} vertices of {arity} each"));
+        }
+        if let VertexValues::Numbers(values) = values
+            && !all_finite(values)
+        {
+            return invalid(format!("a value of {name} that is not finite"));
+        }
+        Ok(())
+    }
+}
+
+/// Whether all numbers are finite. No branch depends on a single one.
+pub(crate) fn all_finite(numbers: &[f32]) -> bool {
+    numbers.iter().fold(true, |all, number| all & number.is_finite())
 }
 
 /// A mesh read from a file.

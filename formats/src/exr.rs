@@ -21,8 +21,11 @@ use half::f16;
 
 use crate::bytes::{self, Endian};
 use crate::error::{Error, Place, Result};
+use crate::mesh_options::WriteOption;
 use crate::picture::{PictureView, Samples};
-use crate::provenance::{GENERATOR, comments};
+use crate::provenance::{GENERATOR, comments, from_comments};
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, OutputRow};
 
 const FORMAT: &str = "OpenEXR";
 
@@ -200,12 +203,25 @@ const MULTIPLE_PARTS: u32 = 0x1000;
 /// Before the data of a block: its part, its first line, the size of its data.
 pub(crate) const BLOCK_HEAD_BYTES: u64 = 12;
 
+/// What the table of formats says of it.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow { signatures: &[&MAGIC], ..FormatRow::new("OpenEXR image", &["exr"]) },
+    help: "OpenEXR: colours, depth, normals and more, a layer each",
+    content: Content::Picture(|picture, mut out| write(picture, &mut out)),
+    write_particles: None,
+    has_attributes: true,
+    options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
+    read_provenance: |head| Ok(from_comments(&provenance_text(head)?, "")),
+    integrity: Integrity::Length(|head, read| bytes_claimed(head, |start| read(start, BLOCK_HEAD_BYTES))),
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::OutputFormat;
+    use crate::integrity::is_whole;
     use crate::picture::{PictureCamera, PictureLayer};
-    use crate::provenance::{Kind, read_provenance};
-    use crate::wholeness::is_whole;
+    use crate::read_provenance;
     use ::exr::prelude::{ReadChannels, ReadLayers, read};
 
     const WIDTH: usize = 37;
@@ -276,13 +292,13 @@ mod tests {
     #[test]
     fn what_made_it_comes_back_and_a_part_is_not_whole() {
         let bytes = written();
-        assert_eq!(read_provenance(Kind::Exr, &*bytes).expect("readable"), provenance());
-        assert!(is_whole(Kind::Exr, &mut Cursor::new(&bytes)).expect("readable"));
+        assert_eq!(read_provenance(OutputFormat::Exr, &*bytes).expect("readable"), provenance());
+        assert!(is_whole(OutputFormat::Exr, &mut Cursor::new(&bytes)).expect("readable"));
         for length in (0..bytes.len()).step_by(7) {
             let part = &bytes[..length];
-            assert!(!is_whole(Kind::Exr, &mut Cursor::new(part)).unwrap_or(false), "{length}");
+            assert!(!is_whole(OutputFormat::Exr, &mut Cursor::new(part)).unwrap_or(false), "{length}");
             // It may be there, or be refused; it may not panic.
-            let _ = read_provenance(Kind::Exr, part);
+            let _ = read_provenance(OutputFormat::Exr, part);
         }
     }
 }

@@ -26,6 +26,8 @@ use crate::data::{ParticleFrame, Positions};
 use crate::error::{Error, Place, Result};
 use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
+use crate::row::{FormatRow, ParticleInput};
+use crate::step_finders::steps_of_dump;
 
 /// The format as users know it, for errors.
 pub(crate) const FORMAT: &str = "LAMMPS dump";
@@ -324,3 +326,10 @@ impl<'a> Lines<'a> {
         Error::short(FORMAT, Place::Line(self.number), what)
     }
 }
+
+/// What the table of formats says of it.
+pub(crate) static ROW: FormatRow = FormatRow {
+    beginnings: &[b"ITEM: TIMESTEP\n"],
+    particles: Some(ParticleInput { find_steps: Some(steps_of_dump), ..ParticleInput::new(read) }),
+    ..FormatRow::new(FORMAT, &["dump", "lammpstrj"])
+};

@@ -7,13 +7,13 @@
 
 #![forbid(unsafe_code)]
 
-pub mod atoms;
 pub mod batches;
 pub mod bgeo;
 mod blosc;
 mod blosclz;
 pub mod bytes;
-pub mod completeness;
+pub mod columns;
+pub mod compression;
 pub mod csv;
 pub mod data;
 pub mod error;
@@ -22,17 +22,17 @@ pub mod exr;
 pub mod gltf;
 mod gzip;
 pub mod houdini;
+pub mod integrity;
 pub mod lammps;
 mod le_bytes;
 pub mod limits;
 pub mod mesh;
+mod mesh_options;
 mod named_arrays;
-pub mod names;
 pub mod npy;
 mod number;
 pub mod obj;
 pub mod obstacle;
-pub mod packing;
 mod particle_columns;
 pub mod picture;
 pub mod ply;
@@ -40,36 +40,46 @@ pub mod png;
 pub mod probe;
 pub mod provenance;
 mod quads;
+mod records;
+mod row;
 pub mod scalar;
+mod step_finders;
 pub mod steps;
 pub mod stl;
+mod table;
 mod text;
 pub mod usda;
 pub mod vdb;
 mod vertex_attributes;
 pub mod vtk;
-pub mod wholeness;
 pub mod xyz;
+pub mod xyz_ext;
 mod zstd;
 
-pub use batches::{ParticleBatch, ParticleBatches, ReadAt};
-pub use completeness::{Completeness, completeness};
+pub use batches::{ParticleBatch, ParticleBatches};
+pub use compression::Codec;
 pub use data::{
     Attribute, BandGrid, LeafValues, LevelSetView, MeshData, MeshView, ParticleFrame, Positions, Provenance,
-    Role, Values,
+    Role, Values, VertexAttribute, VertexValues,
 };
 pub use error::{Error, Place, Result};
 pub use excerpt::{Escaped, escaped, is_unsafe};
+pub use integrity::{completeness, is_whole};
 pub use limits::Limits;
 pub use mesh::read_mesh;
+pub use mesh_options::{MeshOptions, UpAxis, WriteOption};
 pub use obstacle::{ObstacleData, read_obstacle};
-pub use packing::Packing;
 pub use picture::{ColorPicture, PictureCamera, PictureLayer, PictureView, Samples};
 use probe::LAMMPS_DATA;
 pub use probe::{Kind, Probe, looks_like_particles, probe};
-pub use vertex_attributes::{VertexAttribute, VertexValues};
+pub use records::ReadAt;
+pub use row::{
+    BatchEncoder, Completeness, Content, MeshEncoder, MeshWriter, ParticleWriter, PictureWriter,
+    RoundPositions, Rounding, StreamWriter,
+};
+pub use table::{Format, OutputFormat, listed, read_provenance};
 
-/// Reads a frame of particles from a file of any format that can be read, packed or not.
+/// Reads a frame of particles from a file of any format that can be read, compressed or not.
 ///
 /// The content decides what the format is; see [`probe()`] for the part that `file_name` has in it.
 /// A mesh in a PLY file is read as the particles at its vertices, and a note says so. A file that may have several
@@ -79,16 +89,16 @@ pub use vertex_attributes::{VertexAttribute, VertexValues};
 /// Those of the format's reader, with offsets counted after decompression; `Unsupported`, with what
 /// to do instead, for a file that is something else.
 pub fn read_particles(bytes: &[u8], file_name: &str, limits: &Limits) -> Result<ParticleFrame> {
-    let Probe { kind, packing } = probe(bytes, file_name);
+    let Probe { kind, codec } = probe(bytes, file_name);
     let is_vague = matches!(kind, Kind::Empty | Kind::Unknown | Kind::UnknownText);
-    if let Some(packing) = packing.filter(|_| is_vague) {
-        packing.check_start(bytes)?;
+    if let Some(codec) = codec.filter(|_| is_vague) {
+        codec.check_start(bytes)?;
     }
-    if !bytes.is_empty() && completeness::signature_cut_off(bytes).is_some() {
+    if !bytes.is_empty() && integrity::beginning_cut_off(bytes).is_some() {
         return Err(Error::short("", Place::File, "the file ends within its signature"));
     }
     let read = reader_of(kind)?;
-    read(&packing::unpacked(bytes, limits)?, limits)
+    read(&compression::unpacked(bytes, limits)?, limits)
 }
 
 /// Refuses what nothing here reads, by the first bytes of a file: a large one need not be read whole to be told so.
@@ -102,40 +112,31 @@ pub fn refuse_foreign(head: &[u8], file_name: &str) -> Result<()> {
     }
 }
 
-const NOT_READ: &str =
-    "not a particle format that is read: save it as PLY, BGEO or VTK (docs/formats.md has all that are read)";
-
-/// Turns the unpacked bytes of a file into a frame.
+/// Turns the decompressed bytes of a file into a frame.
 type Reader = fn(&[u8], &Limits) -> Result<ParticleFrame>;
 
-/// What reads files of this kind; of those that nothing reads, what they are and what to do instead.
+/// What reads particles from files of this kind; for those that nothing reads, what they are and what to do instead.
 fn reader_of(kind: Kind) -> Result<Reader> {
-    let refusal = match kind {
-        Kind::Ply => return Ok(ply::read),
-        Kind::ClassicBgeo => return Ok(bgeo::read),
-        Kind::ClassicGeo => return Ok(bgeo::read_text),
-        Kind::HoudiniJsonBinary => return Ok(houdini::read_binary),
-        Kind::HoudiniJsonText => return Ok(houdini::read_text),
-        Kind::HoudiniSc => return Ok(houdini::read_container),
-        Kind::Delimited => return Ok(csv::read),
-        Kind::RawXyz => return Ok(xyz::read),
-        Kind::LammpsDump => return Ok(lammps::read),
-        Kind::XyzAtoms => return Ok(atoms::read),
-        Kind::VtkLegacy => return Ok(vtk::read_legacy),
-        Kind::VtkXml => return Ok(vtk::read_xml),
-        Kind::Npy => return Ok(npy::read),
-        Kind::Npz => return Ok(npy::read_archive),
-        Kind::Empty => return Err(Error::short("", Place::File, "the file is empty")),
-        Kind::OpenVdb => {
+    if kind == Kind::Empty {
+        return Err(Error::short("", Place::File, "the file is empty"));
+    }
+    if let Some(particles) = kind.format().and_then(|format| format.row().particles.as_ref()) {
+        return Ok(particles.read);
+    }
+    let content = kind.format().and_then(Format::output).map(OutputFormat::content);
+    let refusal = match (content, kind) {
+        (Some(Content::LevelSet), _) => {
             "this is a volume, not particles: `meniscus convert` does the level set of a file that is not packed, and whose name ends in .vdb"
         }
-        Kind::Glb | Kind::GltfJson | Kind::Obj | Kind::Stl | Kind::Usda => {
+        (Some(Content::Mesh(_)), _) => {
             "this is a mesh, not particles: give the particles, or save its vertices as PLY"
         }
-        Kind::Foreign(LAMMPS_DATA) => {
+        (_, Kind::Foreign(LAMMPS_DATA)) => {
             "a dump is what is read, and this is a file of write_data: write one with `write_dump all custom FILE id type x y z`"
         }
-        Kind::Foreign(_) | Kind::UnknownText | Kind::Unknown => NOT_READ,
+        _ => {
+            "not a particle format that is read: save it as PLY, BGEO or VTK (docs/formats.md has all that are read)"
+        }
     };
     Err(Error::unsupported(kind.name(), refusal))
 }

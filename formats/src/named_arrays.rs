@@ -12,9 +12,9 @@
 //!   "stress" (N, 6)                 an attribute without a role
 //! ```
 
+use crate::columns::{Group, group_columns, position_rank, radius_scale, roles_of};
 use crate::data::{Attribute, ParticleFrame, Positions, Role, Values};
 use crate::excerpt::excerpt;
-use crate::names::{Group, group_columns, position_rank, radius_scale, roles_of};
 use crate::number::{self, interleaved};
 use crate::scalar::Scalar;
 

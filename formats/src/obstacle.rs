@@ -5,8 +5,9 @@ use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::gltf::Beside;
 use crate::limits::Limits;
-use crate::mesh::{probe_mesh, read_mesh, reader_of};
+use crate::mesh::{probe_mesh, read_mesh, readable, reader_of};
 use crate::probe::{Kind, Probe};
+use crate::table::Format;
 use crate::vdb::{self, LevelSetData};
 
 /// An obstacle as its file has it.
@@ -18,7 +19,7 @@ pub enum ObstacleData {
     LevelSet(Box<LevelSetData>),
 }
 
-/// Reads an obstacle from a file of any format that has one, packed or not: those of [`read_mesh`], or OpenVDB. The
+/// Reads an obstacle from a file of any format that has one, compressed or not: those of [`read_mesh`], or OpenVDB. The
 /// content decides what the format is. `beside` gives the buffers of a .gltf that are files of their own.
 ///
 /// # Errors
@@ -30,15 +31,15 @@ pub fn read_obstacle(
     limits: &Limits,
     beside: &Beside,
 ) -> Result<ObstacleData> {
-    let Probe { kind, packing } = probe_mesh(bytes, file_name);
-    if kind == Kind::OpenVdb {
-        return match packing {
-            Some(packing) => level_set(&packing.unpack(bytes, limits)?, limits),
+    let Probe { kind, codec } = probe_mesh(bytes, file_name);
+    if kind == Kind::Format(Format::Vdb) {
+        return match codec {
+            Some(codec) => level_set(&codec.unpack(bytes, limits)?, limits),
             None => level_set(bytes, limits),
         };
     }
     if reader_of(kind).is_none() && kind != Kind::Empty {
-        let what = "not a format that obstacles are read from: use .obj, .glb, .gltf, .ply, .stl, .vtk, .vtp, .vtu or .vdb";
+        let what = format!("not a format that obstacles are read from: use {}", readable(&[Format::Vdb]));
         return Err(Error::unsupported(kind.name(), what));
     }
     let mesh = read_mesh(bytes, file_name, limits, beside)?;

@@ -5,9 +5,9 @@
 
 use std::borrow::Cow;
 
+use crate::columns::radius_scale;
 use crate::data::{Attribute, ParticleFrame, Role, Values};
 use crate::error::{Error, Place, Result};
-use crate::names::radius_scale;
 
 /// Refuses a frame that no file can hold: attributes that have not `arity` values for each particle.
 pub(crate) fn check(frame: &ParticleFrame, format: &'static str) -> Result<()> {

@@ -13,8 +13,11 @@ use ::png::{
 
 use crate::bytes::{Cursor, Endian};
 use crate::error::{Error, Place, Result};
+use crate::mesh_options::WriteOption;
 use crate::picture::{ColorPicture, PictureView};
-use crate::provenance::{GENERATOR, escape, prefixed};
+use crate::provenance::{GENERATOR, escape, from_entries, prefixed};
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, OutputRow};
 
 const FORMAT: &str = "PNG";
 
@@ -162,11 +165,24 @@ const SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
 
 const LAST_CHUNK: [u8; 12] = [0, 0, 0, 0, b'I', b'E', b'N', b'D', 0xae, 0x42, 0x60, 0x82];
 
+/// What the table of formats says of it.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow { signatures: &[b"\x89PNG"], ..FormatRow::new("PNG image", &["png"]) },
+    help: "Colours, for any viewer",
+    content: Content::Picture(|picture, mut out| write(picture, &mut out)),
+    write_particles: None,
+    has_attributes: false,
+    options: &[WriteOption::Up, WriteOption::Size, WriteOption::Camera],
+    read_provenance: |head| Ok(from_entries(texts(head)?)),
+    integrity: Integrity::Tail(ends_as_written),
+};
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::provenance::{Kind, read_provenance};
-    use crate::wholeness::is_whole;
+    use crate::OutputFormat;
+    use crate::integrity::is_whole;
+    use crate::read_provenance;
 
     fn written(size: [usize; 2], color: &[[f32; 3]], provenance: &[(String, String)]) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -191,13 +207,13 @@ mod tests {
         let provenance = [("radius", "0.025"), ("input", "größe ∞.ply"), ("empty", "")]
             .map(|(name, value)| (name.to_owned(), value.to_owned()));
         let bytes = written([2, 2], &[[0.5; 3]; 4], &provenance);
-        assert_eq!(read_provenance(Kind::Png, &*bytes).expect("readable"), provenance);
-        assert!(is_whole(Kind::Png, &mut io::Cursor::new(&bytes)).expect("readable"));
+        assert_eq!(read_provenance(OutputFormat::Png, &*bytes).expect("readable"), provenance);
+        assert!(is_whole(OutputFormat::Png, &mut io::Cursor::new(&bytes)).expect("readable"));
         for length in 0..bytes.len() {
             let part = &bytes[..length];
-            assert!(!is_whole(Kind::Png, &mut io::Cursor::new(part)).unwrap_or(false), "{length}");
+            assert!(!is_whole(OutputFormat::Png, &mut io::Cursor::new(part)).unwrap_or(false), "{length}");
             // It may be there, or be refused; it may not panic.
-            let _ = read_provenance(Kind::Png, part);
+            let _ = read_provenance(OutputFormat::Png, part);
         }
     }
 

@@ -1,60 +1,23 @@
 //! What a file is, by its content.
 //!
-//! Names lie: `.bgeo` alone stands for three unrelated formats, any of them packed or not. So the
+//! Names lie: `.bgeo` alone stands for three unrelated formats, any of them compressed or not. So the
 //! content decides, from the surest sign to the vaguest: a signature in the first bytes, then what
 //! a text starts with, then whether its lines look like a table. The name has a say only where the
 //! content has none.
 
 use std::fmt;
 
-use crate::atoms::looks_like_atoms;
+use crate::compression::{Codec, unpacked_name};
 use crate::csv;
-use crate::packing::{Packing, unpacked_name};
+use crate::table::Format;
 use crate::text::{Lines, parse_number};
+use crate::xyz_ext::looks_like_atoms;
 
 /// What a file was recognised as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Polygon file, with points or a mesh.
-    Ply,
-    /// Houdini's geometry before version 12, binary; what simulators write.
-    ClassicBgeo,
-    /// The same as text.
-    ClassicGeo,
-    /// Houdini's geometry from version 12 on, binary.
-    HoudiniJsonBinary,
-    /// The same as text.
-    HoudiniJsonText,
-    /// The same, compressed with Blosc.
-    HoudiniSc,
-    /// VTK's old format, text or binary.
-    VtkLegacy,
-    /// VTK's XML formats.
-    VtkXml,
-    /// Sparse volumes.
-    OpenVdb,
-    /// glTF, binary.
-    Glb,
-    /// glTF, text.
-    GltfJson,
-    /// Wavefront's mesh as text.
-    Obj,
-    /// Triangles in binary STL.
-    Stl,
-    /// USD as text.
-    Usda,
-    /// A table as text: CSV, tab- or space-separated.
-    Delimited,
-    /// Tables of particles by LAMMPS, one for each time step.
-    LammpsDump,
-    /// Atoms as text, after their count and a comment; frames may follow each other.
-    XyzAtoms,
-    /// Positions as raw 32-bit reals.
-    RawXyz,
-    /// One NumPy array.
-    Npy,
-    /// NumPy arrays with names, in a ZIP archive.
-    Npz,
+    /// A format of the table.
+    Format(Format),
     /// A format that is recognised only to name it.
     Foreign(&'static str),
     /// No bytes at all.
@@ -75,47 +38,36 @@ impl Kind {
     /// The name that users know.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::Ply => "PLY",
-            Kind::ClassicBgeo => "classic BGEO",
-            Kind::ClassicGeo => "classic Houdini GEO (text)",
-            Kind::HoudiniJsonBinary => "Houdini geometry (binary JSON)",
-            Kind::HoudiniJsonText => "Houdini geometry (JSON text)",
-            Kind::HoudiniSc => "Houdini geometry (.sc, Blosc-compressed)",
-            Kind::VtkLegacy => "legacy VTK",
-            Kind::VtkXml => "VTK XML",
-            Kind::OpenVdb => "OpenVDB",
-            Kind::Glb => "binary glTF",
-            Kind::GltfJson => "glTF",
-            Kind::Obj => "OBJ",
-            Kind::Stl => "STL",
-            Kind::Usda => "USD text",
-            Kind::Delimited => "delimited text",
-            Kind::LammpsDump => "LAMMPS dump",
-            Kind::XyzAtoms => "XYZ atoms",
-            Kind::RawXyz => "raw XYZ",
-            Kind::Npy => "NumPy array",
-            Kind::Npz => "NumPy archive",
+            Kind::Format(format) => format.name(),
             Kind::Foreign(name) => name,
             Kind::Empty => "empty file",
             Kind::UnknownText => "text of an unknown kind",
             Kind::Unknown => "unknown binary file",
         }
     }
+
+    /// The format of the table that this is, if it is one.
+    pub fn format(self) -> Option<Format> {
+        match self {
+            Kind::Format(format) => Some(format),
+            Kind::Foreign(_) | Kind::Empty | Kind::UnknownText | Kind::Unknown => None,
+        }
+    }
 }
 
-/// What a file is, and how it is packed.
+/// What a file is, and how it is compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Probe {
-    /// What it is, or what is packed in it.
+    /// What it is, or what is compressed in it.
     pub kind: Kind,
-    /// What it is packed in.
-    pub packing: Option<Packing>,
+    /// How it is compressed.
+    pub codec: Option<Codec>,
 }
 
 impl fmt::Display for Probe {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.packing {
-            Some(packing) => write!(f, "{}, {}", self.kind, packing.participle()),
+        match self.codec {
+            Some(codec) => write!(f, "{}, {}", self.kind, codec.participle()),
             None => self.kind.fmt(f),
         }
     }
@@ -131,17 +83,17 @@ const HEAD_BYTES: usize = 8 << 10;
 /// either of two things. The file need not be whole: a few kilobytes are enough.
 pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
     let name = file_name.to_ascii_lowercase();
-    let packing = Packing::of(bytes);
-    let Some(outer) = packing else {
-        return Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), packing };
+    let codec = Codec::of(bytes);
+    let Some(outer) = codec else {
+        return Probe { kind: kind_of(&bytes[..bytes.len().min(HEAD_BYTES)], &name), codec };
     };
     let head = outer.unpack_head(bytes, HEAD_BYTES);
-    let kind = match (outer, Packing::of(&head)) {
+    let kind = match (outer, Codec::of(&head)) {
         (_, None) => kind_of(&head, unpacked_name(&name)),
-        (Packing::Gzip, Some(Packing::Gzip)) => Kind::Foreign("gzip within gzip"),
+        (Codec::Gzip, Some(Codec::Gzip)) => Kind::Foreign("gzip within gzip"),
         (_, Some(_)) => Kind::Foreign("a packed file that is packed again"),
     };
-    Probe { kind, packing }
+    Probe { kind, codec }
 }
 
 /// Whether a file is worth reading for its particles, told from its first bytes: for the listing of
@@ -152,33 +104,11 @@ pub fn probe(bytes: &[u8], file_name: &str) -> Probe {
 /// should have 8 KiB, unless the file is shorter; it may be packed.
 pub fn looks_like_particles(head: &[u8], file_name: &str) -> bool {
     match probe(head, file_name).kind {
-        Kind::Ply
-        | Kind::ClassicBgeo
-        | Kind::ClassicGeo
-        | Kind::HoudiniJsonBinary
-        | Kind::HoudiniJsonText
-        | Kind::HoudiniSc
-        | Kind::VtkLegacy
-        | Kind::VtkXml
-        | Kind::LammpsDump
-        | Kind::XyzAtoms
-        | Kind::RawXyz
-        | Kind::Npy
-        | Kind::Npz => true,
-        Kind::Delimited => match Packing::of(head) {
-            Some(packing) => csv::looks_like_particles(&packing.unpack_head(head, HEAD_BYTES)),
+        Kind::Format(Format::Delimited) => match Codec::of(head) {
+            Some(codec) => csv::looks_like_particles(&codec.unpack_head(head, HEAD_BYTES)),
             None => csv::looks_like_particles(head),
         },
-        Kind::OpenVdb
-        | Kind::Glb
-        | Kind::GltfJson
-        | Kind::Obj
-        | Kind::Stl
-        | Kind::Usda
-        | Kind::Foreign(_)
-        | Kind::Empty
-        | Kind::UnknownText
-        | Kind::Unknown => false,
+        kind => kind.format().is_some_and(Format::has_particles),
     }
 }
 
@@ -186,29 +116,30 @@ fn kind_of(head: &[u8], name: &str) -> Kind {
     if head.is_empty() {
         return Kind::Empty;
     }
-    if let Some(&(_, kind)) = SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
-        return kind;
+    let has_signature = |format: &Format| format.row().signatures.iter().any(|bytes| head.starts_with(bytes));
+    if let Some(format) = Format::ALL.into_iter().find(has_signature) {
+        return Kind::Format(format);
+    }
+    if let Some(&(_, name)) = FOREIGN_SIGNATURES.iter().find(|(signature, _)| head.starts_with(signature)) {
+        return Kind::Foreign(name);
     }
     if head.starts_with(b"PK\x03\x04") {
         let is_npz = name.ends_with(".npz") || first_member(head).is_some_and(|name| name.ends_with(b".npy"));
-        return if is_npz { Kind::Npz } else { Kind::Foreign("ZIP archive") };
-    }
-    if head.starts_with(b"ply") && head.get(3).is_some_and(u8::is_ascii_whitespace) {
-        return Kind::Ply;
+        return if is_npz { Kind::Format(Format::Npz) } else { Kind::Foreign("ZIP archive") };
     }
     let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
     // Before the question whether this is text: VTK appends raw bytes to its XML.
     let is_named_vtk = || name.ends_with(".vtp") || name.ends_with(".vtu");
     if text.starts_with(b"<") && (contains(text, b"<VTKFile") || is_named_vtk() && !contains(text, b"<html"))
     {
-        return Kind::VtkXml;
+        return Kind::Format(Format::Vtp);
     }
     if !is_text(head) {
         // Nothing tells a binary STL file but its name, or this program's.
         if name.ends_with(".stl") || head.starts_with(b"meniscus ") {
-            return Kind::Stl;
+            return Kind::Format(Format::Stl);
         }
-        return if name.ends_with(".xyz") { Kind::RawXyz } else { Kind::Unknown };
+        return if name.ends_with(".xyz") { Kind::Format(Format::RawXyz) } else { Kind::Unknown };
     }
     match text.first() {
         Some(b'{' | b'[') => json_kind(text, name),
@@ -216,11 +147,11 @@ fn kind_of(head: &[u8], name: &str) -> Kind {
         _ if text.starts_with(b"solid") && name.ends_with(".stl") => {
             Kind::Foreign("STL text: save it as binary STL")
         }
-        _ if text.starts_with(b"ITEM:") => Kind::LammpsDump,
+        _ if text.starts_with(b"ITEM:") => Kind::Format(Format::LammpsDump),
         _ if looks_like_lammps_data(text) => Kind::Foreign(LAMMPS_DATA),
-        _ if looks_like_atoms(text) => Kind::XyzAtoms,
-        _ if looks_like_obj(text, name) => Kind::Obj,
-        _ if looks_like_table(text) || csv::looks_like_particles(text) => Kind::Delimited,
+        _ if looks_like_atoms(text) => Kind::Format(Format::XyzAtoms),
+        _ if looks_like_obj(text, name) => Kind::Format(Format::Obj),
+        _ if looks_like_table(text) || csv::looks_like_particles(text) => Kind::Format(Format::Delimited),
         _ => Kind::UnknownText,
     }
 }
@@ -234,11 +165,11 @@ fn first_member(head: &[u8]) -> Option<&[u8]> {
 fn json_kind(text: &[u8], name: &str) -> Kind {
     let is_named_geo = || name.ends_with(".geo") || name.ends_with(".bgeo");
     if contains(text, b"\"fileversion\"") || contains(text, b"\"pointcount\"") || is_named_geo() {
-        return Kind::HoudiniJsonText;
+        return Kind::Format(Format::HoudiniJsonText);
     }
     let gltf_keys: [&[u8]; 4] = [b"\"asset\"", b"\"accessors\"", b"\"bufferViews\"", b"\"meshes\""];
     if name.ends_with(".gltf") || gltf_keys.iter().any(|key| contains(text, key)) {
-        return Kind::GltfJson;
+        return Kind::Format(Format::Gltf);
     }
     Kind::Foreign("JSON")
 }
@@ -320,29 +251,17 @@ fn contains(text: &[u8], word: &[u8]) -> bool {
 const OBJ_KEYWORDS: &[&[u8]] =
     &[b"v", b"vn", b"vt", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl"];
 
-/// First bytes that say what the file is.
-const SIGNATURES: &[(&[u8], Kind)] = &[
-    (b"Bgeo", Kind::ClassicBgeo),
-    (b"PGEOMETRY", Kind::ClassicGeo),
-    (b"\x7fNSJb", Kind::HoudiniJsonBinary),
-    (b"\x7fbJSN", Kind::HoudiniJsonBinary), // written by a big-endian machine
-    (b"scf1", Kind::HoudiniSc),
-    (b"# vtk DataFile", Kind::VtkLegacy),
-    (b" BDV\0\0\0\0", Kind::OpenVdb),
-    (b"glTF", Kind::Glb),
-    (b"\x93NUMPY", Kind::Npy),
-    (b"\x89HDF\r\n\x1a\n", Kind::Foreign("HDF5")),
-    (b"Ogawa", Kind::Foreign("Alembic")),
-    (b"PXR-USDC", Kind::Foreign("USD")),
-    (b"#usda", Kind::Usda),
-    (b"NanoVDB", Kind::Foreign("NanoVDB")),
-    (b"\xc0PRT\r\n\x1a\n", Kind::Foreign("Krakatoa PRT")),
-    (b"\xfd7zXZ\0", Kind::Foreign("XZ archive")),
-    (b"BZh", Kind::Foreign("bzip2 archive")),
-    (b"\xff\xfe", Kind::Foreign("UTF-16 text: save it as UTF-8")),
-    (b"\xfe\xff", Kind::Foreign("UTF-16 text: save it as UTF-8")),
-    (b"\x76\x2f\x31\x01", Kind::Foreign("OpenEXR image")),
-    (b"\x89PNG", Kind::Foreign("PNG image")),
+/// First bytes of formats that are recognised only to name them.
+const FOREIGN_SIGNATURES: &[(&[u8], &str)] = &[
+    (b"\x89HDF\r\n\x1a\n", "HDF5"),
+    (b"Ogawa", "Alembic"),
+    (b"PXR-USDC", "USD"),
+    (b"NanoVDB", "NanoVDB"),
+    (b"\xc0PRT\r\n\x1a\n", "Krakatoa PRT"),
+    (b"\xfd7zXZ\0", "XZ archive"),
+    (b"BZh", "bzip2 archive"),
+    (b"\xff\xfe", "UTF-16 text: save it as UTF-8"),
+    (b"\xfe\xff", "UTF-16 text: save it as UTF-8"),
 ];
 
 #[cfg(test)]
@@ -353,54 +272,66 @@ mod tests {
     fn content_decides() {
         let table: &[(&[u8], &str, Kind)] = &[
             (b"", "a.ply", Kind::Empty),
-            (b"ply\nformat ascii 1.0\n", "a.txt", Kind::Ply),
-            (b"ply\r\n", "a", Kind::Ply),
-            (b"plywood,x,y\n1,2,3\n", "a", Kind::Delimited),
-            (b"BgeoV\0\0\0\x05", "a.ply", Kind::ClassicBgeo),
-            (b"PGEOMETRY V5\n", "a.geo", Kind::ClassicGeo),
-            (b"\x7fNSJb\x5b", "a.bgeo", Kind::HoudiniJsonBinary),
-            (b"scf1\0\0\0\0", "a.bgeo.sc", Kind::HoudiniSc),
-            (b"[\n\t\"fileversion\",\"19.5.303\",", "a.geo", Kind::HoudiniJsonText),
-            (b"# vtk DataFile Version 5.1\nx\nASCII\n", "a.csv", Kind::VtkLegacy),
-            (b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">", "a.vtp", Kind::VtkXml),
+            (b"ply\nformat ascii 1.0\n", "a.txt", Kind::Format(Format::Ply)),
+            (b"ply\r\n", "a", Kind::Format(Format::Ply)),
+            (b"plywood,x,y\n1,2,3\n", "a", Kind::Format(Format::Delimited)),
+            (b"BgeoV\0\0\0\x05", "a.ply", Kind::Format(Format::ClassicBgeo)),
+            (b"PGEOMETRY V5\n", "a.geo", Kind::Format(Format::ClassicGeo)),
+            (b"\x7fNSJb\x5b", "a.bgeo", Kind::Format(Format::HoudiniJsonBinary)),
+            (b"scf1\0\0\0\0", "a.bgeo.sc", Kind::Format(Format::HoudiniSc)),
+            (b"[\n\t\"fileversion\",\"19.5.303\",", "a.geo", Kind::Format(Format::HoudiniJsonText)),
+            (b"# vtk DataFile Version 5.1\nx\nASCII\n", "a.csv", Kind::Format(Format::VtkLegacy)),
+            (b"<?xml version=\"1.0\"?>\n<VTKFile type=\"PolyData\">", "a.vtp", Kind::Format(Format::Vtp)),
             (b"<html>", "a.vtp", Kind::Foreign("XML")),
-            (b" BDV\0\0\0\0\xe0\0\0\0", "a", Kind::OpenVdb),
-            (b"glTF\x02\0\0\0", "a", Kind::Glb),
-            (b"{\"asset\":{\"version\":\"2.0\"}}", "a", Kind::GltfJson),
-            (b"{\"scene\":0,\n\"asset\":{}, 1 2 3\n", "a", Kind::GltfJson),
+            (b" BDV\0\0\0\0\xe0\0\0\0", "a", Kind::Format(Format::Vdb)),
+            (b"glTF\x02\0\0\0", "a", Kind::Format(Format::Glb)),
+            (b"{\"asset\":{\"version\":\"2.0\"}}", "a", Kind::Format(Format::Gltf)),
+            (b"{\"scene\":0,\n\"asset\":{}, 1 2 3\n", "a", Kind::Format(Format::Gltf)),
             (b"{\"x\":1}", "a.json", Kind::Foreign("JSON")),
-            (b"# made by hand\no cube\nv 1 2 3\nvn 0 0 1\nf 1//1 2//1 3//1\n", "a.txt", Kind::Obj),
-            (b"v x y z\n1 2 3 4\n", "a.obj", Kind::Delimited),
-            (b"o empty\n", "a.obj", Kind::Obj),
-            (b"x,y,z\n1,2,3\n", "a", Kind::Delimited),
-            (b"\xef\xbb\xbf\"x\";\"y\";\"z\"\n", "a", Kind::Delimited),
-            (b"1 2 3\n4 5 6\n", "a.xyz", Kind::Delimited),
-            (b"# x y z\n0.5 2 3", "a.xyz", Kind::Delimited),
-            (b"x y z radius\n", "a.txt", Kind::Delimited),
-            (b"# made by hand\n# x y z\n", "a.xyz", Kind::Delimited),
-            (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::LammpsDump),
+            (
+                b"# made by hand\no cube\nv 1 2 3\nvn 0 0 1\nf 1//1 2//1 3//1\n",
+                "a.txt",
+                Kind::Format(Format::Obj),
+            ),
+            (b"v x y z\n1 2 3 4\n", "a.obj", Kind::Format(Format::Delimited)),
+            (b"o empty\n", "a.obj", Kind::Format(Format::Obj)),
+            (b"x,y,z\n1,2,3\n", "a", Kind::Format(Format::Delimited)),
+            (b"\xef\xbb\xbf\"x\";\"y\";\"z\"\n", "a", Kind::Format(Format::Delimited)),
+            (b"1 2 3\n4 5 6\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"# x y z\n0.5 2 3", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"x y z radius\n", "a.txt", Kind::Format(Format::Delimited)),
+            (b"# made by hand\n# x y z\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n", "a.dump", Kind::Format(Format::LammpsDump)),
             (b"LAMMPS data file\n\n2 atoms\n0 1 xlo xhi\n\nAtoms\n\n", "a", Kind::Foreign(LAMMPS_DATA)),
             (b"# by hand\n2 atoms\n1 atom types # He\n", "a.xyz", Kind::Foreign(LAMMPS_DATA)),
-            (b"box\n2 atoms\n0 1 2\n", "a.xyz", Kind::Delimited),
-            (b"2\nwater\nO 0 0 0\nH 1 0 0\n", "a.xyz", Kind::XyzAtoms),
-            (b"2\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::XyzAtoms),
-            (b"2\n\n8 0 0 0 5\n1 1 0 0 5\n2\n\n8 0 0 0 5\n1 1 0 0 5", "a.xyz", Kind::XyzAtoms),
-            (b"3\nwater\n8 0 0 0\n1 1 0", "a.xyz", Kind::XyzAtoms),
-            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Delimited), // another count
-            (b"2\nx y z r\n8 0 0 1\n1 1 0 1\n", "a.xyz", Kind::Delimited),
-            (b"2\nwater\n8 0 0\n1 1 0\n", "a.xyz", Kind::Delimited),
-            (b"2\nwater\n8 0 0 0\n1.5 1 0 0\n", "a.xyz", Kind::Delimited),
-            (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", Kind::Delimited),
-            (b"2\n\nH1 0 0 0 1 1", "a.txt", Kind::XyzAtoms),
-            (b"2\n1 2 3\n4 5 6\n", "a.xyz", Kind::Delimited),
-            (b"Dear reader,\nthere is nothing here\n", "a", Kind::Delimited), // has a comma: told by the reader
+            (b"box\n2 atoms\n0 1 2\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"2\nwater\nO 0 0 0\nH 1 0 0\n", "a.xyz", Kind::Format(Format::XyzAtoms)),
+            (b"2\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Format(Format::XyzAtoms)),
+            (
+                b"2\n\n8 0 0 0 5\n1 1 0 0 5\n2\n\n8 0 0 0 5\n1 1 0 0 5",
+                "a.xyz",
+                Kind::Format(Format::XyzAtoms),
+            ),
+            (b"3\nwater\n8 0 0 0\n1 1 0", "a.xyz", Kind::Format(Format::XyzAtoms)),
+            (b"1\nwater\n8 0 0 0\n1 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)), // another count
+            (b"2\nx y z r\n8 0 0 1\n1 1 0 1\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"2\nwater\n8 0 0\n1 1 0\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"2\nwater\n8 0 0 0\n1.5 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"2\nwater\n8 0 0 0\n119 1 0 0\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"2\n\nH1 0 0 0 1 1", "a.txt", Kind::Format(Format::XyzAtoms)),
+            (b"2\n1 2 3\n4 5 6\n", "a.xyz", Kind::Format(Format::Delimited)),
+            (b"Dear reader,\nthere is nothing here\n", "a", Kind::Format(Format::Delimited)), // has a comma: told by the reader
             (b"plyx\nformat ascii 1.0\nelement vertex 0\nend_header\n", "a.ply", Kind::UnknownText),
             (b"Dear reader\n", "a", Kind::UnknownText),
-            (b"\x93NUMPY\x01\0", "a.npy", Kind::Npy),
-            (b"PK\x03\x04", "a.npz", Kind::Npz),
+            (b"\x93NUMPY\x01\0", "a.npy", Kind::Format(Format::Npy)),
+            (b"PK\x03\x04", "a.npz", Kind::Format(Format::Npz)),
             (b"PK\x03\x04", "a.zip", Kind::Foreign("ZIP archive")),
-            (b"PK\x03\x04\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0a.npy", "a", Kind::Npz),
-            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", Kind::RawXyz),
+            (
+                b"PK\x03\x04\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\x05\0\0\0a.npy",
+                "a",
+                Kind::Format(Format::Npz),
+            ),
+            (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.xyz", Kind::Format(Format::RawXyz)),
             (b"\x00\x00\x80\x3f\x00\x00\x80\x3f", "a.bin", Kind::Unknown),
             (b"\xff", "a", Kind::UnknownText),
             (b"\x1f\x8b", "a.bgeo", Kind::Empty),

@@ -17,12 +17,7 @@
 //! Comments are one line of ASCII, for readers of these formats disagree about anything else; what
 //! does not fit is escaped.
 
-use std::io::Read;
-
 use crate::data::Provenance;
-use crate::error::Result;
-use crate::vdb::MetaValue;
-use crate::{exr, gltf, png, stl, usda, vdb, vtk};
 
 /// The program and its version, for the place where formats name their maker.
 pub(crate) const GENERATOR: &str = concat!("meniscus ", env!("CARGO_PKG_VERSION"));
@@ -33,60 +28,12 @@ const PREFIX: &str = "meniscus_";
 /// A head longer than this is not ours.
 pub(crate) const HEAD_BYTES_MAX: u64 = 1 << 20;
 
-/// The formats that carry provenance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Binary glTF, `.glb`.
-    Glb,
-    /// glTF as text, `.gltf`.
-    Gltf,
-    /// Wavefront `.obj`.
-    Obj,
-    /// `.ply`.
-    Ply,
-    /// VTK's PolyData, `.vtp`.
-    Vtp,
-    /// Binary `.stl`.
-    Stl,
-    /// USD as text, `.usda`.
-    Usda,
-    /// OpenVDB, `.vdb`.
-    Vdb,
-    /// `.png`.
-    Png,
-    /// OpenEXR, `.exr`.
-    Exr,
-}
-
-/// Reads back the provenance that a writer of this crate put into a file, from its first mebibyte.
-/// A file that another program made has none: the result is empty.
-///
-/// # Errors
-///
-/// [`crate::Error::Io`] if reading fails; [`crate::Error::Invalid`] if the head is not of this kind.
-pub fn read_provenance(kind: Kind, file: impl Read) -> Result<Vec<(String, String)>> {
-    let mut head = Vec::new();
-    file.take(HEAD_BYTES_MAX).read_to_end(&mut head)?;
-    match kind {
-        Kind::Glb => gltf::read_provenance(gltf::json_of_glb_head(&head)?),
-        Kind::Gltf => gltf::read_provenance(&head),
-        Kind::Obj => Ok(from_comments(&head, "# ")),
-        Kind::Ply => Ok(from_comments(&head, "comment ")),
-        Kind::Vtp => Ok(from_strings(vtk::field_strings(&head)?)),
-        Kind::Stl => stl::read_provenance(&head),
-        Kind::Usda => usda::read_provenance(&head),
-        Kind::Vdb => Ok(from_metadata(vdb::first_grid_metadata(&head)?)),
-        Kind::Png => Ok(from_entries(png::texts(&head)?)),
-        Kind::Exr => Ok(from_comments(&exr::provenance_text(&head)?, "")),
-    }
-}
-
 /// A key as it stands among the entries of other programs.
 pub(crate) fn prefixed(key: &str) -> String {
     format!("{PREFIX}{key}")
 }
 
-/// One line per entry, each after `lead`, that [`read_provenance`] finds again.
+/// One line per entry, each after `lead`, that [`from_comments`] finds again.
 pub(crate) fn comments(provenance: &Provenance, lead: &str) -> String {
     provenance
         .iter()
@@ -97,7 +44,7 @@ pub(crate) fn comments(provenance: &Provenance, lead: &str) -> String {
         .collect()
 }
 
-fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
+pub(crate) fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
     let is_head = |line: &&[u8]| !(line.starts_with(b"end_header") || line.starts_with(b"v "));
     head.split(|&byte| byte == b'\n')
         .take_while(is_head)
@@ -110,24 +57,16 @@ fn from_comments(head: &[u8], lead: &str) -> Vec<(String, String)> {
 }
 
 /// Those of our own among names and escaped values.
-fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
+pub(crate) fn from_entries(entries: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours =
         |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), unescape(&value)?));
     entries.into_iter().filter_map(ours).collect()
 }
 
 /// Those of our own among names and values.
-fn from_strings(strings: Vec<(String, String)>) -> Vec<(String, String)> {
+pub(crate) fn from_strings(strings: Vec<(String, String)>) -> Vec<(String, String)> {
     let ours = |(key, value): (String, String)| Some((key.strip_prefix(PREFIX)?.to_string(), value));
     strings.into_iter().filter_map(ours).collect()
-}
-
-fn from_metadata(metadata: Vec<(String, MetaValue)>) -> Vec<(String, String)> {
-    let ours = |(key, value): (String, MetaValue)| match value {
-        MetaValue::String(value) => Some((key.strip_prefix(PREFIX)?.to_string(), value)),
-        _ => None,
-    };
-    metadata.into_iter().filter_map(ours).collect()
 }
 
 /// One line of printable ASCII: backslash, control characters and what is not ASCII as `\u{hex}`.

@@ -15,6 +15,8 @@ use crate::data::{MeshData, MeshView, Provenance};
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 use crate::provenance::GENERATOR;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, Rounding};
 
 const FORMAT: &str = "STL";
 
@@ -88,30 +90,30 @@ fn normal_of(corners: [[f32; 3]; 3]) -> [f32; 3] {
 
 /// The positions that a reader gets of a mesh, relative to the mesh's origin.
 #[expect(clippy::cast_possible_truncation, reason = "what is left of 32 bits has a place in as many")]
-pub fn rounded_positions(mesh: &MeshView) -> Vec<[f32; 3]> {
-    if mesh.origin == [0.0; 3] {
-        return mesh.positions.to_vec();
+pub fn rounded_positions(positions: &[[f32; 3]], origin: [f64; 3]) -> Vec<[f32; 3]> {
+    if origin == [0.0; 3] {
+        return positions.to_vec();
     }
     let read = |position: &[f32; 3]| -> [f32; 3] {
-        let world = at(mesh.origin, *position);
-        std::array::from_fn(|axis| (f64::from(world[axis]) - mesh.origin[axis]) as f32)
+        let world = at(origin, *position);
+        std::array::from_fn(|axis| (f64::from(world[axis]) - origin[axis]) as f32)
     };
-    mesh.positions.iter().map(read).collect()
+    positions.iter().map(read).collect()
 }
 
 /// How far the positions of a mesh are moved by being rounded to 32 bits, along an axis, at most; 0 of a mesh that is
 /// where it is in 32 bits.
-pub fn rounding(mesh: &MeshView) -> f64 {
+pub fn rounding(positions: &[[f32; 3]], origin: [f64; 3]) -> f64 {
     let corner = |position: &[f32; 3]| -> f64 {
         let moved = (0..3).map(|axis| {
-            let exact = mesh.origin[axis] + f64::from(position[axis]);
+            let exact = origin[axis] + f64::from(position[axis]);
             #[expect(clippy::cast_possible_truncation, reason = "that is what is measured")]
             let rounded = exact as f32;
             (exact - f64::from(rounded)).abs()
         });
         moved.fold(0.0, f64::max)
     };
-    if mesh.origin == [0.0; 3] { 0.0 } else { mesh.positions.iter().map(corner).fold(0.0, f64::max) }
+    if origin == [0.0; 3] { 0.0 } else { positions.iter().map(corner).fold(0.0, f64::max) }
 }
 
 /// A name of the provenance that has a letter here, for there is little room; those without one are left out.
@@ -152,7 +154,7 @@ fn title(provenance: &Provenance) -> [u8; TITLE_BYTES] {
 }
 
 /// What [`write()`] put into the title.
-pub(crate) fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
+fn read_provenance(head: &[u8]) -> Result<Vec<(String, String)>> {
     let title = head.get(..TITLE_BYTES).ok_or_else(|| short(head))?;
     let text = std::str::from_utf8(title).unwrap_or_default();
     let mut words = text.split_ascii_whitespace();
@@ -174,7 +176,7 @@ fn short(bytes: &[u8]) -> Error {
 }
 
 /// How long a file with this head is.
-pub(crate) fn bytes_claimed(head: &[u8]) -> Option<u64> {
+fn bytes_claimed(head: &[u8]) -> Option<u64> {
     Some(bytes_with(triangles_claimed(head)?))
 }
 
@@ -224,6 +226,37 @@ pub fn read_mesh(bytes: &[u8], limits: &Limits) -> Result<MeshData> {
     }
     Ok(mesh)
 }
+
+/// What the table of formats says of it.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow {
+        read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
+        ..FormatRow::new(FORMAT, &["stl"])
+    },
+    help: "Binary STL: triangles only",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes: |attributes| match attributes {
+            [] => Vec::new(),
+            _ => vec!["the .stl has triangles only, and nothing that is known of the vertices".to_owned()],
+        },
+        rounding: |_| Some(&ROUNDING),
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, _, provenance, mut out| {
+            write(mesh, provenance, &mut out)
+        }))
+    }),
+    write_particles: None,
+    has_attributes: false,
+    options: &[],
+    read_provenance,
+    integrity: Integrity::Length(|head, _| Ok(bytes_claimed(head))),
+};
+
+static ROUNDING: Rounding = Rounding {
+    positions: rounded_positions,
+    error: rounding,
+    certified_as: "mesh, at its 32-bit positions in the world",
+    reason: "the .stl, whose numbers have 32 bits: it is far from the origin",
+};
 
 #[cfg(test)]
 mod tests {

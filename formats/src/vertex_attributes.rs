@@ -19,59 +19,7 @@
 
 use std::collections::HashSet;
 
-use crate::data::Role;
-use crate::error::{Error, Place, Result};
-
-/// One named attribute of all vertices: borrowed from whoever made it.
-#[derive(Clone, Copy, Debug)]
-pub struct VertexAttribute<'a> {
-    /// Its name among the particles.
-    pub name: &'a str,
-    /// What it was recognised as.
-    pub role: Option<Role>,
-    /// Values per vertex, at least 1.
-    pub arity: usize,
-    /// `arity` values per vertex, vertex by vertex.
-    pub values: VertexValues<'a>,
-}
-
-/// The values of one attribute.
-#[derive(Clone, Copy, Debug)]
-pub enum VertexValues<'a> {
-    /// Finite numbers.
-    Numbers(&'a [f32]),
-    /// Numbers that name something.
-    Integers(&'a [i64]),
-    /// Indices into a table of strings; an index outside the table means none.
-    Strings {
-        /// The distinct strings.
-        table: &'a [String],
-        /// One index per component.
-        indices: &'a [i32],
-    },
-}
-
-impl<'a> VertexAttribute<'a> {
-    /// Refuses what no file can hold: lengths that do not fit, numbers that are not finite.
-    pub(crate) fn check(&self, vertex_count: usize, format: &'static str) -> Result<()> {
-        let VertexAttribute { name, arity, values, .. } = self;
-        let found = match values {
-            VertexValues::Numbers(values) => values.len(),
-            VertexValues::Integers(values) => values.len(),
-            VertexValues::Strings { indices, .. } => indices.len(),
-        };
-        let invalid = |what: String| Err(Error::invalid(format, Place::File, what));
-        if *arity == 0 || vertex_count.checked_mul(*arity) != Some(found) {
-            return invalid(format!("{found} values of {name} for {vertex_count} vertices of {arity} each"));
-        }
-        if let VertexValues::Numbers(values) = values
-            && !all_finite(values)
-        {
-            return invalid(format!("a value of {name} that is not finite"));
-        }
-        Ok(())
-    }
-}
+use crate::data::{Role, VertexAttribute, VertexValues};
 
 /// What formats have places of their own for.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -108,11 +56,6 @@ pub(crate) fn cut_note<'a>(
 ) -> Option<String> {
     let cut = values.into_iter().filter(|value| !(0.0..=1.0).contains(*value)).count();
     (cut != 0).then(|| format!("{cut} values of {name} are beyond 0 to 1, and cut to it in {file}"))
-}
-
-/// Whether all numbers are finite. No branch depends on a single one.
-pub(crate) fn all_finite(numbers: &[f32]) -> bool {
-    numbers.iter().fold(true, |all, number| all & number.is_finite())
 }
 
 /// The index that stands for a string: −1 for none, whichever index says so.

@@ -14,6 +14,7 @@ use crate::data::ParticleFrame;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
 use crate::number::{self, Number};
+use crate::row::{FormatRow, ParticleInput};
 
 /// The format as users know it, for errors.
 const FORMAT: &str = "raw XYZ";
@@ -74,6 +75,10 @@ fn endian(bytes: &[u8]) -> Result<Endian> {
 fn is_absurd(value: f32) -> bool {
     !(value == 0.0 || (1e-20..1e12).contains(&value.abs()))
 }
+
+/// What the table of formats says of it.
+pub(crate) static ROW: FormatRow =
+    FormatRow { particles: Some(ParticleInput::new(read)), ..FormatRow::new(FORMAT, &["xyz"]) };
 
 #[cfg(test)]
 mod tests {

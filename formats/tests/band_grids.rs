@@ -6,11 +6,11 @@ use crate::solids;
 
 use std::io::Cursor;
 
-use meniscus_formats::provenance::Kind;
+use meniscus_formats::OutputFormat;
+use meniscus_formats::is_whole;
 use meniscus_formats::vdb::{
     Compression, WriteOptions, grid_notes, grids, read_level_set, read_vectors, write,
 };
-use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{BandGrid, LeafValues, LevelSetView, Limits, Role};
 use solids::Solid;
 
@@ -198,7 +198,7 @@ fn the_same_bytes_on_any_number_of_threads_and_whole_to_the_end() {
     let bytes = to_bytes(&view, Compression::Blosc, false);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(7).build().expect("threads");
     assert!(pool.install(|| to_bytes(&view, Compression::Blosc, false)) == bytes);
-    let is_whole = |bytes: &[u8]| is_whole(Kind::Vdb, &mut Cursor::new(bytes));
+    let is_whole = |bytes: &[u8]| is_whole(OutputFormat::Vdb, &mut Cursor::new(bytes));
     assert!(is_whole(&bytes).expect("our own file"));
     let ends = [bytes.len() / 4, bytes.len() / 2, bytes.len() - 1, bytes.len() - 100_000];
     for length in ends.into_iter().chain(0..300) {

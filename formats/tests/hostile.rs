@@ -13,8 +13,9 @@ use std::path::Path;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use meniscus_formats::{
-    Attribute, BandGrid, LeafValues, LevelSetView, Limits, MeshView, ParticleBatch, ParticleBatches, Result,
-    Role, Values, bgeo, csv, gltf, lammps, obj, ply, read_obstacle, read_particles, vdb,
+    Attribute, BandGrid, LeafValues, LevelSetView, Limits, MeshOptions, MeshView, OutputFormat,
+    ParticleBatch, ParticleBatches, Result, Role, Values, bgeo, csv, gltf, lammps, obj, ply, read_obstacle,
+    read_particles, vdb,
 };
 use peak_alloc::PeakAlloc;
 
@@ -290,13 +291,13 @@ fn damaged_meshes_are_survived() {
         attributes: &[],
     };
     let mut bytes = Vec::new();
-    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).unwrap();
+    gltf::write_glb(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
     sweep("written.glb", &bytes, |bytes| gltf::read_mesh(bytes, &Limits::default()));
     bytes.clear();
-    gltf::write_gltf(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).unwrap();
+    gltf::write_gltf(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
     sweep("written.gltf", &bytes, |bytes| gltf::read_mesh(bytes, &Limits::default()));
     bytes.clear();
-    obj::write(&mesh, &obj::WriteOptions::default(), &[], &mut bytes).unwrap();
+    OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &[], &mut bytes).unwrap();
     sweep("written.obj", &bytes, obj::read_mesh);
     bytes.clear();
     ply::write::write_mesh(&mesh, &[], &mut bytes).unwrap();

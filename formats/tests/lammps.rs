@@ -4,7 +4,9 @@ use crate::fixtures;
 
 use fixtures::DUMP;
 use meniscus_formats::steps::find_steps;
-use meniscus_formats::{Kind, Limits, ParticleFrame, Positions, Role, Values, lammps, read_particles};
+use meniscus_formats::{
+    Format, Kind, Limits, ParticleFrame, Positions, Role, Values, lammps, read_particles,
+};
 
 fn read(text: &str) -> ParticleFrame {
     read_particles(text.as_bytes(), "a.dump", &Limits::default())
@@ -91,7 +93,7 @@ fn several_steps_are_told_apart() {
         let bytes = &text.as_bytes()[step.range.clone()];
         assert_eq!(read_particles(bytes, "a.dump", &Limits::default()).unwrap(), *frame);
     }
-    let found = find_steps(Kind::LammpsDump, text.as_bytes(), &Limits::default()).unwrap();
+    let found = find_steps(Kind::Format(Format::LammpsDump), text.as_bytes(), &Limits::default()).unwrap();
     let found: Vec<_> =
         found.iter().map(|step| (step.number.unwrap(), usize::try_from(step.range.end).unwrap())).collect();
     // The last has what follows it.

@@ -1,7 +1,6 @@
 //! The tests of the file formats, in one program: each of its own would link everything again. `hostile` alone is another one,
 //! because it counts the memory of the whole process.
 
-mod atoms; // the .xyz of chemists
 mod band_grids; // grids beside a level set
 mod batches; // reading in batches is reading whole
 mod bgeo; // classic BGEO
@@ -25,6 +24,7 @@ mod vdb_read; // .vdb files of other programs
 mod vdb_write; // level sets written as .vdb
 mod vertex_attributes; // what is known of vertices
 mod vtk; // VTK's files
+mod xyz_ext; // the .xyz of chemists
 
 /// A file that is not a module here would be compiled by nobody, and its tests lost.
 #[test]

@@ -5,11 +5,9 @@
 
 use std::io::Cursor;
 
-use meniscus_formats::provenance::{Kind, read_provenance};
-use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{
-    Error, Limits, MeshData, MeshView, Role, Values, VertexAttribute, VertexValues, gltf, read_particles,
-    stl, usda, vtk,
+    Error, Limits, MeshData, MeshOptions, MeshView, OutputFormat, Role, Values, VertexAttribute,
+    VertexValues, gltf, is_whole, read_particles, read_provenance, stl, usda, vtk,
 };
 
 const FAR: [f64; 3] = [1e6 + 0.1, -2e6, 0.3];
@@ -128,7 +126,10 @@ impl Mesh {
 
 fn vtp(mesh: &Mesh, has_quads: bool) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let options = vtk::WriteOptions { quads: if has_quads { mesh.quads.clone().into() } else { [].into() } };
+    let options = MeshOptions {
+        quads: if has_quads { mesh.quads.clone().into() } else { [].into() },
+        ..MeshOptions::default()
+    };
     vtk::write_mesh(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
         .expect("writing to memory");
     bytes
@@ -143,15 +144,16 @@ fn stl_bytes(mesh: &Mesh) -> Vec<u8> {
 fn usda_text(mesh: &Mesh, has_quads: bool, up: gltf::UpAxis) -> String {
     let mut bytes = Vec::new();
     let quads = if has_quads { mesh.quads.clone().into() } else { [].into() };
-    let options = usda::WriteOptions { up, quads, ..usda::WriteOptions::default() };
-    usda::write(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
+    let options = MeshOptions { up, quads, ..MeshOptions::default() };
+    OutputFormat::Usda
+        .write_mesh(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
         .expect("writing to memory");
     String::from_utf8(bytes).expect("UTF-8")
 }
 
 fn quantized_glb(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let options = gltf::WriteOptions { up, quantize: true, ..gltf::WriteOptions::default() };
+    let options = MeshOptions { up, quantize: true, ..MeshOptions::default() };
     gltf::write_glb(&mesh.view(&mesh.attributes()), &options, &provenance(), &mut bytes)
         .expect("writing to memory");
     bytes
@@ -229,7 +231,7 @@ fn stl_comes_back_in_32_bits() {
             (0..3).map(|i| (exact[i] - rounded[i]).abs()).fold(0.0, f64::max)
         };
         let most = mesh.world().iter().zip(&world).map(|(a, b)| moved(a, b)).fold(0.0, f64::max);
-        assert_eq!(stl::rounding(&mesh.view(&[])), most);
+        assert_eq!(stl::rounding(mesh.view(&[]).positions, mesh.view(&[]).origin), most);
         assert_eq!(most == 0.0, mesh.origin == [0.0; 3] || mesh.positions.is_empty());
     }
 }
@@ -325,9 +327,9 @@ fn quantized_meshes_are_off_by_half_a_step() {
             let bytes = quantized_glb(&mesh, up);
             let found = gltf::read_mesh(&bytes, &Limits::default()).expect("our own file");
             assert_eq!(found.triangles, mesh.triangles);
-            let error = gltf::quantization_error(&mesh.view(&[]));
+            let error = gltf::quantization_error(mesh.view(&[]).positions);
             assert!((error / (2.6 / 65535.0 / 2.0) - 1.0).abs() < 0.01, "{error}");
-            let promised = gltf::quantized_positions(&mesh.view(&[]));
+            let promised = gltf::quantized_positions(mesh.view(&[]).positions);
             let turn = |[x, y, z]: [f64; 3]| if up == gltf::UpAxis::Z { [x, z, -y] } else { [x, y, z] };
             for (found, promised) in found.positions.iter().zip(&promised) {
                 let world: [f64; 3] =
@@ -361,12 +363,12 @@ fn the_gltf_crate_reads_quantized_meshes() {
     let bytes = quantized_glb(&mesh, gltf::UpAxis::Z);
     let plain = {
         let mut bytes = Vec::new();
-        gltf::write_glb(&mesh.view(&[]), &gltf::WriteOptions::default(), &[], &mut bytes).expect("written");
+        gltf::write_glb(&mesh.view(&[]), &MeshOptions::default(), &[], &mut bytes).expect("written");
         bytes
     };
     let bare = {
         let mut bytes = Vec::new();
-        let options = gltf::WriteOptions { quantize: true, ..gltf::WriteOptions::default() };
+        let options = MeshOptions { quantize: true, ..MeshOptions::default() };
         gltf::write_glb(&mesh.view(&[]), &options, &[], &mut bytes).expect("written");
         bytes
     };
@@ -396,12 +398,12 @@ fn the_gltf_crate_reads_quantized_meshes() {
     assert!(other.accessors().filter(|a| a.data_type() == ::gltf::accessor::DataType::F32).count() > 2);
 }
 
-fn files() -> [(Kind, Vec<u8>); 3] {
+fn files() -> [(OutputFormat, Vec<u8>); 3] {
     let mesh = torus(9, 7, FAR);
     [
-        (Kind::Vtp, vtp(&mesh, true)),
-        (Kind::Stl, stl_bytes(&mesh)),
-        (Kind::Usda, usda_text(&mesh, true, gltf::UpAxis::Y).into_bytes()),
+        (OutputFormat::Vtp, vtp(&mesh, true)),
+        (OutputFormat::Stl, stl_bytes(&mesh)),
+        (OutputFormat::Usda, usda_text(&mesh, true, gltf::UpAxis::Y).into_bytes()),
     ]
 }
 
@@ -409,21 +411,24 @@ fn files() -> [(Kind, Vec<u8>); 3] {
 fn what_made_a_file_comes_back_from_its_head() {
     for (kind, bytes) in files() {
         // A title of 80 bytes has room for what made it, and for names that are known to be short.
-        let expected = if kind == Kind::Stl { provenance()[..1].to_vec() } else { provenance() };
+        let expected = if kind == OutputFormat::Stl { provenance()[..1].to_vec() } else { provenance() };
         assert_eq!(read_provenance(kind, &bytes[..]).expect("our own file"), expected, "{kind:?}");
         assert_eq!(read_provenance(kind, &bytes[..2500]).expect("a head"), expected, "{kind:?}");
         for length in 0..2500 {
             let _ = read_provenance(kind, &bytes[..length]);
         }
     }
-    let foreign: [(Kind, &[u8]); 2] = [
-        (Kind::Vtp, b"<VTKFile type=\"PolyData\"><PolyData><FieldData><Array Name=\"TimeValue\">1 0</Array>"),
-        (Kind::Stl, &[b'x'; 84]),
+    let foreign: [(OutputFormat, &[u8]); 2] = [
+        (
+            OutputFormat::Vtp,
+            b"<VTKFile type=\"PolyData\"><PolyData><FieldData><Array Name=\"TimeValue\">1 0</Array>",
+        ),
+        (OutputFormat::Stl, &[b'x'; 84]),
     ];
     for (kind, bytes) in foreign {
         assert_eq!(read_provenance(kind, bytes).expect("a foreign file"), [], "{kind:?}");
     }
-    assert!(read_provenance(Kind::Vtp, &b"<html>"[..]).is_err());
+    assert!(read_provenance(OutputFormat::Vtp, &b"<html>"[..]).is_err());
 }
 
 #[test]
@@ -443,10 +448,10 @@ fn what_no_file_can_hold_is_refused() {
     let refused = |mesh: &Mesh| {
         let view = mesh.view(&[]);
         let quads = || mesh.quads.clone().into();
-        let options = usda::WriteOptions { quads: quads(), ..usda::WriteOptions::default() };
-        let vtp = vtk::write_mesh(&view, &vtk::WriteOptions { quads: quads() }, &[], &mut Vec::new());
+        let options = MeshOptions { quads: quads(), ..MeshOptions::default() };
+        let vtp = vtk::write_mesh(&view, &options, &[], &mut Vec::new());
         assert!(matches!(vtp, Err(Error::Invalid { .. })), "{vtp:?}");
-        let usda = usda::write(&view, &options, &[], &mut Vec::new());
+        let usda = OutputFormat::Usda.write_mesh(&view, &options, &[], &mut Vec::new());
         assert!(matches!(usda, Err(Error::Invalid { .. })), "{usda:?}");
         stl::write(&view, &[], &mut Vec::new())
     };

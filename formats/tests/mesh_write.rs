@@ -2,8 +2,9 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
-use meniscus_formats::provenance::{Kind, read_provenance};
-use meniscus_formats::{Error, Limits, MeshData, MeshView, gltf, obj, ply};
+use meniscus_formats::{
+    Error, Limits, MeshData, MeshOptions, MeshView, OutputFormat, gltf, obj, ply, read_provenance,
+};
 
 fn provenance() -> Vec<(String, String)> {
     [("version", "0.1.0"), ("radius", "0.025"), ("input", "größe: \"a\\b\"\nend_header\n"), ("a", "")]
@@ -63,21 +64,22 @@ fn nothing() -> Mesh {
 
 fn glb(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let options = gltf::WriteOptions { up, ..gltf::WriteOptions::default() };
+    let options = MeshOptions { up, ..MeshOptions::default() };
     gltf::write_glb(&mesh.view(), &options, &provenance(), &mut bytes).expect("writing to memory");
     bytes
 }
 
 fn gltf_text(mesh: &Mesh, up: gltf::UpAxis) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let options = gltf::WriteOptions { up, ..gltf::WriteOptions::default() };
+    let options = MeshOptions { up, ..MeshOptions::default() };
     gltf::write_gltf(&mesh.view(), &options, &provenance(), &mut bytes).expect("writing to memory");
     bytes
 }
 
 fn obj_text(mesh: &Mesh) -> Vec<u8> {
     let mut bytes = Vec::new();
-    obj::write(&mesh.view(), &obj::WriteOptions::default(), &provenance(), &mut bytes)
+    OutputFormat::Obj
+        .write_mesh(&mesh.view(), &MeshOptions::default(), &provenance(), &mut bytes)
         .expect("writing to memory");
     bytes
 }
@@ -216,11 +218,11 @@ fn provenance_comes_back_from_the_head() {
     meniscus_formats::vdb::write(&levels, &options, &provenance(), &mut vdb).expect("writing to memory");
     let up = gltf::UpAxis::Y;
     let files = [
-        (Kind::Glb, glb(&mesh, up)),
-        (Kind::Gltf, gltf_text(&mesh, up)),
-        (Kind::Obj, obj_text(&mesh)),
-        (Kind::Ply, ply_bytes(&mesh)),
-        (Kind::Vdb, vdb),
+        (OutputFormat::Glb, glb(&mesh, up)),
+        (OutputFormat::Gltf, gltf_text(&mesh, up)),
+        (OutputFormat::Obj, obj_text(&mesh)),
+        (OutputFormat::Ply, ply_bytes(&mesh)),
+        (OutputFormat::Vdb, vdb),
     ];
     for (kind, bytes) in files {
         assert_eq!(read_provenance(kind, &bytes[..]).expect("our own file"), provenance(), "{kind:?}");
@@ -231,18 +233,18 @@ fn provenance_comes_back_from_the_head() {
     }
     for (kind, foreign) in [
         (
-            Kind::Gltf,
+            OutputFormat::Gltf,
             &br#"{"scenes":[{}],"asset":{"version":"2.0","extras":[1,{"meniscus":{"a":"b"}}]}}"#[..],
         ),
-        (Kind::Gltf, br#"{"asset":{"version":"2.0"}}"#),
-        (Kind::Gltf, br#"{"asset":{"version":"2.0","extras":{"meniscus":7}}}"#),
-        (Kind::Obj, b"# Blender\n# meniscus\nv 0 0 0\n# meniscus_radius: 3\n"),
-        (Kind::Ply, b"ply\r\nformat ascii 1.0\r\nend_header\r\ncomment meniscus_a: b\r\n"),
+        (OutputFormat::Gltf, br#"{"asset":{"version":"2.0"}}"#),
+        (OutputFormat::Gltf, br#"{"asset":{"version":"2.0","extras":{"meniscus":7}}}"#),
+        (OutputFormat::Obj, b"# Blender\n# meniscus\nv 0 0 0\n# meniscus_radius: 3\n"),
+        (OutputFormat::Ply, b"ply\r\nformat ascii 1.0\r\nend_header\r\ncomment meniscus_a: b\r\n"),
     ] {
         assert_eq!(read_provenance(kind, foreign).expect("a foreign file"), [], "{kind:?}");
     }
-    assert!(read_provenance(Kind::Glb, &b"ply\n"[..]).is_err());
-    assert!(read_provenance(Kind::Vdb, &b"ply\n"[..]).is_err());
+    assert!(read_provenance(OutputFormat::Glb, &b"ply\n"[..]).is_err());
+    assert!(read_provenance(OutputFormat::Vdb, &b"ply\n"[..]).is_err());
 }
 
 #[test]
@@ -250,10 +252,10 @@ fn what_no_file_can_hold_is_refused() {
     let mut mesh = ball(3, 4, [0.0; 3]);
     mesh.triangles[2][1] = mesh.positions.len() as u32;
     let refused = |mesh: &Mesh| {
-        let error = obj::write(&mesh.view(), &obj::WriteOptions::default(), &[], &mut Vec::new());
+        let error = OutputFormat::Obj.write_mesh(&mesh.view(), &MeshOptions::default(), &[], &mut Vec::new());
         assert!(matches!(error, Err(Error::Invalid { .. })));
         assert!(ply::write::write_mesh(&mesh.view(), &[], &mut Vec::new()).is_err());
-        assert!(gltf::write_glb(&mesh.view(), &gltf::WriteOptions::default(), &[], &mut Vec::new()).is_err());
+        assert!(gltf::write_glb(&mesh.view(), &MeshOptions::default(), &[], &mut Vec::new()).is_err());
     };
     refused(&mesh);
     let mut mesh = ball(3, 4, [0.0; 3]);
@@ -312,9 +314,9 @@ fn quads_are_written_as_quads() {
     let count = mesh.triangles.len();
     assert!(count > 1 << 14);
     let quads: std::sync::Arc<[bool]> = (0..count).map(|index| index % 2 == 1).collect();
-    let options = obj::WriteOptions { quads: quads.clone(), ..obj::WriteOptions::default() };
+    let options = MeshOptions { quads: quads.clone(), ..MeshOptions::default() };
     let mut bytes = Vec::new();
-    obj::write(&mesh.view(), &options, &[], &mut bytes).expect("written");
+    OutputFormat::Obj.write_mesh(&mesh.view(), &options, &[], &mut bytes).expect("written");
     let faces = faces(&bytes);
     assert_eq!(faces.len(), 1 + count / 2);
     assert_eq!(faces[0].len(), 3);
@@ -333,14 +335,14 @@ fn quads_are_written_as_quads() {
     assert_eq!(read.triangles.len(), count);
     assert!(std::str::from_utf8(&bytes).unwrap().ends_with(" 1 triangles, 9000 quads\n"));
     // Marks that make no sense are refused.
-    let marked = |marks: Vec<bool>| obj::WriteOptions { quads: marks.into(), ..obj::WriteOptions::default() };
+    let marked = |marks: Vec<bool>| MeshOptions { quads: marks.into(), ..MeshOptions::default() };
     let mut at_end = quads.to_vec();
     at_end[count - 2..].fill(false);
     at_end[count - 1] = true;
     for senseless in
         [vec![true; 3], vec![true; count], at_end, [vec![true, false], quads[2..].to_vec()].concat()]
     {
-        let error = obj::write(&mesh.view(), &marked(senseless), &[], &mut Vec::new());
+        let error = OutputFormat::Obj.write_mesh(&mesh.view(), &marked(senseless), &[], &mut Vec::new());
         assert!(matches!(error, Err(Error::Invalid { .. })), "{error:?}");
     }
 }

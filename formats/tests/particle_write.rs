@@ -5,16 +5,15 @@ use crate::fixtures;
 use std::io::Cursor;
 use std::path::Path;
 
-use meniscus_formats::provenance::{Kind, read_provenance};
-use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{
-    Attribute, Limits, ParticleFrame, Positions, Provenance, Result, Role, Values, ply, read_particles, vtk,
+    Attribute, Limits, OutputFormat, ParticleFrame, Positions, Provenance, Result, Role, Values, is_whole,
+    ply, read_particles, read_provenance, vtk,
 };
 
 type Writer = fn(&ParticleFrame, &Provenance, &mut Vec<u8>) -> Result<()>;
 
-const WRITERS: [(&str, Kind, Writer); 2] =
-    [("a.ply", Kind::Ply, ply::write_particles), ("a.vtp", Kind::Vtp, vtk::write_particles)];
+const WRITERS: [(&str, OutputFormat, Writer); 2] =
+    [("a.ply", OutputFormat::Ply, ply::write_particles), ("a.vtp", OutputFormat::Vtp, vtk::write_particles)];
 
 fn read(bytes: &[u8], name: &str) -> ParticleFrame {
     read_particles(bytes, name, &Limits::default()).unwrap_or_else(|error| panic!("{name}: {error}"))
@@ -97,7 +96,7 @@ fn what_is_read_back_is_what_was_read() {
             assert_eq!(position_bits(&found.positions), position_bits(&frame.positions), "{shown}");
             if !frame.positions.is_empty() {
                 assert_eq!(is_wide(&found.positions), is_wide(&frame.positions), "{shown}");
-                check_attributes(frame, &found, kind == Kind::Ply, &shown);
+                check_attributes(frame, &found, kind == OutputFormat::Ply, &shown);
             }
         }
     }

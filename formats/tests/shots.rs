@@ -5,7 +5,7 @@
 use std::io::{self, Cursor};
 
 use meniscus_formats::gltf::{self, FrameFile, ShotFrame, UpAxis};
-use meniscus_formats::{Error, MeshView, Role, VertexAttribute, VertexValues, usda};
+use meniscus_formats::{Error, MeshOptions, MeshView, Role, VertexAttribute, VertexValues, usda};
 
 /// A pyramid over a polygon, and how it is written.
 struct Frame {
@@ -64,7 +64,7 @@ impl Frame {
             origin: self.origin,
             attributes,
         };
-        let options = gltf::WriteOptions { up, quantize: self.quantize, ..gltf::WriteOptions::default() };
+        let options = MeshOptions { up, quantize: self.quantize, ..MeshOptions::default() };
         let mut bytes = Vec::new();
         gltf::write_glb(&mesh, &options, &[("input".into(), format!("{}", self.code))], &mut bytes)
             .expect("written");
@@ -295,7 +295,7 @@ fn triangle(attributes: &[VertexAttribute]) -> Vec<u8> {
         attributes,
     };
     let mut bytes = Vec::new();
-    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).expect("written");
+    gltf::write_glb(&mesh, &MeshOptions::default(), &[], &mut bytes).expect("written");
     bytes
 }
 

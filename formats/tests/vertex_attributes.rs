@@ -2,10 +2,9 @@
 
 #![allow(clippy::cast_possible_truncation, reason = "test numbers are small")]
 
-use meniscus_formats::wholeness::is_whole;
 use meniscus_formats::{
-    Attribute, Limits, MeshView, ParticleFrame, Role, Values, VertexAttribute, VertexValues, gltf, obj, ply,
-    provenance,
+    Attribute, Limits, MeshOptions, MeshView, OutputFormat, ParticleFrame, Role, Values, VertexAttribute,
+    VertexValues, gltf, is_whole, obj, ply, read_provenance,
 };
 
 const VERTEX_COUNT: usize = 5000; // more than is formatted or converted at once
@@ -46,7 +45,7 @@ fn written(attributes: &[VertexAttribute], write: impl Fn(&MeshView, &mut Vec<u8
 
 fn glb(attributes: &[VertexAttribute]) -> Vec<u8> {
     written(attributes, |mesh, out| {
-        gltf::write_glb(mesh, &gltf::WriteOptions::default(), &[], out).expect("writing to memory");
+        gltf::write_glb(mesh, &MeshOptions::default(), &[], out).expect("writing to memory");
     })
 }
 
@@ -55,9 +54,9 @@ fn ply_frame(attributes: &[VertexAttribute]) -> (ParticleFrame, String) {
     let bytes = written(attributes, |mesh, out| {
         ply::write::write_mesh(mesh, &provenance, out).expect("writing to memory");
     });
-    assert_eq!(provenance::read_provenance(provenance::Kind::Ply, &bytes[..]).expect("ours"), provenance);
+    assert_eq!(read_provenance(OutputFormat::Ply, &bytes[..]).expect("ours"), provenance);
     let mut file = std::io::Cursor::new(&bytes);
-    assert!(is_whole(provenance::Kind::Ply, &mut file).expect("ours"));
+    assert!(is_whole(OutputFormat::Ply, &mut file).expect("ours"));
     let (mesh, frame) = ply::read_mesh_and_vertices(&bytes, &Limits::default()).expect("our own file");
     assert_eq!(mesh.triangles, triangles());
     assert_eq!(mesh.positions, positions().iter().map(|p| p.map(f64::from)).collect::<Vec<_>>());
@@ -175,7 +174,9 @@ fn obj_has_colours_behind_positions() {
     for origin in [[0.0; 3], [1e6, 0.0, 0.5]] {
         let text = written(&attributes, |mesh, out| {
             let mesh = MeshView { origin, ..*mesh };
-            obj::write(&mesh, &obj::WriteOptions::default(), &[], out).expect("writing to memory");
+            OutputFormat::Obj
+                .write_mesh(&mesh, &MeshOptions::default(), &[], out)
+                .expect("writing to memory");
         });
         let found = tobj::load_obj_buf(&mut &text[..], &tobj::LoadOptions::default(), |_| unreachable!());
         let (models, _) = found.expect("an OBJ file");
@@ -297,7 +298,7 @@ fn what_does_not_come_through_is_told() {
             .contains(&format!("{cut} values of Cd are beyond 0 to 1, and cut to it in the .obj"))
     );
     let text = written(&attributes, |mesh, out| {
-        obj::write(mesh, &obj::WriteOptions::default(), &[], out).expect("writing to memory");
+        OutputFormat::Obj.write_mesh(mesh, &MeshOptions::default(), &[], out).expect("writing to memory");
     });
     let text = String::from_utf8(text).expect("text");
     let colors = text.lines().filter(|line| line.starts_with("v ")).flat_map(|line| line.split(' ').skip(4));
@@ -337,10 +338,10 @@ fn attributes_that_do_not_fit_are_refused() {
         written(&attributes, |mesh, _| {
             let out = &mut Vec::new();
             for refused in [
-                gltf::write_glb(mesh, &gltf::WriteOptions::default(), &[], out),
-                gltf::write_gltf(mesh, &gltf::WriteOptions::default(), &[], out),
+                gltf::write_glb(mesh, &MeshOptions::default(), &[], out),
+                gltf::write_gltf(mesh, &MeshOptions::default(), &[], out),
                 ply::write::write_mesh(mesh, &[], out),
-                obj::write(mesh, &obj::WriteOptions::default(), &[], out),
+                OutputFormat::Obj.write_mesh(mesh, &MeshOptions::default(), &[], out),
             ] {
                 let error = refused.expect_err("no file can hold it").to_string();
                 assert!(error.contains(" a "), "{error}");
@@ -359,7 +360,7 @@ fn a_mesh_without_vertices_has_no_attributes_to_speak_of() {
     let mesh =
         MeshView { positions: &[], normals: &[], triangles: &[], origin: [0.0; 3], attributes: &attributes };
     let mut bytes = Vec::new();
-    gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &[], &mut bytes).expect("writing to memory");
+    gltf::write_glb(&mesh, &MeshOptions::default(), &[], &mut bytes).expect("writing to memory");
     let found = gltf::read_mesh(&bytes, &Limits::default()).expect("an empty scene");
     assert!(found.positions.is_empty());
     let mut bytes = Vec::new();

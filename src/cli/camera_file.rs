@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use glam::DVec3;
 use meniscus_formats::gltf::{CameraData, read_camera};
-use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::{OutputFormat, read_provenance};
 
 use crate::pipeline::{CAMERA, CameraChoice, open_regular, read_regular};
 
@@ -19,8 +19,8 @@ pub(super) fn camera_of_file(path: &Path, up: Option<UpChoice>) -> Result<Camera
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     let camera = match &*extension {
         "glb" | "gltf" => camera_of_scene(path, up.unwrap_or(UpChoice::Y)),
-        "exr" => camera_of_picture(path, Kind::Exr),
-        "png" => camera_of_picture(path, Kind::Png),
+        "exr" => camera_of_picture(path, OutputFormat::Exr),
+        "png" => camera_of_picture(path, OutputFormat::Png),
         _ => bail!(
             "{}: expected a .glb or .gltf with a camera, or a .exr or .png of this program",
             path.display()
@@ -29,8 +29,8 @@ pub(super) fn camera_of_file(path: &Path, up: Option<UpChoice>) -> Result<Camera
     camera.with_context(|| path.display().to_string())
 }
 
-fn camera_of_picture(path: &Path, kind: Kind) -> Result<CameraChoice> {
-    let pairs = read_provenance(kind, open_regular(path)?)?;
+fn camera_of_picture(path: &Path, format: OutputFormat) -> Result<CameraChoice> {
+    let pairs = read_provenance(format, open_regular(path)?)?;
     let Some((_, text)) = pairs.iter().find(|(name, _)| name == CAMERA) else {
         bail!("this picture does not say where it was taken from: expected one of this program");
     };

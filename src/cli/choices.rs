@@ -4,14 +4,12 @@ use std::io;
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use meniscus_formats::{gltf, vdb};
+use meniscus_formats::{UpAxis, WriteOption, listed, vdb};
 
 use crate::pipeline::{ObstacleFiles, OutputFormat, OutputOptions, PictureOptions};
 use crate::surface::options::Settings;
 
-use super::args::{
-    CompressionChoice, Format, FormatArgs, MethodArgs, OptionSet, PreviewChoice, UpChoice, typed,
-};
+use super::args::{CompressionChoice, Format, FormatArgs, MethodArgs, OptionSet, UpChoice, typed};
 use super::console::Console;
 
 /// Warns about options that have no effect. Skipped if the options are invalid: that error is reported later.
@@ -64,23 +62,36 @@ pub(super) fn ignored(args: &MethodArgs, written: &[OutputFormat], format_args: 
     deprecated.into_iter().chain(ignored).chain(idle).collect()
 }
 
-/// The kind of files that an option is for, where no such file is written.
-fn unwritten_kind(option: &str, written: &[OutputFormat]) -> Option<&'static str> {
-    let has = |format| written.contains(&format);
-    let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].into_iter().any(has);
-    let has_picture = written.iter().any(|format| format.picture().is_some());
-    let (is_written, kind) = match option {
-        "--contour" | "--decimate" | "--smooth-normals" => {
-            (written.iter().any(|format| format.is_mesh()), "meshes")
-        }
-        "--quads" => (written.iter().any(|format| format.has_quads()), ".obj, .vtp and .usda"),
-        "--up" => (has_up || has_picture, ".glb, .gltf, .usda and pictures"),
-        "--meters-per-unit" => (has(OutputFormat::Usda), ".usda"),
-        "--preview-size" | "--camera" => (has_picture, "--preview"),
-        "--vdb-half" | "--vdb-compression" => (has(OutputFormat::Vdb), ".vdb"),
-        _ => return None,
+/// What an option is for, where no such file is written.
+fn unwritten_kind(option: &str, written: &[OutputFormat]) -> Option<String> {
+    let is_for_meshes = ["--contour", "--decimate", "--smooth-normals"].contains(&option);
+    // --quantize is refused where it changes nothing, see `refuse_idle_quantize`.
+    let write_option = WriteOption::ALL
+        .into_iter()
+        .find(|known| *known != WriteOption::Quantize && typed(known.key()) == option);
+    let is_for = |format: &OutputFormat| match write_option {
+        Some(write_option) => format.has_option(write_option),
+        None => format.is_mesh(),
     };
-    (!is_written).then_some(kind)
+    if !(is_for_meshes || write_option.is_some()) || written.iter().any(is_for) {
+        return None;
+    }
+    Some(kinds(&OutputFormat::ALL.into_iter().filter(is_for).collect::<Vec<_>>()))
+}
+
+/// What these formats are called where an option is for them only.
+fn kinds(formats: &[OutputFormat]) -> String {
+    let (pictures, files): (Vec<_>, Vec<_>) = formats.iter().partition(|format| format.is_picture());
+    let has_all_meshes = OutputFormat::ALL.iter().all(|format| !format.is_mesh() || files.contains(format));
+    match (files.as_slice(), pictures.as_slice()) {
+        ([], _) => "--preview".to_owned(),
+        (_, []) if has_all_meshes => "meshes".to_owned(),
+        (files, []) => listed(files.iter().map(|format| format!(".{format}")).collect(), "and"),
+        (files, _) => {
+            let files = files.iter().map(|format| format!(".{format}"));
+            listed(files.chain(["pictures".to_owned()]).collect(), "and")
+        }
+    }
 }
 
 /// Refuses a number that was to be the value of --smooth-normals and is taken for an input, since that has its value
@@ -106,7 +117,8 @@ pub(super) fn refuse_stray_rounds(args: &MethodArgs, inputs: &[PathBuf]) -> Resu
 /// # Errors
 /// What to do instead.
 pub(super) fn refuse_idle_quantize(formats: Option<&[Format]>, args: &FormatArgs) -> Result<()> {
-    if args.quantize && !written_formats(formats, args).contains(&OutputFormat::Glb) {
+    let written = written_formats(formats, args);
+    if args.quantize && !written.iter().any(|format| format.has_option(WriteOption::Quantize)) {
         bail!("--quantize is for .glb only, and none is written: leave it out, or add glb to --format");
     }
     Ok(())
@@ -122,8 +134,8 @@ pub(super) fn output_options(
         folder,
         formats: written_formats(formats, args),
         up: match args.up.unwrap_or(UpChoice::Y) {
-            UpChoice::Y => gltf::UpAxis::Y,
-            UpChoice::Z => gltf::UpAxis::Z,
+            UpChoice::Y => UpAxis::Y,
+            UpChoice::Z => UpAxis::Z,
         },
         meters_per_unit: args.meters_per_unit.unwrap_or(1.0),
         quantize: args.quantize,
@@ -148,30 +160,14 @@ fn picture_options(args: &FormatArgs) -> PictureOptions {
 
 /// The formats to write, each once: .glb and .vdb by default; and a picture if that was asked for.
 pub(super) fn written_formats(formats: Option<&[Format]>, args: &FormatArgs) -> Vec<OutputFormat> {
-    let preview = args.preview.map(|preview| match preview {
-        PreviewChoice::Png => OutputFormat::Png,
-        PreviewChoice::Exr => OutputFormat::Exr,
-    });
-    distinct(formats).into_iter().chain(preview).collect()
-}
-
-/// The formats to write, each once: .glb and .vdb by default.
-fn distinct(formats: Option<&[Format]>) -> Vec<OutputFormat> {
-    let mut distinct = Vec::new();
-    for &format in formats.unwrap_or(&[Format::Glb, Format::Vdb]) {
-        let format = match format {
-            Format::Glb => OutputFormat::Glb,
-            Format::Gltf => OutputFormat::Gltf,
-            Format::Vdb => OutputFormat::Vdb,
-            Format::Obj => OutputFormat::Obj,
-            Format::Ply => OutputFormat::Ply,
-            Format::Vtp => OutputFormat::Vtp,
-            Format::Stl => OutputFormat::Stl,
-            Format::Usda => OutputFormat::Usda,
-        };
-        if !distinct.contains(&format) {
-            distinct.push(format);
+    let mut written = Vec::new();
+    let formats = formats.unwrap_or(&DEFAULT_FORMATS).iter().map(|format| format.0);
+    for format in formats.chain(args.preview.map(|preview| preview.0)) {
+        if !written.contains(&format) {
+            written.push(format);
         }
     }
-    distinct
+    written
 }
+
+const DEFAULT_FORMATS: [Format; 2] = [Format(OutputFormat::Glb), Format(OutputFormat::Vdb)];

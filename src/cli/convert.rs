@@ -6,11 +6,12 @@ use std::thread::available_parallelism;
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
+use meniscus_formats::listed;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::farm::{Plan, PlannedFrame};
 use crate::pipeline::{
-    Frame, FrameState, Job, ObstacleFiles, OnError, OutputOptions, Sequence, SequenceRecord,
+    Frame, FrameState, Job, ObstacleFiles, OnError, OutputFormat, OutputOptions, Sequence, SequenceRecord,
     check_out_folder, check_outputs, file_of, inspect, size_bytes,
 };
 use crate::surface::simd::level_warning;
@@ -129,9 +130,11 @@ fn outputs_of(args: &ConvertArgs, job: Job) -> Result<OutputOptions> {
 
 /// The formats for particles as they are.
 fn particle_formats(args: &ConvertArgs) -> Result<Vec<Format>> {
-    let formats = args.format.clone().unwrap_or_else(|| vec![Format::Ply]);
-    if formats.iter().any(|format| !matches!(format, Format::Ply | Format::Vtp)) {
-        bail!("--particles-only writes ply and vtp: the other formats are of surfaces");
+    let formats = args.format.clone().unwrap_or_else(|| vec![Format(OutputFormat::Ply)]);
+    if formats.iter().any(|format| format.0.particles().is_none()) {
+        let all = OutputFormat::ALL.into_iter().filter(|format| format.particles().is_some());
+        let all = listed(all.map(|format| format.to_string()).collect(), "and");
+        bail!("--particles-only writes {all}: the other formats are of surfaces");
     }
     Ok(formats)
 }

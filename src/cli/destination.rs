@@ -61,8 +61,7 @@ impl Destination {
             let folder = private_folder()?;
             args.out = Some(folder.path().to_owned());
             args.format = Some(vec![format]);
-            let extension =
-                format.to_possible_value().map_or(String::new(), |value| value.get_name().to_owned());
+            let extension = format.0.extension().to_owned();
             return Ok((Destination::Stdout { folder, extension }, args));
         }
         let Some(extension) = file_extension(&out) else { return Ok((Destination::Folder, args)) };
@@ -168,7 +167,7 @@ fn is_stdout(out: &Path) -> bool {
 /// The extension in lower case, where a path names a file of results, in any case, and not a folder.
 fn file_extension(out: &Path) -> Option<String> {
     let extension = out.extension()?.to_str()?.to_ascii_lowercase();
-    let is_known = OutputFormat::ALL.iter().any(|format| format.extension() == extension);
+    let is_known = OutputFormat::from_extension(&extension).is_some();
     let ends_like_a_folder = out.as_os_str().to_string_lossy().ends_with(std::path::is_separator);
     (is_known && !ends_like_a_folder && !out.is_dir()).then_some(extension)
 }
@@ -184,8 +183,8 @@ fn only_format(args: &ConvertArgs) -> Result<Format> {
         );
     }
     match args.format.as_deref() {
-        None if args.particles_only => Ok(Format::Ply),
-        None => Ok(Format::Glb),
+        None if args.particles_only => Ok(Format(OutputFormat::Ply)),
+        None => Ok(Format(OutputFormat::Glb)),
         Some([format]) => Ok(*format),
         Some(_) => bail!("the standard output is for one format: give one --format"),
     }

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail};
 use glob::{MatchOptions, Pattern};
-use meniscus_formats::packing::read_head;
+use meniscus_formats::compression::read_head;
 use meniscus_formats::{Error, looks_like_particles};
 
 use crate::pipeline::{

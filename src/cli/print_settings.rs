@@ -6,10 +6,11 @@
 use std::path::{PathBuf, absolute};
 
 use anyhow::{Context, Result, bail};
+use meniscus_formats::WriteOption;
 use rayon::ThreadPool;
 use toml::Value;
 
-use crate::pipeline::{OutputFormat, OutputOptions, PictureOptions, Sequence, compression_name, up_name};
+use crate::pipeline::{OutputFormat, OutputOptions, Sequence};
 use crate::surface::options::{
     Length, LengthUnit, Measured, MethodOptions, OptionGroup, Settings, ValueKind,
 };
@@ -76,7 +77,7 @@ fn keys(settings: &Settings, args: &ConvertArgs, has_spacing: bool) -> Result<Ve
     let outputs = output_options(PathBuf::new(), args.format.as_deref(), &args.formats);
     let obstacles = obstacle_paths(&args.method)?;
     let key = |name: &str, value: String| (name.to_owned(), value);
-    let formats = outputs.formats.iter().filter(|format| format.picture().is_none());
+    let formats = outputs.formats.iter().filter(|format| !format.is_picture());
     let formats = formats.map(|format| format.extension().to_owned());
     let mut keys = vec![key("formats", list(formats.collect()))];
     if !has_spacing {
@@ -120,29 +121,21 @@ fn obstacle_paths(args: &MethodArgs) -> Result<Vec<String>> {
 
 /// How files are written, of those formats that are.
 fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
+    let is_printed = |option: &WriteOption| match option {
+        WriteOption::Quads => false,
+        WriteOption::Quantize => outputs.quantize,
+        _ => outputs.has_option(*option),
+    };
     let mut keys = Vec::new();
-    let has_up =
-        |format: &OutputFormat| matches!(format, OutputFormat::Glb | OutputFormat::Gltf | OutputFormat::Usda);
-    let preview = outputs.formats.iter().find(|format| format.picture().is_some());
-    if outputs.formats.iter().any(has_up) || preview.is_some() {
-        keys.push(("up".to_owned(), quoted(up_name(outputs.up).to_owned())));
-    }
-    if outputs.formats.contains(&OutputFormat::Usda) {
-        keys.push(("meters_per_unit".to_owned(), outputs.meters_per_unit.to_string()));
-    }
-    if outputs.quantize {
-        keys.push(("quantize".to_owned(), outputs.quantize.to_string()));
-    }
-    if outputs.formats.contains(&OutputFormat::Vdb) {
-        let compression = compression_name(outputs.vdb_compression).to_owned();
-        keys.push(("vdb_half".to_owned(), outputs.vdb_half.to_string()));
-        keys.push(("vdb_compression".to_owned(), quoted(compression)));
-    }
-    if let Some(format) = preview {
-        let PictureOptions { size: [width, height], camera } = outputs.picture;
-        keys.push(("preview".to_owned(), quoted(format.extension().to_owned())));
-        keys.push(("preview_size".to_owned(), quoted(format!("{width}x{height}"))));
-        keys.push(("camera".to_owned(), quoted(camera.to_string())));
+    for option in WriteOption::ALL.into_iter().filter(is_printed) {
+        if option == WriteOption::Size {
+            let preview = outputs.formats.iter().find(|format| format.is_picture());
+            keys.extend(preview.map(|format| ("preview".to_owned(), quoted(format.to_string()))));
+        }
+        let value = outputs.value(option);
+        let is_plain =
+            matches!(option, WriteOption::MetersPerUnit | WriteOption::Quantize | WriteOption::Half);
+        keys.push((option.key().to_owned(), if is_plain { value } else { quoted(value) }));
     }
     keys
 }
@@ -151,7 +144,9 @@ fn format_keys(outputs: &OutputOptions) -> Vec<Key> {
 fn is_of_use(name: &str, formats: &[OutputFormat], has_obstacles: bool) -> bool {
     match MethodOptions::info(name).map(|info| info.group) {
         Some(OptionGroup::Obstacles) => has_obstacles,
-        Some(OptionGroup::Mesh) if name == "quads" => formats.iter().any(|format| format.has_quads()),
+        Some(OptionGroup::Mesh) if name == "quads" => {
+            formats.iter().any(|format| format.has_option(WriteOption::Quads))
+        }
         Some(OptionGroup::Mesh) => formats.iter().any(|format| format.is_mesh()),
         _ => true,
     }

@@ -11,13 +11,13 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
-    self, CameraChoice, FrameFile, OutputFormat, PictureFormat, PictureOptions, Sequence, Viewpoint,
-    check_outputs, encode_picture, is_level_set, output_path, write_whole,
+    self, CameraChoice, FrameFile, OutputFormat, PictureOptions, Sequence, Viewpoint, check_outputs,
+    encode_picture, is_level_set, output_path, write_whole,
 };
 use crate::surface::options::Settings;
 
 use super::Verdict;
-use super::args::{PreviewChoice, RenderArgs};
+use super::args::RenderArgs;
 use super::choices::refuse_stray_rounds;
 use super::console::Console;
 use super::convert::thread_pool;
@@ -67,27 +67,25 @@ pub(super) fn render(args: &RenderArgs, console: &mut Console) -> Result<Verdict
 struct Shots<'a> {
     args: &'a RenderArgs,
     studio: Studio<'a>,
-    format: PictureFormat,
+    format: OutputFormat,
     /// What the picture of the only frame is called, where it has a name.
     stem: Option<String>,
 }
 
 impl<'a> Shots<'a> {
     fn new(args: &'a RenderArgs, sequences: &[Sequence]) -> Result<Shots<'a>> {
-        let (folder, stem, preview) = match (&args.output, &args.out) {
+        let (folder, stem, format) = match (&args.output, &args.out) {
             (Some(file), _) => {
                 let (folder, stem, extension) = named_picture(file, &["png", "exr"])?;
-                let preview = if extension == "exr" { PreviewChoice::Exr } else { PreviewChoice::Png };
-                (folder, Some(stem), preview)
+                let format = OutputFormat::from_extension(extension).unwrap_or(OutputFormat::Png);
+                (folder, Some(stem), format)
             }
-            (None, Some(folder)) => (folder.clone(), None, args.format.unwrap_or(PreviewChoice::Png)),
+            (None, Some(folder)) => {
+                (folder.clone(), None, args.format.map_or(OutputFormat::Png, |format| format.0))
+            }
             (None, None) => bail!("--output or --out is missing: where the picture goes"),
         };
-        let (kind, format) = match preview {
-            PreviewChoice::Png => (OutputFormat::Png, PictureFormat::Png),
-            PreviewChoice::Exr => (OutputFormat::Exr, PictureFormat::Exr),
-        };
-        let studio = Studio::new(&args.method, (&args.view, &args.run), (folder, kind, args.size))?;
+        let studio = Studio::new(&args.method, (&args.view, &args.run), (folder, format, args.size))?;
         let shots = Shots { args, studio, format, stem };
         shots.check(sequences)?;
         Ok(shots)
@@ -209,7 +207,7 @@ impl<'a> Shots<'a> {
             PictureOptions { camera: CameraChoice::from(*viewpoint), ..self.studio.outputs.picture };
         let picture = match self.args.particles {
             true => subject.picture_beside_particles(viewpoint, options.size),
-            false => subject.picture(viewpoint, options.size, self.format == PictureFormat::Exr),
+            false => subject.picture(viewpoint, options.size, self.format.has_attributes()),
         };
         let provenance = subject.provenance(&file.path, &options);
         // Side by side are two pictures, and no matrix leads to both.

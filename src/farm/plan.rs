@@ -4,6 +4,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use serde::{Deserialize, Serialize};
+
 use crate::pipeline::{
     Frame, Job, MeasuredSpacing, ObstacleFiles, OutputOptions, are_one_file, certificate_path, entry,
     file_of, output_path,
@@ -39,7 +41,8 @@ pub struct PlannedSequence {
 }
 
 /// A frame, and to which sequence it belongs.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct PlannedFrame {
     /// The file of particles, absolute.
     pub input: PathBuf,

@@ -14,13 +14,13 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::gltf::UpAxis;
+use meniscus_formats::UpAxis;
 use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
 use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
-    PictureOptions, compression_name, file_of, open_regular, up_name, write_whole,
+    PictureOptions, file_of, open_regular, write_whole,
 };
 use crate::surface::options::{MethodOptions, Settings};
 use crate::surface::skin::SLACK_MAX_VOXELS;
@@ -47,7 +47,7 @@ struct PlanFile {
     obstacles: Vec<String>,
     sequences: Vec<SequenceEntry>,
     shards: Vec<ShardEntry>,
-    frames: Vec<FrameEntry>,
+    frames: Vec<PlannedFrame>,
 }
 
 /// What tells a plan from other files, and which form it has.
@@ -99,16 +99,6 @@ struct Measured {
 struct ShardEntry {
     first: usize,
     count: usize,
-}
-
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FrameEntry {
-    input: String,
-    stem: String,
-    number: Option<u64>,
-    size_bytes: u64,
-    sequence: usize,
 }
 
 /// What is wrong with a plan.
@@ -202,6 +192,7 @@ pub fn parse(bytes: &[u8]) -> Result<Plan, PlanError> {
 impl PlanFile {
     fn of(plan: &Plan) -> Result<PlanFile, PlanError> {
         let first = plan.sequences.first().ok_or_else(|| PlanError::at("/sequences", "there are none"))?;
+        plan.frames.iter().try_for_each(|frame| text(&frame.input).map(drop))?;
         Ok(PlanFile {
             meniscus_plan: VERSION,
             generator: GENERATOR_AND_VERSION.to_owned(),
@@ -210,7 +201,7 @@ impl PlanFile {
             obstacles: plan.obstacles.iter().map(|path| text(path)).collect::<Result<_, _>>()?,
             sequences: plan.sequences.iter().map(SequenceEntry::of).collect::<Result<_, _>>()?,
             shards: plan.shards.iter().map(|s| ShardEntry { first: s.start, count: s.len() }).collect(),
-            frames: plan.frames.iter().map(FrameEntry::of).collect::<Result<_, _>>()?,
+            frames: plan.frames.clone(),
         })
     }
 
@@ -226,12 +217,10 @@ impl PlanFile {
         if sequences.is_empty() {
             return Err(PlanError::at("/sequences", "there are none"));
         }
-        let plan = Plan {
-            shards: shards(&self.shards, self.frames.len())?,
-            frames: frames(self.frames, sequences.len())?,
-            sequences,
-            obstacles: obstacles.collect::<Result<_, _>>()?,
-        };
+        let shards = shards(&self.shards, self.frames.len())?;
+        check_frames(&self.frames, sequences.len())?;
+        let plan =
+            Plan { shards, frames: self.frames, sequences, obstacles: obstacles.collect::<Result<_, _>>()? };
         match replaced_input(&plan) {
             Some(index) => Err(PlanError::at(format!("/frames/{index}/input"), "it is an output, too")),
             None => Ok(plan),
@@ -258,11 +247,11 @@ impl Outputs {
     fn of(options: &OutputOptions) -> Outputs {
         Outputs {
             formats: options.formats.iter().map(|format| format.extension().to_owned()).collect(),
-            up: up_name(options.up).to_owned(),
+            up: options.up.name().to_owned(),
             meters_per_unit: options.meters_per_unit,
             quantize: options.quantize,
             vdb_half: options.vdb_half,
-            vdb_compression: compression_name(options.vdb_compression).to_owned(),
+            vdb_compression: options.vdb_compression.name().to_owned(),
             picture_size: options.picture.size,
         }
     }
@@ -270,7 +259,7 @@ impl Outputs {
     fn into_options(self, folder: PathBuf) -> Result<OutputOptions, PlanError> {
         let mut formats = Vec::new();
         for (index, name) in self.formats.iter().enumerate() {
-            let found = OutputFormat::ALL.into_iter().find(|format| format.extension() == name);
+            let found = OutputFormat::from_extension(name);
             let place = format!("/outputs/formats/{index}");
             match found {
                 None => return Err(PlanError::at(place, format!("`{name}` is no format"))),
@@ -283,9 +272,8 @@ impl Outputs {
         if formats.is_empty() {
             return Err(PlanError::at("/outputs/formats", "there are none"));
         }
-        let up = [UpAxis::Y, UpAxis::Z].into_iter().find(|&up| up_name(up) == self.up);
-        let compressions = [Compression::None, Compression::ActiveMask, Compression::Blosc];
-        let compression = compressions.into_iter().find(|&way| compression_name(way) == self.vdb_compression);
+        let up = UpAxis::ALL.into_iter().find(|up| up.name() == self.up);
+        let compression = Compression::ALL.into_iter().find(|way| way.name() == self.vdb_compression);
         if !self.picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
             return Err(PlanError::at("/outputs/picture_size", "each must be 16 to 8192"));
         }
@@ -318,7 +306,7 @@ impl SequenceEntry {
                 radius_median: measured.radius_median.map(|radius| radius.to_string()),
             })
         });
-        let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
+        let has_pictures = outputs.has_pictures();
         let pairs = settings.to_options().to_pairs();
         Ok(SequenceEntry {
             name: name.clone(),
@@ -386,14 +374,6 @@ impl Measured {
     }
 }
 
-impl FrameEntry {
-    fn of(frame: &PlannedFrame) -> Result<FrameEntry, PlanError> {
-        let PlannedFrame { input, stem, number, size_bytes, sequence } = frame;
-        let (input, stem) = (text(input)?, stem.clone());
-        Ok(FrameEntry { input, stem, number: *number, size_bytes: *size_bytes, sequence: *sequence })
-    }
-}
-
 /// What is made of level sets with this slack.
 fn level_set_job(place: &str, slack: &str) -> Result<Job, PlanError> {
     let slack_voxels = number(place, slack)?;
@@ -410,7 +390,7 @@ fn with_camera(
     place: &str,
 ) -> Result<OutputOptions, PlanError> {
     let place = format!("{place}/camera");
-    let has_pictures = outputs.formats.iter().any(|format| format.picture().is_some());
+    let has_pictures = outputs.has_pictures();
     let camera = match (camera, has_pictures) {
         (None, false) => return Ok(outputs.clone()),
         (None, true) => return Err(PlanError::at(place, "missing, and there are pictures to take")),
@@ -454,29 +434,28 @@ fn shards(entries: &[ShardEntry], frame_count: usize) -> Result<Vec<Range<usize>
     }
 }
 
-fn frames(entries: Vec<FrameEntry>, sequence_count: usize) -> Result<Vec<PlannedFrame>, PlanError> {
-    if entries.is_empty() {
+/// Refuses frames that no plan may have.
+fn check_frames(frames: &[PlannedFrame], sequence_count: usize) -> Result<(), PlanError> {
+    if frames.is_empty() {
         return Err(PlanError::at("/frames", "there are none"));
     }
-    let mut index_of: HashMap<String, usize> = HashMap::with_capacity(entries.len());
-    let mut frames = Vec::with_capacity(entries.len());
-    for (index, FrameEntry { input, stem, number, size_bytes, sequence }) in entries.into_iter().enumerate() {
+    let mut index_of: HashMap<&str, usize> = HashMap::with_capacity(frames.len());
+    for (index, PlannedFrame { input, stem, sequence, .. }) in frames.iter().enumerate() {
         let place = |name: &str| format!("/frames/{index}/{name}");
-        if sequence >= sequence_count {
+        if *sequence >= sequence_count {
             let what = format!("there is no sequence {sequence}: there are {sequence_count}");
             return Err(PlanError::at(place("sequence"), what));
         }
-        if !is_plain_name(&stem) {
+        if !is_plain_name(stem) {
             return Err(PlanError::at(place("stem"), format!("`{stem}` is no plain name of a file")));
         }
-        if let Some(other) = index_of.insert(stem.clone(), index) {
+        if let Some(other) = index_of.insert(stem, index) {
             let what = format!("`{stem}` is what the outputs of frame {other} are called");
             return Err(PlanError::at(place("stem"), what));
         }
-        let input = absolute(&place("input"), &input)?;
-        frames.push(PlannedFrame { input, stem, number, size_bytes, sequence });
+        absolute(&place("input"), &text(input)?)?;
     }
-    Ok(frames)
+    Ok(())
 }
 
 /// A name that stays in its folder, on any system.

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use meniscus_formats::names::aliases;
+use meniscus_formats::columns::aliases;
 use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 
 use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};

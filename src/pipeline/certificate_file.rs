@@ -59,11 +59,12 @@ pub(super) struct CertifiedOutput {
     pub(super) checked: String,
 }
 
-/// The file, as it is written.
-#[derive(Serialize)]
-struct Written<'a> {
+/// The file. What this program did not write is an error: a certificate leaves nothing to interpret.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CertificateFile {
     meniscus_certificate: u32,
-    generator: &'a str,
+    generator: String,
     input: String,
     input_hash: String,
     certificate: CertificateRecord,
@@ -74,21 +75,6 @@ struct Written<'a> {
 #[derive(Deserialize)]
 struct Form {
     meniscus_certificate: u32,
-}
-
-/// The file, as it is read. What this program did not write is an error: a certificate is nothing to interpret.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Read {
-    #[serde(rename = "meniscus_certificate")]
-    _form: u32,
-    #[serde(rename = "generator")]
-    _generator: String,
-    #[serde(rename = "input")]
-    _input: String,
-    input_hash: String,
-    certificate: CertificateRecord,
-    outputs: Vec<CertifiedOutput>,
 }
 
 /// Where the certificate of the frame called `stem` goes.
@@ -111,9 +97,9 @@ pub(super) fn write_certificate(
     report: &SkinReport,
     outputs: &[(&Unseen, &'static str)],
 ) -> meniscus_formats::Result<Unseen> {
-    let written = Written {
+    let written = CertificateFile {
         meniscus_certificate: VERSION,
-        generator: GENERATOR_AND_VERSION,
+        generator: GENERATOR_AND_VERSION.to_owned(),
         input: frame_name(input),
         input_hash: hash_text(input_hash),
         certificate: certificate_record(report),
@@ -145,7 +131,7 @@ pub(super) fn read_certificate(path: &Path) -> Result<CertifiedFrame, String> {
             "certificate version {meniscus_certificate} is not supported (expected {VERSION}); convert the frame again"
         ));
     }
-    let Read { input_hash, certificate, outputs, .. } =
+    let CertificateFile { input_hash, certificate, outputs, .. } =
         serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
     let fault = certificate.fault().map_err(|why| format!("it contradicts itself: {why}"))?;
     let is_twice = |(place, output): (usize, &CertifiedOutput)| {

@@ -107,7 +107,7 @@ impl Frame {
 
     /// Whether a picture is made of it.
     pub(super) fn has_pictures(&self) -> bool {
-        self.outputs.formats.iter().any(|format| format.picture().is_some())
+        self.outputs.has_pictures()
     }
 
     /// The files that the frame becomes.

@@ -18,9 +18,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use meniscus_formats::Error;
-use meniscus_formats::provenance::read_provenance;
-use meniscus_formats::wholeness::is_whole;
+use meniscus_formats::{Error, is_whole, read_provenance};
 use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
@@ -29,7 +27,7 @@ use super::level_set_file::LevelSetFile;
 use super::notes::does_not_hold;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, output_path};
-use super::provenance::{provenance, provenance_kind};
+use super::provenance::provenance;
 use super::reading::InputFile;
 use super::steps::{StepsFoundBy, read_step, step_of};
 
@@ -174,10 +172,9 @@ fn inspect_made_from(frame: &Frame, made_from: &MadeFrom) -> FrameState {
 fn look_at(frame: &Frame, made_from: &MadeFrom, format: OutputFormat, path: &Path) -> Result<(), FrameState> {
     let damaged = |why: String| FrameState::Damaged(format!("{}: {why}", name_of(path)));
     let unreadable = |error: meniscus_formats::Error| damaged(error.to_string());
-    let kind = provenance_kind(format);
     let mut file = open_regular(path).map_err(|error| damaged(error.to_string()))?;
-    let recorded = read_provenance(kind, &file).map_err(unreadable)?;
-    if !is_whole(kind, &mut file).map_err(unreadable)? {
+    let recorded = read_provenance(format, &file).map_err(unreadable)?;
+    if !is_whole(format, &mut file).map_err(unreadable)? {
         return Err(damaged("its end is missing, or something follows it".to_owned()));
     }
     let hash = made_from.input_hash.unwrap_or_default();

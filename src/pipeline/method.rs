@@ -221,7 +221,7 @@ impl Method for LevelSetSkinning {
 
 /// Where the files that are to be written have places for attributes.
 fn targets(outputs: &OutputOptions) -> Targets {
-    let has_voxels = |format: &OutputFormat| matches!(format, OutputFormat::Vdb | OutputFormat::Exr);
+    let has_voxels = |format: &OutputFormat| !format.is_mesh() && format.has_attributes();
     Targets {
         vertices: outputs.formats.iter().any(|format| format.is_mesh()),
         band_half_width_voxels: outputs.formats.iter().any(has_voxels).then_some(VDB_HALF_WIDTH_VOXELS),

@@ -139,11 +139,11 @@ pub use outputs::{
     Conflict, METERS_PER_UNIT, OutputFormat, OutputOptions, are_one_file, check_outputs, entry, output_path,
 };
 pub use phase_timer::PhaseTimer;
-pub use picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
+pub use picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
 pub use picture_file::{camera_of_picture, read_picture};
 pub use provenance::{
-    CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, compression_name, is_own_output,
-    outputs_made_from, picture_provenance, settings_fingerprint, sheet_provenance, up_name,
+    CAMERA, GENERATOR_AND_VERSION, SheetPart, are_particles, is_own_output, outputs_made_from,
+    picture_provenance, settings_fingerprint, sheet_provenance,
 };
 pub use reading::{InputFile, ReadFrame, parse_particles, particles, read_file};
 pub use reconstruct::{LoadedFrame, Reconstruction};

@@ -25,13 +25,12 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use meniscus_formats::provenance::read_provenance;
+use meniscus_formats::read_provenance;
 use serde::{Deserialize, Serialize};
 use twox_hash::XxHash3_128;
 
 use super::open::{open_own, open_regular};
 use super::outputs::OutputFormat;
-use super::provenance::provenance_kind;
 use super::reading::{InputFile, read_start_unchanged};
 use super::sink::replace_own;
 use super::stamp::FileStamp;
@@ -246,8 +245,8 @@ fn lock_records(records: &Path) -> io::Result<File> {
 /// The hash of what an output says about its input and settings. `None` if it cannot be read.
 fn made_from(path: &Path) -> Option<u128> {
     let extension = path.extension()?.to_str()?;
-    let format = OutputFormat::ALL.into_iter().find(|format| format.extension() == extension)?;
-    let recorded = read_provenance(provenance_kind(format), open_regular(path).ok()?).ok()?;
+    let format = OutputFormat::from_extension(extension)?;
+    let recorded = read_provenance(format, open_regular(path).ok()?).ok()?;
     let text: String = recorded.iter().map(|(name, value)| format!("{name}={value}\n")).collect();
     Some(XxHash3_128::oneshot(text.as_bytes()))
 }

@@ -9,97 +9,18 @@ use std::fmt;
 use std::fs;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::DVec3;
-use meniscus_formats::{gltf, vdb};
+pub use meniscus_formats::OutputFormat;
+use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
 
 use crate::render::Up;
 
 use super::names::name_of_text;
 use super::obstacles::ObstacleFiles;
-use super::picture::{PictureFormat, PictureOptions, up_of};
+use super::picture::{PictureOptions, up_of};
 use super::steps::file_of;
-
-/// A format to write.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum OutputFormat {
-    /// Binary glTF.
-    Glb,
-    /// Text glTF.
-    Gltf,
-    /// The level set, for OpenVDB.
-    Vdb,
-    /// Wavefront OBJ.
-    Obj,
-    /// Binary PLY.
-    Ply,
-    /// VTK PolyData.
-    Vtp,
-    /// Binary STL.
-    Stl,
-    /// USD as text.
-    Usda,
-    /// A picture: colours.
-    Png,
-    /// A picture: all that is known of its pixels.
-    Exr,
-}
-
-impl OutputFormat {
-    /// Every format there is.
-    pub const ALL: [OutputFormat; 10] = [
-        OutputFormat::Glb,
-        OutputFormat::Gltf,
-        OutputFormat::Vdb,
-        OutputFormat::Obj,
-        OutputFormat::Ply,
-        OutputFormat::Vtp,
-        OutputFormat::Stl,
-        OutputFormat::Usda,
-        OutputFormat::Png,
-        OutputFormat::Exr,
-    ];
-
-    /// The extension of its files, without the dot.
-    pub fn extension(self) -> &'static str {
-        match self {
-            OutputFormat::Glb => "glb",
-            OutputFormat::Gltf => "gltf",
-            OutputFormat::Vdb => "vdb",
-            OutputFormat::Obj => "obj",
-            OutputFormat::Ply => "ply",
-            OutputFormat::Vtp => "vtp",
-            OutputFormat::Stl => "stl",
-            OutputFormat::Usda => "usda",
-            OutputFormat::Png => "png",
-            OutputFormat::Exr => "exr",
-        }
-    }
-
-    /// Whether its files hold the mesh.
-    pub fn is_mesh(self) -> bool {
-        self != OutputFormat::Vdb && self.picture().is_none()
-    }
-
-    /// Whether its files have attributes such as velocities.
-    pub fn has_attributes(self) -> bool {
-        !matches!(self, OutputFormat::Obj | OutputFormat::Stl | OutputFormat::Png)
-    }
-
-    /// Whether its files have quads where that is asked for.
-    pub fn has_quads(self) -> bool {
-        matches!(self, OutputFormat::Obj | OutputFormat::Vtp | OutputFormat::Usda)
-    }
-
-    /// As a format of pictures, if it is one.
-    pub fn picture(self) -> Option<PictureFormat> {
-        match self {
-            OutputFormat::Png => Some(PictureFormat::Png),
-            OutputFormat::Exr => Some(PictureFormat::Exr),
-            _ => None,
-        }
-    }
-}
 
 /// How many metres a world unit may have: from a nanometre to a million kilometres.
 pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
@@ -112,7 +33,7 @@ pub struct OutputOptions {
     /// One file for each.
     pub formats: Vec<OutputFormat>,
     /// Which axis of the particles points up, for glTF, where it must be y, and for USD, which asks.
-    pub up: gltf::UpAxis,
+    pub up: UpAxis,
     /// The length of a world unit in metres, positive and finite: USD says it.
     pub meters_per_unit: f64,
     /// Small integers in .glb.
@@ -132,7 +53,7 @@ impl OutputOptions {
         OutputOptions {
             folder: folder.into(),
             formats: formats.to_vec(),
-            up: gltf::UpAxis::Y,
+            up: UpAxis::Y,
             meters_per_unit: 1.0,
             quantize: false,
             vdb_half: false,
@@ -141,9 +62,47 @@ impl OutputOptions {
         }
     }
 
+    /// Whether pictures are written.
+    pub fn has_pictures(&self) -> bool {
+        self.formats.iter().any(|format| format.is_picture())
+    }
+
     /// Whether pictures are written whose camera is not fixed yet.
     pub fn needs_camera(&self) -> bool {
-        self.formats.iter().any(|format| format.picture().is_some()) && self.picture.camera.needs_bounds()
+        self.has_pictures() && self.picture.camera.needs_bounds()
+    }
+
+    /// Whether an option changes any of the files that are written.
+    pub fn has_option(&self, option: WriteOption) -> bool {
+        self.formats.iter().any(|format| format.has_option(option))
+    }
+
+    /// The value of an option as text, as it is typed and recorded. Quads are a setting of the method: on, if given.
+    pub fn value(&self, option: WriteOption) -> String {
+        match option {
+            WriteOption::Quads => true.to_string(),
+            WriteOption::Up => self.up.name().to_owned(),
+            WriteOption::MetersPerUnit => self.meters_per_unit.to_string(),
+            WriteOption::Quantize => self.quantize.to_string(),
+            WriteOption::Half => self.vdb_half.to_string(),
+            WriteOption::Compression => self.vdb_compression.name().to_owned(),
+            WriteOption::Size => {
+                let [width, height] = self.picture.size;
+                format!("{width}x{height}")
+            }
+            WriteOption::Camera => self.picture.camera.to_string(),
+        }
+    }
+
+    /// Whether an option has the value that it has where it is not given.
+    pub fn is_default(&self, option: WriteOption) -> bool {
+        self.value(option) == OutputOptions::new("", &[]).value(option)
+    }
+
+    /// How meshes are written, with these triangles as halves of quads.
+    pub(super) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
+        let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
+        MeshOptions { up, meters_per_unit, quantize, quads, ..MeshOptions::default() }
     }
 
     /// Which way is up.

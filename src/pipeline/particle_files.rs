@@ -2,7 +2,7 @@
 
 use std::io::Write;
 
-use meniscus_formats::{Error, ParticleFrame, Positions, ply, vtk};
+use meniscus_formats::{Error, ParticleFrame, Positions};
 
 use super::outputs::OutputFormat;
 
@@ -16,19 +16,16 @@ pub(super) fn write_particles(
     provenance: &[(String, String)],
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
-    match format {
-        OutputFormat::Ply => ply::write_particles(particles, provenance, out),
-        OutputFormat::Vtp => vtk::write_particles(particles, provenance, out),
-        other => Err(Error::unsupported("particles", format!("a .{} holds no particles", other.extension()))),
+    match format.particles() {
+        Some(writer) => (writer.write)(particles, provenance, out),
+        None => Err(Error::unsupported("particles", format!("a .{format} holds no particles"))),
     }
 }
 
 /// What a user should know of the file and of what became of it in these formats.
 pub(super) fn particle_notes(particles: &ParticleFrame, formats: &[OutputFormat]) -> Vec<String> {
-    let of_format = |format: &OutputFormat| match format {
-        OutputFormat::Ply => ply::particle_notes(particles),
-        OutputFormat::Vtp => vtk::particle_notes(particles),
-        _ => Vec::new(),
+    let of_format = |format: &OutputFormat| {
+        format.particles().map(|writer| (writer.notes)(particles)).unwrap_or_default()
     };
     let of_positions = match not_finite_count(&particles.positions) {
         0 => None,

@@ -6,7 +6,9 @@
 //! ```
 
 use glam::DVec3;
-use meniscus_formats::{PictureLayer, PictureView, Provenance, Samples, exr, png};
+use meniscus_formats::{
+    Content, Error, OutputFormat, PictureLayer, PictureView, Provenance, Samples, UpAxis,
+};
 
 use crate::render::{self, Layers, Picture, Up};
 use crate::surface::attributes::BandAttribute;
@@ -38,15 +40,6 @@ impl PictureOptions {
     pub fn aspect(&self) -> f64 {
         self.size[0] as f64 / self.size[1] as f64
     }
-}
-
-/// A format of pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PictureFormat {
-    /// Colours.
-    Png,
-    /// All that is known of the pixels.
-    Exr,
 }
 
 /// A level set to take pictures of.
@@ -100,11 +93,11 @@ pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {
 /// The bytes of a picture's file. `camera` is where it was taken from, if that is one place.
 ///
 /// # Errors
-/// When the format has no place for it.
+/// When the format is not one of pictures, or has no place for it.
 pub fn encode_picture(
     picture: &Picture,
     camera: Option<&Viewpoint>,
-    format: PictureFormat,
+    format: OutputFormat,
     provenance: &Provenance,
 ) -> meniscus_formats::Result<Vec<u8>> {
     let aspect = picture.size[0] as f64 / picture.size[1].max(1) as f64;
@@ -117,9 +110,11 @@ pub fn encode_picture(
         provenance,
     };
     let mut bytes = Vec::new();
-    match format {
-        PictureFormat::Png => png::write(&view, &mut bytes)?,
-        PictureFormat::Exr => exr::write(&view, &mut bytes)?,
+    match format.content() {
+        Content::Picture(write) => write(&view, &mut bytes)?,
+        Content::Mesh(_) | Content::LevelSet => {
+            return Err(Error::unsupported("picture", format!(".{format} is not a format of pictures")));
+        }
     }
     Ok(bytes)
 }
@@ -138,9 +133,9 @@ fn layers(picture: &Picture) -> Vec<PictureLayer<'_>> {
 }
 
 /// Which way is up for particles whose up is this axis.
-pub fn up_of(axis: meniscus_formats::gltf::UpAxis) -> Up {
+pub fn up_of(axis: UpAxis) -> Up {
     match axis {
-        meniscus_formats::gltf::UpAxis::Y => Up::Y,
-        meniscus_formats::gltf::UpAxis::Z => Up::Z,
+        UpAxis::Y => Up::Y,
+        UpAxis::Z => Up::Z,
     }
 }

@@ -3,8 +3,8 @@
 use std::io::Read;
 use std::path::Path;
 
-use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::{ColorPicture, png};
+use meniscus_formats::{OutputFormat, read_provenance};
 
 use crate::render::Picture;
 
@@ -31,7 +31,7 @@ pub fn camera_of_picture(path: &Path) -> Option<String> {
         return None;
     }
     let head = open_regular(path).ok()?.take(HEAD_BYTES);
-    let pairs = read_provenance(Kind::Png, head).ok()?;
+    let pairs = read_provenance(OutputFormat::Png, head).ok()?;
     let value = |wanted: &str| pairs.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.clone());
     if value(SHEET).is_some() { None } else { value(CAMERA) }
 }

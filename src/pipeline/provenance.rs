@@ -7,9 +7,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::provenance::{Kind, read_provenance};
-use meniscus_formats::wholeness::is_whole;
-use meniscus_formats::{gltf, vdb};
+use meniscus_formats::{WriteOption, is_whole, read_provenance};
 use twox_hash::XxHash3_64;
 
 use crate::surface::options::{MethodOptions, OptionGroup, Pairs, Settings};
@@ -164,19 +162,19 @@ fn records_all(frame: &Frame, hash: u128, obstacles: &str) -> bool {
     options.formats.iter().all(|&format| {
         let wanted = provenance(frame, (hash, obstacles), format);
         let path = output_path(&options.folder, &frame.stem, format);
-        records(&path, provenance_kind(format), &wanted).unwrap_or(false)
+        records(&path, format, &wanted).unwrap_or(false)
     })
 }
 
 /// Whether a file records `wanted` and nothing else, and is whole.
 pub(super) fn records(
     path: &Path,
-    kind: Kind,
+    format: OutputFormat,
     wanted: &[(String, String)],
 ) -> meniscus_formats::Result<bool> {
     // What was asked for then, and is not now, has a name that is not wanted.
     let is_wanted = |(name, _): &(String, String)| wanted.iter().any(|(wanted, _)| wanted == name);
-    is_whole_and(path, kind, |recorded| {
+    is_whole_and(path, format, |recorded| {
         recorded.iter().all(is_wanted) && wanted.iter().all(|pair| recorded.contains(pair))
     })
 }
@@ -184,12 +182,12 @@ pub(super) fn records(
 /// Whether a file is whole, and what it records is what is meant.
 fn is_whole_and(
     path: &Path,
-    kind: Kind,
+    format: OutputFormat,
     is_meant: impl FnOnce(&[(String, String)]) -> bool,
 ) -> meniscus_formats::Result<bool> {
     let mut file = open_regular(path)?;
-    let recorded = read_provenance(kind, &file)?;
-    Ok(is_meant(&recorded) && is_whole(kind, &mut file)?)
+    let recorded = read_provenance(format, &file)?;
+    Ok(is_meant(&recorded) && is_whole(format, &mut file)?)
 }
 
 /// The files in a folder that have this stem, are in a format of outputs, are whole, and say that they were made from an input with the
@@ -200,14 +198,14 @@ pub fn outputs_made_from<E>(
     hash: impl FnOnce() -> Result<u128, E>,
 ) -> Result<Vec<PathBuf>, E> {
     let mut outputs: Vec<(OutputFormat, PathBuf)> =
-        OutputFormat::ALL.iter().map(|&format| (format, output_path(folder, stem, format))).collect();
+        OutputFormat::ALL.map(|format| (format, output_path(folder, stem, format))).into();
     outputs.retain(|(_, path)| path.metadata().is_ok_and(|metadata| metadata.is_file()));
     if outputs.is_empty() {
         return Ok(Vec::new());
     }
     let wanted = ("input_hash".to_owned(), hash_text(hash()?));
     let is_made_from = |(format, path): &(OutputFormat, PathBuf)| {
-        is_whole_and(path, provenance_kind(*format), |recorded| recorded.contains(&wanted)).unwrap_or(false)
+        is_whole_and(path, *format, |recorded| recorded.contains(&wanted)).unwrap_or(false)
     };
     Ok(outputs.into_iter().filter(is_made_from).map(|(_, path)| path).collect())
 }
@@ -216,12 +214,10 @@ pub fn outputs_made_from<E>(
 /// be read is none. Only the head of the file is looked at.
 pub fn is_own_output(path: &Path) -> bool {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    let Some(&format) = OutputFormat::ALL.iter().find(|format| format.extension() == extension) else {
-        return false;
-    };
+    let Some(format) = OutputFormat::from_extension(&extension) else { return false };
     let recorded = open_regular(path)
         .map_err(meniscus_formats::Error::from)
-        .and_then(|file| read_provenance(provenance_kind(format), file.take(HEAD_BYTES)));
+        .and_then(|file| read_provenance(format, file.take(HEAD_BYTES)));
     let is_generator = |(name, value): &(String, String)| name == "generator" && value.starts_with(GENERATOR);
     recorded.is_ok_and(|pairs| pairs.iter().any(is_generator) && !are_particles(&pairs))
 }
@@ -252,37 +248,28 @@ pub fn settings_fingerprint(settings: &Settings, options: &OutputOptions) -> Str
 }
 
 /// How an output in `format` is written, as far as that can be chosen.
-fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Vec<(&'static str, String)> {
-    let mut pairs = match format {
-        OutputFormat::Vdb => vec![
-            ("half", options.vdb_half.to_string()),
-            ("compression", compression_name(options.vdb_compression).to_owned()),
-        ],
-        OutputFormat::Usda if options.meters_per_unit != 1.0 => vec![
-            ("up", up_name(options.up).to_owned()),
-            ("meters_per_unit", options.meters_per_unit.to_string()),
-        ],
-        OutputFormat::Glb | OutputFormat::Gltf | OutputFormat::Usda => {
-            vec![("up", up_name(options.up).to_owned())]
-        }
-        OutputFormat::Obj | OutputFormat::Ply | OutputFormat::Vtp | OutputFormat::Stl => Vec::new(),
-        OutputFormat::Png | OutputFormat::Exr => {
-            let up = ("up", up_name(options.up).to_owned());
-            [vec![up], picture_pairs(&options.picture)].concat()
-        }
+fn option_pairs(options: &OutputOptions, format: OutputFormat) -> Pairs {
+    let is_recorded = |option: &WriteOption| match option {
+        WriteOption::Quads | WriteOption::Quantize => false,
+        WriteOption::MetersPerUnit => !options.is_default(*option),
+        _ => true,
     };
+    let of_format = format.options().iter().copied().filter(is_recorded);
+    let mut pairs: Pairs = of_format.map(|option| (option.name(), options.value(option))).collect();
     // The mesh of all formats lacks the triangles that have no area in 16 bits.
-    if format.is_mesh() && options.quantize && options.formats.contains(&OutputFormat::Glb) {
-        pairs.push(("quantize", options.quantize.to_string()));
+    if format.is_mesh() && options.quantize && options.has_option(WriteOption::Quantize) {
+        pairs.push((WriteOption::Quantize.name(), options.value(WriteOption::Quantize)));
     }
     pairs
 }
 
 /// How a picture is taken.
 fn picture_pairs(options: &PictureOptions) -> Pairs {
-    let [width, height] = options.size;
-    vec![("size", format!("{width}x{height}")), (CAMERA, options.camera.to_string())]
+    let outputs = OutputOptions { picture: *options, ..OutputOptions::new("", &[]) };
+    OF_PICTURES.map(|option| (option.name(), outputs.value(option))).to_vec()
 }
+
+const OF_PICTURES: [WriteOption; 2] = [WriteOption::Size, WriteOption::Camera];
 
 /// The name of what says that a picture is a sheet of others, and of which kind.
 pub(super) const SHEET: &str = "sheet";
@@ -290,33 +277,21 @@ pub(super) const SHEET: &str = "sheet";
 /// The name of what says where a picture was taken from.
 pub const CAMERA: &str = "camera";
 
-/// Of how outputs are written, what is not as it is by itself.
-pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Vec<(&'static str, String)> {
-    let has = |format: &OutputFormat| options.formats.contains(format);
-    let mut chosen = Vec::new();
-    if options.formats.iter().any(|format| format.has_quads()) && settings.quads {
-        chosen.push(("quads", settings.quads.to_string()));
-    }
-    let has_up = [OutputFormat::Glb, OutputFormat::Gltf, OutputFormat::Usda].iter().any(has);
-    if has_up && options.up != gltf::UpAxis::Y {
-        chosen.push(("up", up_name(options.up).to_owned()));
-    }
-    if has(&OutputFormat::Usda) && options.meters_per_unit != 1.0 {
-        chosen.push(("meters_per_unit", options.meters_per_unit.to_string()));
-    }
-    if has(&OutputFormat::Glb) && options.quantize {
-        chosen.push(("quantize", options.quantize.to_string()));
-    }
-    if has(&OutputFormat::Vdb) && options.vdb_half {
-        chosen.push(("vdb_half", options.vdb_half.to_string()));
-    }
-    if has(&OutputFormat::Vdb) && options.vdb_compression != vdb::Compression::Blosc {
-        chosen.push(("vdb_compression", compression_name(options.vdb_compression).to_owned()));
-    }
-    if has(&OutputFormat::Png) || has(&OutputFormat::Exr) {
-        chosen.extend(picture_pairs(&options.picture));
-    }
-    chosen
+/// Of how outputs are written, what is not the default; and how pictures are taken.
+pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Pairs {
+    let is_chosen = |option: WriteOption| match option {
+        WriteOption::Quads => settings.quads && options.has_option(option),
+        // Pictures say it themselves.
+        WriteOption::Up => {
+            let has_up = |format: &OutputFormat| !format.is_picture() && format.has_option(option);
+            options.formats.iter().any(has_up) && !options.is_default(option)
+        }
+        _ if OF_PICTURES.contains(&option) => options.has_option(option),
+        _ => options.has_option(option) && !options.is_default(option),
+    };
+    let name = |option: WriteOption| if OF_PICTURES.contains(&option) { option.name() } else { option.key() };
+    let chosen = WriteOption::ALL.into_iter().filter(|option| is_chosen(*option));
+    chosen.map(|option| (name(option), options.value(option))).collect()
 }
 
 /// Every setting that matters to an output in `format`. A level set is written as it is, before it becomes a mesh;
@@ -324,40 +299,8 @@ pub(super) fn chosen_options(options: &OutputOptions, settings: &Settings) -> Ve
 fn settings_pairs(settings: &Settings, format: OutputFormat) -> Pairs {
     settings.pairs(|name| match MethodOptions::info(name).map(|info| info.group) {
         Some(OptionGroup::Obstacles) => false,
-        Some(OptionGroup::Mesh) if name == "quads" => format.has_quads(),
+        Some(OptionGroup::Mesh) if name == "quads" => format.has_option(WriteOption::Quads),
         Some(OptionGroup::Mesh) => format.is_mesh(),
         _ => true,
     })
-}
-
-/// A way of packing values, as it is typed.
-pub fn compression_name(compression: vdb::Compression) -> &'static str {
-    match compression {
-        vdb::Compression::None => "none",
-        vdb::Compression::ActiveMask => "active",
-        vdb::Compression::Blosc => "blosc",
-    }
-}
-
-/// An axis, as it is typed.
-pub fn up_name(up: gltf::UpAxis) -> &'static str {
-    match up {
-        gltf::UpAxis::Y => "y",
-        gltf::UpAxis::Z => "z",
-    }
-}
-
-pub(super) fn provenance_kind(format: OutputFormat) -> Kind {
-    match format {
-        OutputFormat::Glb => Kind::Glb,
-        OutputFormat::Gltf => Kind::Gltf,
-        OutputFormat::Vdb => Kind::Vdb,
-        OutputFormat::Obj => Kind::Obj,
-        OutputFormat::Ply => Kind::Ply,
-        OutputFormat::Vtp => Kind::Vtp,
-        OutputFormat::Stl => Kind::Stl,
-        OutputFormat::Usda => Kind::Usda,
-        OutputFormat::Png => Kind::Png,
-        OutputFormat::Exr => Kind::Exr,
-    }
 }

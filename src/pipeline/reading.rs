@@ -5,7 +5,7 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use meniscus_formats::packing::read_head;
+use meniscus_formats::compression::read_head;
 use meniscus_formats::{Limits, ParticleFrame, Positions, ReadAt, Role, read_particles, refuse_foreign};
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;

@@ -1,7 +1,6 @@
 //! The report of a run, as JSON.
 //!
-//! The structs here are the file's own: what the stages measure can change its shape without
-//! changing the file, and the other way round. Lengths are in world units unless the name says
+//! What the method measures is written as the method has it, under the names that its types give to serde. Lengths are in world units unless the name says
 //! otherwise; what is infinite or unknown is null.
 
 use std::collections::BTreeMap;
@@ -10,9 +9,10 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::surface::mesh::MeshMeasures;
 use crate::surface::options::Settings;
 use crate::surface::report::{
-    EditReport, ParticlesOutside, Shaping, SkinReport, TransferCounts, TransferReport,
+    Convergence, EditReport, ParticlesOutside, Shaping, SkinReport, TransferReport,
 };
 use crate::surface::validation::Certificate;
 
@@ -112,9 +112,9 @@ struct MeasuredRecord {
     particles: usize,
     dropped: usize,
     /// Null where all particles are alike.
-    shapes: Option<ShapesRecord>,
+    shapes: Option<Shaping>,
     /// Null where nothing was taken away or added.
-    edits: Option<EditsRecord>,
+    edits: Option<EditReport>,
     /// Null where nothing stood in the way.
     obstacles: Option<ObstaclesRecord>,
     leaves: usize,
@@ -123,39 +123,17 @@ struct MeasuredRecord {
     passes: usize,
     voxel_passes: u64,
     reach_voxels: Option<u32>,
-    convergence: Option<ConvergenceRecord>,
+    convergence: Option<Convergence>,
     cfl_exceeded: usize,
     /// Only where attributes were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
-    attributes: Option<AttributesRecord>,
+    attributes: Option<TransferReport>,
     seconds: SecondsRecord,
     peak_memory_bytes: Option<u64>,
     certificate: CertificateRecord,
     bending_energy: f64,
-    mesh_bending_energy: f64,
-    area: f64,
-    volume: f64,
-    vertices: usize,
-    triangles: usize,
-    boundary_edges: usize,
-    non_manifold_edges: usize,
-    non_manifold_vertices: usize,
-    degenerate_triangles: usize,
-    components: usize,
-    euler_characteristic: i64,
-}
-
-#[derive(Clone, Copy, Debug, Serialize)]
-struct ShapesRecord {
-    small_radii: usize,
-    small_radius_min: f64,
-    large_radii: usize,
-    invalid_radii: usize,
-    near: usize,
-    raised: usize,
-    balls: usize,
-    longest: f64,
-    seconds: f64,
+    #[serde(flatten)]
+    mesh: MeshMeasures,
 }
 
 /// What stood in the way, and what it changed.
@@ -172,46 +150,6 @@ struct ObstaclesRecord {
     deepest_vertex_voxels: f64,
     /// Vertices that were moved out, where an obstacle is sharper than the grid.
     vertices_cleared: u64,
-}
-
-/// What the surface got of the particles' attributes.
-#[derive(Clone, Debug, Serialize)]
-struct AttributesRecord {
-    names: Vec<String>,
-    vertices: TransferRecord,
-    /// At the places from which voxels of the .vdb have their values.
-    band: TransferRecord,
-    seconds: f64,
-}
-
-#[derive(Clone, Copy, Debug, Serialize)]
-struct TransferRecord {
-    places: usize,
-    /// With no particle within the radius: they have what the nearest one has.
-    lonely: usize,
-    /// With no particle at all near them: 0, or none.
-    empty: usize,
-    /// Values of particles that are not finite, and have no part.
-    left_out: usize,
-}
-
-#[derive(Clone, Copy, Debug, Serialize)]
-struct EditsRecord {
-    islands_dropped: usize,
-    island_particles: u64,
-    cavities_filled: usize,
-    cavity_volume_voxels: u64,
-    clipped_voxels: u64,
-    triangles_saved: usize,
-    decimation_error_voxels: f64,
-}
-
-#[derive(Clone, Copy, Debug, Serialize)]
-struct ConvergenceRecord {
-    iterations: usize,
-    restarts: usize,
-    residual: f64,
-    reached: bool,
 }
 
 /// Wall-clock seconds. Frames overlap: with several of them each has a thread to itself where one alone
@@ -249,11 +187,11 @@ pub(super) struct CertificateRecord {
     particles_left_out: usize,
     /// The positions that were checked.
     positions: CheckedPositions,
-    particles_outside: OutsideRecord,
+    particles_outside: ParticlesOutside,
     /// The offset is so far inward that particles outside are no violation.
     particles_may_be_outside: bool,
     /// Null where positions are those that were given.
-    given_outside: Option<OutsideRecord>,
+    given_outside: Option<ParticlesOutside>,
     /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
     particles_exempt: usize,
     /// Vertices that were out of their bounds, and were moved back.
@@ -273,15 +211,6 @@ enum CheckedPositions {
     Given,
     /// Those to which position smoothing moved the particles.
     Smoothed,
-}
-
-/// Particles outside the surface.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct OutsideRecord {
-    count: usize,
-    /// How far from the surface the farthest is, a length.
-    deepest: f64,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize)]
@@ -480,8 +409,8 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         voxel_size: report.voxel_size,
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
-        shapes: shapes_record(&report.skin),
-        edits: edits_record(&report.skin.edits),
+        shapes: Some(report.skin.shaping).filter(|shaping| *shaping != Shaping::default()),
+        edits: Some(report.skin.edits).filter(|edits| *edits != EditReport::default()),
         obstacles: obstacles_record(report),
         leaves: report.skin.leaf_count,
         voxels: report.skin.leaf_count * crate::surface::grid::LEAF_VOXELS,
@@ -489,14 +418,9 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         passes: report.skin.pass_count,
         voxel_passes: report.skin.moved_count,
         reach_voxels: report.skin.reach_voxels,
-        convergence: convergence.map(|convergence| ConvergenceRecord {
-            iterations: convergence.iterations,
-            restarts: convergence.restarts,
-            residual: convergence.residual,
-            reached: convergence.reached,
-        }),
+        convergence: *convergence,
         cfl_exceeded: report.skin.cfl_exceeded_count,
-        attributes: report.skin.transfer.as_ref().map(attributes_record),
+        attributes: report.skin.transfer.clone(),
         seconds: SecondsRecord {
             read: report.read_seconds,
             rasterize: seconds.rasterize,
@@ -508,33 +432,8 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
         peak_memory_bytes: report.peak_memory_bytes,
         certificate: certificate_record(&report.skin),
         bending_energy: report.skin.bending_energy,
-        mesh_bending_energy: mesh.bending_energy,
-        area: mesh.area,
-        volume: mesh.volume,
-        vertices: mesh.vertex_count,
-        triangles: mesh.triangle_count,
-        boundary_edges: mesh.boundary_edge_count,
-        non_manifold_edges: mesh.non_manifold_edge_count,
-        non_manifold_vertices: mesh.non_manifold_vertex_count,
-        degenerate_triangles: mesh.degenerate_triangle_count,
-        components: mesh.component_count,
-        euler_characteristic: mesh.euler_characteristic,
+        mesh: *mesh,
     }
-}
-
-fn shapes_record(report: &SkinReport) -> Option<ShapesRecord> {
-    let shaping = &report.shaping;
-    (*shaping != Shaping::default()).then_some(ShapesRecord {
-        small_radii: shaping.small_radius_count,
-        small_radius_min: shaping.small_radius_min,
-        large_radii: shaping.large_radius_count,
-        invalid_radii: shaping.invalid_radius_count,
-        near: shaping.near_count,
-        raised: shaping.raised_count,
-        balls: shaping.ball_count,
-        longest: f64::from(shaping.longest),
-        seconds: shaping.seconds,
-    })
 }
 
 fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
@@ -550,33 +449,6 @@ fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
     })
 }
 
-fn attributes_record(transfer: &TransferReport) -> AttributesRecord {
-    let counts = |counts: &TransferCounts| TransferRecord {
-        places: counts.place_count,
-        lonely: counts.lonely_count,
-        empty: counts.empty_count,
-        left_out: counts.left_out_count,
-    };
-    AttributesRecord {
-        names: transfer.attributes.clone(),
-        vertices: counts(&transfer.vertices),
-        band: counts(&transfer.band),
-        seconds: transfer.seconds,
-    }
-}
-
-fn edits_record(edits: &EditReport) -> Option<EditsRecord> {
-    (*edits != EditReport::default()).then_some(EditsRecord {
-        islands_dropped: edits.island_count,
-        island_particles: edits.island_particle_count,
-        cavities_filled: edits.cavity_count,
-        cavity_volume_voxels: edits.cavity_voxel_count,
-        clipped_voxels: edits.clipped_voxel_count,
-        triangles_saved: edits.removed_triangle_count,
-        decimation_error_voxels: edits.decimation_error_voxels,
-    })
-}
-
 impl CertificateRecord {
     /// What does not hold, in words; `None` where all does.
     ///
@@ -587,10 +459,7 @@ impl CertificateRecord {
             bound_violation_count: self.bound_violations,
             vertices_inside_min: self.vertices_inside_min,
             vertices_outside_max: self.vertices_outside_max,
-            particles_outside: ParticlesOutside {
-                count: self.particles_outside.count,
-                deepest: self.particles_outside.deepest,
-            },
+            particles_outside: self.particles_outside,
             may_leave_particles_outside: self.particles_may_be_outside,
             mesh_is_closed_manifold: self.closed_manifold,
             ..Certificate::default()
@@ -615,10 +484,6 @@ impl CertificateRecord {
     }
 }
 
-fn outside_record(ParticlesOutside { count, deepest }: ParticlesOutside) -> OutsideRecord {
-    OutsideRecord { count, deepest }
-}
-
 pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
     let certificate = &report.certificate;
     CertificateRecord {
@@ -636,9 +501,9 @@ pub(super) fn certificate_record(report: &SkinReport) -> CertificateRecord {
             None => CheckedPositions::Given,
             Some(_) => CheckedPositions::Smoothed,
         },
-        particles_outside: outside_record(certificate.particles_outside),
+        particles_outside: certificate.particles_outside,
         particles_may_be_outside: certificate.may_leave_particles_outside,
-        given_outside: certificate.given_outside.map(outside_record),
+        given_outside: certificate.given_outside,
         particles_exempt: certificate.particles_exempt,
         vertices_returned: report.vertices_returned,
         flat_triangles_removed: report.flat_triangles_removed,

@@ -18,8 +18,8 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use meniscus_formats::gltf::{self, FrameFile as GlbFrame, SHOT_FRAMES, ShotFrame};
-use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::usda;
+use meniscus_formats::{OutputFormat, read_provenance};
 
 use super::open::open_regular;
 use super::outputs::are_one_file;
@@ -194,8 +194,9 @@ fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> ShotError {
 
 /// Whether a file is a shot that this program wrote, by what it says of itself.
 pub fn is_shot(path: &Path) -> bool {
-    let recorded =
-        open_regular(path).ok().and_then(|file| read_provenance(Kind::Glb, file.take(HEAD_BYTES)).ok());
+    let recorded = open_regular(path)
+        .ok()
+        .and_then(|file| read_provenance(OutputFormat::Glb, file.take(HEAD_BYTES)).ok());
     recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SHOT_FRAMES))
 }
 

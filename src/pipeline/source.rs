@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use meniscus_formats::packing::unpacked_name;
+use meniscus_formats::compression::unpacked_name;
 
 use super::frame_number::{frame_number, numbers_behind_shots, varying_number, without_numbers};
 use super::outputs::OutputFormat;

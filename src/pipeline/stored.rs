@@ -1,45 +1,41 @@
-//! What files make of the positions of a mesh: the certificate is about these.
+//! How files round the positions of a mesh: the certificate is about these.
 
-use glam::Vec3;
-use meniscus_formats::{gltf, stl};
+use std::sync::Arc;
 
-use crate::surface::mesh::Mesh;
+use meniscus_formats::{Content, OutputFormat, Rounding};
+
 use crate::surface::skin::Stored;
 
-use super::outputs::{OutputFormat, OutputOptions};
-use super::writing::mesh_view;
+use super::outputs::OutputOptions;
+
+/// How a format rounds positions, if it does.
+pub(super) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<&'static Rounding> {
+    (format.mesh()?.rounding)(&outputs.mesh(Arc::default()))
+}
 
 /// How the files that are written store the mesh, each way once. Where no file has it, it is checked as it is.
 pub(super) fn stored(outputs: &OutputOptions) -> Vec<Stored> {
-    let has = |format: &dyn Fn(OutputFormat) -> bool| outputs.formats.iter().any(|&other| format(other));
-    let is_quantized = |format| outputs.quantize && format == OutputFormat::Glb;
-    let is_as_it_is =
-        |format: OutputFormat| format.is_mesh() && format != OutputFormat::Stl && !is_quantized(format);
     let mut stored = Vec::new();
-    if has(&is_quantized) {
-        stored.push(Stored::Rounded(|mesh| vectors(gltf::quantized_positions(&mesh_view(mesh, &[])))));
+    let mut is_rounded_always = true;
+    for format in OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format)) {
+        match rounding(format, outputs) {
+            Some(rounding) => stored.push(Stored::Rounded(rounding.positions)),
+            None => is_rounded_always &= !format.is_mesh(),
+        }
     }
-    if has(&|format| format == OutputFormat::Stl) {
-        stored.push(Stored::Rounded(|mesh: &Mesh| vectors(stl::rounded_positions(&mesh_view(mesh, &[])))));
-    }
-    if has(&is_as_it_is) || stored.is_empty() {
+    if stored.is_empty() || !is_rounded_always {
         stored.push(Stored::AsTheyAre);
     }
     stored
 }
 
-/// What a certificate says of a file: what of it was checked.
+/// What of a file was checked, as its certificate says it.
 pub(super) fn checked_as(format: OutputFormat, outputs: &OutputOptions) -> &'static str {
-    match format {
-        OutputFormat::Vdb if outputs.vdb_half => "level set, before its values are rounded to 16 bits",
-        OutputFormat::Vdb => "level set",
-        OutputFormat::Glb if outputs.quantize => "mesh, at its 16-bit positions",
-        OutputFormat::Stl => "mesh, at its 32-bit positions in the world",
-        OutputFormat::Png | OutputFormat::Exr => "level set, of which it is a picture",
-        _ => "mesh, at its positions relative to its origin",
+    match format.content() {
+        Content::LevelSet if outputs.vdb_half => "level set, before its values are rounded to 16 bits",
+        Content::LevelSet => "level set",
+        Content::Picture(_) => "level set, of which it is a picture",
+        Content::Mesh(_) => rounding(format, outputs)
+            .map_or("mesh, at its positions relative to its origin", |rounding| rounding.certified_as),
     }
-}
-
-fn vectors(positions: Vec<[f32; 3]>) -> Vec<Vec3> {
-    bytemuck::cast_vec(positions)
 }

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use meniscus_formats::{
-    BandGrid, LeafValues, LevelSetView, MeshView, Provenance, Role, VertexAttribute, VertexValues, gltf, obj,
-    ply, stl, usda, vdb, vtk,
+    BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance, Role, VertexAttribute,
+    VertexValues, vdb,
 };
 
 use crate::surface::attributes::BandAttribute;
@@ -24,11 +24,11 @@ use super::certificate_file::{certificate_path, write_certificate};
 use super::frame::{Frame, FrameError, Stage};
 use super::misfit::misfit_notes;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
-use super::picture::{PictureFormat, PictureOptions, Scene, encode_picture, up_of, velocities};
+use super::picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
 use super::scheduler::Scheduler;
 use super::sink::{Unseen, publish, write_unseen};
-use super::stored::checked_as;
+use super::stored::{checked_as, rounding};
 
 /// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
 pub(super) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
@@ -84,76 +84,40 @@ pub(super) fn write_surface<'env>(
     out: &mut impl Write,
 ) -> meniscus_formats::Result<()> {
     let provenance = provenance(frame, made_from, format);
-    let options = &*frame.outputs;
+    let writer = match format.content() {
+        Content::LevelSet => {
+            let (surface, frame) = (Arc::clone(surface), frame.clone());
+            return scheduler.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out);
+        }
+        Content::Picture(_) => {
+            return write_picture(surface, (number, frame), format, provenance, scheduler, out);
+        }
+        Content::Mesh(writer) => writer,
+    };
+    let quads = if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() };
+    let options = frame.outputs.mesh(quads);
     let attributes = vertex_attributes(&surface.attributes.vertices);
     let mesh = mesh_view(&surface.mesh, &attributes);
-    match format {
-        OutputFormat::Vdb => {
-            let (surface, frame) = (Arc::clone(surface), frame.clone());
-            scheduler.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out)
-        }
-        OutputFormat::Obj => {
-            let options =
-                obj::WriteOptions { quads: quads_of(surface, frame), ..obj::WriteOptions::default() };
-            for index in 0..obj::batch_count(&mesh) {
-                let (surface, options, provenance) =
-                    (Arc::clone(surface), options.clone(), provenance.clone());
-                let encode = move || {
-                    let attributes = vertex_attributes(&surface.attributes.vertices);
-                    obj::encode_batch(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
-                };
-                for text in scheduler.run(number, encode)? {
-                    out.write_all(&text)?;
-                }
-            }
-            Ok(())
-        }
-        OutputFormat::Usda => {
-            let quads = quads_of(surface, frame);
-            let options = usda::WriteOptions {
-                up: options.up,
-                meters_per_unit: options.meters_per_unit,
-                quads,
-                ..usda::WriteOptions::default()
-            };
-            for index in 0..usda::batch_count(&mesh, &options) {
-                let (surface, options, provenance) =
-                    (Arc::clone(surface), options.clone(), provenance.clone());
-                let encode = move || {
-                    let attributes = vertex_attributes(&surface.attributes.vertices);
-                    usda::encode_batch(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
-                };
-                for text in scheduler.run(number, encode)? {
-                    out.write_all(&text)?;
-                }
-            }
-            Ok(())
-        }
-        // These are copies of what the mesh has: writing them costs more.
-        OutputFormat::Glb => {
-            let options = gltf::WriteOptions { quantize: options.quantize, ..gltf_options(options) };
-            gltf::write_glb(&mesh, &options, &provenance, out)
-        }
-        OutputFormat::Vtp => {
-            let options = vtk::WriteOptions { quads: quads_of(surface, frame) };
-            vtk::write_mesh(&mesh, &options, &provenance, out)
-        }
-        OutputFormat::Stl => stl::write(&mesh, &provenance, out),
-        OutputFormat::Gltf => gltf::write_gltf(&mesh, &gltf_options(options), &provenance, out),
-        OutputFormat::Ply => ply::write::write_mesh(&mesh, &provenance, out),
-        OutputFormat::Png => {
-            write_picture(surface, (number, frame), PictureFormat::Png, provenance, scheduler, out)
-        }
-        OutputFormat::Exr => {
-            write_picture(surface, (number, frame), PictureFormat::Exr, provenance, scheduler, out)
+    let MeshEncoder::Batches { count, encode } = writer.encoder else {
+        return writer.write(&mesh, &options, &provenance, out);
+    };
+    for index in 0..count(&mesh, &options) {
+        let (surface, options, provenance) = (Arc::clone(surface), options.clone(), provenance.clone());
+        let encode = move || {
+            let attributes = vertex_attributes(&surface.attributes.vertices);
+            encode(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
+        };
+        for text in scheduler.run(number, encode)? {
+            out.write_all(&text)?;
         }
     }
+    Ok(())
 }
 
 fn write_picture<'env>(
     surface: &Arc<Surface>,
     (number, frame): (usize, &Frame),
-    format: PictureFormat,
+    format: OutputFormat,
     provenance: Vec<(String, String)>,
     scheduler: &Scheduler<'_, '_, 'env>,
     out: &mut impl Write,
@@ -161,12 +125,13 @@ fn write_picture<'env>(
     let (surface, outputs, origin) = (Arc::clone(surface), Arc::clone(&frame.outputs), frame.job.origin());
     let lattice = Lattice { voxel_size: frame.settings.voxel_size };
     let encode = move || {
-        let velocity = if format == PictureFormat::Exr { velocities(&surface) } else { None };
+        let has_data = format.has_attributes();
+        let velocity = if has_data { velocities(&surface) } else { None };
         let scene = Scene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
         let PictureOptions { size, camera } = outputs.picture;
         let bounds = scene.bounds().unwrap_or(NOTHING);
         let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
-        let picture = scene.picture(&viewpoint, size, format == PictureFormat::Exr);
+        let picture = scene.picture(&viewpoint, size, has_data);
         encode_picture(&picture, Some(&viewpoint), format, &provenance)
     };
     Ok(out.write_all(&scheduler.run(number, encode)?)?)
@@ -207,15 +172,6 @@ pub fn encode_level_set(
         grids: &grids,
     };
     vdb::encode(&levels, options, provenance)
-}
-
-fn gltf_options(options: &OutputOptions) -> gltf::WriteOptions {
-    gltf::WriteOptions { up: options.up, ..gltf::WriteOptions::default() }
-}
-
-/// Which triangles are halves of quads, where quads are asked for.
-fn quads_of(surface: &Surface, frame: &Frame) -> Arc<[bool]> {
-    if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() }
 }
 
 /// A mesh as the writers of the formats take it: in world units, relative to its origin, with what is known of its
@@ -280,54 +236,41 @@ fn role(meaning: Meaning) -> Option<Role> {
 /// What a user should know of a surface and of its files.
 pub(super) fn surface_notes(surface: &Surface, outputs: &OutputOptions, settings: &Settings) -> Vec<String> {
     let misfit = misfit_notes(&surface.mesh, &surface.report, settings);
-    let notes = misfit.into_iter().chain(attribute_notes(surface, &outputs.formats));
+    let notes = misfit.into_iter().chain(attribute_notes(surface, outputs));
     notes.chain(position_notes(surface, outputs, settings.voxel_size)).collect()
 }
 
-/// What a user should know of positions that a file has no room for as they are.
+/// Warns of files that round positions too much.
 fn position_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<String> {
-    let OutputOptions { formats, quantize, .. } = outputs;
     let mesh = mesh_view(&surface.mesh, &[]);
-    let voxels = |moved: f64| Some(moved / voxel_size).filter(|moved| *moved > TOLD_FROM_VOXELS);
-    let quantized = formats.contains(&OutputFormat::Glb) && *quantize && !mesh.triangles.is_empty();
-    let quantized = quantized.then(|| voxels(gltf::quantization_error(&mesh))).flatten();
-    let rounded = formats.contains(&OutputFormat::Stl).then(|| voxels(stl::rounding(&mesh))).flatten();
-    let quantized = quantized.map(|moved| {
-        format!("vertices are moved by up to {moved:.3} voxels in the quantized .glb: the frame is wide for its 65536 steps")
-    });
-    let rounded = rounded.map(|moved| {
-        format!("vertices are moved by up to {moved:.3} voxels in the .stl, whose numbers have 32 bits: it is far from the origin")
-    });
-    quantized.into_iter().chain(rounded).collect()
+    let note = |format: OutputFormat| {
+        let rounding = rounding(format, outputs).filter(|_| !mesh.triangles.is_empty())?;
+        let moved = (rounding.error)(mesh.positions, mesh.origin) / voxel_size;
+        let reason = rounding.reason;
+        (moved > TOLD_FROM_VOXELS)
+            .then(|| format!("vertices are moved by up to {moved:.3} voxels in {reason}"))
+    };
+    written(outputs).filter_map(note).collect()
+}
+
+/// The formats that are written, in the order of the table.
+fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
+    OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
 }
 
 /// A file that moves vertices by more than this is told of, in voxels.
 const TOLD_FROM_VOXELS: f64 = 0.02;
 
 /// What a user should know of attributes that the files do not hold as they are.
-fn attribute_notes(surface: &Surface, formats: &[OutputFormat]) -> Vec<String> {
+fn attribute_notes(surface: &Surface, outputs: &OutputOptions) -> Vec<String> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
-    let has = |format| formats.contains(&format);
-    let mut notes = Vec::new();
-    if has(OutputFormat::Glb) || has(OutputFormat::Gltf) {
-        notes.extend(gltf::attribute_notes(&vertices));
+    let mut notes: Vec<String> = Vec::new();
+    for mesh in written(outputs).filter_map(OutputFormat::mesh) {
+        let of_format = (mesh.attribute_notes)(&vertices);
+        // .glb and .gltf have the same to say.
+        notes.extend(of_format.into_iter().filter(|note| !notes.contains(note)).collect::<Vec<_>>());
     }
-    if has(OutputFormat::Obj) {
-        notes.extend(obj::attribute_notes(&vertices));
-    }
-    if has(OutputFormat::Ply) {
-        notes.extend(ply::attribute_notes(&vertices));
-    }
-    if has(OutputFormat::Vtp) {
-        notes.extend(vtk::attribute_notes(&vertices));
-    }
-    if has(OutputFormat::Usda) {
-        notes.extend(usda::attribute_notes(&vertices));
-    }
-    if has(OutputFormat::Stl) && !vertices.is_empty() {
-        notes.push("the .stl has triangles only, and nothing that is known of the vertices".to_owned());
-    }
-    if has(OutputFormat::Vdb) {
+    if outputs.formats.contains(&OutputFormat::Vdb) {
         let band = &surface.attributes.band;
         let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));

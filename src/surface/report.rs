@@ -60,10 +60,12 @@ pub struct SkinReport {
 }
 
 /// Which attributes the surface got from its particles, and how well they cover it.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct TransferReport {
     /// The names of the attributes.
+    #[cfg_attr(feature = "serde", serde(rename = "names"))]
     pub attributes: Vec<String>,
     /// At the vertices.
     pub vertices: TransferCounts,
@@ -73,47 +75,69 @@ pub struct TransferReport {
     pub seconds: f64,
 }
 
+/// A 32-bit number as JSON that has all of its digits.
+#[cfg(feature = "serde")]
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn as_f64<S: serde::Serializer>(number: &f32, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(f64::from(*number))
+}
+
 /// How particles got their shapes: by their own radii, by stretching, and by their neighbours. All 0 where the options leave
 /// particles as balls of one size.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Shaping {
     /// Particles whose own r_min the grid could not hold, and which was raised to √3·h.
+    #[cfg_attr(feature = "serde", serde(rename = "small_radii"))]
     pub small_radius_count: usize,
     /// r_min of the smallest of them, as it was to be, world units; 0 if there is none.
     pub small_radius_min: f64,
-    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
-    pub raised_count: usize,
     /// Particles so large that their r_max was lowered to the largest there may be.
+    #[cfg_attr(feature = "serde", serde(rename = "large_radii"))]
     pub large_radius_count: usize,
     /// Particles whose own radius is none: they have the least.
+    #[cfg_attr(feature = "serde", serde(rename = "invalid_radii"))]
     pub invalid_radius_count: usize,
-    /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
-    pub ball_count: usize,
     /// Particles near the surface, of which neighbours were looked at. The others stay where they were given, and are not
     /// stretched by neighbours.
+    #[cfg_attr(feature = "serde", serde(rename = "near"))]
     pub near_count: usize,
+    /// Stretched particles with a half axis that the grid could not hold, which was raised to √3·h.
+    #[cfg_attr(feature = "serde", serde(rename = "raised"))]
+    pub raised_count: usize,
+    /// Particles that were to be stretched and are balls: neighbours too few, or no velocity that is finite.
+    #[cfg_attr(feature = "serde", serde(rename = "balls"))]
+    pub ball_count: usize,
     /// The longest half axis, in units of the settings' radii.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "as_f64"))]
     pub longest: f32,
     /// Seconds that it took, where the caller measured them; those of rasterization include them.
     pub seconds: f64,
 }
 
 /// What the options for edits changed: islands dropped, cavities filled, what a box clips, triangles saved. All 0 without them.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct EditReport {
     /// Pieces that were dropped: they had too few particles.
+    #[cfg_attr(feature = "serde", serde(rename = "islands_dropped"))]
     pub island_count: usize,
     /// The particles in them.
+    #[cfg_attr(feature = "serde", serde(rename = "island_particles"))]
     pub island_particle_count: u64,
     /// Cavities that were filled.
+    #[cfg_attr(feature = "serde", serde(rename = "cavities_filled"))]
     pub cavity_count: usize,
     /// Their volume, in voxels.
+    #[cfg_attr(feature = "serde", serde(rename = "cavity_volume_voxels"))]
     pub cavity_voxel_count: u64,
     /// Voxels inside that a box cut off.
+    #[cfg_attr(feature = "serde", serde(rename = "clipped_voxels"))]
     pub clipped_voxel_count: u64,
     /// Triangles that were saved.
+    #[cfg_attr(feature = "serde", serde(rename = "triangles_saved"))]
     pub removed_triangle_count: usize,
     /// How far the mesh may have moved for that, in voxels.
     pub decimation_error_voxels: f64,

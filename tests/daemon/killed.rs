@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use meniscus_formats::provenance::Kind;
-use meniscus_formats::wholeness::is_whole;
+use meniscus_formats::OutputFormat;
+use meniscus_formats::is_whole;
 
 use crate::scene::{Scene, by_length, moving, ply, text_ply};
 
@@ -123,12 +123,12 @@ fn observe(folder: &Path, is_over: &AtomicBool) -> Vec<Sight> {
     }
 }
 
-fn kind(name: &str) -> Kind {
+fn kind(name: &str) -> OutputFormat {
     match Path::new(name).extension().and_then(|extension| extension.to_str()) {
-        Some("glb") => Kind::Glb,
-        Some("vdb") => Kind::Vdb,
-        Some("obj") => Kind::Obj,
-        Some("ply") => Kind::Ply,
+        Some("glb") => OutputFormat::Glb,
+        Some("vdb") => OutputFormat::Vdb,
+        Some("obj") => OutputFormat::Obj,
+        Some("ply") => OutputFormat::Ply,
         _ => panic!("{name} is no output"),
     }
 }

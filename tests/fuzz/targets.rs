@@ -19,9 +19,9 @@ use meniscus::watch::board::Board;
 use meniscus::watch::journal::Journal;
 use meniscus_formats::steps::find_steps;
 use meniscus_formats::{
-    Kind, Limits, ParticleBatch, ParticleBatches, ParticleFrame, Result, Values, atoms, bgeo, completeness,
-    csv, gltf, houdini, lammps, looks_like_particles, npy, obj, packing, ply, png, probe, provenance,
-    read_obstacle, read_particles, stl, usda, vdb, vtk, wholeness, xyz,
+    Format, Kind, Limits, OutputFormat, ParticleBatch, ParticleBatches, ParticleFrame, Result, Values, bgeo,
+    completeness, compression, csv, gltf, houdini, is_whole, lammps, looks_like_particles, npy, obj, ply,
+    png, probe, read_obstacle, read_particles, read_provenance, stl, usda, vdb, vtk, xyz, xyz_ext,
 };
 use twox_hash::XxHash3_64;
 
@@ -59,8 +59,8 @@ pub(crate) const TARGETS: [Target; 33] = [
     plain("xyz", |bytes| checked(xyz::read(bytes, &limits()))),
     plain("npy", |bytes| checked(npy::read(bytes, &limits()))),
     packed("npz", |bytes| checked(npy::read_archive(bytes, &limits()))),
-    plain("lammps", |bytes| steps(Kind::LammpsDump, bytes, lammps::read)),
-    plain("atoms", |bytes| steps(Kind::XyzAtoms, bytes, atoms::read)),
+    plain("lammps", |bytes| steps(Kind::Format(Format::LammpsDump), bytes, lammps::read)),
+    plain("atoms", |bytes| steps(Kind::Format(Format::XyzAtoms), bytes, xyz_ext::read)),
     plain("vtk_legacy", |bytes| checked(vtk::read_legacy(bytes, &limits()))),
     packed("vtk_xml", |bytes| checked(vtk::read_xml(bytes, &limits()))),
     packed("vtp_mesh", |bytes| drop(vtk::read_mesh(bytes, &limits()))),
@@ -73,7 +73,7 @@ pub(crate) const TARGETS: [Target; 33] = [
     plain("obj", |bytes| drop(obj::read_mesh(bytes))),
     Target { name: "png", content: Content::Picture, run: |bytes| drop(png::read(bytes)) },
     packed("obstacle", |bytes| named(bytes, obstacle)),
-    packed("packing", |bytes| drop(packing::unpacked(bytes, &limits()))),
+    packed("packing", |bytes| drop(compression::unpacked(bytes, &limits()))),
     packed("particles", |bytes| named(bytes, particles)),
     plain("batches", |bytes| named(bytes, batches)),
     plain("ends", ends),
@@ -198,23 +198,22 @@ fn gltf_frame(bytes: &[u8]) {
 
 /// What is asked of a file without reading all of it. The first byte says whose.
 fn ends(bytes: &[u8]) {
-    use provenance::Kind;
-    const KINDS: [Kind; 10] = [
-        Kind::Glb,
-        Kind::Gltf,
-        Kind::Obj,
-        Kind::Ply,
-        Kind::Vdb,
-        Kind::Png,
-        Kind::Exr,
-        Kind::Vtp,
-        Kind::Stl,
-        Kind::Usda,
+    const FORMATS: [OutputFormat; 10] = [
+        OutputFormat::Glb,
+        OutputFormat::Gltf,
+        OutputFormat::Obj,
+        OutputFormat::Ply,
+        OutputFormat::Vdb,
+        OutputFormat::Png,
+        OutputFormat::Exr,
+        OutputFormat::Vtp,
+        OutputFormat::Stl,
+        OutputFormat::Usda,
     ];
     let [choice, bytes @ ..] = bytes else { return };
-    let kind = KINDS[usize::from(*choice) % KINDS.len()];
-    let _ = wholeness::is_whole(kind, &mut Cursor::new(bytes));
-    let _ = provenance::read_provenance(kind, bytes);
+    let format = FORMATS[usize::from(*choice) % FORMATS.len()];
+    let _ = is_whole(format, &mut Cursor::new(bytes));
+    let _ = read_provenance(format, bytes);
     let _ = completeness(&mut Cursor::new(bytes), NAMES[usize::from(*choice) % NAMES.len()]);
 }
 

@@ -47,13 +47,13 @@ fn cloud(seed: u64, count: u64, width: f64) -> Vec<[f64; 3]> {
     (0..count).map(|index| [0, 1, 2].map(|axis| width * random(3000 * seed + 3 * index + axis))).collect()
 }
 
-fn quarters(mesh: &Mesh) -> Vec<Vec3> {
-    mesh.positions.iter().map(|position| (position * 4.0).round() / 4.0).collect()
+fn quarters(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
+    positions.iter().map(|position| position.map(|x| (x * 4.0).round() / 4.0)).collect()
 }
 
 /// As coarse as 32-bit positions are where particles are left out.
-fn eighths(mesh: &Mesh) -> Vec<Vec3> {
-    mesh.positions.iter().map(|position| (position * 8.0).round() / 8.0).collect()
+fn eighths(positions: &[[f32; 3]], _: [f64; 3]) -> Vec<[f32; 3]> {
+    positions.iter().map(|position| position.map(|x| (x * 8.0).round() / 8.0)).collect()
 }
 
 /// With radii this small some particles are outside of the mesh and of φ, and some of one of them only.
@@ -73,7 +73,7 @@ fn particles_outside_the_written_mesh_are_counted_to_the_last() {
             let surface = skinned(&positions, &settings, &[stored]);
             let written = match stored {
                 Stored::AsTheyAre => surface.mesh.positions.clone(),
-                Stored::Rounded(rounding) => rounding(&surface.mesh),
+                Stored::Rounded(rounding) => surface.mesh.rounded(rounding),
             };
             let is_outside =
                 |position: &&[f64; 3]| winding(&surface.mesh, &written, DVec3::from(**position)) < 0.5;
@@ -106,7 +106,7 @@ fn a_mesh_with_rounded_positions_is_closed_and_within_its_bounds() {
         assert_eq!(measures.degenerate_triangle_count, 0, "seed {seed}: {measures:?}");
         assert!(certificate.holds(), "seed {seed}: {certificate:?} {measures:?}");
         // What is said of the vertices is said of those in the file.
-        let written = eighths(&surface.mesh);
+        let written = surface.mesh.rounded(eighths);
         let nearest = |vertex: &Vec3| {
             let distances =
                 positions.iter().map(|particle| DVec3::from(*particle).distance(vertex.as_dvec3()));

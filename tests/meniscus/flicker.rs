@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::{MeshView, stl, vtk};
+use meniscus_formats::{MeshOptions, MeshView, stl, vtk};
 use tempfile::{TempDir, tempdir};
 
 use crate::scene::{Ran, meniscus, write_ply};
@@ -65,10 +65,10 @@ fn write_mesh(path: &Path, mesh: &(Vec<[f32; 3]>, Vec<[u32; 3]>)) {
     match path.extension().and_then(|extension| extension.to_str()).expect("an extension") {
         "obj" => return write_obj(path, mesh),
         "stl" => stl::write(&view, &[], &mut bytes).expect("in memory"),
-        "vtp" => vtk::write_mesh(&view, &vtk::WriteOptions::default(), &[], &mut bytes).expect("in memory"),
+        "vtp" => vtk::write_mesh(&view, &MeshOptions::default(), &[], &mut bytes).expect("in memory"),
         "ply" => meniscus_formats::ply::write::write_mesh(&view, &[], &mut bytes).expect("in memory"),
         "glb" => {
-            let options = meniscus_formats::gltf::WriteOptions::default();
+            let options = MeshOptions::default();
             meniscus_formats::gltf::write_glb(&view, &options, &[], &mut bytes).expect("in memory");
         }
         "vtk" => bytes = format!("{}POLYGONS {count} {size}\n{cells}", head("POLYDATA")).into_bytes(),

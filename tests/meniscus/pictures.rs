@@ -9,12 +9,12 @@ use exr::prelude::{
     AnyChannels, FlatSamples, Layer, ReadChannels, ReadLayers, read, read_all_flat_layers_from_file,
 };
 use glam::{DVec3, IVec3};
-use meniscus::pipeline::{CameraChoice, PictureFormat, Scene, Viewpoint, encode_picture};
+use meniscus::pipeline::{CameraChoice, Scene, Viewpoint, encode_picture};
 use meniscus::render::{FAR, Picture, Up};
 use meniscus::surface::grid::{Field, Topology, voxel_in_leaf};
 use meniscus::surface::level_set::NarrowBand;
 use meniscus::surface::space::Lattice;
-use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::{OutputFormat, read_provenance};
 use rayon::ThreadPoolBuilder;
 use tempfile::tempdir;
 
@@ -111,7 +111,7 @@ fn files_do_not_depend_on_threads() {
         pool.install(|| {
             let viewpoint = viewpoint("azimuth=10");
             let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint);
-            [PictureFormat::Png, PictureFormat::Exr]
+            [OutputFormat::Png, OutputFormat::Exr]
                 .map(|format| encode_picture(&picture, Some(&viewpoint), format, &[]).expect("encoded"))
         })
     };
@@ -148,8 +148,11 @@ fn velocity_in_the_middle(path: &Path) -> DVec3 {
 }
 
 fn camera_in(path: &Path) -> String {
-    let kind =
-        if path.extension().is_some_and(|extension| extension == "png") { Kind::Png } else { Kind::Exr };
+    let kind = if path.extension().is_some_and(|extension| extension == "png") {
+        OutputFormat::Png
+    } else {
+        OutputFormat::Exr
+    };
     let pairs = read_provenance(kind, File::open(path).expect("there")).expect("readable");
     pairs.into_iter().find(|(name, _)| name == "camera").expect("a camera").1
 }
@@ -383,7 +386,7 @@ fn pictures_are_those_that_were_looked_at() {
     fs::create_dir_all(&made).expect("made");
     let viewpoint = viewpoint(AWAY);
     let picture = picture_of(&ball(1.0), DVec3::ZERO, &viewpoint);
-    let bytes = encode_picture(&picture, None, PictureFormat::Png, &[]).expect("encoded");
+    let bytes = encode_picture(&picture, None, OutputFormat::Png, &[]).expect("encoded");
     fs::write(made.join("ball.png"), bytes).expect("written");
     for (name, arguments) in [
         ("water", &[][..]),
@@ -410,7 +413,7 @@ fn pictures_are_those_that_were_looked_at() {
 fn what_is_wrong_is_seen() {
     let picture = |band: &NarrowBand, spec: &str| -> Pixels {
         let picture = picture_of(band, DVec3::ZERO, &viewpoint(spec));
-        let bytes = encode_picture(&picture, None, PictureFormat::Png, &[]).expect("encoded");
+        let bytes = encode_picture(&picture, None, OutputFormat::Png, &[]).expect("encoded");
         let file = tempdir().expect("a folder");
         fs::write(file.path().join("a.png"), bytes).expect("written");
         pixels(&file.path().join("a.png"))

@@ -5,7 +5,7 @@ use std::fs::{self, File};
 use std::io::BufReader;
 use std::path::Path;
 
-use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::{OutputFormat, read_provenance};
 use tempfile::tempdir;
 
 use crate::scene::{Ran, block, meniscus, names_in, write_ply, write_sequence};
@@ -167,7 +167,8 @@ fn sequences_are_one_after_another() {
     for title in ["dam: 2 frames", "other: 2 frames", "alone.ply: 1 frame"] {
         assert!(ran.out.contains(title), "{title}: {}", ran.out);
     }
-    let pairs = read_provenance(Kind::Png, File::open(path.join("sheet.png")).expect("there")).expect("ours");
+    let pairs =
+        read_provenance(OutputFormat::Png, File::open(path.join("sheet.png")).expect("there")).expect("ours");
     let cameras = pairs.iter().filter(|(name, _)| name == "camera").map(|(_, value)| value);
     let cameras: Vec<&String> = cameras.collect();
     assert!(cameras.len() == 3 && cameras[0] != cameras[1], "each has its own camera: {cameras:?}");
@@ -179,8 +180,8 @@ fn commands(out: &str) -> Vec<Vec<&str>> {
     lines.map(|line| line.split_whitespace().skip(2).collect()).collect()
 }
 
-fn provenance(kind: Kind, path: &Path) -> HashMap<String, String> {
-    read_provenance(kind, File::open(path).expect("there")).expect("ours").into_iter().collect()
+fn provenance(format: OutputFormat, path: &Path) -> HashMap<String, String> {
+    read_provenance(format, File::open(path).expect("there")).expect("ours").into_iter().collect()
 }
 
 #[test]
@@ -214,8 +215,8 @@ fn commands_make_what_cells_show() {
         let ran = meniscus(path, &[&render[..], options].concat());
         assert_eq!(ran.status, 0, "{options:?} {}", ran.err);
         let [level_set, picture] = [
-            provenance(Kind::Vdb, &path.join(&out).join("dam.7.vdb")),
-            provenance(Kind::Png, &path.join("cell.png")),
+            provenance(OutputFormat::Vdb, &path.join(&out).join("dam.7.vdb")),
+            provenance(OutputFormat::Png, &path.join("cell.png")),
         ];
         let same = level_set.iter().filter(|(name, _)| picture.contains_key(*name));
         let same: Vec<&String> =

@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-use meniscus_formats::provenance::{Kind, read_provenance};
+use meniscus_formats::{OutputFormat, read_provenance};
 use serde_json::Value;
 use tempfile::{TempDir, tempdir};
 
@@ -65,7 +65,7 @@ fn surface(path: &Path) -> String {
 
 /// What a mesh says it was made from.
 fn input_of(path: &Path) -> String {
-    let pairs = read_provenance(Kind::Obj, fs::File::open(path).expect("there")).expect("readable");
+    let pairs = read_provenance(OutputFormat::Obj, fs::File::open(path).expect("there")).expect("readable");
     pairs.into_iter().find(|(name, _)| name == "input").expect("recorded").1
 }
 

@@ -32,8 +32,12 @@ pub use read::read;
 pub use text::read_text;
 pub use write::write;
 
-pub(crate) use header::header_within;
-pub(crate) use read::{gather_batch, records};
+use header::header_within;
+use read::records;
+
+use crate::error::Result;
+use crate::row::{Completeness, HeadCheck, at_least, exactly};
+use crate::row::{FormatRow, ParticleInput};
 
 /// The format as users know it, for errors.
 const FORMAT: &str = "classic BGEO";
@@ -54,4 +58,41 @@ const POSITION_WORDS: usize = 4;
 #[expect(clippy::cast_possible_truncation, reason = "the format holds 32-bit reals")]
 fn narrow(value: f64) -> f32 {
     value as f32
+}
+
+/// What the table of formats says of the binary form.
+pub(crate) static BINARY: FormatRow = FormatRow {
+    signatures: &[b"Bgeo"],
+    beginnings: &[MAGIC],
+    particles: Some(ParticleInput {
+        completeness,
+        find_records: Some(|head, file_bytes, file, limits| {
+            let header = header_within(head, limits)?;
+            let rest = match file_bytes.checked_sub(header.expected_bytes) {
+                Some(0) => crate::records::read(file, header.points_end()..file_bytes),
+                _ => Ok(Vec::new()),
+            };
+            Ok(rest.and_then(|rest| records(&header, file_bytes, &rest).map(Some)))
+        }),
+        ..ParticleInput::new(read)
+    }),
+    ..FormatRow::new(FORMAT, &["bgeo", "bhclassic"])
+};
+
+/// What the table of formats says of the text.
+pub(crate) static TEXT: FormatRow = FormatRow {
+    signatures: &[b"PGEOMETRY"],
+    beginnings: &[b"PGEOMETRY"],
+    particles: Some(ParticleInput::new(read_text)),
+    ..FormatRow::new("classic Houdini GEO (text)", &["geo", "hclassic"])
+};
+
+/// What the header says of whether a file is complete.
+fn completeness(head: &[u8], file_bytes: u64) -> Result<HeadCheck> {
+    let header = header(head)?;
+    Ok(HeadCheck::Known(match header.point_count {
+        0 => Completeness::Unproven,
+        _ if header.expected_bytes_is_exact => exactly(header.expected_bytes, file_bytes),
+        _ => at_least(header.expected_bytes, file_bytes, Completeness::ByReading),
+    }))
 }

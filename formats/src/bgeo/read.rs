@@ -3,10 +3,13 @@
 //! The length of a record is known, so each attribute is gathered with its own stride. That is done
 //! for a block of records at a time, while the block is in the nearest cache.
 
+use std::sync::Arc;
+
 use super::header::{AttributeHeader, AttributeKind, Header, header_within};
 use super::{FORMAT, POSITION_WORDS, TRAILER};
-use crate::batches::{PositionInRecord, Records};
-use crate::names::{radius_scale, roles_of};
+
+use crate::columns::{radius_scale, roles_of};
+use crate::records::Records;
 use crate::{Attribute, Error, Limits, ParticleFrame, Place, Positions, Result, Role, Values};
 
 /// Bytes of records that all attributes are gathered from before the next ones are touched: less
@@ -40,14 +43,14 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
 /// # Errors
 ///
 /// Those of [`read`], after the header.
-pub(crate) fn records(header: &Header, file_bytes: u64, rest: &[u8]) -> Result<Records> {
+pub(super) fn records(header: &Header, file_bytes: u64, rest: &[u8]) -> Result<Records> {
     checked_points_bytes(header, file_bytes)?;
     Ok(Records {
         format: FORMAT,
         offset: header.points_offset as u64,
         stride: header.record_bytes,
         count: header.point_count,
-        position: PositionInRecord::Bgeo,
+        gather: Arc::new(|records, stride, _, positions| gather_batch(records, stride, positions)),
         notes: notes(header, rest),
         velocity: velocity_name(header),
     })
@@ -126,7 +129,7 @@ fn gather(records: &[u8], header: &Header) -> (Vec<[f32; 3]>, Vec<Column>) {
 }
 
 /// The positions of a batch of records.
-pub(crate) fn gather_batch(records: &[u8], stride: usize, positions: &mut Positions) {
+fn gather_batch(records: &[u8], stride: usize, positions: &mut Positions) {
     let mut gathered = match std::mem::take(positions) {
         Positions::F32(gathered) => gathered,
         Positions::F64(_) => Vec::new(),

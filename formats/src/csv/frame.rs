@@ -3,7 +3,7 @@
 use super::column::{Column, ColumnValues};
 use super::layout::{self, Layout};
 use super::rows::Table;
-use crate::names::{self, Group};
+use crate::columns::{self, Group};
 use crate::{Attribute, ParticleFrame, Positions, Role, Values};
 
 /// Puts the columns together as their names say.
@@ -14,7 +14,7 @@ pub(super) fn frame(layout: Layout, mut table: Table) -> ParticleFrame {
         notes.push(format!("{dropped} of {all} rows have no finite position and were left out."));
     }
     let [x, ..] = layout.position;
-    if let Some(unit) = names::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {
+    if let Some(unit) = columns::unit_of(&layout.names[x]).filter(|&unit| unit != "m") {
         notes.push(format!("Positions are in {unit:?}, and were taken as they are."));
     }
 
@@ -130,8 +130,8 @@ fn take_integers(column: &mut Column) -> Vec<i64> {
 
 /// A name as an attribute carries it.
 fn without_unit(name: &str) -> String {
-    let name = names::unquoted(name);
-    match names::unit_of(name) {
+    let name = columns::unquoted(name);
+    match columns::unit_of(name) {
         Some(_) => {
             let end = name.rfind(['[', '(']).unwrap_or(name.len());
             name[..end].trim_end().into()

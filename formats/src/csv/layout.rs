@@ -4,8 +4,8 @@ use super::FORMAT;
 use super::cell::{
     DELIMITERS, Delimiter, Meaning, cells, has_cells, has_decimal_comma, meaning, shown, unquoted,
 };
+use crate::columns::{self, Columns};
 use crate::excerpt::excerpts;
-use crate::names::{self, Columns};
 use crate::scalar::Scalar;
 use crate::{Error, Limits, Place, Result};
 
@@ -256,7 +256,7 @@ pub(super) fn group(names: &[String], is_text: impl Fn(usize) -> bool) -> Column
     let scalar = |index| if is_text(index) { Scalar::U8 } else { Scalar::F64 };
     let columns: Vec<(&str, Scalar)> =
         names.iter().enumerate().map(|(index, name)| (name.as_str(), scalar(index))).collect();
-    names::group_columns(&columns)
+    columns::group_columns(&columns)
 }
 
 fn column_name(index: usize) -> String {

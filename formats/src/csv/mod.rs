@@ -29,6 +29,7 @@ mod rows;
 
 pub(crate) use layout::{looks_like_particles, names_position};
 
+use crate::row::{FormatRow, ParticleInput};
 use crate::{Error, Limits, ParticleFrame, Place, Result};
 
 /// The format as users know it, for errors.
@@ -118,3 +119,9 @@ fn refuse_binary(bytes: &[u8]) -> Result<()> {
         None => Ok(()),
     }
 }
+
+/// What the table of formats says of it.
+pub(crate) static ROW: FormatRow = FormatRow {
+    particles: Some(ParticleInput::new(read)),
+    ..FormatRow::new(FORMAT, &["csv", "tsv", "txt", "dat", "asc", "xyz", "pts"])
+};

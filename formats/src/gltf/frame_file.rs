@@ -6,9 +6,9 @@ use std::io::{Read, Seek, SeekFrom};
 use serde_json::{Map, Value};
 
 use super::buffer::invalid;
-use super::write::UpAxis;
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, component};
 use crate::error::{Error, Place, Result};
+use crate::mesh_options::UpAxis;
 
 /// A frame of a shot.
 #[derive(Clone, Debug)]

@@ -12,8 +12,15 @@
 //! This work is based on:
 //! The Khronos 3D Formats Working Group. glTF 2.0 Specification. 2021
 
-mod beside;
+use crate::data::MeshData;
+use crate::error::{Error, Result};
+use crate::limits::Limits;
+use crate::mesh_options::WriteOption;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, Rounding};
+
 mod buffer;
+mod external;
 mod frame_file;
 mod quantized;
 mod read;
@@ -24,7 +31,9 @@ mod sequence;
 mod vertex_data;
 mod write;
 
-pub use beside::{Beside, FileBeside, files_beside};
+pub use crate::mesh_options::UpAxis;
+pub use crate::row::Beside;
+pub use external::{FileBeside, files_beside};
 pub use frame_file::FrameFile;
 pub use quantized::{quantization_error, quantized_positions};
 pub use read::{read_mesh, read_mesh_with};
@@ -32,10 +41,11 @@ pub use read_attributes::read_attributes;
 pub use read_camera::{CameraData, read_camera};
 pub use sequence::{SHOT_FRAMES, ShotFrame, ShotInfo, read_shot_info, write_sequence};
 pub use vertex_data::attribute_notes;
-pub use write::{UpAxis, WriteOptions, write_glb, write_gltf};
+pub use write::{write_glb, write_gltf};
 
 pub(crate) use frame_file::{Column, FramePlace};
-pub(crate) use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};
+
+use read_provenance::{glb_bytes_claimed, json_of_glb_head, read_provenance};
 
 /// The format's name in errors.
 const FORMAT: &str = "glTF";
@@ -51,4 +61,62 @@ mod component {
     pub(super) const U16: u32 = 5123;
     pub(super) const U32: u32 = 5125;
     pub(super) const F32: u32 = 5126;
+}
+
+/// What the table of formats says of the binary form.
+pub(crate) static GLB: OutputRow = OutputRow {
+    format: FormatRow {
+        signatures: &[b"glTF"],
+        read_mesh: Some(read_one_mesh),
+        ..FormatRow::new("binary glTF", &["glb"])
+    },
+    help: "Binary glTF: positions, normals",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes,
+        rounding: |options| options.quantize.then_some(&QUANTIZED),
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
+            write_glb(mesh, options, provenance, &mut out)
+        }))
+    }),
+    write_particles: None,
+    has_attributes: true,
+    options: &[WriteOption::Up, WriteOption::Quantize],
+    read_provenance: |head| read_provenance(json_of_glb_head(head)?),
+    integrity: Integrity::Length(|head, _| glb_bytes_claimed(head)),
+};
+
+/// What the table of formats says of the text.
+pub(crate) static GLTF: OutputRow = OutputRow {
+    format: FormatRow { read_mesh: Some(read_mesh_with), ..FormatRow::new(FORMAT, &["gltf"]) },
+    help: "Text glTF",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes,
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
+            write_gltf(mesh, options, provenance, &mut out)
+        }))
+    }),
+    write_particles: None,
+    has_attributes: true,
+    options: &[WriteOption::Up],
+    read_provenance,
+    integrity: Integrity::Json,
+};
+
+static QUANTIZED: Rounding = Rounding {
+    positions: |positions, _| quantized_positions(positions),
+    error: |positions, _| quantization_error(positions),
+    certified_as: "mesh, at its 16-bit positions",
+    reason: "the quantized .glb: the frame is wide for its 65536 steps",
+};
+
+/// A shot has a mesh for each of its frames, and which one is wanted is unknown.
+fn read_one_mesh(bytes: &[u8], limits: &Limits, beside: &Beside) -> Result<MeshData> {
+    if let Some(shot) = read_shot_info(bytes)? {
+        let what = format!(
+            "this is a shot of {} frames, and one mesh is needed: give the .glb of a frame, or of each as in body.####.glb",
+            shot.frames
+        );
+        return Err(Error::unsupported(GLB.format.name, what));
+    }
+    read_mesh_with(bytes, limits, beside)
 }

@@ -11,7 +11,6 @@
 
 use std::io::Write;
 
-use crate::data::MeshView;
 use crate::error::Result;
 use crate::le_bytes::write_pieces;
 
@@ -86,8 +85,8 @@ pub(super) fn write_normals(normals: &[[f32; 3]], out: &mut impl Write) -> Resul
 }
 
 /// The positions that a reader gets of a mesh that is quantized, relative to the mesh's origin.
-pub fn quantized_positions(mesh: &MeshView) -> Vec<[f32; 3]> {
-    let cube = Cube::around(mesh.positions);
+pub fn quantized_positions(positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let cube = Cube::around(positions);
     let read = |&position: &[f32; 3]| {
         let steps = cube.quantized(position);
         std::array::from_fn(|axis| {
@@ -97,10 +96,10 @@ pub fn quantized_positions(mesh: &MeshView) -> Vec<[f32; 3]> {
             position
         })
     };
-    mesh.positions.iter().map(read).collect()
+    positions.iter().map(read).collect()
 }
 
 /// How far a position of a mesh is moved along an axis by being quantized, at most, in world units.
-pub fn quantization_error(mesh: &MeshView) -> f64 {
-    f64::from(Cube::around(mesh.positions).size) / STEPS / 2.0
+pub fn quantization_error(positions: &[[f32; 3]]) -> f64 {
+    f64::from(Cube::around(positions).size) / STEPS / 2.0
 }

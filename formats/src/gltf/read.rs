@@ -15,8 +15,9 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use serde::Deserialize;
 
-use super::beside::{Beside, ReadBeside, is_data};
+use super::Beside;
 use super::buffer::{Buffers, invalid};
+use super::external::{ReadBeside, is_data};
 use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION};
 use crate::data::MeshData;
 use crate::error::{Error, Place, Result};

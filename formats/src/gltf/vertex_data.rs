@@ -13,12 +13,10 @@
 
 use std::io::Write;
 
-use crate::data::MeshView;
+use crate::data::{MeshView, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
-use crate::vertex_attributes::{
-    NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes, string_index,
-};
+use crate::vertex_attributes::{NamesTaken, Purpose, plain_name, purposes, string_index};
 
 /// Integers of at most this size are exact as 32-bit reals.
 const EXACT_INTEGER_MAX: u64 = 1 << 24;

@@ -16,34 +16,8 @@ use super::{CHUNK_BIN, CHUNK_JSON, FORMAT, GLB_MAGIC, GLB_VERSION, component};
 use crate::data::{MeshView, Provenance};
 use crate::error::{Error, Place, Result};
 use crate::le_bytes::{write_f32s, write_u16s, write_u32s};
+use crate::mesh_options::{MeshOptions, UpAxis};
 use crate::provenance::GENERATOR;
-
-/// The axis that points up in the scene that is written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum UpAxis {
-    /// As in glTF itself.
-    #[default]
-    Y,
-    /// The node turns the mesh by −90° about X.
-    Z,
-}
-
-/// How to write a mesh.
-#[derive(Clone, Debug)]
-pub struct WriteOptions {
-    /// Which axis of the mesh points up.
-    pub up: UpAxis,
-    /// The name that programs show.
-    pub name: String,
-    /// Whether positions and normals are small integers; see [`super::quantization_error`].
-    pub quantize: bool,
-}
-
-impl Default for WriteOptions {
-    fn default() -> WriteOptions {
-        WriteOptions { up: UpAxis::Y, name: "surface".into(), quantize: false }
-    }
-}
 
 /// Writes a `.glb` file. A mesh without triangles becomes an empty scene.
 ///
@@ -53,7 +27,7 @@ impl Default for WriteOptions {
 /// [`Error::Invalid`] if the mesh is inconsistent or not finite.
 pub fn write_glb(
     mesh: &MeshView,
-    options: &WriteOptions,
+    options: &MeshOptions,
     provenance: &Provenance,
     out: &mut impl Write,
 ) -> Result<()> {
@@ -87,7 +61,7 @@ pub fn write_glb(
 /// As [`write_glb`], whose limit of 4 GiB for the buffer holds here too: nothing reads longer strings.
 pub fn write_gltf(
     mesh: &MeshView,
-    options: &WriteOptions,
+    options: &MeshOptions,
     provenance: &Provenance,
     out: &mut impl Write,
 ) -> Result<()> {
@@ -390,7 +364,7 @@ impl<'a> Document<'a> {
     fn new(
         mesh: &MeshView,
         layout: &'a Layout,
-        options: &'a WriteOptions,
+        options: &'a MeshOptions,
         provenance: &'a Provenance,
         uri: Option<&'static str>,
     ) -> Document<'a> {

@@ -33,6 +33,7 @@ mod values;
 use crate::data::ParticleFrame;
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::row::{FormatRow, ParticleInput};
 
 use binary::{Binary, is_binary};
 use text::Text;
@@ -73,3 +74,25 @@ pub fn read_container(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
         false => read_text(&unpacked, limits),
     }
 }
+
+/// What the table of formats says of binary files. The second signature is that of big-endian machines.
+pub(crate) static BINARY: FormatRow = FormatRow {
+    signatures: &[b"\x7fNSJb", b"\x7fbJSN"],
+    beginnings: &[b"\x7fNSJb", b"\x7fbJSN"],
+    particles: Some(ParticleInput::complete_by_reading(read_binary)),
+    ..FormatRow::new("Houdini geometry (binary JSON)", &["bgeo"])
+};
+
+/// What the table of formats says of text.
+pub(crate) static TEXT: FormatRow = FormatRow {
+    particles: Some(ParticleInput::complete_by_reading(read_text)),
+    ..FormatRow::new("Houdini geometry (JSON text)", &["geo"])
+};
+
+/// What the table of formats says of compressed files.
+pub(crate) static CONTAINER: FormatRow = FormatRow {
+    signatures: &[b"scf1"],
+    beginnings: &[b"scf1"],
+    particles: Some(ParticleInput::complete_by_reading(read_container)),
+    ..FormatRow::new("Houdini geometry (.sc, Blosc-compressed)", &["bgeo.sc", "geo.sc"])
+};

@@ -15,18 +15,18 @@ mod archive;
 mod header;
 mod literal;
 
+use crate::columns::{group_columns, position_rank};
 use crate::data::ParticleFrame;
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
 use crate::named_arrays::{NamedArray, frame_of};
-use crate::names::{group_columns, position_rank};
 use crate::number::{self, components, interleaved};
+use crate::row::{Completeness, HeadCheck, exactly};
+use crate::row::{FormatRow, ParticleInput};
 use crate::scalar::Scalar;
 
 use header::{Field, Header, Layout};
-
-pub(crate) use header::bytes_claimed;
 
 /// The format as users know it, for errors.
 const FORMAT: &str = "NumPy array";
@@ -243,3 +243,25 @@ fn no_position_among(arrays: &[NamedArray]) -> Error {
     );
     Error::invalid(ARCHIVE, Place::File, what)
 }
+
+/// What the table of formats says of one array.
+pub(crate) static ROW: FormatRow = FormatRow {
+    signatures: &[b"\x93NUMPY"],
+    beginnings: &[b"\x93NUMPY"],
+    particles: Some(ParticleInput {
+        completeness: |head, file_bytes| {
+            let declared = header::bytes_claimed(head, &Limits::default())?;
+            let known = declared.map_or(Completeness::Unproven, |declared| exactly(declared, file_bytes));
+            Ok(HeadCheck::Known(known))
+        },
+        ..ParticleInput::new(read)
+    }),
+    ..FormatRow::new(FORMAT, &["npy"])
+};
+
+/// What the table of formats says of an archive.
+pub(crate) static ARCHIVE_ROW: FormatRow = FormatRow {
+    beginnings: &[b"PK\x03\x04"],
+    particles: Some(ParticleInput::complete_by_reading(read_archive)),
+    ..FormatRow::new(ARCHIVE, &["npz"])
+};

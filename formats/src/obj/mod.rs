@@ -1,13 +1,33 @@
 //! Wavefront OBJ: meshes as text, out and in.
 
+use crate::mesh_options::WriteOption;
+use crate::provenance::from_comments;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
+
 mod lines;
 mod read;
 mod write;
 
 pub use read::read_mesh;
-pub use write::{WriteOptions, attribute_notes, batch_count, encode_batch, write};
+pub use write::attribute_notes;
 
-pub(crate) use write::ends_as_written;
+use write::{batch_count, encode_batch, ends_as_written};
 
 /// The format's name in errors.
 const FORMAT: &str = "OBJ";
+
+/// What the table of formats says of it.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow { read_mesh: Some(|bytes, _, _| read_mesh(bytes)), ..FormatRow::new(FORMAT, &["obj"]) },
+    help: "Wavefront OBJ",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes,
+        ..MeshWriter::new(MeshEncoder::Batches { count: batch_count, encode: encode_batch })
+    }),
+    write_particles: None,
+    has_attributes: false,
+    options: &[WriteOption::Quads],
+    read_provenance: |head| Ok(from_comments(head, "# ")),
+    integrity: Integrity::Tail(ends_as_written),
+};

@@ -13,18 +13,17 @@
 //!
 //! Any batch can be had by itself, so that whoever writes need not hold the text of all.
 
-use std::io::Write;
 use std::ops::Range;
-use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::FORMAT;
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute};
 use crate::error::Result;
+use crate::mesh_options::MeshOptions;
 use crate::provenance::{GENERATOR, comments};
 use crate::quads::{Face, check_quads, faces, quad_count};
-use crate::vertex_attributes::{Purpose, VertexAttribute, cut_note, purposes};
+use crate::vertex_attributes::{Purpose, cut_note, purposes};
 
 /// Elements that are formatted as one task, and tasks whose text is held at once.
 const ELEMENTS_PER_TASK: usize = 1 << 13;
@@ -33,58 +32,21 @@ const TASKS_AT_ONCE: usize = 64;
 /// What the last line begins with.
 const LAST_LINE: &str = "# end: ";
 
-/// How to write a mesh.
-#[derive(Clone, Debug)]
-pub struct WriteOptions {
-    /// The name of the object.
-    pub name: String,
-    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
-    /// are triangles.
-    pub quads: Arc<[bool]>,
-}
-
-impl Default for WriteOptions {
-    fn default() -> WriteOptions {
-        WriteOptions { name: "surface".into(), quads: Arc::default() }
-    }
-}
-
-/// Writes positions, with the colour if there is one, normals and faces. If the mesh has an origin, it is added in 64 bits and the
-/// sums are printed. Axes are left as they are.
-///
-/// # Errors
-///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or
-/// not finite, or if what should be a quad is none.
-pub fn write(
-    mesh: &MeshView,
-    options: &WriteOptions,
-    provenance: &Provenance,
-    out: &mut impl Write,
-) -> Result<()> {
-    for index in 0..batch_count(mesh) {
-        for text in encode_batch(mesh, options, provenance, index)? {
-            out.write_all(&text)?;
-        }
-    }
-    Ok(())
-}
-
-/// The batches that the text of a mesh is divided into.
-pub fn batch_count(mesh: &MeshView) -> usize {
+/// The number of batches of the text of a mesh.
+pub(super) fn batch_count(mesh: &MeshView, _options: &MeshOptions) -> usize {
     1 + task_counts(mesh).iter().sum::<usize>().div_ceil(TASKS_AT_ONCE).max(1)
 }
 
-/// The texts of a batch, to be written one after the other: some 20 MB in all. They are made in the pool of the
-/// caller.
+/// Encodes a batch: positions, with the colour if there is one, normals and faces. If the mesh has an origin, it is added
+/// in 64 bits and the sums are printed. Axes are left as they are.
 ///
 /// # Errors
 ///
 /// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
-/// is none; there is no use in the others then.
-pub fn encode_batch(
+/// is none.
+pub(super) fn encode_batch(
     mesh: &MeshView,
-    options: &WriteOptions,
+    options: &MeshOptions,
     provenance: &Provenance,
     index: usize,
 ) -> Result<Vec<Vec<u8>>> {
@@ -203,7 +165,7 @@ fn faces_of(triangles: &[[u32; 3]], quads: &[bool], task: usize) -> Vec<u8> {
     lines_of(&faces, |line, face| line.face(face.corners()))
 }
 
-/// Whether the last bytes of a file are those of a whole one that [`write`] made.
+/// Whether the last bytes of a file are those of a whole one of this writer.
 pub(crate) fn ends_as_written(tail: &[u8]) -> bool {
     let Some(lines) = tail.strip_suffix(b"\n") else { return false };
     let start = lines.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);

@@ -1,10 +1,12 @@
 //! The vertices of a binary PLY file as records that can be read in batches.
 
-use crate::batches::{PositionInRecord, Records};
+use std::sync::Arc;
+
 use crate::bytes::Endian;
 use crate::data::{Positions, Role};
 use crate::error::Result;
 use crate::limits::Limits;
+use crate::records::Records;
 use crate::scalar::Scalar;
 
 use super::FORMAT;
@@ -17,7 +19,7 @@ use super::rows::{check_limit, checked_binary_count};
 ///
 /// # Errors
 /// Those of [`super::read`], after the header.
-pub(crate) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
+pub(super) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Result<Option<Records>> {
     let Vertices { element, columns, position } = vertices(header)?;
     let Some(endian) = header.encoding.endian() else { return Ok(None) };
     let earlier = || header.elements.iter().take_while(|earlier| !std::ptr::eq(*earlier, element));
@@ -38,27 +40,21 @@ pub(crate) fn records(header: &Header, file_bytes: u64, limits: &Limits) -> Resu
     let velocity = columns.groups.iter().find(|group| group.role == Some(Role::Velocity));
     let velocity = velocity.map(|group| group.name.clone());
     let columns = PositionColumns { offsets: position.map(|property| offsets[property]), scalars };
-    let position = PositionInRecord::Ply { columns, endian };
-    Ok(Some(Records { format: FORMAT, offset: at, stride, count, position, notes, velocity }))
+    let gather = Arc::new(move |records: &[u8], stride: usize, count: usize, positions: &mut Positions| {
+        columns.gather(records, stride, endian, count, positions);
+    });
+    Ok(Some(Records { format: FORMAT, offset: at, stride, count, gather, notes, velocity }))
 }
 
 /// Where a position is in a record: bytes from its start, and types.
-#[derive(Clone, Debug)]
-pub(crate) struct PositionColumns {
+struct PositionColumns {
     offsets: [usize; 3],
     scalars: [Scalar; 3],
 }
 
 impl PositionColumns {
     /// The positions of `count` records.
-    pub(crate) fn gather(
-        &self,
-        records: &[u8],
-        stride: usize,
-        endian: Endian,
-        count: usize,
-        positions: &mut Positions,
-    ) {
+    fn gather(&self, records: &[u8], stride: usize, endian: Endian, count: usize, positions: &mut Positions) {
         match (fits_f32(self.scalars), &mut *positions) {
             (true, Positions::F32(positions)) => positions.resize(count, [0.0; 3]),
             (true, Positions::F64(_)) => *positions = Positions::F32(vec![[0.0; 3]; count]),

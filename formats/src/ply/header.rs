@@ -5,10 +5,10 @@
 //! exactly one line end after `end_header`, of the kind that ended the first line.
 
 use crate::bytes::Endian;
+use crate::columns::{Columns, group_columns};
 use crate::error::{Error, Place, Result};
 use crate::excerpt::excerpt;
 use crate::limits::Limits;
-use crate::names::{Columns, group_columns};
 use crate::scalar::Scalar;
 use crate::text::Lines;
 

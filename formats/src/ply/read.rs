@@ -1,10 +1,10 @@
 //! A PLY file as a frame of particles.
 
+use crate::columns::{Columns, Group};
 use crate::data::{Attribute, ParticleFrame, Positions, Values};
 use crate::error::{Error, Place, Result};
 use crate::excerpt::{excerpt, excerpts};
 use crate::limits::Limits;
-use crate::names::{Columns, Group};
 use crate::scalar::Scalar;
 
 use super::header::{Element, Header, PropertyType, read_header};

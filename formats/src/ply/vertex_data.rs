@@ -8,10 +8,9 @@
 //!   strings    the same: int, the index of a string that a comment tells; −1 for none
 //! ```
 
+use crate::data::{VertexAttribute, VertexValues};
 use crate::provenance::escape;
-use crate::vertex_attributes::{
-    NamesTaken, Purpose, VertexAttribute, VertexValues, cut_note, plain_name, purposes, string_index,
-};
+use crate::vertex_attributes::{NamesTaken, Purpose, cut_note, plain_name, purposes, string_index};
 
 /// Integers of at most this size are exact as 64-bit reals.
 const EXACT_INTEGER_MAX: u64 = 1 << 53;

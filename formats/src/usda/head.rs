@@ -2,7 +2,7 @@
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
-use crate::gltf::UpAxis;
+use crate::mesh_options::UpAxis;
 
 use super::FORMAT;
 

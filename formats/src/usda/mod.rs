@@ -22,6 +22,10 @@
 //!
 //! Nothing of USD is read, but what this crate wrote into the head.
 
+use crate::mesh_options::WriteOption;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow};
+
 mod arrays;
 mod head;
 mod numbers;
@@ -30,9 +34,25 @@ mod write;
 
 pub use head::{LayerInfo, read_layer_info};
 pub use sequence::write_sequence;
-pub use write::{WriteOptions, attribute_notes, batch_count, encode_batch, write};
+pub use write::attribute_notes;
 
-pub(crate) use head::{ends_as_written, read_provenance};
+use head::{ends_as_written, read_provenance};
+use write::{batch_count, encode_batch};
 
 /// The format's name in errors.
 const FORMAT: &str = "USD";
+
+/// What the table of formats says of it.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow { signatures: &[b"#usda"], ..FormatRow::new("USD text", &["usda"]) },
+    help: "USD as text",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes,
+        ..MeshWriter::new(MeshEncoder::Batches { count: batch_count, encode: encode_batch })
+    }),
+    write_particles: None,
+    has_attributes: true,
+    options: &[WriteOption::Quads, WriteOption::Up, WriteOption::MetersPerUnit],
+    read_provenance,
+    integrity: Integrity::Tail(ends_as_written),
+};

@@ -19,7 +19,8 @@ use std::io::{self, Read, Seek, Write};
 
 use crate::data::Provenance;
 use crate::error::{Error, Place, Result};
-use crate::gltf::{Column, FramePlace, ShotFrame, UpAxis};
+use crate::gltf::{Column, FramePlace, ShotFrame};
+use crate::mesh_options::UpAxis;
 use crate::vertex_attributes::NamesTaken;
 
 use super::FORMAT;

@@ -14,16 +14,13 @@
 //!   strings    primvars:name, a string for each distinct one, and primvars:name:indices
 //! ```
 
-use std::io::Write;
-use std::sync::Arc;
-
 use rayon::prelude::*;
 
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::Result;
-use crate::gltf::UpAxis;
+use crate::mesh_options::MeshOptions;
 use crate::quads::{check_quads, quad_count};
-use crate::vertex_attributes::{NamesTaken, Purpose, VertexAttribute, VertexValues, plain_name, purposes};
+use crate::vertex_attributes::{NamesTaken, Purpose, plain_name, purposes};
 
 use super::FORMAT;
 use super::arrays::Elements;
@@ -36,61 +33,20 @@ const TASKS_AT_ONCE: usize = 64;
 /// The widest vector that has a type.
 const TUPLE_MAX: usize = 4;
 
-/// How to write a mesh.
-#[derive(Clone, Debug)]
-pub struct WriteOptions {
-    /// Which axis of the mesh points up.
-    pub up: UpAxis,
-    /// The length of a world unit in metres, positive and finite.
-    pub meters_per_unit: f64,
-    /// The name of the mesh's prim, which is in the root's: letters, digits and underscores.
-    pub name: String,
-    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
-    /// are triangles.
-    pub quads: Arc<[bool]>,
-}
-
-impl Default for WriteOptions {
-    fn default() -> WriteOptions {
-        WriteOptions { up: UpAxis::Y, meters_per_unit: 1.0, name: "surface".into(), quads: Arc::default() }
-    }
-}
-
-/// Writes a layer with one mesh.
-///
-/// # Errors
-///
-/// [`crate::Error::Io`] if `out` fails; [`crate::Error::Invalid`] if the mesh is inconsistent or not finite, or if what
-/// should be a quad is none.
-pub fn write(
-    mesh: &MeshView,
-    options: &WriteOptions,
-    provenance: &Provenance,
-    out: &mut impl Write,
-) -> Result<()> {
-    for index in 0..batch_count(mesh, options) {
-        for text in encode_batch(mesh, options, provenance, index)? {
-            out.write_all(&text)?;
-        }
-    }
-    Ok(())
-}
-
-/// The batches that the text of a mesh is divided into.
-pub fn batch_count(mesh: &MeshView, options: &WriteOptions) -> usize {
+/// The number of batches of the text of a layer with one mesh.
+pub(super) fn batch_count(mesh: &MeshView, options: &MeshOptions) -> usize {
     1 + tasks(&sections(mesh, options)).len().div_ceil(TASKS_AT_ONCE)
 }
 
-/// The texts of a batch, to be written one after the other: some 20 MB in all. They are made in the pool of the
-/// caller.
+/// Encodes a batch.
 ///
 /// # Errors
 ///
 /// [`crate::Error::Invalid`], for the first batch, if the mesh is inconsistent or not finite, or if what should be a quad
-/// is none; there is no use in the others then.
-pub fn encode_batch(
+/// is none.
+pub(super) fn encode_batch(
     mesh: &MeshView,
-    options: &WriteOptions,
+    options: &MeshOptions,
     provenance: &Provenance,
     index: usize,
 ) -> Result<Vec<Vec<u8>>> {
@@ -170,7 +126,7 @@ fn tasks(sections: &[Section]) -> Vec<Task> {
 
 const OF_VERTICES: &str = "            interpolation = \"vertex\"\n";
 
-fn sections<'a>(mesh: &MeshView<'a>, options: &'a WriteOptions) -> Vec<Section<'a>> {
+fn sections<'a>(mesh: &MeshView<'a>, options: &'a MeshOptions) -> Vec<Section<'a>> {
     let (triangles, quads) = (mesh.triangles, &*options.quads);
     let mut sections = Vec::new();
     if let Some([low, high]) = extent(mesh) {

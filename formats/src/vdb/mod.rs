@@ -21,6 +21,11 @@
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
+use crate::mesh_options::WriteOption;
+use crate::provenance::from_strings;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, OutputRow};
+
 mod band_grids;
 mod cursor;
 mod encode_leaves;
@@ -38,7 +43,7 @@ pub use read::{GridInfo, Transform, grids, read_level_set, read_vectors};
 pub use read_tree::{GridData, LevelSetData, Tile, VectorGridData};
 pub use write::{Encoded, WriteOptions, encode, grid_notes, write};
 
-pub(crate) use read::{first_grid_metadata, last_grid_end};
+use read::{first_grid_metadata, last_grid_end};
 
 /// The format's name in errors.
 const FORMAT: &str = "OpenVDB";
@@ -54,3 +59,38 @@ pub enum Compression {
     #[default]
     Blosc,
 }
+
+impl Compression {
+    /// All of them.
+    pub const ALL: [Compression; 3] = [Compression::None, Compression::ActiveMask, Compression::Blosc];
+
+    /// Its name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Compression::None => "none",
+            Compression::ActiveMask => "active",
+            Compression::Blosc => "blosc",
+        }
+    }
+}
+
+/// What the table of formats says of it.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow { signatures: &[b" BDV\0\0\0\0"], ..FormatRow::new(FORMAT, &["vdb"]) },
+    help: "The level set, for OpenVDB",
+    content: Content::LevelSet,
+    write_particles: None,
+    has_attributes: true,
+    options: &[WriteOption::Half, WriteOption::Compression],
+    read_provenance: |head| {
+        let string = |(key, value)| match value {
+            MetaValue::String(value) => Some((key, value)),
+            _ => None,
+        };
+        Ok(from_strings(first_grid_metadata(head)?.into_iter().filter_map(string).collect()))
+    },
+    integrity: Integrity::Length(|head, read| last_grid_end(head, |start| read(start, DESCRIPTOR_BYTES_MAX))),
+};
+
+/// More bytes than the descriptor of a grid has that a writer of this crate made.
+const DESCRIPTOR_BYTES_MAX: u64 = 64 << 10;

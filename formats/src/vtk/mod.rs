@@ -6,6 +6,11 @@
 //!
 //! The layouts were established from files of VTK, meshio, PyVista and SPlisHSPlasH.
 
+use crate::mesh_options::WriteOption;
+use crate::provenance::from_strings;
+use crate::row::Integrity;
+use crate::row::{Content, FormatRow, MeshEncoder, MeshWriter, OutputRow, ParticleInput, ParticleWriter};
+
 mod appended;
 mod blocks;
 mod cells;
@@ -20,14 +25,47 @@ mod xml_polys;
 
 pub use legacy::{read as read_legacy, read_mesh as read_legacy_mesh};
 pub use pieces::POLYGONS_NOTE;
-pub use write::{WriteOptions, attribute_notes, write_mesh};
+pub use write::{attribute_notes, write_mesh};
 pub use write_particles::{particle_notes, write_particles};
 pub use xml::read as read_xml;
 pub use xml_polys::read_mesh;
 
-pub(crate) use appended::ends_as_written;
-pub(crate) use read_strings::field_strings;
+use appended::ends_as_written;
+use read_strings::field_strings;
 
 /// The formats as users know them, for errors.
 const LEGACY: &str = "legacy VTK";
 const XML: &str = "VTK XML";
+
+/// What the table of formats says of the old format.
+pub(crate) static LEGACY_ROW: FormatRow = FormatRow {
+    signatures: &[b"# vtk DataFile"],
+    beginnings: &[b"# vtk DataFile Version "],
+    particles: Some(ParticleInput::new(read_legacy)),
+    read_mesh: Some(|bytes, limits, _| read_legacy_mesh(bytes, limits)),
+    ..FormatRow::new(LEGACY, &["vtk"])
+};
+
+/// What the table of formats says of the XML formats.
+pub(crate) static ROW: OutputRow = OutputRow {
+    format: FormatRow {
+        particles: Some(ParticleInput::complete_by_reading(read_xml)),
+        read_mesh: Some(|bytes, limits, _| read_mesh(bytes, limits)),
+        ..FormatRow::new(XML, &["vtp", "vtu"])
+    },
+    help: "VTK PolyData, for ParaView",
+    content: Content::Mesh(MeshWriter {
+        attribute_notes,
+        ..MeshWriter::new(MeshEncoder::Stream(|mesh, options, provenance, mut out| {
+            write_mesh(mesh, options, provenance, &mut out)
+        }))
+    }),
+    write_particles: Some(ParticleWriter {
+        write: |particles, provenance, mut out| write_particles(particles, provenance, &mut out),
+        notes: particle_notes,
+    }),
+    has_attributes: true,
+    options: &[WriteOption::Quads],
+    read_provenance: |head| Ok(from_strings(field_strings(head)?)),
+    integrity: Integrity::Tail(ends_as_written),
+};

@@ -10,26 +10,18 @@
 //! are left as they are, for VTK has no word for up. The document around that is [`super::appended`].
 
 use std::io::Write;
-use std::sync::Arc;
 
-use crate::data::{MeshView, Provenance};
+use crate::data::{MeshView, Provenance, VertexAttribute, VertexValues};
 use crate::error::Result;
 use crate::le_bytes::{write_f32s, write_pieces};
+use crate::mesh_options::MeshOptions;
 use crate::quads::{Face, check_quads, faces, quad_count};
-use crate::vertex_attributes::{VertexAttribute, VertexValues, string_index};
+use crate::vertex_attributes::string_index;
 
 use super::XML;
 use super::appended::{
     Array, Cells, Document, FLOAT_32, FLOAT_64, INT_32, INT_64, NumberKind, Numbers, names_of,
 };
-
-/// How to write a mesh.
-#[derive(Clone, Debug, Default)]
-pub struct WriteOptions {
-    /// For each triangle whether it and the next one are the halves of a quad, which is then written as one. Empty: all
-    /// are triangles.
-    pub quads: Arc<[bool]>,
-}
 
 /// Writes positions, normals, attributes and faces.
 ///
@@ -39,7 +31,7 @@ pub struct WriteOptions {
 /// should be a quad is none.
 pub fn write_mesh(
     mesh: &MeshView,
-    options: &WriteOptions,
+    options: &MeshOptions,
     provenance: &Provenance,
     out: &mut impl Write,
 ) -> Result<()> {

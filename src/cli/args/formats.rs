@@ -3,11 +3,14 @@
 //! Nothing here has a default of its own, so that it is known what was given: an option overrides
 //! what stands in a file.
 
+use std::sync::LazyLock;
+
+use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 
 use super::merge::option_set;
 use crate::cli::quantities::{PictureSize, parse_meters_per_unit, parse_picture_size};
-use crate::pipeline::CameraChoice;
+use crate::pipeline::{CameraChoice, OutputFormat};
 
 option_set! {
     #[derive(Clone, Debug, Default, PartialEq, Args)]
@@ -50,32 +53,34 @@ option_set! {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum PreviewChoice {
-    /// Colours, for any viewer
-    Png,
-    /// OpenEXR: colours, depth, normals and more, a layer each
-    Exr,
+/// Defines the values of an option that takes some of the formats that are written.
+macro_rules! format_choice {
+    ($(#[$doc:meta])* $name:ident, $is_one:expr) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(in crate::cli) struct $name(pub(in crate::cli) OutputFormat);
+
+        impl ValueEnum for $name {
+            fn value_variants<'a>() -> &'a [$name] {
+                static VARIANTS: LazyLock<Vec<$name>> =
+                    LazyLock::new(|| OutputFormat::ALL.into_iter().filter($is_one).map($name).collect());
+                &VARIANTS
+            }
+
+            fn to_possible_value(&self) -> Option<PossibleValue> {
+                Some(PossibleValue::new(self.0.extension()).help(self.0.help()))
+            }
+        }
+    };
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(in crate::cli) enum Format {
-    /// Binary glTF: positions, normals
-    Glb,
-    /// Text glTF
-    Gltf,
-    /// The level set, for OpenVDB
-    Vdb,
-    /// Wavefront OBJ
-    Obj,
-    /// Binary PLY
-    Ply,
-    /// VTK PolyData, for ParaView
-    Vtp,
-    /// Binary STL: triangles only
-    Stl,
-    /// USD as text
-    Usda,
+format_choice! {
+    /// A format of `--format`.
+    Format, |format| !format.is_picture()
+}
+format_choice! {
+    /// A format of `--preview`.
+    PreviewChoice, |format| format.is_picture()
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -29,7 +29,7 @@ use farm::parse_shard;
 pub(super) use ask::{StatusArgs, WhyArgs};
 pub(super) use farm::{PlanArgs, ShardChoice, VerifyArgs};
 pub(super) use flicker::FlickerArgs;
-pub(super) use formats::{CompressionChoice, Format, FormatArgs, PreviewChoice, UpChoice};
+pub(super) use formats::{CompressionChoice, Format, FormatArgs, UpChoice};
 pub(super) use manual::{CompletionsArgs, ManArgs};
 pub(super) use merge::{OptionSet, option_set, typed};
 pub(super) use method::MethodArgs;

@@ -1,5 +1,6 @@
 use super::*;
 use crate::cli::args::{Format, FormatArgs, LogChoice, UpChoice};
+use crate::pipeline::OutputFormat;
 use crate::surface::options::{Contouring, MethodOptions, ValueKind};
 use crate::watch::{Order, Poll};
 use std::time::Duration;
@@ -37,7 +38,7 @@ fn blocks_become_options() {
     assert_eq!((first.line, second.line), (10, 19));
     assert_eq!((&*first.input, first.output.as_deref()), (Path::new("farm/a"), Some(Path::new("/out"))));
     assert_eq!((&*second.input, second.output.as_deref()), (Path::new("farm/b"), None));
-    assert_eq!(first.frames.format, Some(vec![Format::Glb, Format::Ply]));
+    assert_eq!(first.frames.format, Some(vec![Format(OutputFormat::Glb), Format(OutputFormat::Ply)]));
     assert_eq!(first.frames.method.options.contour, Some(Contouring::Tetrahedra));
     assert_eq!(
         (first.frames.method.options.voxel_size, first.frames.method.options.steps),

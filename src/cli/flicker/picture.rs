@@ -3,7 +3,7 @@
 use anyhow::Result;
 use glam::DVec3;
 
-use crate::pipeline::{CameraChoice, PictureFormat, SheetPart, encode_picture, sheet_provenance};
+use crate::pipeline::{CameraChoice, OutputFormat, SheetPart, encode_picture, sheet_provenance};
 use crate::render::{Block, Cell, Line, Mark, Picture, Plot, Sheet, Shown, Up, render_marks, stacked};
 use crate::surface::flicker::{ScoredPoint, Summary};
 
@@ -79,7 +79,7 @@ pub(super) fn encoded(frames: &Frames, tally: &Tally, summary: &Summary) -> Resu
         settings: None,
         options: None,
     };
-    Ok(encode_picture(&picture, None, PictureFormat::Png, &sheet_provenance("flicker", &[part]))?)
+    Ok(encode_picture(&picture, None, OutputFormat::Png, &sheet_provenance("flicker", &[part]))?)
 }
 
 fn plot(frames: &Frames, tally: &Tally) -> Plot {

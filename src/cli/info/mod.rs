@@ -10,15 +10,15 @@ mod volume;
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt;
-use std::iter;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::{io, iter};
 
 use anyhow::{Result, anyhow, bail};
-use meniscus_formats::provenance::{self, read_provenance};
 use meniscus_formats::{
-    Kind, Limits, Packing, Probe, escaped, gltf, obj, ply, probe, read_particles, stl, usda, vdb, vtk,
+    Codec, Format, Kind, Limits, OutputFormat, Probe, escaped, gltf, ply, probe, read_mesh, read_particles,
+    read_provenance, usda, vdb, vtk,
 };
 use serde::Serialize;
 
@@ -163,30 +163,29 @@ impl FileInfo {
             Some(_) => read_file(path).map_err(|error| reason(&error))?,
         };
         let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
-        let Probe { kind, packing } = probe(&bytes, &name);
+        let Probe { kind, codec } = probe(&bytes, &name);
         self.kind = kind.name().to_owned();
-        self.gzipped = packing == Some(Packing::Gzip);
-        self.packed = packing.map(Packing::participle);
+        self.gzipped = codec == Some(Codec::Gzip);
+        self.packed = codec.map(Codec::participle);
         self.bytes = bytes.len();
         let limits = Limits::default();
-        self.made_by = if packing.is_none() { made_by(kind, &bytes) } else { None };
+        self.made_by = if codec.is_none() { made_by(kind, &bytes) } else { None };
         match kind {
-            Kind::OpenVdb if packing.is_none() => {
+            Kind::Format(Format::Vdb) if codec.is_none() => {
                 self.grids = Some(vdb::grids(&bytes, &limits)?.into_iter().map(GridRecord::from).collect());
             }
-            Kind::Glb | Kind::GltfJson if packing.is_none() => match gltf::read_shot_info(&bytes)? {
-                Some(gltf::ShotInfo { frames, vertices, triangles }) => {
-                    self.set_shot(frames, [vertices, triangles]);
+            Kind::Format(Format::Glb | Format::Gltf) if codec.is_none() => {
+                match gltf::read_shot_info(&bytes)? {
+                    Some(gltf::ShotInfo { frames, vertices, triangles }) => {
+                        self.set_shot(frames, [vertices, triangles]);
+                    }
+                    None => {
+                        let mesh = MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?);
+                        self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(&bytes, &limits)?));
+                    }
                 }
-                None => {
-                    let mesh = MeshInfo::of(&gltf::read_mesh(&bytes, &limits)?);
-                    self.mesh = Some(mesh.with_attributes(&gltf::read_attributes(&bytes, &limits)?));
-                }
-            },
-            Kind::Stl if packing.is_none() => {
-                self.mesh = Some(MeshInfo::of(&stl::read_mesh(&bytes, &limits)?))
             }
-            Kind::Usda if packing.is_none() => match usda::read_layer_info(&bytes)? {
+            Kind::Format(Format::Usda) if codec.is_none() => match usda::read_layer_info(&bytes)? {
                 Some(usda::LayerInfo { vertices, faces, frames: Some(frames) }) => {
                     self.set_shot(frames, [vertices, faces]);
                 }
@@ -195,7 +194,7 @@ impl FileInfo {
                 }
                 None => self.notes.push("what another program wrote as USD is not read".to_owned()),
             },
-            Kind::VtkXml if packing.is_none() && holds_polys(&bytes) => {
+            Kind::Format(Format::Vtp) if codec.is_none() && holds_polys(&bytes) => {
                 let mesh = vtk::read_mesh(&bytes, &limits)?;
                 let vertices = read_particles(&bytes, &name, &limits)?;
                 // The polygons are told here.
@@ -203,11 +202,14 @@ impl FileInfo {
                 self.notes = notes.cloned().collect();
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
             }
-            Kind::Obj if packing.is_none() => self.mesh = Some(MeshInfo::of(&obj::read_mesh(&bytes)?)),
-            Kind::Ply if packing.is_none() && holds_mesh(&bytes, &limits)? => {
+            Kind::Format(Format::Ply) if codec.is_none() && holds_mesh(&bytes, &limits)? => {
                 let (mesh, vertices) = ply::read_mesh_and_vertices(&bytes, &limits)?;
                 self.notes.clone_from(&vertices.notes);
                 self.mesh = Some(MeshInfo::of(&mesh).with_attributes(&vertices.attributes));
+            }
+            Kind::Format(format) if codec.is_none() && format.has_mesh() && !format.has_particles() => {
+                let no_files = |_: &str| -> io::Result<Vec<u8>> { Err(io::ErrorKind::NotFound.into()) };
+                self.mesh = Some(MeshInfo::of(&read_mesh(&bytes, &name, &limits, &no_files)?));
             }
             _ => {
                 let frame = read_particles(&bytes, &name, &limits)?;
@@ -256,19 +258,10 @@ fn holds_polys(bytes: &[u8]) -> bool {
 
 /// What this program wrote of itself into a file; `None` of other programs' files.
 fn made_by(kind: Kind, bytes: &[u8]) -> Option<BTreeMap<String, String>> {
-    let kind = match kind {
-        Kind::Glb => provenance::Kind::Glb,
-        Kind::GltfJson => provenance::Kind::Gltf,
-        Kind::Obj => provenance::Kind::Obj,
-        Kind::Ply => provenance::Kind::Ply,
-        Kind::VtkXml => provenance::Kind::Vtp,
-        Kind::Stl => provenance::Kind::Stl,
-        Kind::Usda => provenance::Kind::Usda,
-        // Its metadata are told with each grid.
-        _ => return None,
-    };
+    // The metadata of a .vdb are told with each grid.
+    let format = kind.format().and_then(Format::output).filter(|format| *format != OutputFormat::Vdb)?;
     // What cannot be read is told by the reader of the file.
-    let pairs: BTreeMap<String, String> = read_provenance(kind, bytes).ok()?.into_iter().collect();
+    let pairs: BTreeMap<String, String> = read_provenance(format, bytes).ok()?.into_iter().collect();
     (!pairs.is_empty()).then_some(pairs)
 }
 

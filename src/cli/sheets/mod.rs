@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 
 use crate::pipeline::{
-    CameraChoice, OutputFormat, PictureFormat, PictureOptions, SheetPart, Viewpoint, check_outputs,
-    encode_picture, output_path, sheet_provenance, write_whole,
+    CameraChoice, OutputFormat, PictureOptions, SheetPart, Viewpoint, check_outputs, encode_picture,
+    output_path, sheet_provenance, write_whole,
 };
 use crate::render::Sheet;
 
@@ -57,7 +57,7 @@ impl SheetFile {
     /// Draws a sheet of this kind, and writes it.
     fn write(&self, sheet: &Sheet, kind: &str, parts: &[SheetPart]) -> Result<String> {
         let picture = sheet.picture();
-        let bytes = encode_picture(&picture, None, PictureFormat::Png, &sheet_provenance(kind, parts))?;
+        let bytes = encode_picture(&picture, None, OutputFormat::Png, &sheet_provenance(kind, parts))?;
         let path = output_path(&self.folder, &self.stem, OutputFormat::Png);
         write_whole(&path, |out| Ok(out.write_all(&bytes)?))
             .with_context(|| format!("{}: cannot write", path.display()))?;

@@ -90,7 +90,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
             let write = |format: OutputFormat, out: &mut BufWriter<&File>| {
                 let mut write =
                     || write_surface(&surface, (number, frame), made_from, format, &self.scheduler, out);
-                if format.picture().is_none() {
+                if !format.is_picture() {
                     return write();
                 }
                 let start = Instant::now();

@@ -17,7 +17,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use meniscus_formats::packing::{read_head, unpacked};
+use meniscus_formats::compression::{read_head, unpacked};
 use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
 use meniscus_formats::{Kind, Limits, Probe, Result, probe};
 use twox_hash::XxHash3_128;
@@ -129,7 +129,7 @@ impl Contents {
 pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &AtomicBool) -> Result<Contents> {
     let mut file = open_regular(path)?;
     let stamp = FileStamp::of(&file.metadata()?);
-    let Probe { kind, packing } = probe_head(&mut file, path)?;
+    let Probe { kind, codec } = probe_head(&mut file, path)?;
     if !may_have_steps(kind) {
         return Ok(Contents::none(stamp));
     }
@@ -140,7 +140,7 @@ pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &Ato
     file.seek(SeekFrom::Start(start))?;
     // What is appended meanwhile belongs to the next look.
     let mut source = Watched::new((&file).take(stamp.size.saturating_sub(start)), is_over);
-    if packing.is_some() {
+    if codec.is_some() {
         return look_through_packed(source, stamp, kind);
     }
     find_more_steps(
@@ -287,12 +287,14 @@ pub(super) const UNNUMBERED: &str = "unnumbered";
 pub(super) fn of_count(stamp: FileStamp, count: usize) -> Contents {
     let found =
         |number: usize| FoundStep { number: i64::try_from(number).ok(), range: 0..1, lines_before: 0 };
-    Contents::new(stamp, Kind::LammpsDump, (0..count).map(found).collect())
+    let kind = Kind::Format(meniscus_formats::Format::LammpsDump);
+    Contents::new(stamp, kind, (0..count).map(found).collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use meniscus_formats::Format;
     use std::fs::OpenOptions;
     use std::io::Write;
     use std::path::PathBuf;
@@ -304,12 +306,13 @@ mod tests {
     /// A step of a dump, or of a trajectory, with so many rows.
     fn step(kind: Kind, number: usize, rows: usize) -> String {
         let mut text = match kind {
-            Kind::LammpsDump => {
+            Kind::Format(Format::LammpsDump) => {
                 format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{rows}\nITEM: ATOMS x y z\n")
             }
             _ => format!("{rows}\nstep {number}\n"),
         };
-        let row = if kind == Kind::LammpsDump { "0.5 0.25 0.125\n" } else { "O 0.5 0.25 0.125\n" };
+        let row =
+            if kind == Kind::Format(Format::LammpsDump) { "0.5 0.25 0.125\n" } else { "O 0.5 0.25 0.125\n" };
         text.extend(iter::repeat_n(row, rows));
         text
     }
@@ -341,7 +344,9 @@ mod tests {
 
     #[test]
     fn of_what_is_appended_only_that_is_gone_through() {
-        for (kind, name) in [(Kind::LammpsDump, "d.dump"), (Kind::XyzAtoms, "d.xyz")] {
+        for (kind, name) in
+            [(Kind::Format(Format::LammpsDump), "d.dump"), (Kind::Format(Format::XyzAtoms), "d.xyz")]
+        {
             let file = Growing::new(name);
             let cut = step(kind, 2, 2000);
             let (start, rest) = cut.split_at(cut.len() / 3);
@@ -374,7 +379,7 @@ mod tests {
     fn what_was_written_anew_is_gone_through_from_its_beginning() {
         let file = Growing::new("d.dump");
         let dump = |numbers: &[usize]| -> String {
-            numbers.iter().map(|&number| step(Kind::LammpsDump, number, 100)).collect()
+            numbers.iter().map(|&number| step(Kind::Format(Format::LammpsDump), number, 100)).collect()
         };
         file.append(&dump(&[10, 20]));
         let first = file.look(None);
@@ -404,7 +409,7 @@ mod tests {
     fn what_is_written_anew_meanwhile_is_gone_through_from_its_beginning() {
         let file = Growing::new("d.dump");
         let dump = |numbers: &[usize]| -> String {
-            numbers.iter().map(|&number| step(Kind::LammpsDump, number, 6000)).collect()
+            numbers.iter().map(|&number| step(Kind::Format(Format::LammpsDump), number, 6000)).collect()
         };
         let (old, new) = (dump(&[10, 20]), dump(&[11, 21, 30]));
         for cut in ["ITEM: TIMESTEP\n10".len(), HEAD_BYTES as usize, old.len() / 2, old.len() - 1] {
@@ -414,9 +419,14 @@ mod tests {
             let seen = [&old.as_bytes()[..cut], &new.as_bytes()[cut..old.len()]].concat();
             let mut source = Watched::new(&*seen, &GOES_ON);
             let mut known = Vec::new();
-            find_more_steps(Kind::LammpsDump, BufReader::new(&mut source), &mut known, &Limits::default())
-                .expect("steps");
-            let mut first = Contents::new(stamp, Kind::LammpsDump, known);
+            find_more_steps(
+                Kind::Format(Format::LammpsDump),
+                BufReader::new(&mut source),
+                &mut known,
+                &Limits::default(),
+            )
+            .expect("steps");
+            let mut first = Contents::new(stamp, Kind::Format(Format::LammpsDump), known);
             first.edges = source.edges(0, None);
             fs::write(&file.path, &new).expect("written");
             let second = file.look(Some(&first));
@@ -450,10 +460,10 @@ mod tests {
     #[test]
     fn of_many_states_the_latest_are_remembered() {
         let file = Growing::new("d.dump");
-        file.append(&step(Kind::LammpsDump, 0, 1));
+        file.append(&step(Kind::Format(Format::LammpsDump), 0, 1));
         let mut all = vec![file.look(None)];
         for number in 1..=BEFORE_MAX + 3 {
-            file.append(&step(Kind::LammpsDump, number, 1));
+            file.append(&step(Kind::Format(Format::LammpsDump), number, 1));
             let next = file.look(all.last());
             all.push(next);
         }
@@ -475,7 +485,7 @@ mod tests {
         let over = source.read_exact(&mut piece).expect_err("over").to_string();
         assert!(over.contains("not looked for any more"), "{over}");
         let file = Growing::new("d.dump");
-        file.append(&step(Kind::LammpsDump, 0, 1));
+        file.append(&step(Kind::Format(Format::LammpsDump), 0, 1));
         look_through(&file.path, None, &is_over).expect_err("over");
     }
 }

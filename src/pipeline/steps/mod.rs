@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use meniscus_formats::packing::unpacked;
+use meniscus_formats::compression::unpacked;
 use meniscus_formats::steps::may_have_steps;
 use meniscus_formats::{Error, Limits, ReadAt, Result};
 use twox_hash::XxHash3_128;

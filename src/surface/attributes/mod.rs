@@ -68,16 +68,21 @@ impl Reach<'_> {
 
 /// How many places got attribute values, and from how near. Many isolated places mean that the surface is far from its
 /// particles.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct TransferCounts {
     /// Places that got values: vertices, or voxels for which a mean was taken.
+    #[cfg_attr(feature = "serde", serde(rename = "places"))]
     pub place_count: usize,
     /// Of these, those without a particle within the radius, which got the values of the nearest one that reaches them.
+    #[cfg_attr(feature = "serde", serde(rename = "lonely"))]
     pub lonely_count: usize,
     /// And those that no particle reaches.
+    #[cfg_attr(feature = "serde", serde(rename = "empty"))]
     pub empty_count: usize,
     /// Values that were left out, for they are not finite; of all particles near the surface.
+    #[cfg_attr(feature = "serde", serde(rename = "left_out"))]
     pub left_out_count: usize,
 }
 

@@ -26,8 +26,9 @@ use rustc_hash::{FxHashMap, FxHashSet};
 use super::Mesh;
 use super::triangles::{LANES, TriangleBatch};
 
-/// What a file makes of the positions of a mesh, relative to the same origin.
-pub type Rounding = fn(&Mesh) -> Vec<Vec3>;
+/// The positions that a reader gets of a file that rounds those of a mesh, which are relative to an origin; theirs are
+/// relative to the same one.
+pub type Rounding = fn(&[[f32; 3]], [f64; 3]) -> Vec<[f32; 3]>;
 
 /// Triangles in a piece of work.
 const PIECE: usize = 4096;
@@ -54,7 +55,7 @@ impl Mesh {
         // Triangles turn over only if nothing else does.
         let mut may_fold = false;
         for _ in 0..ROUNDS_MAX {
-            let rounded: Vec<Vec<Vec3>> = roundings.iter().map(|rounding| rounding(self)).collect();
+            let rounded: Vec<Vec<Vec3>> = roundings.iter().map(|rounding| self.rounded(*rounding)).collect();
             let views: Vec<&[Vec3]> =
                 [&*self.positions].into_iter().chain(rounded.iter().map(Vec::as_slice)).collect();
             let mut flat: Vec<u32> =
@@ -79,9 +80,14 @@ impl Mesh {
         before - self.triangles.len()
     }
 
+    /// The positions that a reader gets of a file that rounds them, relative to the same origin.
+    pub fn rounded(&self, rounding: Rounding) -> Vec<Vec3> {
+        bytemuck::cast_vec(rounding(bytemuck::cast_slice(&self.positions), self.origin.to_array()))
+    }
+
     /// How many triangles have no area at the positions that a file makes of these.
     pub fn flat_count(&self, rounding: Rounding) -> usize {
-        flat_triangles(&rounding(self), &self.triangles).len()
+        flat_triangles(&self.rounded(rounding), &self.triangles).len()
     }
 }
 
@@ -383,7 +389,8 @@ mod tests {
 
     #[test]
     fn triangles_that_a_file_would_flatten_go() {
-        let coarse: Rounding = |mesh| mesh.positions.iter().map(|p| (p / 1.5).round() * 1.5).collect();
+        let coarse: Rounding =
+            |positions, _| positions.iter().map(|p| p.map(|x| (x / 1.5).round() * 1.5)).collect();
         let mut mesh = cube(8);
         assert!(mesh.flat_count(coarse) > 0);
         mesh.take_out_flat(&[coarse]);
@@ -394,7 +401,8 @@ mod tests {
 
     #[test]
     fn mesh_that_a_file_flattens_for_the_most_part_stays_as_it_is() {
-        let coarse: Rounding = |mesh| mesh.positions.iter().map(|p| (p / 20.0).round() * 20.0).collect();
+        let coarse: Rounding =
+            |positions, _| positions.iter().map(|p| p.map(|x| (x / 20.0).round() * 20.0)).collect();
         let mut mesh = cube(40);
         let before = mesh.clone();
         assert_eq!(mesh.take_out_flat(&[coarse]), 0);
@@ -413,7 +421,9 @@ mod tests {
         let speck = [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]];
         mesh.triangles.extend(speck.map(|triangle| triangle.map(|corner| first + corner)));
         assert!(mesh.measure().is_closed_manifold());
-        mesh.take_out_flat(&[|mesh| mesh.positions.iter().map(|p| (p / 0.5).round() * 0.5).collect()]);
+        mesh.take_out_flat(&[|positions, _| {
+            positions.iter().map(|p| p.map(|x| (x / 0.5).round() * 0.5)).collect()
+        }]);
         assert_eq!(mesh, whole);
     }
 

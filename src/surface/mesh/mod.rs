@@ -53,28 +53,37 @@ pub struct Mesh {
 }
 
 /// Measures of a triangle mesh: area, volume, bending energy, and whether it is closed and manifold.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct MeshMeasures {
+    /// ∫H² from the mesh's angles. Without unit: 4π for a sphere.
+    #[cfg_attr(feature = "serde", serde(rename = "mesh_bending_energy"))]
+    pub bending_energy: f64,
     /// Area, world units squared.
     pub area: f64,
     /// Enclosed volume, world units cubed; negative if the mesh is inside out.
     pub volume: f64,
-    /// ∫H² from the mesh's angles. Without unit: 4π for a sphere.
-    pub bending_energy: f64,
     /// Vertices, whether a triangle uses them or not.
+    #[cfg_attr(feature = "serde", serde(rename = "vertices"))]
     pub vertex_count: usize,
     /// Triangles.
+    #[cfg_attr(feature = "serde", serde(rename = "triangles"))]
     pub triangle_count: usize,
     /// Edges in one triangle only.
+    #[cfg_attr(feature = "serde", serde(rename = "boundary_edges"))]
     pub boundary_edge_count: usize,
     /// Edges in more than two triangles, or in two that run along it in the same direction.
+    #[cfg_attr(feature = "serde", serde(rename = "non_manifold_edges"))]
     pub non_manifold_edge_count: usize,
     /// Vertices whose triangles form more than one fan.
+    #[cfg_attr(feature = "serde", serde(rename = "non_manifold_vertices"))]
     pub non_manifold_vertex_count: usize,
     /// Triangles that repeat a vertex, or whose height is below a billionth of their longest edge.
+    #[cfg_attr(feature = "serde", serde(rename = "degenerate_triangles"))]
     pub degenerate_triangle_count: usize,
     /// Pieces that are connected through vertices.
+    #[cfg_attr(feature = "serde", serde(rename = "components"))]
     pub component_count: usize,
     /// Vertices that are used − edges + triangles.
     pub euler_characteristic: i64,

@@ -196,16 +196,17 @@ mod tests {
 
     use super::*;
     use crate::surface::grid::{LEAF_EDGE, Leaf, Topology, voxel_in_leaf};
-    use crate::surface::mesh::Mesh;
     use crate::surface::options::MethodOptions;
 
     #[test]
     fn mesh_far_from_the_origin_is_checked_at_its_rounded_world_positions() {
-        let world_positions = Stored::Rounded(|mesh: &Mesh| {
-            let read = |position: &Vec3| {
-                ((mesh.origin + position.as_dvec3()).as_vec3().as_dvec3() - mesh.origin).as_vec3()
+        let world_positions = Stored::Rounded(|positions, origin| {
+            let origin = DVec3::from(origin);
+            let read = |position: &[f32; 3]| {
+                let world = (origin + Vec3::from(*position).as_dvec3()).as_vec3();
+                (world.as_dvec3() - origin).as_vec3().to_array()
             };
-            mesh.positions.iter().map(read).collect()
+            positions.iter().map(read).collect()
         });
         let corners = (0..8).map(|slot| IVec3::new(slot / 4 - 1, slot / 2 % 2 - 1, slot % 2 - 1) * LEAF_EDGE);
         let topology = Topology::new(corners.collect());

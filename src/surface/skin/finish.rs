@@ -151,7 +151,7 @@ pub(super) fn settle<E>(
         let mut strays: BTreeMap<usize, Vec3> = BTreeMap::new();
         for stored in stored {
             let mut of_file = ParticleChecks::NOTHING;
-            let mut rounded = rounding(stored).map(|rounding| rounding(mesh));
+            let mut rounded = rounding(stored).map(|rounding| mesh.rounded(rounding));
             // A rounding that changes nothing makes no other mesh.
             if has_unrounded && rounded.as_ref().is_some_and(|rounded| *rounded == mesh.positions) {
                 continue;

@@ -20,6 +20,7 @@ use crate::surface::level_set::{Bounds, NarrowBand};
 const ITERATIONS_MAX: usize = 1500;
 
 /// How the conjugate gradients of [`Integrator::Implicit`](crate::surface::Integrator::Implicit) converged.
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Convergence {

@@ -117,6 +117,7 @@ impl Certificate {
 }
 
 /// How many particles are outside of a surface, and how far.
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct ParticlesOutside {

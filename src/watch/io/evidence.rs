@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use meniscus_formats::completeness::{Completeness, completeness};
+use meniscus_formats::{Completeness, completeness};
 
 use crate::pipeline::{FileStamp, open_regular};
 

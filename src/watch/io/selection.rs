@@ -17,9 +17,8 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use glob::{MatchOptions, Pattern};
-use meniscus_formats::packing::read_head;
-use meniscus_formats::provenance::{self, read_provenance};
-use meniscus_formats::{Kind, looks_like_particles, probe};
+use meniscus_formats::compression::read_head;
+use meniscus_formats::{Format, looks_like_particles, probe, read_provenance};
 
 use crate::pipeline::{
     are_particles, has_particle_extension, is_level_set, open_regular, promises_particles,
@@ -160,17 +159,10 @@ fn is_hidden_path(within: &Path) -> bool {
 
 /// Whether these are the first bytes of a file that carries this program's provenance.
 fn is_own_output(head: &[u8], name: &str) -> bool {
-    let kind = match probe(head, name).kind {
-        Kind::Ply => provenance::Kind::Ply,
-        Kind::VtkXml => provenance::Kind::Vtp,
-        Kind::Glb => provenance::Kind::Glb,
-        Kind::GltfJson => provenance::Kind::Gltf,
-        Kind::Obj => provenance::Kind::Obj,
-        Kind::OpenVdb => provenance::Kind::Vdb,
-        _ => return false,
-    };
+    let format = probe(head, name).kind.format().and_then(Format::output);
+    let Some(format) = format.filter(|format| !format.is_picture()) else { return false };
     // A head that is damaged carries none.
-    read_provenance(kind, head).is_ok_and(|recorded| {
+    read_provenance(format, head).is_ok_and(|recorded| {
         recorded.iter().any(|(name, _)| name == "generator") && !are_particles(&recorded)
     })
 }
@@ -229,7 +221,7 @@ mod tests {
 
     #[test]
     fn content_tells_frames_from_outputs_and_notes() {
-        use meniscus_formats::{MeshView, gltf, obj, ply};
+        use meniscus_formats::{MeshOptions, MeshView, OutputFormat, gltf, ply};
         let folder = tempdir().expect("a folder");
         let of = |name: &str, bytes: &[u8]| {
             let path = folder.path().join(name);
@@ -258,10 +250,10 @@ mod tests {
         ply::write::write_mesh(&mesh, &[], &mut bytes).expect("written");
         assert_eq!(of("foreign.ply", &bytes), Content::Particles);
         bytes.clear();
-        obj::write(&mesh, &obj::WriteOptions::default(), &maker, &mut bytes).expect("written");
+        OutputFormat::Obj.write_mesh(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
         assert_eq!(of("surface.obj", &bytes), Content::OwnOutput);
         bytes.clear();
-        gltf::write_glb(&mesh, &gltf::WriteOptions::default(), &maker, &mut bytes).expect("written");
+        gltf::write_glb(&mesh, &MeshOptions::default(), &maker, &mut bytes).expect("written");
         assert_eq!(of("surface.glb", &bytes), Content::OwnOutput);
         assert!(content(&folder.path().join("gone.ply")).is_err());
     }

@@ -44,7 +44,7 @@ struct WireWatch {
 #[derive(Serialize, Deserialize)]
 struct WireOutputs {
     folder: WirePath,
-    formats: Vec<WireFormat>,
+    formats: Vec<OutputFormat>,
     up: WireUp,
     /// As text; missing for metres.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -91,7 +91,6 @@ macro_rules! wire_enum {
     };
 }
 
-wire_enum!(WireFormat of OutputFormat: Glb, Gltf, Vdb, Obj, Ply, Vtp, Stl, Usda, Png, Exr);
 wire_enum!(WireUp of UpAxis: Y, Z);
 wire_enum!(WireCompression of Compression: None, ActiveMask, Blosc);
 
@@ -149,10 +148,10 @@ impl WireOutputs {
             vdb_compression,
             picture,
         } = options;
-        let has_picture = formats.iter().any(|format| format.picture().is_some());
+        let has_picture = formats.iter().any(|format| format.is_picture());
         WireOutputs {
             folder: WirePath::of(folder),
-            formats: formats.iter().map(|&format| format.into()).collect(),
+            formats: formats.clone(),
             up: (*up).into(),
             meters_per_unit: text(Some(*meters_per_unit).filter(|meters| *meters != 1.0)),
             quantize: *quantize,
@@ -166,7 +165,7 @@ impl WireOutputs {
     fn into_options(self) -> Option<OutputOptions> {
         Some(OutputOptions {
             folder: self.folder.into_path()?,
-            formats: self.formats.into_iter().map(Into::into).collect(),
+            formats: self.formats,
             up: self.up.into(),
             meters_per_unit: number(self.meters_per_unit)?.unwrap_or(1.0),
             quantize: self.quantize,

@@ -7,8 +7,8 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use meniscus_formats::provenance::{Kind, read_provenance};
 use meniscus_formats::{Limits, read_particles};
+use meniscus_formats::{OutputFormat, read_provenance};
 use twox_hash::XxHash3_128;
 
 use crate::scene::{Daemon, meniscus, status};
@@ -60,7 +60,7 @@ fn is_readable(path: &Path) -> bool {
 /// Whether both outputs were made from the bytes that the frame has now.
 fn is_done(folder: &Path, frame: &Path) -> bool {
     let hash = format!("{:032x}", XxHash3_128::oneshot(&fs::read(frame).expect("readable")));
-    [("glb", Kind::Glb), ("vdb", Kind::Vdb)].iter().all(|&(extension, kind)| {
+    [("glb", OutputFormat::Glb), ("vdb", OutputFormat::Vdb)].iter().all(|&(extension, kind)| {
         let output = folder.join("out").join(Path::new(&name(frame)).with_extension(extension));
         let Ok(file) = File::open(output) else { return false };
         let pairs = read_provenance(kind, file).unwrap_or_default();

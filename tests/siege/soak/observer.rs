@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use meniscus_formats::provenance::Kind;
-use meniscus_formats::wholeness::is_whole;
+use meniscus_formats::OutputFormat;
+use meniscus_formats::is_whole;
 
 /// Opens every output as soon as it appears, and again whenever it is another file; how many it saw.
 pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
@@ -43,12 +43,12 @@ pub(super) fn observe(folder: &Path, is_over: &AtomicBool) -> usize {
 }
 
 /// The kind of an output; `None` for what is hidden, and for the ballast.
-fn kind(path: &Path) -> Option<Kind> {
+fn kind(path: &Path) -> Option<OutputFormat> {
     let name = path.file_name()?.to_str()?;
     match name.rsplit_once('.')? {
         (stem, _) if stem.is_empty() || stem.starts_with('.') => None,
-        (_, "glb") => Some(Kind::Glb),
-        (_, "vdb") => Some(Kind::Vdb),
+        (_, "glb") => Some(OutputFormat::Glb),
+        (_, "vdb") => Some(OutputFormat::Vdb),
         _ => panic!("{name} is no output"),
     }
 }

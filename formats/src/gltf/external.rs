@@ -17,10 +17,7 @@ use super::FORMAT;
 use super::buffer::invalid;
 use super::read::{chunks, parse};
 use crate::error::{Error, Result};
-
-/// Gives the bytes of a file beside the one that is read, by its relative path: one of those that
-/// [`files_beside`] tells.
-pub type Beside<'a> = dyn Fn(&str) -> std::io::Result<Vec<u8>> + 'a;
+use crate::row::Beside;
 
 /// A file that has buffers of a document.
 #[derive(Clone, Debug, PartialEq, Eq)]

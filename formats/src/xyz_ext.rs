@@ -18,8 +18,8 @@ use crate::csv;
 use crate::data::ParticleFrame;
 use crate::error::{Error, Place, Result};
 use crate::limits::Limits;
-use crate::probe::Kind;
-use crate::steps::find_steps;
+use crate::row::{FormatRow, ParticleInput};
+use crate::step_finders::{LineHeads, steps_of_atoms};
 use crate::text::{Lines, parse_number};
 
 /// The format as users know it, for errors.
@@ -80,7 +80,7 @@ fn count(text: &[u8]) -> Option<u64> {
 ///
 /// [`Error::Short`] where atoms are missing, [`Error::Invalid`] with the line where a row has too many or too few
 /// cells, or text in a column of numbers; [`Error::Unsupported`] for a file of several frames, which
-/// [`find_steps`] finds; [`Error::TooLarge`] beyond `limits`, of which one is for the number of frames.
+/// [`crate::steps::find_steps`] finds; [`Error::TooLarge`] beyond `limits`, of which one is for the number of frames.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let mut lines = Lines::new(bytes);
     let count = lines.next().unwrap_or_default().trim_ascii();
@@ -106,7 +106,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<ParticleFrame> {
     let end = lines.at();
     if lines.any(|line| !line.trim_ascii().is_empty()) {
         // Of more than there may be, that is what is to be told.
-        find_steps(Kind::XyzAtoms, bytes, limits)?;
+        steps_of_atoms(LineHeads::new(&mut &*bytes, 0, 0), &mut Vec::new(), limits)?;
         let what = "the file has several frames, and a frame is one: each is to be read by itself";
         return Err(Error::unsupported(FORMAT, what));
     }
@@ -179,3 +179,9 @@ fn invalid(line: u64, what: impl Into<String>) -> Error {
 fn short(line: u64, what: impl Into<String>) -> Error {
     Error::short(FORMAT, Place::Line(line), what)
 }
+
+/// What the table of formats says of it.
+pub(crate) static ROW: FormatRow = FormatRow {
+    particles: Some(ParticleInput { find_steps: Some(steps_of_atoms), ..ParticleInput::new(read) }),
+    ..FormatRow::new(FORMAT, &["xyz", "txt"])
+};

@@ -1,9 +1,9 @@
 //! The `.xyz` of chemists.
 
-use meniscus_formats::{Kind, Limits, ParticleFrame, Positions, Role, Values, probe, read_particles};
+use meniscus_formats::{Format, Kind, Limits, ParticleFrame, Positions, Role, Values, probe, read_particles};
 
 fn read(text: &str) -> ParticleFrame {
-    assert_eq!(probe(text.as_bytes(), "a.xyz").kind, Kind::XyzAtoms, "{text}");
+    assert_eq!(probe(text.as_bytes(), "a.xyz").kind, Kind::Format(Format::XyzAtoms), "{text}");
     read_particles(text.as_bytes(), "a.xyz", &Limits::default())
         .unwrap_or_else(|error| panic!("{text}: {error}"))
 }
@@ -34,7 +34,11 @@ fn a_frame_is_known_by_its_head() {
         let least = frame.find("\n\n").expect("a comment") + 2 + 2 * row.len();
         for cut in least..=text.len().min(least + 8192) {
             let head = &text.as_bytes()[..cut];
-            assert_eq!(probe(head, "a.xyz").kind, Kind::XyzAtoms, "{count} atoms, cut at {cut}");
+            assert_eq!(
+                probe(head, "a.xyz").kind,
+                Kind::Format(Format::XyzAtoms),
+                "{count} atoms, cut at {cut}"
+            );
         }
     }
 }
@@ -44,7 +48,7 @@ fn a_frame_is_known_by_its_head() {
 fn a_count_above_a_table_makes_no_atoms_of_it() {
     let tables = ["1\n1 2 3 4\n5 6 7 8\n", "1\n1 2 3 4\n5 6 7 8", "4\n1 0 0 1\n2 1 0 0\n3 0 1 0\n4 1 1 0\n"];
     for text in tables {
-        assert_ne!(probe(text.as_bytes(), "a.xyz").kind, Kind::XyzAtoms, "{text}");
+        assert_ne!(probe(text.as_bytes(), "a.xyz").kind, Kind::Format(Format::XyzAtoms), "{text}");
     }
 }
 

@@ -1,4 +1,6 @@
-//! Whether a file of particles is all there, as far as its own format can tell.
+//! Whether a file is all there: one that somebody else may still be writing, and one that this crate wrote.
+//!
+//! Of a file of particles its own format tells, as far as it can ([`completeness`]):
 //!
 //! ```text
 //!   what the header declares      declared │      binary PLY, classic BGEO that ends with its points
@@ -9,34 +11,58 @@
 //!
 //! Some writers do not know the number of particles when they begin: they write a number, often 0,
 //! append the records, and go back to the header in the end. So a file that has more than it declares,
-//! or that declares nothing at all, proves nothing. Nor can a length tell of bytes that were reserved
-//! and are still to be filled: whoever asks should also see that the file is left alone.
+//! or that declares nothing at all, proves nothing. Nor does a length show bytes that were reserved
+//! and are still to be filled: the caller should also see that the file is left alone.
+//!
+//! Of an output its end tells ([`is_whole`]): a copy that was broken off, or a disk that was full, leaves the beginning of
+//! a file, which is also where its provenance is. Each format names its own way in the table of formats. Bytes that were
+//! overwritten are not looked for: a file of the right length may still be damaged inside.
 
 use std::io::{Read, Seek, SeekFrom};
 
-use crate::error::Result;
-use crate::limits::Limits;
-use crate::packing::Packing;
-use crate::ply::Encoding;
-use crate::probe::{Kind, Probe, probe};
-use crate::{bgeo, npy, ply};
+use serde::de::IgnoredAny;
 
-/// What the format says of a file that may still be growing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Completeness {
-    /// It has all that it declares.
-    Complete,
-    /// It declares more than there is.
-    Incomplete {
-        /// Bytes that it declares, at least.
-        expected: u64,
-        /// Bytes that there are.
-        found: u64,
-    },
-    /// A cheap look does not tell, but reading it does: text with a count, and what is packed.
-    ByReading,
-    /// The format has no way of telling: a table may always have another row.
-    Unproven,
+use crate::compression::Codec;
+use crate::error::Result;
+use crate::probe::{Kind, Probe, probe};
+use crate::provenance::HEAD_BYTES_MAX;
+use crate::row::{Completeness, HeadCheck, Integrity, at_least};
+use crate::table::{Format, OutputFormat};
+
+/// More bytes than the last line of an output has.
+const TAIL_BYTES: u64 = 256;
+
+/// Whether an output of this crate has neither lost its end nor grown. The files of other programs may be whole and not
+/// be recognised as such.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if reading fails; [`crate::Error::Invalid`] if the head is not of this format.
+pub fn is_whole(format: OutputFormat, file: &mut (impl Read + Seek)) -> Result<bool> {
+    let file_bytes = file.seek(SeekFrom::End(0))?;
+    let mut read = |start: u64, length: u64| piece(file, start, length);
+    match format.row().integrity {
+        Integrity::Tail(ends_as_written) => {
+            Ok(ends_as_written(&read(file_bytes.saturating_sub(TAIL_BYTES), TAIL_BYTES)?))
+        }
+        Integrity::Length(claimed) => {
+            let head = read(0, HEAD_BYTES_MAX)?;
+            Ok(claimed(&head, &mut read)? == Some(file_bytes))
+        }
+        Integrity::Json => {
+            let text = read(0, u64::MAX)?;
+            // The line end is the writer's last byte.
+            Ok(text.ends_with(b"\n") && serde_json::from_slice::<IgnoredAny>(&text).is_ok())
+        }
+    }
+}
+
+/// The bytes from `start` on, `length` of them or up to the end.
+fn piece(file: &mut (impl Read + Seek), start: u64, length: u64) -> Result<Vec<u8>> {
+    let mut piece = Vec::new();
+    file.seek(SeekFrom::Start(start))?;
+    file.take(length).read_to_end(&mut piece)?;
+    Ok(piece)
 }
 
 /// Looks at the head of a file, a mebibyte at most, and at its length. `file_name` has the same part in
@@ -47,114 +73,51 @@ pub enum Completeness {
 ///
 /// [`crate::Error::Io`] if reading fails.
 pub fn completeness(file: &mut (impl Read + Seek), file_name: &str) -> Result<Completeness> {
-    let mut told = Told::ByMoreOfTheHead;
+    let mut found = HeadCheck::ByMoreOfTheHead;
     for head_bytes in HEADS_BYTES {
-        let head = head(file, head_bytes)?;
+        let head = piece(file, 0, head_bytes)?;
         // Asked for last: a file that grows meanwhile has more than was seen, never less.
         let file_bytes = file.seek(SeekFrom::End(0))?;
-        told = told_by_head(&head, file_bytes, file_name);
-        if !matches!(told, Told::ByMoreOfTheHead) {
+        found = check_head(&head, file_bytes, file_name);
+        if !matches!(found, HeadCheck::ByMoreOfTheHead) {
             break;
         }
     }
-    match told {
-        Told::Now(completeness) => Ok(completeness),
-        Told::ByTheLastByte => Ok(match ends_a_word(file)? {
+    match found {
+        HeadCheck::Known(completeness) => Ok(completeness),
+        HeadCheck::ByTheLastByte => Ok(match ends_a_word(file)? {
             true => Completeness::ByReading,
             false => Completeness::Unproven,
         }),
         // No header that is read is longer.
-        Told::ByMoreOfTheHead => Ok(Completeness::Unproven),
+        HeadCheck::ByMoreOfTheHead => Ok(Completeness::Unproven),
     }
 }
 
-/// What the head of a file tells.
-enum Told {
-    Now(Completeness),
-    /// The header does not end within the head, but the file goes on.
-    ByMoreOfTheHead,
-    /// Whether the last number of a text is whole.
-    ByTheLastByte,
-}
-
-fn told_by_head(head: &[u8], file_bytes: u64, file_name: &str) -> Told {
-    let Probe { kind, packing } = probe(head, file_name);
-    if let Some(signature) = signature_cut_off(head) {
-        return Told::Now(at_least(signature.len() as u64, file_bytes, Completeness::ByReading));
+fn check_head(head: &[u8], file_bytes: u64, file_name: &str) -> HeadCheck {
+    let Probe { kind, codec } = probe(head, file_name);
+    let by_reading = |expected| HeadCheck::Known(at_least(expected, file_bytes, Completeness::ByReading));
+    if let Some(beginning) = beginning_cut_off(head) {
+        return by_reading(beginning.len() as u64);
     }
-    match packing {
-        Some(Packing::Gzip) => {
-            return Told::Now(at_least(GZIP_BYTES_MIN, file_bytes, Completeness::ByReading));
-        }
-        Some(Packing::Zstd) => {
-            return Told::Now(at_least(ZSTD_BYTES_MIN, file_bytes, Completeness::ByReading));
-        }
-        None => {}
+    if let Some(codec) = codec {
+        return by_reading(codec.file_bytes_min());
     }
-    let told = match kind {
-        Kind::Ply => told_by_ply(head, file_bytes),
-        Kind::ClassicBgeo => told_by_bgeo(head, file_bytes),
-        Kind::Npy => told_by_npy(head, file_bytes),
-        Kind::Npz | Kind::VtkXml | Kind::HoudiniJsonBinary | Kind::HoudiniJsonText | Kind::HoudiniSc => {
-            Ok(Told::Now(Completeness::ByReading))
-        }
-        _ => Ok(Told::Now(Completeness::Unproven)),
-    };
-    told.unwrap_or_else(|error| match error.is_short() {
-        true if (head.len() as u64) < file_bytes => Told::ByMoreOfTheHead,
-        true => Told::Now(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
-        false => Told::Now(Completeness::Unproven),
+    let unproven = HeadCheck::Known(Completeness::Unproven);
+    let Kind::Format(format) = kind else { return unproven };
+    let Some(particles) = &format.row().particles else { return unproven };
+    (particles.completeness)(head, file_bytes).unwrap_or_else(|error| match error.is_short() {
+        true if (head.len() as u64) < file_bytes => HeadCheck::ByMoreOfTheHead,
+        true => HeadCheck::Known(Completeness::Incomplete { expected: file_bytes + 1, found: file_bytes }),
+        false => unproven,
     })
 }
 
-/// The signature that these bytes are the beginning of, if they are no more than that.
-pub(crate) fn signature_cut_off(head: &[u8]) -> Option<&'static [u8]> {
-    let is_beginning = |signature: &&[u8]| signature.starts_with(head) && head.len() < signature.len();
-    SIGNATURES.into_iter().find(is_beginning)
-}
-
-fn told_by_ply(head: &[u8], file_bytes: u64) -> Result<Told> {
-    let header = ply::read_header(head, &Limits::default())?;
-    let Some(declared) = header.file_size_min() else { return Ok(Told::Now(Completeness::Unproven)) };
-    Ok(Told::Now(match header.encoding {
-        _ if declared == header.body_offset as u64 => Completeness::Unproven,
-        Encoding::Ascii if declared <= file_bytes => return Ok(Told::ByTheLastByte),
-        Encoding::Ascii => at_least(declared, file_bytes, Completeness::ByReading),
-        _ if header.elements.iter().any(ply::Element::has_list) => {
-            at_least(declared, file_bytes, Completeness::ByReading)
-        }
-        _ => exactly(declared, file_bytes),
-    }))
-}
-
-fn told_by_bgeo(head: &[u8], file_bytes: u64) -> Result<Told> {
-    let header = bgeo::header(head)?;
-    Ok(Told::Now(match header.point_count {
-        0 => Completeness::Unproven,
-        _ if header.expected_bytes_is_exact => exactly(header.expected_bytes, file_bytes),
-        _ => at_least(header.expected_bytes, file_bytes, Completeness::ByReading),
-    }))
-}
-
-fn told_by_npy(head: &[u8], file_bytes: u64) -> Result<Told> {
-    let declared = npy::bytes_claimed(head, &Limits::default())?;
-    Ok(Told::Now(declared.map_or(Completeness::Unproven, |declared| exactly(declared, file_bytes))))
-}
-
-fn exactly(expected: u64, found: u64) -> Completeness {
-    let beyond = if expected < found { Completeness::Unproven } else { Completeness::Complete };
-    at_least(expected, found, beyond)
-}
-
-fn at_least(expected: u64, found: u64, then: Completeness) -> Completeness {
-    if found < expected { Completeness::Incomplete { expected, found } } else { then }
-}
-
-fn head(file: &mut (impl Read + Seek), head_bytes: u64) -> Result<Vec<u8>> {
-    let mut head = Vec::new();
-    file.seek(SeekFrom::Start(0))?;
-    file.take(head_bytes).read_to_end(&mut head)?;
-    Ok(head)
+/// The beginning of every file of some format that these bytes are a part of, if they are no more than that.
+pub(crate) fn beginning_cut_off(head: &[u8]) -> Option<&'static [u8]> {
+    let of_formats = Format::ALL.into_iter().flat_map(|format| format.row().beginnings).copied();
+    let mut all = of_formats.chain(Codec::ALL.map(Codec::beginning));
+    all.find(|beginning| beginning.starts_with(head) && head.len() < beginning.len())
 }
 
 /// Whether the file ends behind a word: a number that is the last thing in it may lack its last digits.
@@ -168,32 +131,10 @@ fn ends_a_word(file: &mut (impl Read + Seek)) -> Result<bool> {
 /// Bytes of the head that are looked at: enough for nearly every header, then for any.
 const HEADS_BYTES: [u64; 2] = [16 << 10, 1 << 20];
 
-/// Bytes of a gzip file of nothing: header, an empty block, checksum and length.
-const GZIP_BYTES_MIN: u64 = 20;
-
-/// Bytes of a Zstandard file of nothing: signature, header, an empty block.
-const ZSTD_BYTES_MIN: u64 = 9;
-
-/// What files that can be read begin with. The beginning of one of these is no file of any kind, yet.
-const SIGNATURES: [&[u8]; 13] = [
-    b"ply\n",
-    b"ply\r",
-    b"BgeoV",
-    b"\x1f\x8b",
-    b"\x28\xb5\x2f\xfd",
-    b"\x93NUMPY",
-    b"PK\x03\x04",
-    b"# vtk DataFile Version ",
-    b"ITEM: TIMESTEP\n",
-    b"\x7fNSJb",
-    b"\x7fbJSN",
-    b"scf1",
-    b"PGEOMETRY",
-];
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bgeo;
     use std::io::{Cursor, Write};
 
     const TWO_POINTS: &str = "element vertex 2\nproperty float x\nproperty float y\nproperty float z\n";
@@ -293,7 +234,7 @@ mod tests {
             assert!(matches!(of(&bytes[..length], "a"), Completeness::Incomplete { .. }), "{length}");
         }
         let empty = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast()).finish().unwrap();
-        assert!(GZIP_BYTES_MIN <= empty.len() as u64, "{}", empty.len());
+        assert!(Codec::Gzip.file_bytes_min() <= empty.len() as u64, "{}", empty.len());
     }
 
     #[test]

@@ -1,0 +1,130 @@
+//! Where frames begin in files with several, line by line.
+
+use std::io::{self, BufRead};
+use std::ops::Range;
+
+use crate::error::Result;
+use crate::limits::Limits;
+
+/// A part of a file that is a frame, or should be one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FoundStep {
+    /// Its number: that which the file gives it, or else its place among the others, from 0. `None` where the file should
+    /// say it and does not.
+    pub number: Option<i64>,
+    /// Which bytes of the file, unpacked, are this step. By themselves they are a file of one frame.
+    pub range: Range<u64>,
+    /// So many lines of the file, unpacked, come before it.
+    pub lines_before: u64,
+}
+
+/// Finds the steps in the lines of a file, behind those that are known.
+pub(crate) type FindSteps = fn(LineHeads, &mut Vec<FoundStep>, &Limits) -> Result<()>;
+
+/// A step begins at the first `ITEM:` behind rows; one that is cut off ends where the next has its number.
+pub(crate) fn steps_of_dump(mut lines: LineHeads, steps: &mut Vec<FoundStep>, limits: &Limits) -> Result<()> {
+    let known_count = steps.len();
+    let (mut is_numbered, mut is_in_rows, mut is_number_next) = (false, false, false);
+    while let Some(start) = lines.next()? {
+        let line = lines.head.trim_ascii();
+        if let Some(item) = line.strip_prefix(b"ITEM:").map(<[u8]>::trim_ascii) {
+            let is_timestep = item == b"TIMESTEP";
+            if steps.len() == known_count || is_in_rows || (is_timestep && is_numbered) {
+                end_at(steps, start);
+                limits.check_step("LAMMPS dump", steps.len())?;
+                steps.push(FoundStep { number: None, range: start..start, lines_before: lines.count - 1 });
+                is_numbered = false;
+            }
+            is_numbered |= is_timestep;
+            is_number_next = is_timestep;
+            is_in_rows = item.starts_with(b"ATOMS") || item.starts_with(b"ENTRIES");
+        } else if is_number_next {
+            is_number_next = false;
+            if let Some(step) = steps.last_mut() {
+                step.number = std::str::from_utf8(line).ok().and_then(|number| number.parse().ok());
+            }
+        } else if steps.len() == known_count && !line.is_empty() {
+            steps.push(FoundStep { number: None, range: start..start, lines_before: lines.count - 1 });
+        }
+    }
+    end_at(steps, lines.end);
+    Ok(())
+}
+
+/// A count, a comment, and so many lines. Where no count is, all the rest is one step, for nobody knows where the next
+/// begins.
+pub(crate) fn steps_of_atoms(
+    mut lines: LineHeads,
+    steps: &mut Vec<FoundStep>,
+    limits: &Limits,
+) -> Result<()> {
+    while let Some(start) = lines.next()? {
+        let line = lines.head.trim_ascii();
+        if line.is_empty() {
+            continue;
+        }
+        end_at(steps, start);
+        limits.check_step("XYZ atoms", steps.len())?;
+        let count: Option<u64> = std::str::from_utf8(line).ok().and_then(|count| count.parse().ok());
+        let number = i64::try_from(steps.len()).ok();
+        steps.push(FoundStep { number, range: start..start, lines_before: lines.count - 1 });
+        // The comment is a line, too.
+        for _ in 0..count.map_or(u64::MAX, |count| count.saturating_add(1)) {
+            if lines.next()?.is_none() {
+                break;
+            }
+        }
+    }
+    end_at(steps, lines.end);
+    Ok(())
+}
+
+fn end_at(steps: &mut [FoundStep], end: u64) {
+    if let Some(step) = steps.last_mut() {
+        step.range.end = end;
+    }
+}
+
+/// The lines of a source: of each as much as tells what it is.
+pub(crate) struct LineHeads<'a> {
+    source: &'a mut dyn BufRead,
+    /// The beginning of the line that was read last.
+    head: Vec<u8>,
+    /// Where that line ends.
+    end: u64,
+    /// So many lines were read.
+    count: u64,
+}
+
+/// Longer than all that is looked for.
+const HEAD_BYTES: usize = 64;
+
+impl<'a> LineHeads<'a> {
+    /// The lines of a source, before which the file has so many bytes and lines.
+    pub(crate) fn new(source: &'a mut dyn BufRead, end: u64, count: u64) -> LineHeads<'a> {
+        LineHeads { source, head: Vec::new(), end, count }
+    }
+
+    /// Reads the next line; where it begins.
+    fn next(&mut self) -> io::Result<Option<u64>> {
+        let start = self.end;
+        self.head.clear();
+        loop {
+            let bytes = match self.source.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                bytes => bytes?,
+            };
+            let newline = bytes.iter().position(|&byte| byte == b'\n');
+            let length = newline.map_or(bytes.len(), |at| at + 1);
+            let kept = length.min(HEAD_BYTES.saturating_sub(self.head.len()));
+            self.head.extend_from_slice(&bytes[..kept]);
+            self.source.consume(length);
+            self.end += length as u64;
+            if newline.is_some() || length == 0 {
+                let is_line = self.end > start;
+                self.count += u64::from(is_line);
+                return Ok(is_line.then_some(start));
+            }
+        }
+    }
+}

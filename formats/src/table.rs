@@ -1,0 +1,271 @@
+//! The table of formats: one row for each, and no other list of them anywhere.
+//!
+//! A format describes itself in its own module, in a static row; this file names the rows. Everything else follows:
+//! which files are recognised and read, `--format` and its help, which options have an effect, what is recorded in an
+//! output, how an output is checked for being whole, and which notes its user gets.
+//!
+//! ```text
+//!   FormatRow    name, extensions, signatures │ reads particles? │ reads a mesh?
+//!   OutputRow    the same, and: help │ content and its writer │ options │ provenance │ integrity
+//! ```
+
+use std::fmt;
+use std::io::{Read, Write};
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::data::{MeshView, Provenance};
+use crate::error::{Error, Result};
+use crate::mesh_options::{MeshOptions, WriteOption};
+use crate::provenance::HEAD_BYTES_MAX;
+use crate::row::{Content, FormatRow, MeshWriter, OutputRow, ParticleWriter};
+
+/// Defines the two enums of formats from the rows.
+macro_rules! formats {
+    (
+        written { $($(#[$written_doc:meta])* $written:ident => $output_row:path,)+ }
+        read_only { $($(#[$read_doc:meta])* $read:ident => $row:path,)+ }
+    ) => {
+        /// A format that files can be recognised as.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Format {
+            $($(#[$written_doc])* $written,)+
+            $($(#[$read_doc])* $read,)+
+        }
+
+        /// A format that is written.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum OutputFormat {
+            $($(#[$written_doc])* $written,)+
+        }
+
+        impl Format {
+            /// All formats: first those that are written.
+            pub const ALL: [Format; [$(stringify!($written),)+ $(stringify!($read),)+].len()] =
+                [$(Format::$written,)+ $(Format::$read,)+];
+
+            pub(crate) fn row(self) -> &'static FormatRow {
+                match self {
+                    $(Format::$written => &$output_row.format,)+
+                    $(Format::$read => &$row,)+
+                }
+            }
+
+            /// The same format as one that is written, if it is.
+            pub fn output(self) -> Option<OutputFormat> {
+                match self {
+                    $(Format::$written => Some(OutputFormat::$written),)+
+                    _ => None,
+                }
+            }
+        }
+
+        impl OutputFormat {
+            /// All formats that are written, in the order of the table.
+            pub const ALL: [OutputFormat; [$(stringify!($written)),+].len()] = [$(OutputFormat::$written,)+];
+
+            pub(crate) fn row(self) -> &'static OutputRow {
+                match self {
+                    $(OutputFormat::$written => &$output_row,)+
+                }
+            }
+        }
+    };
+}
+
+formats! {
+    written {
+        /// Binary glTF.
+        Glb => crate::gltf::GLB,
+        /// glTF as text, with its buffer inside.
+        Gltf => crate::gltf::GLTF,
+        /// OpenVDB: sparse volumes.
+        Vdb => crate::vdb::ROW,
+        /// Wavefront OBJ.
+        Obj => crate::obj::ROW,
+        /// PLY, with points or a mesh.
+        Ply => crate::ply::ROW,
+        /// VTK's XML formats: `.vtp`, which is written, and `.vtu`.
+        Vtp => crate::vtk::ROW,
+        /// USD as text.
+        Usda => crate::usda::ROW,
+        /// Binary STL.
+        Stl => crate::stl::ROW,
+        /// A picture: colours.
+        Png => crate::png::ROW,
+        /// A picture: colours, depth, normals and more.
+        Exr => crate::exr::ROW,
+    }
+    read_only {
+        /// Houdini's geometry before version 12, binary; what simulators write.
+        ClassicBgeo => crate::bgeo::BINARY,
+        /// The same as text.
+        ClassicGeo => crate::bgeo::TEXT,
+        /// Houdini's geometry from version 12 on, binary.
+        HoudiniJsonBinary => crate::houdini::BINARY,
+        /// The same as text.
+        HoudiniJsonText => crate::houdini::TEXT,
+        /// The same, compressed with Blosc.
+        HoudiniSc => crate::houdini::CONTAINER,
+        /// VTK's old format, text or binary.
+        VtkLegacy => crate::vtk::LEGACY_ROW,
+        /// A table as text: CSV, tab- or space-separated.
+        Delimited => crate::csv::ROW,
+        /// Tables of particles by LAMMPS, one for each time step.
+        LammpsDump => crate::lammps::ROW,
+        /// Atoms as text, after their count and a comment; frames may follow each other.
+        XyzAtoms => crate::xyz_ext::ROW,
+        /// Positions as raw 32-bit reals.
+        RawXyz => crate::xyz::ROW,
+        /// One NumPy array.
+        Npy => crate::npy::ROW,
+        /// NumPy arrays with names, in a ZIP archive.
+        Npz => crate::npy::ARCHIVE_ROW,
+    }
+}
+
+impl Format {
+    /// The name that users know.
+    pub fn name(self) -> &'static str {
+        self.row().name
+    }
+
+    /// The extensions of its files, in lower case and without the dot.
+    pub fn extensions(self) -> &'static [&'static str] {
+        self.row().extensions
+    }
+
+    /// Whether meshes are read from its files.
+    pub fn has_mesh(self) -> bool {
+        self.row().read_mesh.is_some()
+    }
+
+    /// Whether particles are read from its files.
+    pub fn has_particles(self) -> bool {
+        self.row().particles.is_some()
+    }
+}
+
+impl OutputFormat {
+    /// The format whose results have this extension, in lower case and without the dot.
+    pub fn from_extension(extension: &str) -> Option<OutputFormat> {
+        OutputFormat::ALL.into_iter().find(|format| format.extension() == extension)
+    }
+
+    /// The extension of its files, without the dot.
+    pub fn extension(self) -> &'static str {
+        self.row().format.extensions.first().copied().unwrap_or_default()
+    }
+
+    /// One line that explains it in help.
+    pub fn help(self) -> &'static str {
+        self.row().help
+    }
+
+    /// What its files hold.
+    pub fn content(self) -> &'static Content {
+        &self.row().content
+    }
+
+    /// How it writes meshes, if it does.
+    pub fn mesh(self) -> Option<&'static MeshWriter> {
+        match self.content() {
+            Content::Mesh(writer) => Some(writer),
+            Content::LevelSet | Content::Picture(_) => None,
+        }
+    }
+
+    /// How it writes particles, if it does.
+    pub fn particles(self) -> Option<&'static ParticleWriter> {
+        self.row().write_particles.as_ref()
+    }
+
+    /// Whether its files hold a mesh.
+    pub fn is_mesh(self) -> bool {
+        self.mesh().is_some()
+    }
+
+    /// Whether its files are pictures.
+    pub fn is_picture(self) -> bool {
+        matches!(self.content(), Content::Picture(_))
+    }
+
+    /// Whether its files have attributes such as velocities.
+    pub fn has_attributes(self) -> bool {
+        self.row().has_attributes
+    }
+
+    /// Whether this option changes its files.
+    pub fn has_option(self, option: WriteOption) -> bool {
+        self.row().options.contains(&option)
+    }
+
+    /// The options that change its files.
+    pub fn options(self) -> &'static [WriteOption] {
+        self.row().options
+    }
+
+    /// Writes a mesh.
+    ///
+    /// # Errors
+    /// Those of [`MeshWriter::write`]; [`Error::Unsupported`] if the format has no meshes.
+    pub fn write_mesh(
+        self,
+        mesh: &MeshView,
+        options: &MeshOptions,
+        provenance: &Provenance,
+        out: &mut dyn Write,
+    ) -> Result<()> {
+        let writer = self.mesh().ok_or_else(|| Error::unsupported(self.row().format.name, "no meshes"))?;
+        writer.write(mesh, options, provenance, out)
+    }
+}
+
+impl fmt::Display for OutputFormat {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.extension())
+    }
+}
+
+impl FromStr for OutputFormat {
+    type Err = String;
+
+    /// The format with this extension.
+    fn from_str(extension: &str) -> std::result::Result<OutputFormat, String> {
+        OutputFormat::from_extension(extension).ok_or_else(|| format!("`{extension}` is not a format"))
+    }
+}
+
+impl Serialize for OutputFormat {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.extension())
+    }
+}
+
+impl<'de> Deserialize<'de> for OutputFormat {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<OutputFormat, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+    }
+}
+
+/// Reads back the provenance that a writer of this crate put into a file, from its first mebibyte.
+/// A file that another program made has none: the result is empty.
+///
+/// # Errors
+///
+/// [`crate::Error::Io`] if reading fails; [`crate::Error::Invalid`] if the head is not of this format.
+pub fn read_provenance(format: OutputFormat, file: impl Read) -> Result<Vec<(String, String)>> {
+    let mut head = Vec::new();
+    file.take(HEAD_BYTES_MAX).read_to_end(&mut head)?;
+    (format.row().read_provenance)(&head)
+}
+
+/// Words in a sentence, with `last` before the last one: `.obj, .vtp and .usda`.
+pub fn listed(words: Vec<String>, last: &str) -> String {
+    match words.split_last() {
+        Some((end, [])) => end.clone(),
+        Some((end, others)) => format!("{} {last} {end}", others.join(", ")),
+        None => String::new(),
+    }
+}
