@@ -135,7 +135,7 @@ pub enum Anisotropy {
 pub const EXPLICIT_STEP_MAX: f64 = 2.0 / EIGENVALUE_MAX as f64;
 
 /// Voxel sizes in world units: with others, vertices have no place in the range of 32-bit numbers.
-const VOXEL_SIZE_MIN: f64 = 1e-30;
+const VOXEL_SIZE_MIN: f64 = 1e-36;
 
 /// The greatest voxel size, world units.
 const VOXEL_SIZE_MAX: f64 = 1e30;
