@@ -6,7 +6,7 @@
 use std::collections::HashMap;
 use std::env;
 use std::fs::{self, File, Metadata, OpenOptions};
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
@@ -101,8 +101,16 @@ type Answer = Result<Vec<u8>, i32>;
 impl Server {
     fn serve(mut self) {
         let mut request = vec![0; 1 << 20];
-        // It ends when the file system is unmounted.
-        while let Ok(length) = self.device.read(&mut request) {
+        loop {
+            let length = match self.device.read(&mut request) {
+                Ok(length) => length,
+                // A signal to go on interrupts the call; a request may be withdrawn before it is read.
+                Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::NotFound) => {
+                    continue;
+                }
+                // The file system was unmounted.
+                Err(_) => return,
+            };
             let (header, body) = request[..length].split_at(40);
             let (operation, unique, node) = (u32_at(header, 4), u64_at(header, 8), u64_at(header, 16));
             // FORGET, INTERRUPT and BATCH_FORGET want no answer.
