@@ -155,7 +155,8 @@ fn limited_memory_is_an_error_without_scratch_and_the_same_surface_with_it() {
 #[test]
 fn obstacles_keep_the_surface_out() {
     let particles = block(6, [0.0; 3]);
-    let corners = [[-9.0, -9.0, -9.0], [9.0, -9.0, -9.0], [0.0, 20.0, -9.0], [0.0, 0.0, 2.5]];
+    // So flat that it is nearly a floor, half as high as the block.
+    let corners = [[-300.0, -300.0, -30.0], [300.0, -300.0, -30.0], [0.0, 600.0, -30.0], [2.5, 2.5, 3.0]];
     let tetrahedron = Obstacle::from_mesh(&corners, &[[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]);
     let mut reconstructor = Reconstructor::new(Options::default());
     let open = reconstructor.reconstruct(&particles).expect("valid");
@@ -163,7 +164,7 @@ fn obstacles_keep_the_surface_out() {
     assert_eq!(open.report.contact.particle_count, 0);
     let [kept_out, open] =
         [&kept_out, &open].map(|surface| (surface.report.contact.particle_count, surface.report.mesh.volume));
-    assert!(kept_out.0 > 0 && kept_out.1 < open.1 - 1.0, "{kept_out:?}, {open:?}");
+    assert!(kept_out.0 > 50 && kept_out.1 < 0.7 * open.1, "{kept_out:?}, {open:?}");
 }
 
 fn error(positions: &[[f64; 3]], attributes: &[Attribute], options: Options) -> Error {
