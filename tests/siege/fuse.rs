@@ -6,11 +6,11 @@
 use std::collections::HashMap;
 use std::env;
 use std::fs::{self, File, Metadata, OpenOptions};
-use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::io::{BufRead, BufReader, ErrorKind, Lines, Read, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, ChildStdout, Command, Stdio};
 
 use rustix::io::{FdFlags, fcntl_setfd};
 
@@ -25,6 +25,8 @@ const MOUNTED: &str = "the file system is mounted";
 pub(crate) struct Mount {
     server: Child,
     at: PathBuf,
+    /// What the server says: it would end if nobody could hear it.
+    _said: Lines<BufReader<ChildStdout>>,
 }
 
 impl Mount {
@@ -41,8 +43,7 @@ impl Mount {
             .expect("it starts");
         let mut lines = BufReader::new(server.stdout.take().expect("piped")).lines();
         let is_mounted = lines.any(|line| line.is_ok_and(|line| line.contains(MOUNTED)));
-        let mount = Mount { server, at: at.to_owned() };
-        // It goes on saying nothing: the pipe may close.
+        let mount = Mount { server, at: at.to_owned(), _said: lines };
         is_mounted.then_some(mount)
     }
 
