@@ -38,10 +38,7 @@ pub(super) struct LeafBatch {
 impl LeafBatch {
     /// Sorts a batch. Particles of a leaf keep their order. `with_places` where it will matter which particle is which.
     pub(super) fn new(positions: &Positions, lattice: &Lattice, with_places: bool) -> LeafBatch {
-        let placed = match positions {
-            Positions::F32(positions) => Placed::new(positions, lattice),
-            Positions::F64(positions) => Placed::new(positions, lattice),
-        };
+        let placed = Placed::new(positions, lattice);
         let mut origins: Vec<IVec3> = Vec::new();
         let mut starts = vec![0u32];
         let mut leaves: FxHashMap<IVec3, u32> = FxHashMap::default();
@@ -103,13 +100,20 @@ impl LeafBatch {
 
 /// For each particle the leaf that it lies in, and its position relative to that, in voxels. Where there is none
 /// the position is not a number, and the leaf none that there could be.
-struct Placed {
+pub(super) struct Placed {
     origins: Vec<IVec3>,
-    locals: Vec<Vec3>,
+    pub(super) locals: Vec<Vec3>,
 }
 
 impl Placed {
-    fn new<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> Placed {
+    pub(super) fn new(positions: &Positions, lattice: &Lattice) -> Placed {
+        match positions {
+            Positions::F32(positions) => Placed::of(positions, lattice),
+            Positions::F64(positions) => Placed::of(positions, lattice),
+        }
+    }
+
+    fn of<T: Copy + Into<f64>>(positions: &[[T; 3]], lattice: &Lattice) -> Placed {
         let mut placed =
             Placed { origins: vec![IVec3::ZERO; positions.len()], locals: vec![Vec3::ZERO; positions.len()] };
         simd::dispatch(Place {
@@ -122,7 +126,7 @@ impl Placed {
     }
 
     /// Particles in a row that lie in one leaf, for all that have a place.
-    fn runs(&self) -> impl Iterator<Item = (IVec3, Range<usize>)> {
+    pub(super) fn runs(&self) -> impl Iterator<Item = (IVec3, Range<usize>)> {
         let mut end = 0;
         let runs = self.origins.chunk_by(|one, other| one == other).map(move |origins| {
             let start = end;

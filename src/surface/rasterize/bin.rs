@@ -11,7 +11,8 @@
 //!
 //! Each batch is sorted by itself, on whichever thread is free; then each leaf takes its particles from the
 //! batches, in their order. So the order within a leaf is that of the source, and what there is at once is
-//! the batches under way, and twice the particles that are kept.
+//! the batches under way, and twice the particles that are kept. Of files with very many batches some in a row are merged
+//! first: blocks of memory are large then, and go back to the system when they are freed.
 
 use std::ops::Range;
 
@@ -66,24 +67,22 @@ impl ParticleBins {
     ) -> Result<ParticleBins, S::Error> {
         let keep = |batch: usize| {
             if !meet(&occupancy.batches[batch].voxels, &regions.populated) {
-                return Ok(KeptBatch::default());
+                return Ok(Kept::default());
             }
             let sorted = LeafBatch::new(&source.batch(batch)?, lattice, occupancy.has_shapes);
-            Ok(KeptBatch::new(&sorted, &source.shapes_of(batch), need))
+            Ok(Kept::new(&sorted, &source.shapes_of(batch), need))
         };
-        let batches = (0..source.batch_count()).into_par_iter().map(keep).collect::<Result<Vec<_>, _>>()?;
-        let mut counts = vec![0usize; need.occupied().len()];
-        for (leaf, range) in batches.iter().flat_map(KeptBatch::leaves) {
-            counts[leaf] += range.len();
-        }
-        let leaves: Vec<usize> = (0..counts.len()).filter(|&leaf| counts[leaf] > 0).collect();
-        let topology = Topology::new(leaves.iter().map(|&leaf| need.occupied().origins()[leaf]).collect());
-        let mut starts = vec![0; leaves.len() + 1];
-        for (place, &leaf) in leaves.iter().enumerate() {
-            starts[place + 1] = starts[place] + counts[leaf];
-        }
-        let positions = gather(&batches, &leaves, &starts, Vec3::ZERO, |batch| &batch.positions);
-        let shapes = gather_shapes(&batches, &leaves, &starts);
+        let batch_count = source.batch_count();
+        let group = batch_count.div_ceil(GROUPS).max(1);
+        let keep_group = |first: usize| {
+            let batches = first..batch_count.min(first + group);
+            let kept = batches.map(keep).collect::<Result<Vec<_>, _>>()?;
+            Ok(Kept::merged(kept))
+        };
+        let groups = (0..batch_count.div_ceil(group)).into_par_iter().map(|index| keep_group(index * group));
+        let Kept { leaves, starts, positions, shapes } = Kept::merged(groups.collect::<Result<Vec<_>, _>>()?);
+        let topology =
+            Topology::new(leaves.iter().map(|&leaf| need.occupied().origins()[leaf as usize]).collect());
         let (particle_count, dropped_count) = (occupancy.particle_count(), occupancy.dropped_count());
         let stray = occupancy.stray();
         let deep = if occupancy.has_shapes { need.deep_leaves().collect() } else { FxHashSet::default() };
@@ -121,19 +120,29 @@ impl ParticleBins {
     }
 }
 
-/// What is kept of a batch, in the order of the leaves.
-#[derive(Default)]
-struct KeptBatch {
-    /// Each leaf that has any, and where its particles end in `positions`.
-    leaves: Vec<(u32, u32)>,
+/// What is kept of some batches in a row, in the order of the leaves.
+struct Kept {
+    /// Each leaf that has any.
+    leaves: Vec<u32>,
+    /// Where the particles of each start; one more entry than leaves.
+    starts: Vec<usize>,
     positions: Vec<Vec3>,
     /// What they are, in the same order.
     shapes: Shapes,
 }
 
-impl KeptBatch {
+/// Batches are merged in so many groups.
+const GROUPS: usize = 256;
+
+impl Default for Kept {
+    fn default() -> Kept {
+        Kept { leaves: Vec::new(), starts: vec![0], positions: Vec::new(), shapes: Shapes::Balls }
+    }
+}
+
+impl Kept {
     /// `shapes` are those of the particles of the batch.
-    fn new(batch: &LeafBatch, shapes: &Shapes, need: &Need) -> KeptBatch {
+    fn new(batch: &LeafBatch, shapes: &Shapes, need: &Need) -> Kept {
         let needed = |(origin, locals, places)| {
             let leaf = need.occupied().find(origin)?;
             let kept = need.kept(leaf);
@@ -144,32 +153,50 @@ impl KeptBatch {
         needed.sort_unstable_by_key(|&(leaf, ..)| leaf);
         let mut positions = Vec::with_capacity(needed.iter().map(|(_, _, locals, _)| locals.len()).sum());
         let mut places_kept = Vec::new();
-        let mut leaves = Vec::with_capacity(needed.len());
+        let (mut leaves, mut starts) = (Vec::with_capacity(needed.len()), vec![0]);
         for (leaf, kept, locals, places) in needed {
             let is_kept = |local: &Vec3| kept.contains(cell_of(*local));
             positions.extend(locals.iter().filter(|local| is_kept(local)));
             let particles = locals.iter().zip(places).filter(|(local, _)| is_kept(local));
             places_kept.extend(particles.map(|(_, &place)| place));
-            leaves.push((leaf as u32, positions.len() as u32));
+            if starts.last() != Some(&positions.len()) {
+                leaves.push(leaf as u32);
+                starts.push(positions.len());
+            }
         }
         positions.shrink_to_fit();
-        KeptBatch { leaves, positions, shapes: shapes.of(&places_kept) }
+        Kept { leaves, starts, positions, shapes: shapes.of(&places_kept) }
     }
 
-    /// The leaves, and which of the particles are in them.
-    fn leaves(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
-        self.leaves_from(0)
+    /// What is kept of all these; the particles of a leaf in the order of the batches.
+    fn merged(mut batches: Vec<Kept>) -> Kept {
+        batches.retain(|batch| !batch.leaves.is_empty());
+        if batches.len() < 2 {
+            return batches.pop().unwrap_or_default();
+        }
+        let mut counts: Vec<(u32, usize)> = batches
+            .iter()
+            .flat_map(|batch| batch.leaves_from(0))
+            .map(|(leaf, range)| (leaf, range.len()))
+            .collect();
+        counts.par_sort_unstable();
+        let (mut leaves, mut starts) = (Vec::new(), vec![0]);
+        let mut end = 0;
+        for of_leaf in counts.chunk_by(|(one, _), (other, _)| one == other) {
+            end += of_leaf.iter().map(|(_, count)| count).sum::<usize>();
+            leaves.push(of_leaf[0].0);
+            starts.push(end);
+        }
+        let positions = gather(&batches, &leaves, &starts, Vec3::ZERO, |batch| &batch.positions);
+        let shapes = gather_shapes(&batches, &leaves, &starts);
+        Kept { leaves, starts, positions, shapes }
     }
 
-    /// Those from this leaf on.
-    fn leaves_from(&self, first: usize) -> impl Iterator<Item = (usize, Range<usize>)> {
-        let first = self.leaves.partition_point(|&(leaf, _)| (leaf as usize) < first);
-        let mut start = first.checked_sub(1).map_or(0, |before| self.leaves[before].1 as usize);
-        self.leaves[first..].iter().map(move |&(leaf, end)| {
-            let range = start..end as usize;
-            start = range.end;
-            (leaf as usize, range)
-        })
+    /// The leaves from this one on, and which of the particles are in them.
+    fn leaves_from(&self, first: u32) -> impl Iterator<Item = (u32, Range<usize>)> {
+        let first = self.leaves.partition_point(|&leaf| leaf < first);
+        let ranges = self.starts[first..].windows(2).map(|ends| ends[0]..ends[1]);
+        self.leaves[first..].iter().copied().zip(ranges)
     }
 }
 
@@ -180,8 +207,8 @@ pub(super) fn cell_of(local: Vec3) -> usize {
 }
 
 /// The shapes of the particles of these leaves in all batches.
-fn gather_shapes(batches: &[KeptBatch], leaves: &[usize], starts: &[usize]) -> Shapes {
-    // All batches have the same variant, but for those of which nothing was kept.
+fn gather_shapes(batches: &[Kept], leaves: &[u32], starts: &[usize]) -> Shapes {
+    // All batches have the same variant.
     match batches.iter().map(|batch| &batch.shapes).find(|shapes| !shapes.are_balls()) {
         None | Some(Shapes::Balls) => Shapes::Balls,
         Some(Shapes::Scaled(_)) => {
@@ -202,11 +229,11 @@ fn gather_shapes(batches: &[KeptBatch], leaves: &[usize], starts: &[usize]) -> S
 
 /// What there is of the particles of these leaves in all batches; `starts` tells where each leaf's are to be.
 fn gather<'a, T: Copy + Send + Sync + 'a>(
-    batches: &'a [KeptBatch],
-    leaves: &[usize],
+    batches: &'a [Kept],
+    leaves: &[u32],
     starts: &[usize],
     fill: T,
-    of: impl Fn(&'a KeptBatch) -> &'a [T] + Sync,
+    of: impl Fn(&'a Kept) -> &'a [T] + Sync,
 ) -> Vec<T> {
     let mut gathered = vec![fill; starts[leaves.len()]];
     // A piece for each of so many leaves that searching the batches for the first of them does not count.
@@ -226,9 +253,6 @@ fn gather<'a, T: Copy + Send + Sync + 'a>(
         for batch in batches {
             let mut place = 0;
             for (leaf, from) in batch.leaves_from(first).take_while(|&(leaf, _)| leaf <= last) {
-                if from.is_empty() {
-                    continue;
-                }
                 place += leaves[place..].partition_point(|&other| other < leaf);
                 let cursor = &mut cursors[place];
                 piece[*cursor..*cursor + from.len()].copy_from_slice(&of(batch)[from.clone()]);

@@ -51,7 +51,7 @@ const SPREAD_UNSEEN_VOXELS: i32 = 1 << 16;
 /// Which particles are near the surface.
 #[derive(Clone, Copy, Debug)]
 pub struct NearSurface {
-    /// Those so near to a place, axis by axis, that is not surely in a particle, in voxels.
+    /// Those so near to a place that is not surely in a particle, in voxels.
     pub depth: f32,
     /// What is surely in a particle is so near to it, in voxels.
     pub cover: f32,

@@ -40,7 +40,7 @@ pub struct Occupancy {
 
 /// What is known of a leaf that holds particles.
 struct Occupied {
-    octants: Box<Octants>,
+    octants: Octants,
     /// Those of its [round](ROUND) particles, where particles have shapes of their own.
     round: Option<Box<Octants>>,
     /// The longest half axis of any of its particles, in units of the radii.
@@ -113,7 +113,7 @@ impl Occupancy {
                 shards.add(
                     origin,
                     || Occupied {
-                        octants: Box::new(Octants::EMPTY),
+                        octants: Octants::EMPTY,
                         round: has_shapes.then(|| Box::new(Octants::EMPTY)),
                         longest: 0.0,
                         count: 0,
@@ -138,8 +138,8 @@ impl Occupancy {
         let batches = (0..source.batch_count()).into_par_iter().map(look).collect::<Result<Vec<_>, _>>()?;
         let mut occupied = shards.into_told();
         let strayed = strayed(|| occupied.iter().map(|(&origin, leaf)| (origin, leaf.count)));
-        let strayed_count =
-            strayed.iter().filter_map(|&origin| occupied.remove(origin)).map(|leaf| leaf.count).sum();
+        let mut count_of_removed = |&origin: &IVec3| occupied.remove(origin).map_or(0, |leaf| leaf.count);
+        let strayed_count = strayed.iter().map(&mut count_of_removed).sum();
         let of_leaf = |origin: &IVec3| (origin.as_dvec3() + 0.5 * f64::from(LEAF_EDGE)) * lattice.voxel_size;
         let stray =
             batches.iter().find_map(|batch| batch.beyond_grid).or_else(|| strayed.first().map(of_leaf));
@@ -164,7 +164,7 @@ impl Occupancy {
 
     /// The octants of the leaf with this origin.
     pub(super) fn octants_of(&self, origin: IVec3) -> Option<&Octants> {
-        self.occupied.get(origin).map(|leaf| &*leaf.octants)
+        self.occupied.get(origin).map(|leaf| &leaf.octants)
     }
 
     /// The octants with round particles of the leaf with this origin; `None` where all particles are alike.

@@ -7,6 +7,7 @@
 
 mod attributes;
 mod band;
+mod changes;
 mod fineness;
 mod finish;
 mod plan;

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Of particles deep inside nothing shows: they stay where they are, and are balls. How deep is a matter of the method, and
-//! not of tiles or memory: deeper than R and their own r_max, axis by axis, below every voxel that is not surely within
+//! not of tiles or memory: deeper than R and their own r_max below every voxel that is not surely within
 //! r_init of a particle as given. R, so that all of a particle's neighbours are deep where it is not moved: there the
 //! mean is about the particle itself, and its shape about a ball. r_max, so that it is covered by those that
 //! are moved. What smoothing would open so deep inside, where the density of particles changes within R, stays closed.
@@ -18,6 +18,7 @@ use std::borrow::Cow;
 
 use glam::DVec3;
 
+use super::changes::{Changes, Found, changed_bytes};
 use super::lattice;
 use crate::surface::anisotropy::{
     ByNeighbors, NeighborConfig, RadiusScales, Stretch, VelocityConfig, from_neighbors, from_velocities,
@@ -25,7 +26,7 @@ use crate::surface::anisotropy::{
 };
 use crate::surface::options::{Anisotropy, OwnRadii, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::{
-    Attribute, Cloud, Ellipsoid, ParticleSource, Particles, Positions, Shapes, attribute_of,
+    Attribute, Cloud, ParticleSource, Particles, Positions, Shapes, attribute_of,
 };
 use crate::surface::rasterize::{NearSurface, Vicinity};
 use crate::surface::report::Shaping;
@@ -101,20 +102,20 @@ fn in_blocks<S: ParticleSource>(
     settings: &Settings,
     gathered_max: usize,
 ) -> Result<(ShapedSource<S>, Shaping), S::Error> {
-    let unchanged = Changes { is_stretched: false, ..Changes::default() };
     if !settings.uses_neighbors() {
-        return Ok((ShapedSource { given, changes: unchanged }, shaping));
+        return Ok((ShapedSource { given, changes: Changes::default() }, shaping));
     }
     let stretch = stretch(settings);
     let lattice = lattice(settings);
     let depth = Depth::new(settings, given.has_shapes());
-    let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, |longest| depth.voxels(longest))?;
     // Of crowds, whole cells of the search count: those around the particle's own.
     let margin = (2.0 * settings.neighbor_radius / settings.voxel_size).ceil() as i32 + 1;
+    let depth_of = |longest| depth.voxels(longest);
+    let vicinity = Vicinity::new(&given, &lattice, depth.cover_voxels, depth_of, margin)?;
     let config = NeighborConfig { radius_world: settings.neighbor_radius, stretch };
     let mut found: Vec<Found> = Vec::new();
     shaping.longest = vicinity.longest().max(if stretch.is_some() { depth.ball } else { 0.0 });
-    for block in vicinity.blocks(margin, gathered_max) {
+    for block in vicinity.blocks(gathered_max) {
         let gathered = vicinity.gather(&block, &given, &lattice)?;
         let positions = Particles::Double(gathered.positions);
         let scales = (!gathered.scales.is_empty()).then_some(&*gathered.scales);
@@ -124,18 +125,14 @@ fn in_blocks<S: ParticleSource>(
         shaping.raised_count += raised_count;
         shaping.ball_count += ball_count;
         shaping.longest = shapes.iter().map(|shape| shape.longest).fold(shaping.longest, f32::max);
-        let sources: Vec<[u32; 2]> = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
-        let means = if settings.position_smoothing > 0.0 { stored(&means) } else { Vec::new() };
-        found.push(Found { sources, means, shapes }.without_unchanged());
+        let sources = indices.iter().map(|&index| gathered.sources[index as usize]).collect();
+        let means = if settings.position_smoothing > 0.0 { &*means } else { &[] };
+        found.push(Found::new(sources, means, shapes));
     }
-    let batch_count = given.batch_count();
     drop(vicinity);
-    let changes = Changes {
-        step_world: settings.position_smoothing * settings.neighbor_radius,
-        is_stretched: stretch.is_some(),
-        ball: depth.ball,
-        ..Changes::sorted(found, batch_count)
-    };
+    let step_world = settings.position_smoothing * settings.neighbor_radius;
+    let ball = stretch.is_some().then_some(depth.ball);
+    let changes = Changes::new(found, (step_world, ball), given.batch_count(), |batch| given.count_of(batch));
     Ok((ShapedSource { given, changes }, shaping))
 }
 
@@ -192,14 +189,8 @@ pub(super) fn near_surface(settings: &Settings) -> Option<NearSurface> {
 
 /// The memory that a particle takes whose neighbours are looked at, in bytes: while all are collected, and what is kept.
 pub(super) fn changes_bytes(settings: &Settings) -> [f64; 2] {
-    let [source, place] = [size_of::<[u32; 2]>(), size_of::<u32>()];
-    let mean = if settings.position_smoothing > 0.0 { size_of::<StoredMean>() } else { 0 };
-    let shape = match settings.anisotropy {
-        Anisotropy::Neighbors { .. } => size_of::<Ellipsoid>(),
-        Anisotropy::None | Anisotropy::Velocity { .. } => 0,
-    };
-    let kept = place + mean + shape;
-    [(source + mean + shape + kept) as f64, kept as f64]
+    let is_stretched = matches!(settings.anisotropy, Anisotropy::Neighbors { .. });
+    changed_bytes(settings.position_smoothing > 0.0, is_stretched)
 }
 
 /// The memory for the particles of a block and their neighbours, of a frame of so many, in bytes.
@@ -221,160 +212,6 @@ pub(super) fn shape_reach(settings: &Settings, longest: f32) -> u32 {
     let moved = settings.position_smoothing * radius;
     // In crowds, what is sampled depends on the whole cells around.
     (moved + depth.reach_voxels(longest).max(2.0 * radius)).ceil() as u32
-}
-
-/// What neighbours make of the particles of a block.
-struct Found {
-    /// The batch of each, and its place in that.
-    sources: Vec<[u32; 2]>,
-    /// Empty where none is moved.
-    means: Vec<StoredMean>,
-    /// Empty where none is stretched.
-    shapes: Vec<Ellipsoid>,
-}
-
-/// Where the mean of a particle's neighbours is, from the particle, in units of R / 32767: of frames with hundreds of
-/// millions of particles all that are near the surface are kept at once, and a ten-thousandth of their spacing is enough.
-type StoredMean = [i16; 3];
-
-/// From units of R, each at most 1 from 0.
-fn stored(means: &[[f32; 3]]) -> Vec<StoredMean> {
-    let part = |part: f32| (part * f32::from(i16::MAX)).round() as i16;
-    means.iter().map(|mean| mean.map(part)).collect()
-}
-
-/// In units of R.
-fn mean_of(stored: StoredMean) -> glam::Vec3 {
-    glam::Vec3::from(stored.map(f32::from)) / f32::from(i16::MAX)
-}
-
-impl Found {
-    /// The same without particles that are neither moved nor stretched: those of a lattice, behind its outermost layers.
-    fn without_unchanged(self) -> Found {
-        if !self.shapes.is_empty() || self.means.is_empty() {
-            return self;
-        }
-        let kept = || self.means.iter().map(|mean| *mean != [0; 3]);
-        let sources = self.sources.iter().zip(kept()).filter(|(_, kept)| *kept).map(|(source, _)| *source);
-        let means = self.means.iter().zip(kept()).filter(|(_, kept)| *kept).map(|(mean, _)| *mean);
-        Found { sources: sources.collect(), means: means.collect(), shapes: Vec::new() }
-    }
-}
-
-/// What neighbours change of the particles of a source: of those near its surface.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct Changes {
-    /// How far a mean that is R away moves a particle, world units: λR.
-    step_world: f64,
-    /// Where the particles of each batch start; one more entry than batches, or none where nothing is changed.
-    starts: Vec<usize>,
-    /// Places in their batches.
-    places: Vec<u32>,
-    /// Empty where none is moved.
-    means: Vec<StoredMean>,
-    /// Empty where none is stretched.
-    shapes: Vec<Ellipsoid>,
-    is_stretched: bool,
-    /// The scale of those that are not stretched and have none of their own.
-    ball: f32,
-}
-
-impl Changes {
-    /// Puts in the order of the batches what was found in blocks. It frees a block once it is in place.
-    fn sorted(found: Vec<Found>, batch_count: usize) -> Changes {
-        let mut starts = vec![0; batch_count + 1];
-        for [batch, _] in found.iter().flat_map(|found| &found.sources) {
-            starts[*batch as usize + 1] += 1;
-        }
-        for batch in 0..batch_count {
-            starts[batch + 1] += starts[batch];
-        }
-        let count = starts[batch_count];
-        let moves = found.iter().any(|found| !found.means.is_empty());
-        let stretches = found.iter().any(|found| !found.shapes.is_empty());
-        let mut cursors = starts.clone();
-        let mut places = vec![0; count];
-        let mut means = vec![[0; 3]; if moves { count } else { 0 }];
-        let mut shapes = vec![Ellipsoid::ball(1.0); if stretches { count } else { 0 }];
-        for block in found {
-            for (index, &[batch, place]) in block.sources.iter().enumerate() {
-                let cursor = &mut cursors[batch as usize];
-                places[*cursor] = place;
-                if let Some(&mean) = block.means.get(index) {
-                    means[*cursor] = mean;
-                }
-                if let Some(&shape) = block.shapes.get(index) {
-                    shapes[*cursor] = shape;
-                }
-                *cursor += 1;
-            }
-        }
-        Changes { starts, places, means, shapes, ..Changes::default() }
-    }
-
-    /// The range of what is changed of a batch.
-    fn of(&self, batch: usize) -> std::ops::Range<usize> {
-        match self.starts.get(batch..batch + 2) {
-            Some(&[start, end]) => start..end,
-            _ => 0..0,
-        }
-    }
-
-    /// The places in a batch of the particles that are moved, and by how much, world units.
-    fn moves_of(&self, batch: usize) -> impl Iterator<Item = (usize, DVec3)> {
-        let range = if self.means.is_empty() { 0..0 } else { self.of(batch) };
-        let step = |mean: &StoredMean| mean_of(*mean).as_dvec3() * self.step_world;
-        let places = self.places[range.clone()].iter();
-        places.zip(&self.means[range]).map(move |(&place, mean)| (place as usize, step(mean)))
-    }
-
-    /// The shapes of a batch, of which so many were given.
-    fn shapes_of(&self, batch: usize, given: Shapes, count: usize) -> Shapes {
-        if !self.is_stretched {
-            return given;
-        }
-        let mut shapes = match given {
-            Shapes::Balls => vec![Ellipsoid::ball(self.ball); count],
-            Shapes::Scaled(scales) => scales.into_iter().map(Ellipsoid::ball).collect(),
-            Shapes::Ellipsoids(ellipsoids) => ellipsoids,
-        };
-        let range = self.of(batch);
-        for (&place, &shape) in self.places[range.clone()].iter().zip(&self.shapes[range]) {
-            shapes[place as usize] = shape;
-        }
-        Shapes::Ellipsoids(shapes)
-    }
-
-    /// Changes all particles that were given, which are in memory.
-    fn apply<'a>(&self, mut positions: Positions<'a>, shapes: Shapes) -> (Positions<'a>, Shapes) {
-        let batch_count = positions.batch_count();
-        for batch in 0..batch_count {
-            let first = positions.range_of(batch).start;
-            for (place, step) in self.moves_of(batch) {
-                match &mut positions {
-                    Positions::F32(positions) => moved_single(&mut positions.to_mut()[first + place], step),
-                    Positions::F64(positions) => moved_double(&mut positions.to_mut()[first + place], step),
-                }
-            }
-        }
-        if !self.is_stretched {
-            return (positions, shapes);
-        }
-        let of_batch = |batch| {
-            let range = positions.range_of(batch);
-            match self.shapes_of(batch, shapes.in_range(range.clone()), range.len()) {
-                Shapes::Ellipsoids(ellipsoids) => ellipsoids,
-                Shapes::Balls | Shapes::Scaled(_) => Vec::new(),
-            }
-        };
-        let stretched = Shapes::Ellipsoids((0..batch_count).flat_map(of_batch).collect());
-        (positions, stretched)
-    }
-
-    fn size_bytes(&self) -> usize {
-        let Changes { starts, places, means, shapes, .. } = self;
-        size_of_val(&**starts) + size_of_val(&**places) + size_of_val(&**means) + size_of_val(&**shapes)
-    }
 }
 
 /// Particles where their neighbours move them and as they stretch them.
@@ -422,14 +259,6 @@ impl ShapedSource<Cloud> {
     }
 }
 
-fn moved_single(position: &mut [f32; 3], step: DVec3) {
-    *position = (glam::Vec3::from(*position).as_dvec3() + step).as_vec3().to_array();
-}
-
-fn moved_double(position: &mut [f64; 3], step: DVec3) {
-    *position = (DVec3::from(*position) + step).to_array();
-}
-
 impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
     type Error = S::Error;
 
@@ -439,25 +268,16 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
 
     fn batch(&self, batch: usize) -> Result<Positions<'_>, S::Error> {
         let mut positions = self.given.batch(batch)?;
-        for (place, step) in self.changes.moves_of(batch) {
-            match &mut positions {
-                Positions::F32(positions) => moved_single(&mut positions.to_mut()[place], step),
-                Positions::F64(positions) => moved_double(&mut positions.to_mut()[place], step),
-            }
-        }
+        self.changes.move_batch(batch, &mut positions, 0);
         Ok(positions)
     }
 
     fn has_shapes(&self) -> bool {
-        self.changes.is_stretched || self.given.has_shapes()
+        self.changes.stretches() || self.given.has_shapes()
     }
 
     fn shapes_of(&self, batch: usize) -> Shapes {
-        let given = self.given.shapes_of(batch);
-        if !self.changes.is_stretched {
-            return given;
-        }
-        self.changes.shapes_of(batch, given, self.given.count_of(batch))
+        self.changes.shapes_of(batch, self.given.shapes_of(batch), self.given.count_of(batch))
     }
 
     fn count_of(&self, batch: usize) -> usize {
@@ -465,7 +285,7 @@ impl<S: ParticleSource> ParticleSource for ShapedSource<S> {
     }
 
     fn has_moved(&self) -> bool {
-        self.changes.step_world > 0.0
+        self.changes.moves()
     }
 
     fn given_of(&self, batch: usize) -> Result<Vec<[DVec3; 2]>, S::Error> {
@@ -551,10 +371,12 @@ const SCALE_ROOM: f32 = 3.0;
 
 #[cfg(test)]
 mod tests {
+    use super::super::changes::{moved_double, rounded};
     use super::*;
     use crate::surface::anisotropy::from_neighbors;
     use crate::surface::obstacle::Obstacles;
     use crate::surface::options::{AnisotropyKind, MethodOptions};
+    use crate::surface::particles::Ellipsoid;
     use crate::surface::skin::{Stored, Surface, contour, rasterize, smooth};
 
     /// Batches of so many, as from a file.
@@ -670,11 +492,20 @@ mod tests {
         contour(smooth(rasterized, settings), settings, &[Stored::AsTheyAre])
     }
 
+    /// Some of these: those of a ball, whose surface has all directions.
+    fn round(cloud: &Cloud, radius: f64) -> Cloud {
+        let Particles::Double(positions) = &cloud.positions else { panic!("64 bits") };
+        let is_in = |at: &&[f64; 3]| DVec3::from(**at).distance(DVec3::splat(radius)) < radius;
+        Particles::Double(positions.iter().filter(is_in).copied().collect()).into()
+    }
+
     /// What is deep inside may as well stay where it is.
     #[test]
     fn the_surface_is_that_of_all_particles_moved() {
-        let cloud = cloud(26);
-        for choices in choices() {
+        let block = cloud(26);
+        let ball = round(&cloud(34), 17.0);
+        let cases = choices().into_iter().flat_map(|choices| [(choices.clone(), &block), (choices, &ball)]);
+        for (choices, cloud) in cases {
             let settings = Settings::paper(0.5, &choices).expect("sound");
             let (near, shaping) = shape(cloud.clone(), &settings);
             let deep_count = cloud.positions.len() - shaping.near_count;
@@ -686,7 +517,7 @@ mod tests {
             let Particles::Double(mut positions) = cloud.positions.clone() else { panic!("64 bits") };
             let mut shapes = vec![Ellipsoid::ball(1.0); positions.len()];
             for (place, &index) in found.indices.iter().enumerate() {
-                let mean = mean_of(stored(&found.means[place..place + 1])[0]).as_dvec3();
+                let mean = rounded(found.means[place]).as_dvec3();
                 moved_double(&mut positions[index as usize], mean * step);
                 if let Some(&shape) = found.shapes.get(place) {
                     shapes[index as usize] = shape;
