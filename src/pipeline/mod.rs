@@ -26,6 +26,7 @@
 //!   framing     the camera of a sequence of pictures   frame_number  the number in a frame's name
 //!   observer    is notified while frames advance
 //!   record      what was measured, as JSON             shot      all frames in one file
+//!   json        values that JSON has no form for
 //!   certificate_file  what was checked of a frame, beside it   inspection  what there is of a frame already
 //! ```
 //!
@@ -70,6 +71,7 @@ mod frame_input;
 mod frame_number;
 mod framing;
 mod inspection;
+pub(crate) mod json;
 mod level_set_file;
 mod measured_spacing;
 mod memory;

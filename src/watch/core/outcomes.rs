@@ -127,7 +127,8 @@ impl Core {
         frame.attempt_count = 0;
         self.failed.remove(id);
         self.set_phase(id, Phase::Done(record.stamp));
-        self.record(self.output_of[id.root], Entry::Frame(Arc::clone(&id.path), Arc::new(record)), Some(log));
+        let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
+        self.record(self.output_of[id.root], entry, Some(log));
     }
 
     /// A frame failed: what now depends on why.
@@ -272,7 +273,8 @@ impl Core {
             let FrameRecord { outputs, particle_count, seconds, flaws, figures, .. } = (**known).clone();
             record = FrameRecord { outputs, particle_count, seconds, flaws, figures, ..record };
         }
-        self.record(self.output_of[id.root], Entry::Frame(Arc::clone(&id.path), Arc::new(record)), log);
+        let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
+        self.record(self.output_of[id.root], entry, log);
         self.changed.insert(id.clone());
     }
 
@@ -307,7 +309,7 @@ impl Core {
 /// Whether these are the same files with the same bytes.
 fn are_the_same(known: &[OutputRecord], now: &[OutputRecord]) -> bool {
     let bytes = |outputs: &[OutputRecord]| -> Vec<_> {
-        outputs.iter().map(|output| (output.path.clone(), output.state.map(|state| state.hash))).collect()
+        outputs.iter().map(|output| (output.path.clone(), output.hash)).collect()
     };
     let known = bytes(known);
     known == bytes(now) && known.iter().all(|(_, hash)| hash.is_some())
