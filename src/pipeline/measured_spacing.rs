@@ -315,7 +315,7 @@ mod tests {
             };
             let positions = Particles::Double(Vec::clone(&positions));
             let cloud = Cloud { attributes: vec![radii], ..Cloud::from(positions) };
-            ReadFrame { cloud, notes: Vec::new(), unused_velocity: None }
+            ReadFrame { cloud, warnings: Vec::new(), unused_velocity: None }
         };
         let of_frame = |read: &ReadFrame, own: Option<&OwnRadii>| {
             combined(&[measured_of(Path::new("a"), read, own).expect("enough")]).expect("a frame")

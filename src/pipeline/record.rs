@@ -402,7 +402,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
     let SkinReport { seconds, mesh, convergence, .. } = &report.skin;
     MeasuredRecord {
         outputs: report.outputs.iter().map(|path| text(path)).collect(),
-        notes: report.notes.clone(),
+        notes: report.warnings.iter().map(ToString::to_string).collect(),
         voxel_size: report.voxel_size,
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,
