@@ -25,6 +25,7 @@ mod plan;
 mod print_settings;
 mod progress;
 mod quantities;
+mod remedies;
 mod render;
 mod resolving;
 mod resurfacing;

@@ -180,9 +180,7 @@ impl<'a> Shots<'a> {
         console: &Console,
     ) -> Result<Vec<PathBuf>> {
         let subject = self.studio.subject(file, settings)?;
-        for note in self.studio.notes_of(&subject) {
-            console.warn(format_args!("warning: {}: {note}", file.path.display()));
-        }
+        self.studio.print_warnings(file, &subject, console);
         let outputs = &self.studio.outputs;
         let mut written = Vec::new();
         let stems = self.stems(file);

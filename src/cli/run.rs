@@ -1,20 +1,20 @@
 //! Frames through the pipeline: their outcomes on the console, in the order of the inputs, and a summary of all.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use rayon::ThreadPool;
 
 use crate::pipeline::{
     self, Frame, FrameReport, Job, LevelSetSkinning, OnError, Outcome, OutputFormat, PipelineOptions,
-    RunRecord, SequenceRecord, ShotSource, gist, keeps_guarantees, notes, output_path, shown, standing_notes,
-    velocity_hint,
+    ReportedWarnings, RunRecord, Scope, SequenceRecord, ShotSource, output_path, shown,
 };
 
 use super::Verdict;
 use super::console::Console;
 use super::output_records::OutputRecords;
 use super::progress::Progress;
+use super::remedies::{velocity_hint, with_remedy};
 use super::wording::{FRAMES_IN_VIEW, counted, described, failed_validation};
 
 /// A frame of a batch.
@@ -63,8 +63,8 @@ pub(super) struct Batch {
     failures: Vec<String>,
     /// How many frames had an outcome before the first failure.
     failed_first: Option<usize>,
-    /// The gist of each warning that was printed, by sequence, and how many similar ones were not.
-    printed: HashSet<(usize, String)>,
+    /// Which warnings were printed, by sequence, and how many similar ones were not.
+    printed: HashMap<usize, ReportedWarnings>,
     suppressed_count: usize,
     /// Whether the hint at velocities that are not used was printed.
     is_velocity_hinted: bool,
@@ -87,7 +87,7 @@ impl Batch {
             not_started_count: 0,
             failures: Vec::new(),
             failed_first: None,
-            printed: HashSet::new(),
+            printed: HashMap::new(),
             suppressed_count: 0,
             is_velocity_hinted: false,
             shot_frames: Vec::new(),
@@ -247,13 +247,14 @@ impl Batch {
     ) {
         self.done_count += 1;
         let has_surface = frame.job != Job::Particles;
-        self.broken_count += usize::from(has_surface && !keeps_guarantees(report));
-        let standing = standing_notes(report).into_iter();
-        let is_new = |note: &String| self.printed.insert((sequence_index, gist(note)));
-        let (new, known): (Vec<String>, Vec<String>) = standing.partition(is_new);
-        self.suppressed_count += known.len();
-        for note in new.into_iter().chain(notes(report)) {
-            console.warn(format_args!("warning: {}: {note}", shown(&frame.input)));
+        self.broken_count += usize::from(has_surface && !report.keeps_guarantees());
+        let printed = self.printed.entry(sequence_index).or_default();
+        for warning in report.all_warnings() {
+            if warning.scope() == Scope::Frame || printed.is_new(&warning) {
+                console.warn(format_args!("warning: {}: {}", shown(&frame.input), with_remedy(&warning)));
+            } else {
+                self.suppressed_count += 1;
+            }
         }
         // Once is enough.
         if let Some(velocity) = &report.unused_velocity

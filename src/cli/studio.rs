@@ -13,7 +13,7 @@ use anyhow::{Context, Error, Result, bail};
 
 use crate::pipeline::{
     FrameError, FrameFile, LevelSetFile, LoadedFrame, NOTHING, ObstacleFiles, OutputFormat, OutputOptions,
-    PictureOptions, Reconstruction, Scene, Sequence, Stage, Viewpoint, files_in, is_level_set,
+    PictureOptions, Reconstruction, Scene, Sequence, Stage, Viewpoint, Warning, files_in, is_level_set,
     picture_provenance, sequence_bounds, up_of, velocities,
 };
 use crate::render::{Picture, render_particles, side_by_side};
@@ -26,6 +26,7 @@ use super::choices::{ignored, output_options};
 use super::console::Console;
 use super::inputs::{Found, find_beside_others, find_inputs};
 use super::quantities::{PictureSize, memory_bytes};
+use super::remedies::with_remedy;
 use super::resolving::measured_spacing;
 use super::wording::counted;
 
@@ -171,14 +172,18 @@ impl<'a> Studio<'a> {
         frame.skin(settings, &self.obstacles, &self.outputs, self.memory_bytes)
     }
 
-    /// What a user should know of a frame. That there are no velocities is nothing to tell where nobody asked for them.
-    pub(super) fn notes_of<'n>(&self, subject: &'n Subject) -> impl Iterator<Item = &'n String> {
-        let notes = match subject {
-            Subject::LevelSet(level_set) => &level_set.notes,
-            Subject::Skinned(skinned) => &skinned.made.notes,
+    /// Prints the warnings about a frame. Velocities that are missing are not one where the user did not ask for them.
+    pub(super) fn print_warnings(&self, file: &FrameFile, subject: &Subject, console: &Console) {
+        let warnings = match subject {
+            Subject::LevelSet(level_set) => &level_set.warnings,
+            Subject::Skinned(skinned) => &skinned.made.warnings,
         };
         let is_asked = self.method.options.attributes.is_some();
-        notes.iter().filter(move |note| is_asked || !note.starts_with(&format!("no attribute `{VELOCITY}`")))
+        let is_velocity =
+            |warning: &Warning| matches!(warning, Warning::MissingAttribute { name, .. } if name == VELOCITY);
+        for warning in warnings.iter().filter(|warning| is_asked || !is_velocity(warning)) {
+            console.warn(format_args!("warning: {}: {}", file.path.display(), with_remedy(warning)));
+        }
     }
 
     /// Whether pictures have a place for velocities.

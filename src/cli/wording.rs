@@ -1,7 +1,7 @@
 //! Numbers and measurements in words.
 
 use crate::pipeline::{FrameReport, Job};
-pub(in crate::cli) use crate::surface::words::{counted, significant};
+pub(in crate::cli) use crate::surface::words::{counted, rounded_down, significant};
 
 /// What was said before more frames than this has scrolled away.
 pub(super) const FRAMES_IN_VIEW: usize = 20;

@@ -9,7 +9,7 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -18,6 +18,7 @@ use meniscus_formats::UpAxis;
 use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
+use crate::pipeline::json::write_json;
 use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
     PictureOptions, file_of, open_regular, write_whole,
@@ -150,10 +151,7 @@ impl Plan {
     /// When a path is not Unicode, or the system refuses.
     pub fn write(&self, path: &Path) -> Result<(), PlanError> {
         let file = PlanFile::of(self)?;
-        let written = write_whole(path, |out| {
-            serde_json::to_writer_pretty(&mut *out, &file).map_err(io::Error::from)?;
-            Ok(out.write_all(b"\n")?)
-        });
+        let written = write_whole(path, |out| Ok(write_json(out, &file)?));
         written.map_err(|error| PlanError::at("", format!("cannot be written: {error}")))
     }
 }

@@ -1,12 +1,12 @@
 //! Whether what was planned is there.
 
-use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use serde::Serialize;
 
+use crate::pipeline::json::write_json;
 use crate::pipeline::{FrameState, Inspection, ObstacleFiles, inspect, write_whole};
 
 use super::plan::Plan;
@@ -180,9 +180,6 @@ impl<'a> VerdictRecord<'a> {
     /// # Errors
     /// When the system refuses.
     pub fn write(&self, path: &Path) -> meniscus_formats::Result<()> {
-        write_whole(path, |out| {
-            serde_json::to_writer_pretty(&mut *out, self).map_err(io::Error::from)?;
-            Ok(out.write_all(b"\n")?)
-        })
+        write_whole(path, |out| Ok(write_json(out, self)?))
     }
 }

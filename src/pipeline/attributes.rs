@@ -8,6 +8,8 @@ use meniscus_formats::{Attribute as FileAttribute, Role, Values};
 use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};
 use crate::surface::particles::{Attribute, AttributeValues, Meaning, attribute_of};
 
+use super::warning::Warning;
+
 /// What a frame needs of the attributes in its file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
@@ -30,12 +32,16 @@ struct Needed {
 }
 
 impl Needed {
-    /// What to say where it is not among these attributes, of which it is told which there are.
-    fn why_missing(&self, all: &[Attribute], there: &str) -> String {
+    /// What to say where it is not among these attributes.
+    fn why_missing(&self, all: &[Attribute]) -> String {
         let Needed { name, arity, option, .. } = self;
         let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
         match all.iter().find(|attribute| attribute.is_called(name)) {
-            None => format!("the particles have no attribute `{name}`, which {option} needs: {there}"),
+            None => {
+                let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
+                let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
+                format!("the particles have no attribute `{name}`, which {option} needs: it has {there}")
+            }
             Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
                 format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
             }
@@ -103,23 +109,20 @@ impl Wanted {
     ///
     /// # Errors
     /// What is missing, or of no use, where the frame cannot be skinned without.
-    pub(super) fn of(&self, attributes: Vec<FileAttribute>) -> Result<(Vec<Attribute>, Vec<String>), String> {
+    pub(super) fn of(
+        &self,
+        attributes: Vec<FileAttribute>,
+    ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
         if self.is_nothing() {
             return Ok((Vec::new(), Vec::new()));
         }
         let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
-        let there = || match &all[..] {
-            [] => "it has none".to_owned(),
-            all => {
-                let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
-                format!("it has {}", names.join(", "))
-            }
-        };
+        let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
         let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
         for needed in &self.needed {
             let why = match attribute_of(&all, &needed.name, needed.arity) {
                 Some(attribute) => needed.why_useless(attribute),
-                None => Some(needed.why_missing(&all, &there())),
+                None => Some(needed.why_missing(&all)),
             };
             if let Some(why) = why {
                 return Err(why);
@@ -130,8 +133,9 @@ impl Wanted {
             _ => &[],
         };
         let missing = named.iter().filter(|name| !is_there(name));
-        let notes =
-            missing.map(|name| format!("no attribute `{name}` for the surface: {}", there())).collect();
+        let missing =
+            missing.map(|name| Warning::MissingAttribute { name: name.clone(), available: available() });
+        let missing: Vec<Warning> = missing.collect();
         // Of `v` and `velocity`, `--attributes v` means the one that is called so, and not the one that means it.
         let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
         let is_named = |attribute: &Attribute| {
@@ -149,7 +153,7 @@ impl Wanted {
             })
             .collect();
         let kept = all.into_iter().zip(keep).filter_map(|(attribute, keep)| keep.then_some(attribute));
-        Ok((kept.collect(), notes))
+        Ok((kept.collect(), missing))
     }
 
     /// Whether the surface is to have the velocities of the particles, which have this name.
@@ -251,8 +255,9 @@ mod tests {
         let all =
             wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
         assert_eq!(kept(&all), ["vel", "rgb", "pscale", "Kind"]);
-        let (_, notes) = named(&["age"]).of(two_particles()).expect("nothing is needed");
-        assert!(notes[0].contains("`age`") && notes[0].contains("vel, rgb, pscale, Kind"), "{notes:?}");
+        let (_, missing) = named(&["age"]).of(two_particles()).expect("nothing is needed");
+        let missing = missing[0].to_string();
+        assert!(missing.contains("`age`") && missing.contains("vel, rgb, pscale, Kind"), "{missing}");
     }
 
     #[test]

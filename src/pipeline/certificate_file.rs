@@ -14,13 +14,14 @@
 
 use std::borrow::Cow;
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
 use crate::surface::report::SkinReport;
 
+use super::json::write_json;
 use super::names::name_of_text;
 use super::provenance::GENERATOR_AND_VERSION;
 use super::reading::{InputFile, read_start_unchanged};
@@ -105,10 +106,7 @@ pub(super) fn write_certificate(
         certificate: certificate_record(report),
         outputs: outputs.iter().map(certified).collect::<io::Result<_>>()?,
     };
-    write_unseen(path, |out| {
-        serde_json::to_writer_pretty(&mut *out, &written).map_err(io::Error::from)?;
-        Ok(out.write_all(b"\n")?)
-    })
+    write_unseen(path, |out| Ok(write_json(out, &written)?))
 }
 
 /// What is said of an output: of its bytes as they can be read, not as they were meant to be.

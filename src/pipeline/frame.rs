@@ -23,6 +23,7 @@ use super::shown::shown;
 use super::source::FrameFile;
 use super::stamp::FileStamp;
 use super::viewpoint::CameraChoice;
+use super::warning::Warning;
 
 /// What a frame is made from, and what it becomes.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -175,22 +176,10 @@ pub struct FrameReport {
     pub outputs: Vec<PathBuf>,
     /// The size of each of them.
     pub output_bytes: Vec<u64>,
-    /// What a user should know though the frame was converted.
-    pub notes: Vec<String>,
+    /// What a user should know though the frame was converted, beside what [was measured](FrameReport::all_warnings).
+    pub warnings: Vec<Warning>,
     /// The name of the particles' velocities, where there are some and the outputs could have them but do not.
     pub unused_velocity: Option<String>,
-}
-
-/// How to have the velocities of particles in the outputs, for whoever did not ask for them.
-pub fn velocity_hint(name: &str) -> String {
-    format!(
-        "frames have the attribute \"{name}\" (velocity); --attributes {name} adds it to the outputs for motion blur"
-    )
-}
-
-/// What a note says, whatever its numbers are: one with the same gist need not be told again of the next frame.
-pub fn gist(note: &str) -> String {
-    note.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect()
 }
 
 /// The stages of a frame, as users know them.

@@ -20,6 +20,7 @@ use crate::surface::skin::{self, ShapedSource};
 use super::frame::{Cause, Job};
 use super::level_set_file::LevelSetFile;
 use super::reading::InputFile;
+use super::warning::Warning;
 
 /// What a frame is made from.
 #[derive(Debug)]
@@ -75,8 +76,8 @@ impl FileParticles {
     }
 
     /// What a user should know of the file.
-    pub(super) fn notes(&self) -> Vec<String> {
-        self.batches.notes().to_vec()
+    pub(super) fn warnings(&self) -> Vec<Warning> {
+        self.batches.notes().iter().cloned().map(Warning::Sentence).collect()
     }
 
     /// The name of the velocities, which are not read.

@@ -23,8 +23,8 @@ use twox_hash::XxHash3_128;
 
 use super::certificate_file::{CertifiedFrame, certificate_path, hash_text, read_certificate};
 use super::frame::{Frame, Job};
+use super::frame_warnings::does_not_hold;
 use super::level_set_file::LevelSetFile;
-use super::notes::does_not_hold;
 use super::open::open_regular;
 use super::outputs::{OutputFormat, output_path};
 use super::provenance::provenance;

@@ -10,7 +10,7 @@ use twox_hash::XxHash3_128;
 
 use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology};
 use crate::surface::level_set::{
-    NarrowBand, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
+    NarrowBand, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
 };
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
@@ -19,6 +19,7 @@ use super::memory::default_memory_bytes;
 use super::outputs::OutputFormat;
 use super::picture::Scene;
 use super::reading::read_file;
+use super::warning::Warning;
 
 /// A level set that was read from a file.
 #[derive(Clone, Debug)]
@@ -34,7 +35,7 @@ pub struct LevelSetFile {
     /// The XXH3 hash of the file, 128 bits.
     pub hash: u128,
     /// What a user should know though the file was read.
-    pub notes: Vec<String>,
+    pub warnings: Vec<Warning>,
 }
 
 impl LevelSetFile {
@@ -62,14 +63,15 @@ impl LevelSetFile {
         let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
         let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
         let rebuilding_bytes = memory_bytes.saturating_sub(bytes.len() as u64 + data.memory_bytes());
-        let (band, lattice, origin, notes) = level_set(data, rebuilding_leaf_count_max(rebuilding_bytes))
+        let (band, lattice, origin, rebuilt) = level_set(data, rebuilding_leaf_count_max(rebuilding_bytes))
             .map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
-        let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, notes };
+        let warnings = rebuilt.into_iter().map(Warning::Rebuilt).collect();
+        let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, warnings };
         if wants_velocity {
             let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
             match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
                 Some(Ok(velocity)) => file.velocity = Some(velocity),
-                Some(Err(why)) => file.notes.push(format!("its velocities are not shown: {why}")),
+                Some(Err(why)) => file.warnings.push(Warning::VelocitiesNotShown(why)),
                 None => {}
             }
         }
@@ -128,14 +130,11 @@ pub(super) fn read_input(
     Ok((Frame { settings: settings.into(), job, ..frame.clone() }, file))
 }
 
-/// What a user should know of a file with several grids: one was taken.
-pub(super) fn notes_of_grids(bytes: &[u8]) -> Vec<String> {
+/// A warning about a file with several grids: one was taken.
+pub(super) fn other_grids(bytes: &[u8]) -> Option<Warning> {
     let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
-    match grids.len().saturating_sub(1) {
-        0 => Vec::new(),
-        1 => vec!["1 more grid in the file is not kept".to_owned()],
-        others => vec![format!("{others} more grids in the file are not kept")],
-    }
+    let count = grids.len().saturating_sub(1);
+    (count > 0).then_some(Warning::OtherGrids { count })
 }
 
 /// What grids of velocities are called.
@@ -146,8 +145,8 @@ pub(super) fn level_set_limits(memory_bytes: u64) -> Limits {
     Limits { level_set_bytes: memory_bytes, ..Limits::default() }
 }
 
-/// A level set in voxels, its lattice and origin, and notes on it.
-type InVoxels = (NarrowBand, Lattice, DVec3, Vec<String>);
+/// A level set in voxels, its lattice and origin, and why it was rebuilt, if it was.
+type InVoxels = (NarrowBand, Lattice, DVec3, Option<RebuildReason>);
 
 fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxels, String> {
     let LevelSetData { name, class, transform, background, origins, leaves, tiles, .. } = data;
@@ -180,7 +179,7 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
     match rebuilt(&stored, rebuilt_leaf_count_max) {
         Ok(None) => {}
         Ok(Some((band, reason))) => {
-            return Ok((band, Lattice { voxel_size }, origin, vec![reason.to_string()]));
+            return Ok((band, Lattice { voxel_size }, origin, Some(reason)));
         }
         Err(TooManyLeaves) => {
             return Err(format!(
@@ -199,7 +198,7 @@ fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxe
         }
     }
     let band = NarrowBand { topology: topology.into(), phi, half_width };
-    Ok((band, Lattice { voxel_size }, origin, Vec::new()))
+    Ok((band, Lattice { voxel_size }, origin, None))
 }
 
 /// The velocities at the voxels of a band.

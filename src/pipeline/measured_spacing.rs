@@ -15,6 +15,8 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use crate::surface::options::{self, OwnRadii};
 use crate::surface::particles::{Attribute, Meaning};
 use crate::surface::spacing::{
@@ -25,6 +27,7 @@ use crate::surface::words::significant;
 use super::attributes::Wanted;
 use super::frame::{FrameError, Stage};
 use super::frame_input::{FileParticles, FrameInput};
+use super::json::{path, text};
 use super::reading::{InputFile, ReadFrame, parse_particles, read_file};
 use super::steps::{frame_name, step_of};
 
@@ -32,17 +35,21 @@ use super::steps::{frame_name, step_of};
 const TRIES_MAX: usize = 8;
 
 /// The particle spacing of a sequence, and where it is from.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeasuredSpacing {
     /// The particle spacing, world units, rounded to two significant digits.
+    #[serde(with = "text")]
     pub spacing: f64,
     /// How sure the spacing is, from 0 to 1: see [`SequenceEstimate::confidence`].
     pub confidence: f64,
     /// The median r_min of particles with radii of their own, world units.
+    #[serde(with = "text::option", default, skip_serializing_if = "Option::is_none")]
     pub radius_median: Option<f64>,
     /// The first frame that it was measured on.
+    #[serde(with = "path")]
     pub measured_on: PathBuf,
     /// What should make a user check the spacing: frames that disagree, or little confidence. Not recorded.
+    #[serde(skip)]
     pub warnings: Vec<String>,
 }
 
@@ -308,7 +315,7 @@ mod tests {
             };
             let positions = Particles::Double(Vec::clone(&positions));
             let cloud = Cloud { attributes: vec![radii], ..Cloud::from(positions) };
-            ReadFrame { cloud, notes: Vec::new(), unused_velocity: None }
+            ReadFrame { cloud, warnings: Vec::new(), unused_velocity: None }
         };
         let of_frame = |read: &ReadFrame, own: Option<&OwnRadii>| {
             combined(&[measured_of(Path::new("a"), read, own).expect("enough")]).expect("a frame")

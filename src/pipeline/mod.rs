@@ -24,8 +24,10 @@
 //!   file_set    replaces several files, or none        open        opens files without waiting at pipes
 //!   output_states  finds outputs with damaged bytes    stored      positions as files hold them
 //!   framing     the camera of a sequence of pictures   frame_number  the number in a frame's name
+//!   warning     what a user should know of a frame     diagnostics  voxels that do not fit the particles
 //!   observer    is notified while frames advance
 //!   record      what was measured, as JSON             shot      all frames in one file
+//!   json        values that JSON has no form for
 //!   certificate_file  what was checked of a frame, beside it   inspection  what there is of a frame already
 //! ```
 //!
@@ -64,23 +66,24 @@ mod bounds;
 mod budget;
 mod certificate_file;
 mod close_up;
+mod diagnostics;
 mod file_set;
 mod frame;
 mod frame_input;
 mod frame_number;
+mod frame_warnings;
 mod framing;
 mod inspection;
+pub(crate) mod json;
 mod level_set_file;
 mod measured_spacing;
 mod memory;
 mod mesh_file;
 mod method;
-mod misfit;
 mod names;
-mod notes;
 mod number_pattern;
 mod observer;
-mod obstacle_notes;
+mod obstacle_warnings;
 mod obstacles;
 mod open;
 mod out_folder;
@@ -106,15 +109,14 @@ mod steps;
 mod stored;
 mod temporary;
 mod viewpoint;
+mod warning;
 mod writing;
 
 pub use attributes::Wanted;
 pub use bounds::{NOTHING, bounds_of_particles, is_level_set, sequence_bounds};
 pub use certificate_file::certificate_path;
 pub use close_up::close_up;
-pub use frame::{
-    Cause, Frame, FrameError, FrameReport, Job, ObstacleError, Outcome, ReadInput, Stage, gist, velocity_hint,
-};
+pub use frame::{Cause, Frame, FrameError, FrameReport, Job, ObstacleError, Outcome, ReadInput, Stage};
 pub use frame_input::FrameInput;
 pub use framing::{Framed, Framing};
 pub use inspection::{FrameState, Inspection, inspect};
@@ -125,7 +127,6 @@ pub use memory::{default_memory_bytes, resident_memory_bytes};
 pub use mesh_file::read_mesh_file;
 pub use method::{LevelSetSkinning, Method};
 pub(crate) use names::text_of_name;
-pub use notes::{breaks_guarantee, flaws, keeps_guarantees, notes, standing_notes};
 pub use number_pattern::{NumberPattern, files_in, is_absent, is_link_loop, may_be_file};
 pub use observer::Observer;
 pub use obstacles::{FrameObstacles, ObstacleFiles, ObstacleStamps};
@@ -163,4 +164,5 @@ pub use steps::{
 };
 pub use temporary::{SweepError, Swept, remove_left_behind, sweep_temporaries};
 pub use viewpoint::{CameraChoice, Viewpoint};
+pub use warning::{ObstacleFinding, ReportedWarnings, Scope, Warning};
 pub use writing::{encode_level_set, mesh_view, vertex_attributes};

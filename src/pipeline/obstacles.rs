@@ -29,10 +29,11 @@ use crate::surface::options::Settings;
 use super::frame::ObstacleError;
 use super::level_set_file::level_set_limits;
 use super::number_pattern::{NumberPattern, may_be_file};
-use super::obstacle_notes::notes_of;
+use super::obstacle_warnings::findings_of;
 use super::outputs::{Conflict, are_one_file, entry};
 use super::reading::{read_start_unchanged, read_unchanged};
 use super::stamp::FileStamp;
+use super::warning::Warning;
 
 /// The obstacles of a sequence.
 #[derive(Debug, Default)]
@@ -98,7 +99,7 @@ pub struct FrameObstacles {
     /// All of them.
     pub obstacles: Obstacles,
     /// What a user should know of those that were read for this frame.
-    pub(super) notes: Vec<String>,
+    pub(super) warnings: Vec<Warning>,
     /// The file of each of them.
     pub(super) paths: Vec<PathBuf>,
     /// What is recorded of them: names and hashes. Empty if there is none.
@@ -263,7 +264,8 @@ impl ObstacleFiles {
             };
             let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))
                 .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
-            all.notes.extend(notes_of(&shape, &file.path, settings));
+            let about = |finding| Warning::Obstacle { path: file.path.clone(), finding };
+            all.warnings.extend(findings_of(&shape, settings).into_iter().map(about));
             all.open_edge_count += open_edges(&shape);
             let obstacle =
                 Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
@@ -560,7 +562,8 @@ mod tests {
         fs::write(&path, "v 0 0 0\n").expect("written");
         assert_eq!(files.loading_bytes(None), 9 * 8);
         assert_eq!(ObstacleFiles::new(vec![folder.path().join("b.obj")]).loading_bytes(None), 0);
-        let [note] = &loaded.notes[..] else { panic!("{:?}", loaded.notes) };
+        let [note] = &loaded.warnings[..] else { panic!("{:?}", loaded.warnings) };
+        let note = note.to_string();
         assert!(note.contains(&*path.to_string_lossy()) && note.contains("3 open edges"), "{note}");
     }
 

@@ -29,6 +29,7 @@ use meniscus_formats::read_provenance;
 use serde::{Deserialize, Serialize};
 use twox_hash::XxHash3_128;
 
+use super::json::hex;
 use super::open::{open_own, open_regular};
 use super::outputs::OutputFormat;
 use super::reading::{InputFile, read_start_unchanged};
@@ -36,11 +37,13 @@ use super::sink::replace_own;
 use super::stamp::FileStamp;
 
 /// The stamp and the content hash of an output.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputState {
     /// What the file system says about the file.
+    #[serde(flatten)]
     pub stamp: FileStamp,
     /// The hash of its bytes.
+    #[serde(with = "hex")]
     pub hash: u128,
 }
 
@@ -77,21 +80,39 @@ pub struct OutputStates {
     known: Mutex<HashMap<PathBuf, Record>>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Record {
+    #[serde(flatten)]
     state: OutputState,
-    /// The hash of what the output says about its input and settings; `None` where the caller has compared these.
-    made_from: Option<u128>,
+    /// The hash of the output's provenance, in hexadecimal digits; empty where the caller has compared it.
+    made_from: String,
     /// What did not hold when its frame was checked; `None` where all held.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
     /// Whether it was read from a file of records, and is still what that file says.
+    #[serde(skip)]
     is_loaded: bool,
+}
+
+/// The file of records.
+#[derive(Serialize, Deserialize)]
+struct RecordsFile {
+    meniscus_outputs: u32,
+    outputs: Vec<NamedRecord>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct NamedRecord {
+    /// The name of the output, without folder.
+    file: String,
+    #[serde(flatten)]
+    record: Record,
 }
 
 impl OutputStates {
     /// Records the state of an output.
     pub fn put(&self, path: &Path, state: OutputState) {
-        self.put_made(path, state, None, None);
+        self.put_made(path, state, String::new(), None);
     }
 
     /// Removes and returns the recorded state of an output.
@@ -140,7 +161,8 @@ impl OutputStates {
             return Some(recorded.fault.clone());
         }
         let made_from = made_from(path);
-        let is_of_other = |recorded: &Record| recorded.made_from.is_some() && recorded.made_from != made_from;
+        let is_of_other =
+            |recorded: &Record| !recorded.made_from.is_empty() && recorded.made_from != made_from;
         let fault = match recorded.filter(|recorded| !is_of_other(recorded)) {
             Some(recorded) if recorded.state.hash != now.hash => return None,
             recorded => recorded.and_then(|recorded| recorded.fault),
@@ -149,7 +171,7 @@ impl OutputStates {
         Some(fault)
     }
 
-    fn put_made(&self, path: &Path, state: OutputState, made_from: Option<u128>, fault: Option<String>) {
+    fn put_made(&self, path: &Path, state: OutputState, made_from: String, fault: Option<String>) {
         self.known().insert(path.to_owned(), Record { state, made_from, fault, is_loaded: false });
     }
 
@@ -160,11 +182,8 @@ impl OutputStates {
 
     /// Reads the records of a folder of outputs. A file that cannot be read counts as missing.
     pub fn load(&self, folder: &Path) {
-        for (file, wire) in read_records(folder) {
-            if let Some(record) = wire.record() {
-                self.known().insert(folder.join(file), record);
-            }
-        }
+        let records = read_records(folder).into_iter();
+        self.known().extend(records.map(|(file, record)| (folder.join(file), record)));
     }
 
     /// Writes the records of the outputs in a folder that still exist, whole or not at all. Records that another process
@@ -179,12 +198,11 @@ impl OutputStates {
         let own: Vec<(PathBuf, Record)> =
             self.known().iter().filter(is_own).map(|(path, record)| (path.clone(), record.clone())).collect();
         // JSON has no form for names that are not text: those go without a record.
-        let wire = |(path, record): &(PathBuf, Record)| {
-            let name = path.file_name()?.to_str()?;
-            Some((name.to_owned(), RecordWire::new(name, record)))
+        let named = |(path, record): &(PathBuf, Record)| {
+            Some((path.file_name()?.to_str()?.to_owned(), record.clone()))
         };
-        let wires: BTreeMap<String, RecordWire> = own.iter().filter_map(wire).collect();
-        if wires.is_empty() {
+        let changed: BTreeMap<String, Record> = own.iter().filter_map(named).collect();
+        if changed.is_empty() {
             return Ok(());
         }
         let path = records_path(folder);
@@ -193,9 +211,9 @@ impl OutputStates {
         }
         let lock = lock_records(&path)?;
         let mut all = read_records(folder);
-        all.extend(wires);
-        let outputs: Vec<RecordWire> =
-            all.into_values().filter(|wire| folder.join(&wire.file).exists()).collect();
+        all.extend(changed);
+        all.retain(|file, _| folder.join(file).exists());
+        let outputs = all.into_iter().map(|(file, record)| NamedRecord { file, record }).collect();
         let file = RecordsFile { meniscus_outputs: VERSION, outputs };
         replace_own(&path, |out| {
             serde_json::to_writer(&mut *out, &file)?;
@@ -242,28 +260,29 @@ fn lock_records(records: &Path) -> io::Result<File> {
     Err(io::Error::new(io::ErrorKind::WouldBlock, "another process keeps the records locked"))
 }
 
-/// The hash of what an output says about its input and settings. `None` if it cannot be read.
-fn made_from(path: &Path) -> Option<u128> {
-    let extension = path.extension()?.to_str()?;
-    let format = OutputFormat::from_extension(extension)?;
-    let recorded = read_provenance(format, open_regular(path).ok()?).ok()?;
+/// The hash of what an output says about its input and settings, in hexadecimal digits; empty if it cannot be read.
+fn made_from(path: &Path) -> String {
+    let read = || {
+        let format = OutputFormat::from_extension(path.extension()?.to_str()?)?;
+        read_provenance(format, open_regular(path).ok()?).ok()
+    };
+    let Some(recorded) = read() else { return String::new() };
     let text: String = recorded.iter().map(|(name, value)| format!("{name}={value}\n")).collect();
-    Some(XxHash3_128::oneshot(text.as_bytes()))
+    format!("{:032x}", XxHash3_128::oneshot(text.as_bytes()))
 }
 
 /// The records in the file of a folder, by the names of the outputs; none if it cannot be read.
-fn read_records(folder: &Path) -> BTreeMap<String, RecordWire> {
+fn read_records(folder: &Path) -> BTreeMap<String, Record> {
     let Ok(Some((bytes, _))) = read_start_unchanged(&records_path(folder), SIZE_MAX_BYTES) else {
         return BTreeMap::new();
     };
-    match serde_json::from_slice::<RecordsFile>(&bytes) {
-        Ok(file) if file.meniscus_outputs == VERSION => {
-            // A name with folders in it is not an output of this folder.
-            let is_name = |wire: &RecordWire| Path::new(&wire.file).file_name() == Some(wire.file.as_ref());
-            file.outputs.into_iter().filter(is_name).map(|wire| (wire.file.clone(), wire)).collect()
-        }
-        _ => BTreeMap::new(),
-    }
+    let file = serde_json::from_slice::<RecordsFile>(&bytes).ok();
+    let records =
+        file.filter(|file| file.meniscus_outputs == VERSION).map_or(Vec::new(), |file| file.outputs);
+    // A name with folders in it is not an output of this folder.
+    let is_name = |named: &NamedRecord| Path::new(&named.file).file_name() == Some(named.file.as_ref());
+    let loaded = records.into_iter().filter(is_name);
+    loaded.map(|NamedRecord { file, record }| (file, Record { is_loaded: true, ..record })).collect()
 }
 
 /// A larger file is not one of ours.
@@ -271,52 +290,6 @@ const SIZE_MAX_BYTES: u64 = 1 << 30;
 
 /// A change of the file's format needs another number.
 const VERSION: u32 = 2;
-
-#[derive(Serialize, Deserialize)]
-struct RecordsFile {
-    meniscus_outputs: u32,
-    outputs: Vec<RecordWire>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct RecordWire {
-    file: String,
-    size_bytes: u64,
-    modified_ns: i64,
-    inode: u64,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    changed_ns: Option<i64>,
-    hash: String,
-    /// The hash of the output's provenance.
-    made_from: String,
-    /// What did not hold when its frame was checked.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    fault: Option<String>,
-}
-
-impl RecordWire {
-    fn new(file: &str, record: &Record) -> RecordWire {
-        let FileStamp { size: size_bytes, modified_ns, inode, changed_ns } = record.state.stamp;
-        RecordWire {
-            file: file.to_owned(),
-            size_bytes,
-            modified_ns,
-            inode,
-            changed_ns,
-            hash: format!("{:032x}", record.state.hash),
-            made_from: record.made_from.map_or(String::new(), |hash| format!("{hash:032x}")),
-            fault: record.fault.clone(),
-        }
-    }
-
-    fn record(&self) -> Option<Record> {
-        let &RecordWire { size_bytes: size, modified_ns, inode, changed_ns, .. } = self;
-        let stamp = FileStamp { size, modified_ns, inode, changed_ns };
-        let [hash, made_from] = [&self.hash, &self.made_from].map(|text| u128::from_str_radix(text, 16).ok());
-        let state = OutputState { stamp, hash: hash? };
-        Some(Record { state, made_from, fault: self.fault.clone(), is_loaded: true })
-    }
-}
 
 fn records_path(folder: &Path) -> PathBuf {
     folder.join(".meniscus").join("outputs.json")
@@ -383,13 +356,13 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.obj");
         write_output(&path, "1", "v 0 0 0");
-        let known = made_from(&path).expect("provenance");
+        let known = made_from(&path);
         let earlier = OutputStates::default();
         earlier.record(std::slice::from_ref(&path), Some(FAULT));
         earlier.save(folder.path()).expect("saved");
         // Another program run wrote the file again and recorded nothing.
         write_output(&path, "22", "v 1 1 1");
-        assert_ne!(made_from(&path), Some(known), "another provenance");
+        assert_ne!(made_from(&path), known, "another provenance");
         let loaded = OutputStates::default();
         loaded.load(folder.path());
         assert_eq!(fault_of(&loaded, &path), Some(None), "its own provenance decides");

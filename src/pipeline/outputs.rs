@@ -7,16 +7,19 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::fs;
-use std::ops::RangeInclusive;
+use std::ops::{Not, RangeInclusive};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
 pub use meniscus_formats::OutputFormat;
 use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
 
 use crate::render::Up;
 
+use super::json::{path, text};
 use super::names::name_of_text;
 use super::obstacles::ObstacleFiles;
 use super::picture::{PictureOptions, up_of};
@@ -26,24 +29,37 @@ use super::steps::file_of;
 pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
 
 /// What is written of each frame, and where.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OutputOptions {
     /// The folder of all outputs. It is made where it is missing.
+    #[serde(with = "path")]
     pub folder: PathBuf,
     /// One file for each.
     pub formats: Vec<OutputFormat>,
     /// Which axis of the particles points up, for glTF, where it must be y, and for USD, which asks.
     pub up: UpAxis,
     /// The length of a world unit in metres, positive and finite: USD says it.
+    #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
     pub meters_per_unit: f64,
     /// Small integers in .glb.
+    #[serde(default, skip_serializing_if = "Not::not")]
     pub quantize: bool,
     /// 16-bit values in .vdb.
     pub vdb_half: bool,
     /// How values are packed in .vdb.
     pub vdb_compression: vdb::Compression,
     /// How pictures are taken.
+    #[serde(default)]
     pub picture: PictureOptions,
+}
+
+fn meter() -> f64 {
+    1.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_meter(meters: &f64) -> bool {
+    *meters == meter()
 }
 
 impl OutputOptions {

@@ -1,10 +1,11 @@
-//! Particles as they are, in another format: what is written of them, and what a user should know of it.
+//! Particles as they are, in another format: what is written of them, and warnings about it.
 
 use std::io::Write;
 
 use meniscus_formats::{Error, ParticleFrame, Positions};
 
 use super::outputs::OutputFormat;
+use super::warning::Warning;
 
 /// Writes particles.
 ///
@@ -22,17 +23,17 @@ pub(super) fn write_particles(
     }
 }
 
-/// What a user should know of the file and of what became of it in these formats.
-pub(super) fn particle_notes(particles: &ParticleFrame, formats: &[OutputFormat]) -> Vec<String> {
+/// Warnings about the file and what became of it in these formats.
+pub(super) fn particle_warnings(particles: &ParticleFrame, formats: &[OutputFormat]) -> Vec<Warning> {
     let of_format = |format: &OutputFormat| {
         format.particles().map(|writer| (writer.notes)(particles)).unwrap_or_default()
     };
-    let of_positions = match not_finite_count(&particles.positions) {
-        0 => None,
-        count => Some(format!("{count} of {} positions are not finite", particles.positions.len())),
-    };
-    let notes = particles.notes.iter().cloned().chain(of_positions);
-    notes.chain(formats.iter().flat_map(of_format)).collect()
+    let particle_count = particles.positions.len();
+    let count = not_finite_count(&particles.positions);
+    let of_positions = (count > 0).then_some(Warning::PositionsNotFinite { count, particle_count });
+    let of_file = particles.notes.iter().cloned().map(Warning::Sentence);
+    let of_formats = formats.iter().flat_map(of_format).map(Warning::Sentence);
+    of_file.chain(of_positions).chain(of_formats).collect()
 }
 
 fn not_finite_count(positions: &Positions) -> usize {

@@ -10,6 +10,8 @@ use meniscus_formats::{
     Content, Error, OutputFormat, PictureLayer, PictureView, Provenance, Samples, UpAxis,
 };
 
+use serde::{Deserialize, Serialize};
+
 use crate::render::{self, Layers, Picture, Up};
 use crate::surface::attributes::BandAttribute;
 use crate::surface::grid::Field;
@@ -18,14 +20,16 @@ use crate::surface::particles::Meaning;
 use crate::surface::skin::Surface;
 use crate::surface::space::Lattice;
 
+use super::json::text;
 use super::viewpoint::{CameraChoice, Viewpoint};
 
 /// How pictures are taken.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PictureOptions {
     /// Width and height, pixels.
     pub size: [usize; 2],
     /// Where from. One that is not fixed is placed by the bounds of each frame.
+    #[serde(with = "text")]
     pub camera: CameraChoice,
 }
 

@@ -17,6 +17,7 @@ use super::frame::{Cause, FrameError, Stage};
 use super::open::{open_regular, require_regular};
 use super::stamp::FileStamp;
 use super::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
+use super::warning::Warning;
 
 /// What the pipeline needs of a file.
 #[derive(Clone, Debug)]
@@ -24,7 +25,7 @@ pub struct ReadFrame {
     /// The particles.
     pub cloud: Cloud,
     /// What a user should know though the file was read.
-    pub notes: Vec<String>,
+    pub warnings: Vec<Warning>,
     /// The name of the velocities, where the file has some that are not wanted.
     pub unused_velocity: Option<String>,
 }
@@ -287,16 +288,15 @@ pub fn parse_particles(path: &Path, bytes: &[u8], wanted: &Wanted) -> Result<Rea
     let name = file_of(path).file_name().unwrap_or_default().to_string_lossy();
     let frame = read_particles(bytes, &name, &Limits::default())
         .map_err(|error| FrameError::file(path, Stage::Read, by_lines_of_file(path, error)))?;
-    let ParticleFrame { positions, attributes, mut notes } = frame;
-    let missing =
-        |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
+    let ParticleFrame { positions, attributes, notes } = frame;
+    let unfit = |what| FrameError { path: path.to_owned(), during: Stage::Read, cause: Cause::Missing(what) };
     let velocity = attributes.iter().find(|attribute| attribute.role == Some(Role::Velocity));
     let unused_velocity =
         velocity.map(|attribute| attribute.name.clone()).filter(|name| !wanted.has_velocity(name));
-    let (attributes, more) = wanted.of(attributes).map_err(missing)?;
-    notes.extend(more);
+    let (attributes, missing) = wanted.of(attributes).map_err(unfit)?;
+    let warnings = notes.into_iter().map(Warning::Sentence).chain(missing).collect();
     let cloud = Cloud { positions: particles(positions), shapes: Shapes::Balls, attributes };
-    Ok(ReadFrame { cloud, notes, unused_velocity })
+    Ok(ReadFrame { cloud, warnings, unused_velocity })
 }
 
 /// The same vectors under the method's own type.

@@ -11,12 +11,13 @@ use crate::surface::skin::Surface;
 use super::attributes::Wanted;
 use super::frame::{Cause, FrameError, Stage};
 use super::frame_input::FrameInput;
+use super::frame_warnings::left_out;
 use super::method::{LevelSetSkinning, Method};
-use super::notes::left_out;
 use super::obstacles::ObstacleFiles;
 use super::outputs::OutputOptions;
 use super::reading::{ReadFrame, parse_particles, read_file};
-use super::writing::surface_notes;
+use super::warning::Warning;
+use super::writing::surface_warnings;
 
 /// A frame that was read, to be skinned any number of times.
 #[derive(Debug)]
@@ -25,7 +26,7 @@ pub struct LoadedFrame {
     number: Option<u64>,
     cloud: Cloud,
     hash: u128,
-    notes: Vec<String>,
+    warnings: Vec<Warning>,
 }
 
 /// A frame that was skinned.
@@ -36,7 +37,7 @@ pub struct Reconstruction {
     /// What stood in the way: names and hashes of files. Empty if nothing did.
     pub obstacles: String,
     /// What a user should know though it was skinned.
-    pub notes: Vec<String>,
+    pub warnings: Vec<Warning>,
 }
 
 impl LoadedFrame {
@@ -52,8 +53,8 @@ impl LoadedFrame {
             let bytes = read_file(path).map_err(|error| error.cause)?;
             let hash = XxHash3_128::oneshot(&bytes);
             let read = parse_particles(path, &bytes, &Wanted::by(settings)).map_err(|error| error.cause)?;
-            let ReadFrame { cloud, notes, .. } = read;
-            Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, notes })
+            let ReadFrame { cloud, warnings, .. } = read;
+            Ok(LoadedFrame { path: path.to_owned(), number, cloud, hash, warnings })
         })
     }
 
@@ -91,8 +92,8 @@ impl LoadedFrame {
             let found = obstacles.find(self.number).map_err(of_obstacle)?;
             obstacles.load(found, settings, memory_bytes).map_err(of_obstacle)
         })?;
-        let mut notes = self.notes.clone();
-        notes.append(&mut loaded.notes);
+        let mut warnings = self.warnings.clone();
+        warnings.append(&mut loaded.warnings);
         let obstacles = loaded.recorded.clone();
         let given = FrameInput::InMemory(self.cloud.clone());
         let method = LevelSetSkinning;
@@ -101,9 +102,9 @@ impl LoadedFrame {
         let rasterized = stage(path, Stage::Rasterize, rasterize)?;
         let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings))?;
         let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
-        notes.extend(surface_notes(&surface, outputs, settings));
-        notes.extend(left_out(&surface.report));
-        Ok(Reconstruction { surface, obstacles, notes })
+        warnings.extend(surface_warnings(&surface, outputs, settings));
+        warnings.extend(left_out(&surface.report));
+        Ok(Reconstruction { surface, obstacles, warnings })
     }
 }
 

@@ -4,7 +4,6 @@
 //! otherwise; what is infinite or unknown is null.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -17,6 +16,7 @@ use crate::surface::report::{
 use crate::surface::validation::Certificate;
 
 use super::frame::{Frame, FrameReport, Job, Outcome};
+use super::json::write_json;
 use super::measured_spacing::MeasuredSpacing;
 use super::obstacles::ObstacleFiles;
 use super::outputs::{OutputFormat, OutputOptions};
@@ -306,10 +306,7 @@ impl RunRecord {
     /// When the system refuses.
     pub fn write(mut self, path: &Path, seconds: f64) -> meniscus_formats::Result<()> {
         self.summary.seconds = seconds;
-        write_whole(path, |out| {
-            serde_json::to_writer_pretty(&mut *out, &self).map_err(std::io::Error::from)?;
-            Ok(out.write_all(b"\n")?)
-        })
+        write_whole(path, |out| Ok(write_json(out, &self)?))
     }
 }
 
@@ -405,7 +402,7 @@ fn measured(report: &FrameReport) -> MeasuredRecord {
     let SkinReport { seconds, mesh, convergence, .. } = &report.skin;
     MeasuredRecord {
         outputs: report.outputs.iter().map(|path| text(path)).collect(),
-        notes: report.notes.clone(),
+        notes: report.warnings.iter().map(ToString::to_string).collect(),
         voxel_size: report.voxel_size,
         particles: report.skin.particle_count,
         dropped: report.skin.dropped_count,

@@ -5,19 +5,25 @@ use std::io;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use serde::{Deserialize, Serialize};
+
 /// Size, times and inode of a file: two files with equal stamps are taken for the same one, unchanged.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FileStamp {
     /// Bytes.
+    #[serde(rename = "size_bytes")]
     pub size: u64,
     /// Nanoseconds since 1970 of the last write; negative before.
+    #[serde(default)]
     pub modified_ns: i64,
     /// The file's number on its file system; 0 where there is no such thing.
+    #[serde(default)]
     pub inode: u64,
     /// Nanoseconds since 1970 of the last status change (ctime). A program can set the modification time back, but not
     /// this one, so it reveals a file that was rewritten under its old modification time. `chmod`, new hard links and
     /// restored backups change it, too: a difference in it alone is a reason to compare contents and no more.
     /// `None` on systems without it, and in journals of older versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub changed_ns: Option<i64>,
 }
 

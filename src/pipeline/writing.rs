@@ -21,14 +21,15 @@ use crate::surface::space::Lattice;
 
 use super::bounds::NOTHING;
 use super::certificate_file::{certificate_path, write_certificate};
+use super::diagnostics::diagnose;
 use super::frame::{Frame, FrameError, Stage};
-use super::misfit::misfit_notes;
 use super::outputs::{OutputFormat, OutputOptions, output_path};
 use super::picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
 use super::provenance::provenance;
 use super::scheduler::Scheduler;
 use super::sink::{Unseen, publish, write_unseen};
 use super::stored::{checked_as, rounding};
+use super::warning::Warning;
 
 /// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
 pub(super) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
@@ -233,24 +234,27 @@ fn role(meaning: Meaning) -> Option<Role> {
     }
 }
 
-/// What a user should know of a surface and of its files.
-pub(super) fn surface_notes(surface: &Surface, outputs: &OutputOptions, settings: &Settings) -> Vec<String> {
-    let misfit = misfit_notes(&surface.mesh, &surface.report, settings);
-    let notes = misfit.into_iter().chain(attribute_notes(surface, outputs));
-    notes.chain(position_notes(surface, outputs, settings.voxel_size)).collect()
+/// Warnings about a surface and its files.
+pub(super) fn surface_warnings(
+    surface: &Surface,
+    outputs: &OutputOptions,
+    settings: &Settings,
+) -> Vec<Warning> {
+    let about_surface = diagnose(&surface.mesh, &surface.report, settings);
+    let warnings = about_surface.into_iter().chain(attribute_warnings(surface, outputs));
+    warnings.chain(position_warnings(surface, outputs, settings.voxel_size)).collect()
 }
 
-/// Warns of files that round positions too much.
-fn position_notes(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<String> {
+/// Warnings about files that round positions too much.
+fn position_warnings(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<Warning> {
     let mesh = mesh_view(&surface.mesh, &[]);
-    let note = |format: OutputFormat| {
+    let warning = |format: OutputFormat| {
         let rounding = rounding(format, outputs).filter(|_| !mesh.triangles.is_empty())?;
-        let moved = (rounding.error)(mesh.positions, mesh.origin) / voxel_size;
-        let reason = rounding.reason;
-        (moved > TOLD_FROM_VOXELS)
-            .then(|| format!("vertices are moved by up to {moved:.3} voxels in {reason}"))
+        let voxels = (rounding.error)(mesh.positions, mesh.origin) / voxel_size;
+        let storage = rounding.reason;
+        (voxels > REPORTED_FROM_VOXELS).then_some(Warning::RoundedPositions { voxels, storage })
     };
-    written(outputs).filter_map(note).collect()
+    written(outputs).filter_map(warning).collect()
 }
 
 /// The formats that are written, in the order of the table.
@@ -258,29 +262,29 @@ fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
     OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
 }
 
-/// A file that moves vertices by more than this is told of, in voxels.
-const TOLD_FROM_VOXELS: f64 = 0.02;
+/// A file that moves vertices by more than this is worth a warning, in voxels.
+const REPORTED_FROM_VOXELS: f64 = 0.02;
 
-/// What a user should know of attributes that the files do not hold as they are.
-fn attribute_notes(surface: &Surface, outputs: &OutputOptions) -> Vec<String> {
+/// Warnings about attributes that the files do not hold as they are.
+fn attribute_warnings(surface: &Surface, outputs: &OutputOptions) -> Vec<Warning> {
     let vertices = vertex_attributes(&surface.attributes.vertices);
-    let mut notes: Vec<String> = Vec::new();
+    let mut warnings: Vec<Warning> = Vec::new();
     for mesh in written(outputs).filter_map(OutputFormat::mesh) {
-        let of_format = (mesh.attribute_notes)(&vertices);
-        // .glb and .gltf have the same to say.
-        notes.extend(of_format.into_iter().filter(|note| !notes.contains(note)).collect::<Vec<_>>());
+        for warning in (mesh.attribute_notes)(&vertices).into_iter().map(Warning::Sentence) {
+            // .glb and .gltf have the same to say.
+            if !warnings.contains(&warning) {
+                warnings.push(warning);
+            }
+        }
     }
     if outputs.formats.contains(&OutputFormat::Vdb) {
         let band = &surface.attributes.band;
         let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
         let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
-        notes.extend(left_out.map(|name| {
-            format!(
-                "{name} is not in the .vdb: its grids are of numbers that can be averaged, one or three for each voxel"
-            )
-        }));
+        warnings.extend(left_out.map(|name| Warning::NotInVdb { name: name.clone() }));
         let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
-        notes.extend(vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name));
+        let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
+        warnings.extend(of_grids.into_iter().map(Warning::Sentence));
     }
-    notes
+    warnings
 }

@@ -3,6 +3,9 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
+
+use crate::pipeline::json::path;
 use crate::pipeline::{Job, OutputOptions, is_level_set};
 use crate::surface::options::MethodOptions;
 
@@ -37,24 +40,29 @@ pub struct Config {
 }
 
 /// One folder to watch, and what becomes of the frames in it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Watch {
     /// The folder. It need not be there yet.
+    #[serde(with = "path")]
     pub input: PathBuf,
     /// A glob for the path of a frame within the folder; any particle file by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pattern: Option<String>,
     /// Its sub-folders too.
     pub recursive: bool,
     /// The name of the file that says that a frame is complete, with `{name}` and `{stem}` for the
     /// frame's. Where it is given, frames wait for theirs; without it, `{stem}.done` is taken as proof
     /// where it is there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sentinel: Option<String>,
     /// What is written, and where.
     pub outputs: OutputOptions,
     /// All other choices of the method.
+    #[serde(with = "by_name")]
     pub choices: MethodOptions,
     /// Absolute paths of what stands in the way; a name with a place for a number, as `body.####.obj`, stands for
     /// a file of each frame.
+    #[serde(with = "path::list", default, skip_serializing_if = "Vec::is_empty")]
     pub obstacles: Vec<PathBuf>,
 }
 
@@ -87,7 +95,7 @@ pub enum Order {
 }
 
 /// How long a file must be left alone before it is read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Patience {
     /// One that its own format says is complete, or whose reader would find out.
     pub settle: Duration,
@@ -104,4 +112,24 @@ pub enum Poll {
     Auto,
     /// So often, everywhere.
     Every(Duration),
+}
+
+/// The options of the method by name, as text: numbers that results depend on come back to the last bit.
+mod by_name {
+    use std::collections::BTreeMap;
+
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::surface::options::MethodOptions;
+
+    pub(super) fn serialize<S: Serializer>(options: &MethodOptions, to: S) -> Result<S::Ok, S::Error> {
+        options.to_pairs().into_iter().collect::<BTreeMap<_, _>>().serialize(to)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<MethodOptions, D::Error> {
+        let pairs = BTreeMap::<String, String>::deserialize(from)?;
+        let options = MethodOptions::from_pairs(pairs.iter().map(|(name, value)| (&**name, &**value)));
+        options.ok_or_else(|| D::Error::custom("an option is unknown, or has a value that it cannot have"))
+    }
 }

@@ -344,7 +344,7 @@ mod tests {
                 stamp: FileStamp::of_path(&self.frame).expect("there"),
                 hash: Some(XxHash3_128::oneshot(FRAME)),
                 settings: "s".into(),
-                outputs: vec![OutputRecord { path: self.output.clone(), size_bytes: 4, state: None }],
+                outputs: vec![OutputRecord::new(self.output.clone(), 4, None)],
                 reason: None,
                 attempt_count: 1,
                 at_ms: 0,

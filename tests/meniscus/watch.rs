@@ -121,10 +121,7 @@ fn note(out: &Path, frame: &Path, result: Result<&Path, &str>) {
         stamp: FileStamp::of_path(frame).expect("the frame is there"),
         hash: None,
         settings: "settings".into(),
-        outputs: result
-            .iter()
-            .map(|path| OutputRecord { path: path.to_path_buf(), size_bytes: 0, state: None })
-            .collect(),
+        outputs: result.iter().map(|path| OutputRecord::new(path.to_path_buf(), 0, None)).collect(),
         reason: result.err().map(str::to_owned),
         attempt_count: 1,
         at_ms: 1,

@@ -21,6 +21,8 @@
 //! This work is based on:
 //! the file format of OpenVDB 10, <https://www.openvdb.org>
 
+use serde::{Deserialize, Serialize};
+
 use crate::mesh_options::WriteOption;
 use crate::provenance::from_strings;
 use crate::row::Integrity;
@@ -49,11 +51,13 @@ use read::{first_grid_metadata, last_grid_end};
 const FORMAT: &str = "OpenVDB";
 
 /// How values are packed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Compression {
     /// All values of each leaf, as they are.
     None,
     /// Only the values of active voxels.
+    #[serde(rename = "active", alias = "active_mask")]
     ActiveMask,
     /// Only the values of active voxels, in Blosc frames with LZ4: what OpenVDB does by default.
     #[default]

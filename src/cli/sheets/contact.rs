@@ -214,9 +214,7 @@ impl Contact<'_> {
             return Ok((read_picture(&file.path)?.shrunk(size), None));
         };
         let subject = self.studio.subject(file, settings.as_ref())?;
-        for note in self.studio.notes_of(&subject) {
-            console.warn(format_args!("warning: {}: {note}", file.path.display()));
-        }
+        self.studio.print_warnings(file, &subject, console);
         let particle_count = match &subject {
             Subject::LevelSet(..) => None,
             Subject::Skinned(skinned) => Some(skinned.frame.particles().len()),

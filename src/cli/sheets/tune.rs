@@ -10,7 +10,6 @@
 //! A cell is the options of a command, with some of them replaced: its settings and the command line that is printed
 //! come from the same options, and cannot differ.
 
-use std::collections::HashSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
@@ -23,11 +22,12 @@ use crate::cli::convert::thread_pool;
 use crate::cli::frame_selection::FrameSelection;
 use crate::cli::inputs::find_inputs;
 use crate::cli::interrupt::clean_up_when_interrupted;
+use crate::cli::remedies::with_remedy;
 use crate::cli::studio::{Studio, caught, measured, picture_of_reconstruction};
 use crate::cli::wording::{counted, with_causes};
 use crate::pipeline::{
-    self, CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, Sequence, SheetPart,
-    Viewpoint, bounds_of_particles, close_up, gist, is_level_set, up_of,
+    self, CameraChoice, FrameFile, LoadedFrame, NOTHING, OutputFormat, Reconstruction, ReportedWarnings,
+    Sequence, SheetPart, Viewpoint, Warning, bounds_of_particles, close_up, is_level_set, up_of,
 };
 use crate::render::{Block, Cell, Picture, Sheet, Shown};
 use crate::surface::options::{Measured, Settings};
@@ -193,7 +193,7 @@ impl<'a> Tuning<'a> {
 
     /// All cells, and the command of each that has a picture.
     fn cells(&self, grid: &Grid, console: &mut Console) -> (Vec<(Cell, Option<CommandLine>)>, Tally) {
-        let (mut tally, mut told) = (Tally::default(), HashSet::new());
+        let (mut tally, mut reported) = (Tally::default(), ReportedWarnings::default());
         let mut cells = Vec::new();
         for (index, values) in grid.settings.iter().enumerate() {
             let (number, method) = (index + 1, self.method(values));
@@ -204,9 +204,10 @@ impl<'a> Tuning<'a> {
             let (shown, command) = match caught(self.frame.path(), || self.taken(&method)) {
                 Ok((made, settings, picture)) => {
                     tally.done_count += 1;
-                    for note in settings.warnings().iter().chain(&made.notes) {
-                        if told.insert(gist(note)) {
-                            console.warn(format_args!("warning: cell {number}: {note}"));
+                    let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
+                    for warning in of_settings.chain(made.warnings) {
+                        if reported.is_new(&warning) {
+                            console.warn(format_args!("warning: cell {number}: {}", with_remedy(&warning)));
                         }
                     }
                     let triangles = counted(made.surface.report.mesh.triangle_count, "triangle");

@@ -33,8 +33,7 @@ fn state() -> State {
     let mut add =
         |name: String, record| state.frames.insert(Path::new("/sim").join(name).into(), Arc::new(record));
     for number in 1..=30 {
-        let outputs =
-            vec![OutputRecord { path: format!("/out/dam.{number}.glb").into(), size_bytes: 1, state: None }];
+        let outputs = vec![OutputRecord::new(format!("/out/dam.{number}.glb").into(), 1, None)];
         let (particle_count, seconds) = (Some(250_000), Some(2.25));
         let done = frame(Standing::Done, 1000 * number);
         add(format!("dam.{number}.ply"), FrameRecord { outputs, particle_count, seconds, ..done });

@@ -14,13 +14,14 @@ use crate::pipeline::attributes::Wanted;
 use crate::pipeline::frame::{Cause, Frame, FrameError, Job, Outcome, ReadInput, Stage};
 use crate::pipeline::frame_input::{FileParticles, FrameInput, LevelSetInput};
 use crate::pipeline::inspection::certified_fault;
-use crate::pipeline::level_set_file::{level_set_limits, notes_of_grids, read_input};
+use crate::pipeline::level_set_file::{level_set_limits, other_grids, read_input};
 use crate::pipeline::method::Method;
-use crate::pipeline::obstacle_notes::out_of_reach;
+use crate::pipeline::obstacle_warnings::out_of_reach;
 use crate::pipeline::obstacles::FoundObstacles;
 use crate::pipeline::provenance::is_done;
 use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged, read_unchanged};
 use crate::pipeline::steps::{reading_bytes, step_of};
+use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
 
 use super::PipelineOptions;
@@ -107,14 +108,14 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let given = frame.clone();
         let parsed = self.scheduler.run(number, move || {
             let (read, file) = read_input(&given, &bytes, memory_bytes)?;
-            Ok((read, file, notes_of_grids(&bytes)))
+            Ok((read, file, other_grids(&bytes)))
         });
-        let (read, mut file, of_grids) = parsed.map_err(outcome_of)?;
+        let (read, mut file, other_grids) = parsed.map_err(outcome_of)?;
         *frame = read;
         self.refuse_done(frame, input, "")?;
-        let notes = [std::mem::take(&mut file.notes), of_grids].concat();
+        let warnings = std::mem::take(&mut file.warnings).into_iter().chain(other_grids).collect();
         let given = FrameInput::LevelSet(Box::new(LevelSetInput::new(file, &frame.job)));
-        let noted = Noted { notes, unused_velocity: None };
+        let noted = Noted { warnings, unused_velocity: None };
         let found = FoundObstacles::default();
         self.planned(number, frame, move || Ok((given, noted)), found, input)
     }
@@ -128,7 +129,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         Ok((bytes, ReadInput { stamp, hash }))
     }
 
-    /// The particles of a frame, and the notes on them.
+    /// The particles of a frame, and the warnings about them.
     fn particles_of(&self, number: usize, frame: &Frame) -> Result<(Read, ReadInput, Noted), Outcome> {
         let failed = |error: meniscus_formats::Error| {
             Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
@@ -147,7 +148,8 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
             let streamed = FileParticles::open(&frame.input, file)
                 .map_err(|error| Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error)))?;
             if let Some(particles) = streamed {
-                let noted = Noted { notes: particles.notes(), unused_velocity: particles.unused_velocity() };
+                let noted =
+                    Noted { warnings: particles.warnings(), unused_velocity: particles.unused_velocity() };
                 let particles = FrameInput::OnDisk(Box::new(particles));
                 return self.planned(number, frame, move || Ok((particles, noted)), obstacles, input);
             }
@@ -157,7 +159,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let path = frame.input.clone();
         let parse = move || {
             let read = parse_particles(&path, &bytes, &wanted)?;
-            let noted = Noted { notes: read.notes, unused_velocity: read.unused_velocity };
+            let noted = Noted { warnings: read.warnings, unused_velocity: read.unused_velocity };
             Ok((FrameInput::InMemory(read.cloud), noted))
         };
         self.planned(number, frame, parse, obstacles, input)
@@ -201,18 +203,16 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let frame = frame.clone();
         let planned = self.scheduler.run(number, move || {
             let (given, mut noted) = parse()?;
-            let notes = &mut noted.notes;
+            let warnings = &mut noted.warnings;
             let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
             let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
-            notes.append(&mut obstacles.notes);
-            notes.extend(out_of_reach(&obstacles, &given, &frame.settings).map_err(failed)?);
+            warnings.append(&mut obstacles.warnings);
+            warnings.extend(out_of_reach(&obstacles, &given, &frame.settings).map_err(failed)?);
             let plan = method.plan(&given, &obstacles, &frame.settings, allowed_bytes).map_err(failed)?;
             if plan.tile_leaves.is_some() {
-                let mebibytes = plan.whole_bytes.saturating_add(given.size_bytes()).div_ceil(1 << 20);
-                notes.push(format!(
-                    "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB (--memory)"
-                ));
+                let whole_bytes = plan.whole_bytes.saturating_add(given.size_bytes());
+                warnings.push(Warning::Tiled { whole_bytes });
             }
             Ok((Read::Surface { input: Box::new(given), obstacles, plan }, noted))
         });

@@ -15,6 +15,7 @@ use crate::pipeline::frame_input::FrameInput;
 use crate::pipeline::obstacles::FrameObstacles;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::semaphore::{Permit, Semaphore};
+use crate::pipeline::warning::Warning;
 use crate::surface::skin::Plan;
 
 use super::{OnError, PipelineOptions};
@@ -61,7 +62,7 @@ pub(super) struct InputInfo<'env> {
 /// What a user should know of what was read.
 #[derive(Default)]
 pub(super) struct Noted {
-    pub(super) notes: Vec<String>,
+    pub(super) warnings: Vec<Warning>,
     /// The name of velocities that are not wanted.
     pub(super) unused_velocity: Option<String>,
 }

@@ -11,14 +11,15 @@ use glam::DVec3;
 use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::frame::{Frame, FrameError, FrameReport, Job, Outcome, Stage};
+use crate::pipeline::frame_warnings::fault;
 use crate::pipeline::memory::peak_memory_bytes;
-use crate::pipeline::notes::fault;
 use crate::pipeline::open::require_no_links;
 use crate::pipeline::outputs::OutputFormat;
-use crate::pipeline::particle_files::{particle_notes, write_particles};
+use crate::pipeline::particle_files::{particle_warnings, write_particles};
 use crate::pipeline::picture::Scene;
 use crate::pipeline::provenance::provenance;
-use crate::pipeline::writing::{Written, surface_notes, write_files, write_surface};
+use crate::pipeline::warning::Warning;
+use crate::pipeline::writing::{Written, surface_warnings, write_files, write_surface};
 use crate::surface::skin::Surface;
 use crate::surface::space::Lattice;
 
@@ -63,8 +64,8 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         });
         match written.flatten() {
             Ok(written) => {
-                let notes = particle_notes(particles, &frame.outputs.formats);
-                let mut report = report(frame, info, (written, notes));
+                let warnings = particle_warnings(particles, &frame.outputs.formats);
+                let mut report = report(frame, info, (written, warnings));
                 report.skin.particle_count = particles.positions.len();
                 report.write_seconds = start.elapsed().as_secs_f64();
                 Outcome::Converted(Box::new(report))
@@ -104,15 +105,15 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
             let certify = options.certificates.then_some((info.input.hash, &surface.report));
             let written = write_files(frame, write, certify)?;
             options.record(&frame.output_paths(), fault(&surface.report).as_deref());
-            Ok((written, surface_notes(&surface, &frame.outputs, &frame.settings)))
+            Ok((written, surface_warnings(&surface, &frame.outputs, &frame.settings)))
         });
         let preview_time = *preview_time.lock().unwrap_or_else(PoisonError::into_inner);
         match written.flatten() {
-            Ok((written, notes)) => Outcome::Converted(Box::new(FrameReport {
+            Ok((written, warnings)) => Outcome::Converted(Box::new(FrameReport {
                 skin: surface.report.clone(),
                 write_seconds: start.elapsed().saturating_sub(preview_time).as_secs_f64(),
                 preview_seconds: preview_time.as_secs_f64(),
-                ..report(frame, info, (written, notes))
+                ..report(frame, info, (written, warnings))
             })),
             Err(error) => Outcome::Failed(error),
         }
@@ -131,9 +132,9 @@ impl<M> Shared<'_, M> {
 }
 
 /// The report on a frame as far as it does not depend on what was written.
-fn report(frame: &Frame, info: InputInfo<'_>, (written, notes): (Written, Vec<String>)) -> FrameReport {
+fn report(frame: &Frame, info: InputInfo<'_>, (written, warnings): (Written, Vec<Warning>)) -> FrameReport {
     let (obstacles, obstacle_open_edge_count) = info.obstacles;
-    let Noted { notes: of_input, unused_velocity } = info.noted;
+    let Noted { warnings: of_input, unused_velocity } = info.noted;
     let has_attributes = frame.outputs.formats.iter().any(|format| format.has_attributes());
     FrameReport {
         input: info.input,
@@ -144,7 +145,7 @@ fn report(frame: &Frame, info: InputInfo<'_>, (written, notes): (Written, Vec<St
         peak_memory_bytes: peak_memory_bytes(),
         outputs: written.paths,
         output_bytes: written.sizes_bytes,
-        notes: [of_input, notes].concat(),
+        warnings: [of_input, warnings].concat(),
         unused_velocity: unused_velocity.filter(|_| has_attributes),
         ..FrameReport::default()
     }

@@ -87,7 +87,7 @@ impl Figures {
                 particles_outside: skin.certificate.particles_outside.count,
                 closed_manifold: skin.certificate.mesh_is_closed_manifold,
             },
-            notes: report.notes.clone(),
+            notes: report.warnings.iter().map(ToString::to_string).collect(),
         }
     }
 }

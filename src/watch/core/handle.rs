@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{breaks_guarantee, natural_order};
+use crate::pipeline::natural_order;
 
 use super::completeness::path_of_sentinel;
 use super::events::{Effect, Event, Now, OutputDirState, OutputRequest, Presence, Worker};
@@ -258,9 +258,8 @@ impl Core {
     /// How many of the frames that are done break a guarantee, as the journal has it.
     fn broken_count(&self) -> usize {
         let is_broken = |(id, frame): &(&FrameId, &FrameState)| {
-            let flaws = self.record_of(id).map(|record| &record.flaws);
-            matches!(frame.phase, Phase::Done(_))
-                && flaws.is_some_and(|flaws| flaws.iter().any(|flaw| breaks_guarantee(flaw)))
+            let figures = self.record_of(id).and_then(|record| record.figures.as_ref());
+            matches!(frame.phase, Phase::Done(_)) && figures.is_some_and(|figures| !figures.certificate.holds)
         };
         self.frames.iter().filter(is_broken).count()
     }

@@ -5,10 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::pipeline::{
-    FileStamp, FrameError, FrameReport, Outcome, ReadInput, Stage, flaws, gist, notes, standing_notes,
-    velocity_hint,
-};
+use crate::pipeline::{FileStamp, FrameError, FrameReport, Outcome, ReadInput, Scope, Stage, Warning};
 use crate::watch::board::Figures;
 use crate::watch::journal::{Entry, FrameRecord, OutputRecord, Standing};
 
@@ -59,7 +56,7 @@ impl Core {
             hash: Some(report.input.hash),
             particle_count: Some(skin.particle_count),
             seconds: Some(rounded(seconds)),
-            flaws: flaws(report),
+            flaws: report.all_warnings().iter().filter(|w| w.is_flaw()).map(Warning::to_string).collect(),
             figures: Some(Arc::clone(&figures)),
             ..self.new_record(id, Standing::Done, report.input.stamp)
         };
@@ -89,18 +86,19 @@ impl Core {
     /// for the sequence.
     fn log_notes(&mut self, id: &FrameId, report: &FrameReport) {
         let Some(sequence) = self.frames.get(id).map(|frame| frame.sequence) else { return };
-        let logged = &mut self.sequences.get_mut(sequence).told;
-        let standing = standing_notes(report).into_iter().filter(|note| logged.insert(gist(note)));
-        let warnings: Vec<String> = standing.chain(notes(report)).collect();
-        let hint = report.unused_velocity.as_deref().map(velocity_hint);
-        let hint = hint.filter(|hint| logged.insert(gist(hint)));
+        let sequence = self.sequences.get_mut(sequence);
+        let mut warnings = report.all_warnings();
+        warnings.retain(|warning| warning.scope() == Scope::Frame || sequence.reported.is_new(warning));
+        let unused = report.unused_velocity.clone();
+        let unused_velocity =
+            unused.filter(|_| !std::mem::replace(&mut sequence.has_reported_velocity, true));
         let path = Arc::clone(&id.path);
         self.log(move || {
             for warning in warnings {
                 tracing::warn!(frame = %path.display(), "{warning}");
             }
-            if let Some(hint) = hint {
-                tracing::info!(frame = %path.display(), "{hint}");
+            if let Some(name) = unused_velocity {
+                tracing::info!(frame = %path.display(), "frames have the attribute \"{name}\" (velocity), which the outputs lack");
             }
         });
     }
@@ -127,7 +125,8 @@ impl Core {
         frame.attempt_count = 0;
         self.failed.remove(id);
         self.set_phase(id, Phase::Done(record.stamp));
-        self.record(self.output_of[id.root], Entry::Frame(Arc::clone(&id.path), Arc::new(record)), Some(log));
+        let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
+        self.record(self.output_of[id.root], entry, Some(log));
     }
 
     /// A frame failed: what now depends on why.
@@ -272,7 +271,8 @@ impl Core {
             let FrameRecord { outputs, particle_count, seconds, flaws, figures, .. } = (**known).clone();
             record = FrameRecord { outputs, particle_count, seconds, flaws, figures, ..record };
         }
-        self.record(self.output_of[id.root], Entry::Frame(Arc::clone(&id.path), Arc::new(record)), log);
+        let entry = Entry::Frame { input: Arc::clone(&id.path), record: Arc::new(record) };
+        self.record(self.output_of[id.root], entry, log);
         self.changed.insert(id.clone());
     }
 
@@ -307,7 +307,7 @@ impl Core {
 /// Whether these are the same files with the same bytes.
 fn are_the_same(known: &[OutputRecord], now: &[OutputRecord]) -> bool {
     let bytes = |outputs: &[OutputRecord]| -> Vec<_> {
-        outputs.iter().map(|output| (output.path.clone(), output.state.map(|state| state.hash))).collect()
+        outputs.iter().map(|output| (output.path.clone(), output.hash)).collect()
     };
     let known = bytes(known);
     known == bytes(now) && known.iter().all(|(_, hash)| hash.is_some())

@@ -79,7 +79,7 @@ impl Core {
         let inside = record.outputs.iter().filter(|output| is_inside(&output.path, folder));
         let shown = inside.map(|output| OutputView {
             name: self.shown_name(id.root, folder, &output.path),
-            size_bytes: output.size_bytes,
+            size_bytes: output.stamp.size,
             path: output.path.clone(),
         });
         shown.collect()

@@ -19,8 +19,8 @@ use std::sync::Arc;
 use twox_hash::XxHash3_64;
 
 use crate::pipeline::{
-    FileStamp, FrameError, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions, have_fallen_apart,
-    settings_fingerprint,
+    FileStamp, FrameError, Framing, Job, ObstacleStamps, OutputOptions, PictureOptions, ReportedWarnings,
+    have_fallen_apart, settings_fingerprint,
 };
 use crate::surface::options::{self, OwnRadii, Settings};
 use crate::watch::config::Watch;
@@ -63,8 +63,10 @@ pub(in crate::watch) struct Sequence {
     pub(in crate::watch) sparse: HashSet<FrameId>,
     /// That its frames wait for one with more particles was told.
     pub(in crate::watch) is_told: bool,
-    /// The gist of what was told of its frames.
-    pub(in crate::watch) told: HashSet<String>,
+    /// Which warnings about its frames were logged.
+    pub(in crate::watch) reported: ReportedWarnings,
+    /// Whether it was logged that its frames have velocities which the outputs lack.
+    pub(in crate::watch) has_reported_velocity: bool,
 }
 
 impl Sequence {
@@ -131,7 +133,8 @@ impl Sequences {
             framing,
             sparse: HashSet::new(),
             is_told: false,
-            told: HashSet::new(),
+            reported: ReportedWarnings::default(),
+            has_reported_velocity: false,
         });
         self.index_of.insert(place, self.all.len() - 1);
         self.all.len() - 1

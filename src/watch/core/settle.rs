@@ -118,7 +118,7 @@ impl Core {
         if let Some(record) = record {
             let key = self.sequences.get(index).key.clone();
             let log = self.log_of_settings(index, warnings);
-            self.record(self.output_of[root], Entry::Sequence(key, Box::new(record)), log);
+            self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, log);
             self.changed_sequences.push(index);
             for id in self.held_frames(index) {
                 self.release(&id);
@@ -141,7 +141,7 @@ impl Core {
             let what = "a frame leaves the picture: the camera is refitted for it and for later ones";
             tracing::info!(sequence = %path.display(), "{what}");
         });
-        self.record(self.output_of[root], Entry::Sequence(key, Box::new(record)), Some(log));
+        self.record(self.output_of[root], Entry::Sequence { key, record: Box::new(record) }, Some(log));
     }
 
     /// Frames wait for another one, which whoever waits for them should know.

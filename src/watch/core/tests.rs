@@ -232,7 +232,7 @@ impl Rig {
 
     fn output_of(&self, path: &str) -> OutputRecord {
         let path = path.replace("/in", "/out").replace(".ply", ".glb");
-        OutputRecord { path: path.into(), size_bytes: 1, state: None }
+        OutputRecord::new(path.into(), 1, None)
     }
 
     fn convert(&mut self, path: &str) {
@@ -255,7 +255,7 @@ impl Rig {
     /// The standings that were recorded of a frame, in order.
     fn standings(&self, path: &str) -> Vec<Standing> {
         let of_frame = |entry: &Entry| match entry {
-            Entry::Frame(input, record) if **input == *Path::new(path) => Some(record.standing),
+            Entry::Frame { input, record } if **input == *Path::new(path) => Some(record.standing),
             _ => None,
         };
         self.records.iter().filter_map(of_frame).collect()
@@ -529,9 +529,10 @@ fn journal(standing: Standing) -> JournalState {
     rig.want(0);
     rig.put("/in0/a.1.ply", 1);
     rig.convert("/in0/a.1.ply");
-    let Some(Entry::Frame(path, record)) = rig.records.pop() else { panic!("no record") };
+    let Some(Entry::Frame { input: path, record }) = rig.records.pop() else { panic!("no record") };
     let mut journal = JournalState::default();
-    journal.take(Entry::Frame(path, Arc::new(FrameRecord { standing, ..(*record).clone() })));
+    journal
+        .take(Entry::Frame { input: path, record: Arc::new(FrameRecord { standing, ..(*record).clone() }) });
     journal
 }
 

@@ -102,7 +102,7 @@ fn run(
                 continue;
             }
             for output in known_outputs {
-                if let Some(state) = output.state {
+                if let Some(state) = output.state() {
                     output_states.put(&output.path, state);
                 }
             }
@@ -125,20 +125,14 @@ impl Observer for Board {
 fn finished(id: FrameId, frame: &Frame, outcome: Outcome, output_states: &OutputStates) -> Finished {
     let outputs = match &outcome {
         Outcome::Converted(report) => {
-            let outputs = report.outputs.iter().zip(&report.output_bytes);
-            let record = |(path, &size_bytes): (&PathBuf, &u64)| OutputRecord {
-                path: path.clone(),
-                size_bytes,
-                state: output_states.take(path),
+            let record = |path: &PathBuf, &size_bytes: &u64| {
+                OutputRecord::new(path.clone(), size_bytes, output_states.take(path))
             };
-            outputs.map(record).collect()
+            report.outputs.iter().zip(&report.output_bytes).map(|(path, size)| record(path, size)).collect()
         }
         Outcome::AlreadyDone { .. } => {
-            let record = |path: PathBuf| {
-                let state = output_states.take(&path);
-                OutputRecord { path, size_bytes: state.map_or(0, |state| state.stamp.size), state }
-            };
-            frame.output_paths().into_iter().map(record).collect()
+            let paths = frame.output_paths().into_iter();
+            paths.map(|path| OutputRecord::new(path.clone(), 0, output_states.take(&path))).collect()
         }
         Outcome::Changed | Outcome::Failed(_) | Outcome::NotStarted => Vec::new(),
     };

@@ -27,11 +27,11 @@
 //! One daemon writes a journal: the lock of the outputs sees to that. Anybody may read it meanwhile.
 
 mod line;
-mod path;
-mod plan;
 mod state;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_of_plan;
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions};
@@ -179,7 +179,7 @@ impl Journal {
     /// # Errors
     /// When it is not on the disk.
     pub fn note_frame(&mut self, input: &Path, record: FrameRecord) -> io::Result<()> {
-        self.note(Entry::Frame(input.into(), record.into()))
+        self.note(Entry::Frame { input: input.into(), record: record.into() })
     }
 
     /// Remembers what the daemon was asked for.

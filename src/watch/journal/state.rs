@@ -1,13 +1,18 @@
 //! What the journal knows: the last record of each frame, each sequence, and the daemon itself, and what it
 //! was asked for.
+//!
+//! Every record here is written as it is: a field that is renamed needs its old name as a `serde` name.
 
 use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::pipeline::MeasuredSpacing;
-use crate::pipeline::{FileStamp, Framed, OutputState};
+use glam::DVec3;
+use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::pipeline::json::{hex, path, text};
+use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState};
 use crate::watch::board::Figures;
 use crate::watch::config::{Patience, Watch};
 
@@ -27,36 +32,50 @@ pub struct State {
 }
 
 /// What became of a frame.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
     /// How far it has come.
     pub standing: Standing,
     /// The input, as it was when this was recorded.
+    #[serde(flatten)]
     pub stamp: FileStamp,
     /// The hash of its content, where it was read.
+    #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
     pub hash: Option<u128>,
     /// The fingerprint of the settings that it was, or was to be, converted with.
     pub settings: String,
     /// What was made of it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub outputs: Vec<OutputRecord>,
     /// Why it failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// How often it was attempted.
+    #[serde(rename = "attempts")]
     pub attempt_count: u32,
     /// When this was recorded, in milliseconds since 1970.
     pub at_ms: u64,
     /// Particles in it, where it was converted.
+    #[serde(rename = "particles", default, skip_serializing_if = "Option::is_none")]
     pub particle_count: Option<usize>,
     /// How long it took, in seconds, where it was converted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// What is not as it should be though it was converted, a sentence each.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub flaws: Vec<String>,
-    /// What was measured on it, where it was converted.
+    /// What was measured on it, where it was converted, as `/api/frames/NAME` has it. For people: what cannot be read is left out.
+    #[serde(deserialize_with = "figures_or_none", default, skip_serializing_if = "Option::is_none")]
     pub figures: Option<Arc<Figures>>,
 }
 
+fn figures_or_none<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Arc<Figures>>, D::Error> {
+    Ok(serde_json::from_value(serde_json::Value::deserialize(from)?).ok())
+}
+
 /// How far a frame has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Standing {
     /// It waits, or is under way.
     Queued,
@@ -75,14 +94,17 @@ pub enum Standing {
 }
 
 /// One file that was made of a frame.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct OutputRecord {
     /// Where it is.
+    #[serde(with = "path")]
     pub path: PathBuf,
-    /// Bytes.
-    pub size_bytes: u64,
-    /// Its stamp and the hash of its bytes; `None` in journals of older versions.
-    pub state: Option<OutputState>,
+    /// What the file system said of it; without a hash, only its size is known.
+    #[serde(flatten)]
+    pub stamp: FileStamp,
+    /// The hash of its bytes; `None` in journals of older versions.
+    #[serde(with = "hex::option", default, skip_serializing_if = "Option::is_none")]
+    pub hash: Option<u128>,
 }
 
 /// How an output compares with its record.
@@ -97,10 +119,22 @@ pub enum OutputCheck {
 }
 
 impl OutputRecord {
+    /// An output of this state, or, where that is not known, of this size.
+    pub fn new(path: PathBuf, size_bytes: u64, state: Option<OutputState>) -> OutputRecord {
+        let of_size = FileStamp { size: size_bytes, ..FileStamp::default() };
+        let stamp = state.map_or(of_size, |state| state.stamp);
+        OutputRecord { path, stamp, hash: state.map(|state| state.hash) }
+    }
+
+    /// Its stamp and the hash of its bytes.
+    pub fn state(&self) -> Option<OutputState> {
+        Some(OutputState { stamp: self.stamp, hash: self.hash? })
+    }
+
     /// Compares the file with the record, without reading it.
     pub fn check(&self) -> OutputCheck {
-        match (FileStamp::of_path(&self.path), self.state) {
-            (Ok(now), _) if now.size != self.size_bytes => OutputCheck::Missing,
+        match (FileStamp::of_path(&self.path), self.state()) {
+            (Ok(now), _) if now.size != self.stamp.size => OutputCheck::Missing,
             (Ok(now), Some(state)) if !state.stamp.still_holds(&now) => OutputCheck::Touched,
             (Ok(_), _) => OutputCheck::Unchanged,
             (Err(_), _) => OutputCheck::Missing,
@@ -109,7 +143,7 @@ impl OutputRecord {
 
     /// Whether the file has the recorded bytes. It is read only if its stamp differs.
     pub fn has_recorded_bytes(&self) -> bool {
-        match self.state {
+        match self.state() {
             Some(state) => state.now(&self.path).is_ok_and(|now| now.hash == state.hash),
             None => self.check() == OutputCheck::Unchanged,
         }
@@ -117,9 +151,10 @@ impl OutputRecord {
 }
 
 /// A sequence, and what the user chose for it: other choices make other settings.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SequenceKey {
     /// The folder of its frames.
+    #[serde(with = "path")]
     pub folder: PathBuf,
     /// The name of its frames, `{}` in place of the number: `dam.{}.bgeo`.
     pub name: String,
@@ -128,16 +163,19 @@ pub struct SequenceKey {
 }
 
 /// What some frames of a sequence have fixed for all of them.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SequenceRecord {
     /// The particle spacing, where it was not given.
+    #[serde(flatten)]
     pub measured: Option<MeasuredSpacing>,
     /// Where its pictures are taken from, if any are.
+    #[serde(flatten)]
     pub camera: Option<SequenceCamera>,
 }
 
 /// A camera that was placed by a frame, and refitted where later ones left its picture.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "CameraForm", into = "CameraForm")]
 pub struct SequenceCamera {
     /// What was asked for; with something else, another is placed.
     pub asked: String,
@@ -145,8 +183,52 @@ pub struct SequenceCamera {
     pub framed: Framed,
 }
 
+/// A camera as it stands in the journal.
+#[derive(Serialize, Deserialize)]
+struct CameraForm {
+    /// What was asked for, and where it is.
+    camera: [String; 2],
+    /// The corners of what it is placed around: six numbers, or none.
+    #[serde(with = "text::list", default, skip_serializing_if = "Vec::is_empty")]
+    camera_around: Vec<f64>,
+    /// The cameras before it.
+    #[serde(with = "text::list", default, skip_serializing_if = "Vec::is_empty")]
+    earlier_cameras: Vec<CameraChoice>,
+}
+
+impl From<SequenceCamera> for CameraForm {
+    fn from(
+        SequenceCamera { asked, framed: Framed { camera, around, earlier } }: SequenceCamera,
+    ) -> CameraForm {
+        let corners = around.into_iter().flatten();
+        CameraForm {
+            camera: [asked, camera.to_string()],
+            camera_around: corners.flat_map(|corner| corner.to_array()).collect(),
+            earlier_cameras: earlier,
+        }
+    }
+}
+
+impl TryFrom<CameraForm> for SequenceCamera {
+    type Error = String;
+
+    fn try_from(
+        CameraForm { camera: [asked, camera], camera_around, earlier_cameras }: CameraForm,
+    ) -> Result<SequenceCamera, String> {
+        let around = match camera_around[..] {
+            [] => None,
+            [x, y, z, to_x, to_y, to_z] => Some([DVec3::new(x, y, z), DVec3::new(to_x, to_y, to_z)]),
+            _ => return Err("camera_around is not six numbers".to_owned()),
+        };
+        Ok(SequenceCamera {
+            asked,
+            framed: Framed { camera: camera.parse()?, around, earlier: earlier_cameras },
+        })
+    }
+}
+
 /// The daemon that writes the journal.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DaemonRecord {
     /// Its number on its machine.
     pub pid: u32,
@@ -162,16 +244,18 @@ pub struct DaemonRecord {
 
 /// What a daemon was asked for, as far as it concerns the outputs that the journal is about. Apart from
 /// [`DaemonRecord`], so that it is written once in a run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PlanRecord {
     /// The folders that are watched for these outputs.
     pub watches: Vec<Watch>,
     /// How long files must be left alone.
+    #[serde(flatten)]
     pub patience: Patience,
 }
 
 /// What a daemon is doing.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum DaemonState {
     /// It converts what comes, or waits for it.
     Running,
@@ -214,10 +298,21 @@ pub(super) enum Key {
 }
 
 /// One record, as a line has it. Cheap to clone: one is kept in memory, and one is written.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub(in crate::watch) enum Entry {
-    Frame(Arc<Path>, Arc<FrameRecord>),
-    Sequence(SequenceKey, Box<SequenceRecord>),
+    Frame {
+        #[serde(with = "path")]
+        input: Arc<Path>,
+        #[serde(flatten)]
+        record: Arc<FrameRecord>,
+    },
+    Sequence {
+        #[serde(flatten)]
+        key: SequenceKey,
+        #[serde(flatten)]
+        record: Box<SequenceRecord>,
+    },
     Daemon(DaemonRecord),
     Plan(PlanRecord),
 }
@@ -225,8 +320,8 @@ pub(in crate::watch) enum Entry {
 impl Entry {
     pub(super) fn key(&self) -> Key {
         match self {
-            Entry::Frame(input, _) => Key::Frame(Arc::clone(input)),
-            Entry::Sequence(key, _) => Key::Sequence(key.clone()),
+            Entry::Frame { input, .. } => Key::Frame(Arc::clone(input)),
+            Entry::Sequence { key, .. } => Key::Sequence(key.clone()),
             Entry::Daemon(_) => Key::Daemon,
             Entry::Plan(_) => Key::Plan,
         }
@@ -237,10 +332,10 @@ impl State {
     /// Takes a record in, in place of the one before it.
     pub(in crate::watch) fn take(&mut self, entry: Entry) {
         match entry {
-            Entry::Frame(input, record) => {
+            Entry::Frame { input, record } => {
                 self.frames.insert(input, record);
             }
-            Entry::Sequence(key, record) => {
+            Entry::Sequence { key, record } => {
                 self.sequences.insert(key, *record);
             }
             Entry::Daemon(record) => self.daemon = Some(record),
@@ -274,9 +369,9 @@ impl State {
 }
 
 fn frame_entry((input, record): (&Arc<Path>, &Arc<FrameRecord>)) -> Entry {
-    Entry::Frame(Arc::clone(input), Arc::clone(record))
+    Entry::Frame { input: Arc::clone(input), record: Arc::clone(record) }
 }
 
 fn sequence_entry((key, record): (&SequenceKey, &SequenceRecord)) -> Entry {
-    Entry::Sequence(key.clone(), Box::new(record.clone()))
+    Entry::Sequence { key: key.clone(), record: Box::new(record.clone()) }
 }

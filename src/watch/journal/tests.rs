@@ -10,7 +10,7 @@ use super::*;
 
 impl Journal {
     fn note_sequence(&mut self, key: &SequenceKey, record: SequenceRecord) -> io::Result<()> {
-        self.note(Entry::Sequence(key.clone(), record.into()))
+        self.note(Entry::Sequence { key: key.clone(), record: record.into() })
     }
 
     fn note_daemon(&mut self, record: DaemonRecord) -> io::Result<()> {
@@ -19,7 +19,7 @@ impl Journal {
 }
 
 fn frame_entry(input: &Path, record: FrameRecord) -> Entry {
-    Entry::Frame(input.into(), record.into())
+    Entry::Frame { input: input.into(), record: record.into() }
 }
 
 fn folder() -> tempfile::TempDir {
@@ -41,11 +41,7 @@ fn frame_record(standing: Standing, attempt_count: u32) -> FrameRecord {
         },
         hash: Some(u128::MAX / 3),
         settings: "0123456789abcdef0123456789abcdef".to_owned(),
-        outputs: vec![OutputRecord {
-            path: "/out/water/dam.0001.glb".into(),
-            size_bytes: 1_234_567,
-            state: None,
-        }],
+        outputs: vec![OutputRecord::new("/out/water/dam.0001.glb".into(), 1_234_567, None)],
         reason: None,
         attempt_count,
         at_ms: 1_760_000_000_000,

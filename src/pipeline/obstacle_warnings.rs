@@ -8,72 +8,56 @@
 //!   └────────────┘               └───┘
 //! ```
 
-use std::path::Path;
-
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::surface::obstacle::Shape;
+use crate::surface::obstacle::{MeshFindings, Shape};
 use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::{ParticleSource, Positions};
 
 use super::frame::Cause;
 use super::frame_input::FrameInput;
 use super::obstacles::FrameObstacles;
+use super::warning::{ObstacleFinding, Warning};
 
 /// A level set with a band that is narrower than this, in units of h, tells little of where it is.
 const KNOWN_MIN: f64 = 1.0;
 
-/// What a user should know of an obstacle.
-pub(super) fn notes_of(shape: &Shape, path: &Path, settings: &Settings) -> Vec<String> {
-    let name = path.display();
-    let mut notes = Vec::new();
-    let mut tell = |count: usize, what: &str| {
-        if count > 0 {
-            notes.push(format!("obstacle {name}: {count} {what}"));
-        }
-    };
+/// What is odd about an obstacle.
+pub(super) fn findings_of(shape: &Shape, settings: &Settings) -> Vec<ObstacleFinding> {
+    let mut found = Vec::new();
     match shape {
         Shape::Solid(solid) => {
-            let findings = solid.findings();
-            tell(
-                findings.open_edge_count,
-                match findings.encloses_nothing {
-                    true => {
-                        "open edges, and it encloses nothing: an obstacle is what a mesh encloses, so give it a thickness"
-                    }
-                    false => "open edges: holes are closed where its winding number is 1/2",
-                },
-            );
-            tell(findings.turned_count, "triangles faced the other way, and were turned");
-            tell(
-                findings.unasked_part_count,
-                "parts seem to face inwards, and were left so: it has too many parts to tell cavities",
-            );
-            tell(findings.broken_count, "triangles left out: a corner is not finite, or does not exist");
-            if findings.triangle_count == 0 {
-                notes.push(format!(
-                    "obstacle {name}: no triangle has an area, so there is nothing in the way"
-                ));
+            let MeshFindings { open_edge_count, encloses_nothing, turned_count, .. } = *solid.findings();
+            let MeshFindings { unasked_part_count, broken_count, triangle_count, .. } = *solid.findings();
+            if open_edge_count > 0 {
+                found.push(ObstacleFinding::Open { edge_count: open_edge_count, encloses_nothing });
+            }
+            if turned_count > 0 {
+                found.push(ObstacleFinding::Turned { triangle_count: turned_count });
+            }
+            if unasked_part_count > 0 {
+                found.push(ObstacleFinding::Unasked { part_count: unasked_part_count });
+            }
+            if broken_count > 0 {
+                found.push(ObstacleFinding::Broken { triangle_count: broken_count });
+            }
+            if triangle_count == 0 {
+                found.push(ObstacleFinding::Flat);
             }
         }
         Shape::Sampled(sampled) => {
-            if let Some(reason) = sampled.rebuilt_because() {
-                notes.push(format!("obstacle {name}: {reason}"));
-            }
-            let known = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
-            if known < KNOWN_MIN {
-                notes.push(format!(
-                    "obstacle {name}: its distances are known to {known:.2} h only, and its surface may be off by as much: \
-                     make it with a wider band"
-                ));
+            found.extend(sampled.rebuilt_because().map(ObstacleFinding::Rebuilt));
+            let known_voxels = (sampled.band_width() - sampled.voxel_size()) / settings.voxel_size;
+            if known_voxels < KNOWN_MIN {
+                found.push(ObstacleFinding::NarrowBand { known_voxels });
             }
         }
     }
-    notes
+    found
 }
 
-/// A sentence for each obstacle that nothing of a frame can touch.
+/// A warning for each obstacle that nothing of a frame can touch.
 ///
 /// # Errors
 /// Those of reading the particles.
@@ -81,28 +65,23 @@ pub(super) fn out_of_reach(
     obstacles: &FrameObstacles,
     particles: &FrameInput,
     settings: &Settings,
-) -> Result<Vec<String>, Cause> {
+) -> Result<Vec<Warning>, Cause> {
     if obstacles.paths.is_empty() {
         return Ok(Vec::new());
     }
     let Some(of_particles) = box_of(particles)? else { return Ok(Vec::new()) };
     let reach = reach(settings);
     let members = obstacles.paths.iter().zip(&obstacles.obstacles.members);
-    let notes = members.filter_map(|(path, obstacle)| {
+    let warnings = members.filter_map(|(path, obstacle)| {
         let of_obstacle = obstacle.shape().bounds()?;
         let is_near = (0..3).all(|axis| {
             of_obstacle[0][axis] - reach <= of_particles[1][axis]
                 && of_particles[0][axis] <= of_obstacle[1][axis] + reach
         });
-        let [obstacle, particles] = [of_obstacle, of_particles].map(told);
-        (!is_near).then(|| {
-            format!(
-                "obstacle {}: touches nothing of the frame: it spans {obstacle}, and the particles {particles}",
-                path.display()
-            )
-        })
+        let finding = ObstacleFinding::OutOfReach { obstacle: of_obstacle, particles: of_particles };
+        (!is_near).then(|| Warning::Obstacle { path: path.clone(), finding })
     });
-    Ok(notes.collect())
+    Ok(warnings.collect())
 }
 
 /// How far from a particle anything is done, at most, in world units.
@@ -141,11 +120,4 @@ fn box_of(particles: &FrameInput) -> Result<Option<[DVec3; 2]>, Cause> {
 /// The box around two boxes.
 fn both(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
     [one[0].min(other[0]), one[1].max(other[1])]
-}
-
-/// A box in four digits.
-fn told(corners: [DVec3; 2]) -> String {
-    let short = |value: f64| format!("{value:.3e}").parse::<f64>().unwrap_or(value).to_string();
-    let [min, max] = corners.map(|corner| corner.to_array().map(short).join(", "));
-    format!("({min}) to ({max})")
 }

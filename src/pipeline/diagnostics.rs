@@ -13,78 +13,63 @@ use glam::Vec3;
 use crate::surface::mesh::Mesh;
 use crate::surface::options::Settings;
 use crate::surface::report::SkinReport;
-use crate::surface::words::{counted, significant};
 
-/// What a user should know of a surface that is empty, in pieces, full of holes, or one blob.
-pub(super) fn misfit_notes(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<String> {
+use super::warning::Warning;
+
+/// A warning about a surface that is empty, in pieces, full of holes, or one blob.
+pub(super) fn diagnose(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<Warning> {
     why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size))
 }
 
 /// Why nothing is left of the surface of a frame that has particles.
-fn why_empty(report: &SkinReport, settings: &Settings) -> Option<String> {
+fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
     let SkinReport { edits, contact, .. } = report;
     if report.particle_count == 0 || report.mesh.vertex_count > 0 {
         return None;
     }
     // What came last had something left to take.
-    let why = if edits.clipped_voxel_count > 0 {
-        "the clip box holds nothing of the surface: the mesh is empty"
+    Some(if edits.clipped_voxel_count > 0 {
+        Warning::ClippedAway
     } else if edits.island_count > 0 {
-        "every piece of the surface was dropped, for none has as many particles as was asked for: the mesh is empty"
+        Warning::IslandsDropped
     } else if contact.particle_count > 0 || contact.taken_count > 0 {
-        "all of the surface is inside obstacles: the mesh is empty"
+        Warning::SurfaceInsideObstacles
     } else {
-        return Some(why_none(settings));
-    };
-    Some(why.to_owned())
-}
-
-/// Balls of √3 voxels and more hold voxels wherever they are. So these are smaller.
-fn why_none(settings: &Settings) -> String {
-    let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
-    let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
-    let radius = significant(3f64.sqrt() * voxel_size);
-    format!(
-        "all particles fall between the voxels: the mesh is empty; r_min and r_max are {least} and {most} voxels, and every \
-         particle is held from √3 on: by --radius-min {radius}"
-    )
+        // Balls of √3 voxels and more hold voxels wherever they are. So these are smaller.
+        let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
+        Warning::BetweenVoxels { voxel_size, radius_min, radius_max }
+    })
 }
 
 /// What tells of voxels that do not fit the particles: most of these are drops by themselves, or the surface is torn, or
 /// all are one blob.
-fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<String> {
-    let SkinReport { particle_count, edits, contact, .. } = report;
+fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
+    let SkinReport { edits, contact, .. } = report;
+    let particle_count = report.particle_count;
     let is_whole = edits.clipped_voxel_count == 0
         && edits.island_count == 0
         && contact.particle_count == 0
         && contact.taken_count == 0;
-    if *particle_count < CROWD || !is_whole {
+    if particle_count < CROWD || !is_whole {
         return None;
     }
-    // Six digits are as many as anybody reads.
-    let shown: f64 = format!("{voxel_size:.5e}").parse().unwrap_or(voxel_size);
-    let remedy = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
     let piece_count = report.mesh.component_count;
-    if 2 * piece_count > *particle_count {
-        return Some(format!(
-            "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels \
-             of {shown} are small beside what is between them; {remedy}"
-        ));
+    if 2 * piece_count > particle_count {
+        return Some(Warning::Spray { particle_count, piece_count, voxel_size });
     }
-    if let Some(torn) = torn(mesh, report) {
-        return Some(format!(
-            "{torn} where voxels of {shown}, or the radii, are small beside what is between particles; check --spacing and \
-             --voxel-size, or leave them out; with --preset paper give --radius-min 0.87 times as much as is between particles, too"
-        ));
-    }
-    is_blob(mesh, report, voxel_size).then(|| {
-        format!("all of the {particle_count} particles are within {BLOB_VOXELS} voxels: voxels of {shown} are large beside them; {remedy}")
+    torn(mesh, report, voxel_size).or_else(|| {
+        let width_voxels = BLOB_VOXELS;
+        is_blob(mesh, report, voxel_size).then_some(Warning::Blob {
+            particle_count,
+            width_voxels,
+            voxel_size,
+        })
     })
 }
 
 /// What a surface is that came of spheres which do not overlap, where it looks so.
-fn torn(mesh: &Mesh, report: &SkinReport) -> Option<String> {
-    let SkinReport { particle_count, mesh: measures, .. } = report;
+fn torn(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
+    let (particle_count, measures) = (report.particle_count, &report.mesh);
     let few_pieces = particle_count / HOLED_ONE_IN;
     let few_holes = few_pieces.max(FEW_HOLES);
     // Of all components together; of a mesh that is open it tells nothing.
@@ -98,18 +83,13 @@ fn torn(mesh: &Mesh, report: &SkinReport) -> Option<String> {
     let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
     let hole_count = hollow_count + handle_count;
     if hole_count > few_holes {
-        let holes = counted(hole_count, "hole");
-        return Some(format!(
-            "the surface of {particle_count} particles has {holes}, through it and within: they are a net, or it is torn"
-        ));
+        return Some(Warning::Holes { particle_count, hole_count, voxel_size });
     }
     let filled = || volumes.iter().copied().filter(|volume| *volume > 0.0);
     let piece_count = filled().count();
     let is_torn = piece_count > particle_count / PIECES_ONE_IN
         && 2.0 * filled().fold(0.0, f64::max) < filled().sum::<f64>();
-    is_torn.then(|| {
-        format!("{particle_count} particles became {piece_count} pieces, none of them the half of all: they are spray, or torn")
-    })
+    is_torn.then_some(Warning::Torn { particle_count, piece_count, voxel_size })
 }
 
 /// Whether all particles are in one blob, as large as one particle's.

@@ -1,0 +1,43 @@
+//! What a user can do about a warning: which options help.
+
+use std::fmt;
+
+use crate::pipeline::Warning;
+
+use super::wording::{rounded_down, significant};
+
+/// A warning, and the options that help.
+pub(super) fn with_remedy(warning: &Warning) -> impl fmt::Display {
+    match remedy(warning) {
+        Some(remedy) => format!("{warning}; {remedy}"),
+        None => warning.to_string(),
+    }
+}
+
+fn remedy(warning: &Warning) -> Option<String> {
+    let of_spacing = "check --spacing and --voxel-size, or leave them out: then the spacing is measured";
+    Some(match warning {
+        Warning::Tiled { .. } => "--memory allows more".to_owned(),
+        Warning::CflExceeded { .. } => "choose a smaller --step-size".to_owned(),
+        Warning::SmallRadii { radius_min, .. } => {
+            format!("--voxel-size {} would hold them all", rounded_down(radius_min / 3f64.sqrt()))
+        }
+        Warning::BetweenVoxels { voxel_size, .. } => {
+            format!("--radius-min {} would hold them all", significant(3f64.sqrt() * voxel_size))
+        }
+        Warning::Spray { .. } | Warning::Blob { .. } => of_spacing.to_owned(),
+        Warning::Holes { .. } | Warning::Torn { .. } => {
+            "check --spacing and --voxel-size, or leave them out; with --preset paper give --radius-min 0.87 times as much as is \
+             between particles, too"
+                .to_owned()
+        }
+        _ => return None,
+    })
+}
+
+/// How to have the velocities of particles in the outputs.
+pub(super) fn velocity_hint(name: &str) -> String {
+    format!(
+        "frames have the attribute \"{name}\" (velocity); --attributes {name} adds it to the outputs for motion blur"
+    )
+}

@@ -1,0 +1,442 @@
+//! What a user should know of a frame though it was converted.
+//!
+//! A warning states a fact. What to do about it depends on who asked: the command line adds the options that help.
+
+use std::collections::HashSet;
+use std::fmt;
+use std::mem::Discriminant;
+use std::path::PathBuf;
+
+use glam::DVec3;
+
+use crate::surface::level_set::RebuildReason;
+use crate::surface::mesh::MeshMeasures;
+use crate::surface::words::{counted, significant};
+
+/// What a user should know of a frame though it was converted. Displayed as a sentence.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+#[expect(missing_docs, reason = "fields are what their names and the sentence say")]
+pub enum Warning {
+    /// A sentence of a reader or writer of a format, or of the settings.
+    Sentence(String),
+    /// An attribute that the surface was to have is missing.
+    MissingAttribute { name: String, available: Vec<String> },
+    /// The file has more grids than the one that was read.
+    OtherGrids { count: usize },
+    /// The level set had no distances in places.
+    Rebuilt(RebuildReason),
+    /// The velocities of a level set cannot be used.
+    VelocitiesNotShown(String),
+    /// Positions that are infinite or not numbers were copied.
+    PositionsNotFinite { count: usize, particle_count: usize },
+    /// The frame was skinned in tiles.
+    Tiled { whole_bytes: u64 },
+    /// Something about an obstacle.
+    Obstacle { path: PathBuf, finding: ObstacleFinding },
+    /// The clip box holds nothing of the surface.
+    ClippedAway,
+    /// Every island was dropped.
+    IslandsDropped,
+    /// All of the surface is inside obstacles.
+    SurfaceInsideObstacles,
+    /// The particles are so small that no voxel is inside. Lengths in world units.
+    BetweenVoxels { voxel_size: f64, radius_min: f64, radius_max: f64 },
+    /// Most pieces of the surface have one particle.
+    Spray { particle_count: usize, piece_count: usize, voxel_size: f64 },
+    /// The surface has many holes.
+    Holes { particle_count: usize, hole_count: usize, voxel_size: f64 },
+    /// The surface is in many pieces, none of which is most of it.
+    Torn { particle_count: usize, piece_count: usize, voxel_size: f64 },
+    /// All particles are within this many voxels.
+    Blob { particle_count: usize, width_voxels: f64, voxel_size: f64 },
+    /// A format rounds positions; `storage` says how it stores them.
+    RoundedPositions { voxels: f64, storage: &'static str },
+    /// An attribute that a .vdb cannot have.
+    NotInVdb { name: String },
+    /// r_min of the smallest one in world units.
+    SmallRadii { count: usize, radius_min: f64 },
+    /// Radii that are not positive numbers.
+    InvalidRadii { count: usize },
+    /// Radii above what the grid holds.
+    LargeRadii { count: usize },
+    /// Particles that were to be stretched along their velocity.
+    NotStretched { count: usize },
+    /// Values of attributes that were left out.
+    ValuesNotFinite { count: usize },
+    /// Vertices that no particle gives attributes to.
+    VerticesWithoutAttributes { count: usize },
+    /// Voxels of a .vdb that no particle gives attributes to.
+    VoxelsWithoutAttributes { count: usize },
+    /// Particles that are not in the surface; about where one of them is.
+    LeftOut { count: usize, near: Option<DVec3> },
+    /// Particles in obstacles.
+    ParticlesInObstacles { count: usize, are_most: bool },
+    /// The conjugate gradients stopped early.
+    NotConverged,
+    /// Explicit steps beyond the CFL bound.
+    CflExceeded { step_count: usize },
+    /// The frame is so wide that 32-bit positions are coarse.
+    CoarsePositions { voxels: f64 },
+    /// Particles outside, which an offset or smoothed positions allow.
+    ParticlesOutside { count: usize, particle_count: usize },
+    /// Breaks a guarantee: φ leaves its bounds.
+    OutOfBounds { voxel_count: usize },
+    /// Breaks a guarantee: vertices nearer to particles than r_min.
+    VerticesTooNear { count: usize, nearest_voxels: f64 },
+    /// Breaks a guarantee: vertices farther from particles than r_max.
+    VerticesTooFar { count: usize, farthest_voxels: f64 },
+    /// Breaks a guarantee: particles that are not inside.
+    NotEnclosed { count: usize },
+    /// Breaks a guarantee: the mesh has these faults.
+    NotClosed(Box<MeshMeasures>),
+}
+
+/// What is odd about an obstacle, or about where it is.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+#[expect(missing_docs, reason = "fields are what their names and the sentence say")]
+pub enum ObstacleFinding {
+    /// Its mesh is open.
+    Open { edge_count: usize, encloses_nothing: bool },
+    /// Triangles faced the other way.
+    Turned { triangle_count: usize },
+    /// Parts that seem to face inwards.
+    Unasked { part_count: usize },
+    /// Triangles with invalid corners.
+    Broken { triangle_count: usize },
+    /// No triangle has an area.
+    Flat,
+    /// Its level set had no distances in places.
+    Rebuilt(RebuildReason),
+    /// Its level set has a narrow band.
+    NarrowBand { known_voxels: f64 },
+    /// Nothing of the frame can touch it: least and greatest corners, world units.
+    OutOfReach { obstacle: [DVec3; 2], particles: [DVec3; 2] },
+}
+
+/// How many frames a warning is about.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// This one.
+    Frame,
+    /// This one, and as a rule those after it: once for the sequence is enough.
+    Sequence,
+}
+
+/// Which warnings of a sequence were reported already.
+#[derive(Clone, Debug, Default)]
+pub struct ReportedWarnings(HashSet<(Discriminant<Warning>, Option<Discriminant<ObstacleFinding>>, String)>);
+
+impl ReportedWarnings {
+    /// Whether a warning is about something else than those before it. Of the same variant are the same warnings, whatever their
+    /// numbers; those about something with a name once for each name.
+    pub fn is_new(&mut self, warning: &Warning) -> bool {
+        let (finding, subject) = match warning {
+            // Formats and settings have no variants: their sentences count without digits.
+            Warning::Sentence(text) => {
+                (None, text.chars().filter(|c| !(c.is_ascii_digit() || ".-".contains(*c))).collect())
+            }
+            Warning::MissingAttribute { name, .. } | Warning::NotInVdb { name } => (None, name.clone()),
+            Warning::RoundedPositions { storage, .. } => (None, (*storage).to_owned()),
+            Warning::Obstacle { path, finding } => {
+                (Some(std::mem::discriminant(finding)), path.to_string_lossy().into_owned())
+            }
+            _ => (None, String::new()),
+        };
+        self.0.insert((std::mem::discriminant(warning), finding, subject))
+    }
+}
+
+impl Warning {
+    /// Whether it is about this frame alone.
+    pub fn scope(&self) -> Scope {
+        match self {
+            Warning::LeftOut { .. }
+            | Warning::ParticlesInObstacles { .. }
+            | Warning::NotConverged
+            | Warning::CflExceeded { .. }
+            | Warning::CoarsePositions { .. }
+            | Warning::ParticlesOutside { .. } => Scope::Frame,
+            _ if self.breaks_guarantee() => Scope::Frame,
+            _ => Scope::Sequence,
+        }
+    }
+
+    /// Whether the result is not what the program guarantees.
+    pub fn breaks_guarantee(&self) -> bool {
+        matches!(
+            self,
+            Warning::OutOfBounds { .. }
+                | Warning::VerticesTooNear { .. }
+                | Warning::VerticesTooFar { .. }
+                | Warning::NotEnclosed { .. }
+                | Warning::NotClosed(_)
+        )
+    }
+
+    /// Whether something is wrong with the frame, whatever it was converted with: particles left out, or a broken guarantee.
+    pub fn is_flaw(&self) -> bool {
+        matches!(self, Warning::LeftOut { .. }) || self.breaks_guarantee()
+    }
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.breaks_guarantee() {
+            f.write_str("the result breaks a guarantee: ")?;
+        }
+        match self {
+            Warning::Sentence(text) => f.write_str(text),
+            Warning::MissingAttribute { name, available } => {
+                write!(f, "no attribute `{name}` for the surface: it has ")?;
+                f.write_str(&if available.is_empty() { "none".to_owned() } else { available.join(", ") })
+            }
+            Warning::OtherGrids { count: 1 } => f.write_str("1 more grid in the file is not kept"),
+            Warning::OtherGrids { count } => write!(f, "{count} more grids in the file are not kept"),
+            Warning::Rebuilt(reason) => reason.fmt(f),
+            Warning::VelocitiesNotShown(why) => write!(f, "its velocities are not shown: {why}"),
+            Warning::PositionsNotFinite { count, particle_count } => {
+                write!(f, "{count} of {particle_count} positions are not finite")
+            }
+            Warning::Tiled { whole_bytes } => {
+                let mebibytes = whole_bytes.div_ceil(1 << 20);
+                write!(f, "skinned in tiles, which takes longer: whole it needs {mebibytes} MiB")
+            }
+            Warning::Obstacle { path, finding } => write!(f, "obstacle {}: {finding}", path.display()),
+            _ => self.fmt_surface(f),
+        }
+    }
+}
+
+/// A warning that begins with how many there are of something.
+fn fmt_counted(f: &mut fmt::Formatter<'_>, count: usize, noun: &str, what: &str) -> fmt::Result {
+    write!(f, "{} {what}", counted(count, noun))
+}
+
+impl Warning {
+    /// Warnings about the surface as a whole.
+    fn fmt_surface(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Warning::ClippedAway => {
+                f.write_str("the clip box holds nothing of the surface: the mesh is empty")
+            }
+            Warning::IslandsDropped => f.write_str(
+                "every piece of the surface was dropped, for none has as many particles as was asked for: the mesh is empty",
+            ),
+            Warning::SurfaceInsideObstacles => {
+                f.write_str("all of the surface is inside obstacles: the mesh is empty")
+            }
+            Warning::BetweenVoxels { voxel_size, radius_min, radius_max } => {
+                let [least, most] = [radius_min / voxel_size, radius_max / voxel_size].map(significant);
+                write!(
+                    f,
+                    "all particles fall between the voxels: the mesh is empty; r_min and r_max are {least} and {most} voxels, and \
+                     every particle is held from √3 on"
+                )
+            }
+            Warning::Spray { particle_count, piece_count, voxel_size } => write!(
+                f,
+                "{particle_count} particles became {piece_count} pieces, most of one particle each: they are spray, or voxels of {} \
+                 are small beside what is between them",
+                significant(*voxel_size)
+            ),
+            Warning::Holes { particle_count, hole_count, voxel_size } => write!(
+                f,
+                "the surface of {particle_count} particles has {}, through it and within: they are a net, or it is torn where voxels \
+                 of {}, or the radii, are small beside what is between particles",
+                counted(*hole_count, "hole"),
+                significant(*voxel_size)
+            ),
+            Warning::Torn { particle_count, piece_count, voxel_size } => write!(
+                f,
+                "{particle_count} particles became {piece_count} pieces, none of them the half of all: they are spray, or torn where \
+                 voxels of {}, or the radii, are small beside what is between particles",
+                significant(*voxel_size)
+            ),
+            Warning::Blob { particle_count, width_voxels, voxel_size } => write!(
+                f,
+                "all of the {particle_count} particles are within {width_voxels} voxels: voxels of {} are large beside them",
+                significant(*voxel_size)
+            ),
+            _ => self.fmt_particles(f),
+        }
+    }
+
+    /// Warnings about particles and their attributes.
+    fn fmt_particles(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Warning::RoundedPositions { voxels, storage } => {
+                write!(f, "vertices are moved by up to {voxels:.3} voxels in {storage}")
+            }
+            Warning::NotInVdb { ref name } => write!(
+                f,
+                "{name} is not in the .vdb: its grids are of numbers that can be averaged, one or three for each voxel"
+            ),
+            Warning::SmallRadii { count, .. } => {
+                fmt_counted(f, count, "particle", "too small for the grid: r_min = √3·h was taken")
+            }
+            Warning::InvalidRadii { count } => fmt_counted(
+                f,
+                count,
+                "particle",
+                "without a radius that is a positive number: the least was taken",
+            ),
+            Warning::LargeRadii { count } => fmt_counted(
+                f,
+                count,
+                "particle",
+                "too large for the grid: the largest radius that it holds was taken",
+            ),
+            Warning::NotStretched { count } => {
+                fmt_counted(f, count, "particle", "not stretched: no finite velocity")
+            }
+            Warning::ValuesNotFinite { count } => {
+                fmt_counted(f, count, "value", "of particles not finite: no part of the surface's attributes")
+            }
+            Warning::VerticesWithoutAttributes { count } => {
+                fmt_counted(f, count, "vertex", "too far from all particles for attributes: 0, or none")
+            }
+            Warning::VoxelsWithoutAttributes { count } => {
+                fmt_counted(f, count, "place", "in the .vdb too far from all particles for attributes: 0")
+            }
+            _ => self.fmt_frame(f),
+        }
+    }
+
+    /// Warnings about a single frame.
+    fn fmt_frame(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Warning::LeftOut { count, near } => {
+                fmt_counted(f, count, "particle", "left out: not finite, or too far away")?;
+                near.map_or(Ok(()), |near| {
+                    let [x, y, z] = near.to_array().map(significant);
+                    write!(f, "; one is near ({x}, {y}, {z})")
+                })
+            }
+            Warning::ParticlesInObstacles { count, are_most } => {
+                fmt_counted(
+                    f,
+                    count,
+                    "particle",
+                    "inside obstacles: the surface goes around these all the same",
+                )?;
+                // The mesh of a container may be its inner side alone.
+                f.write_str(if are_most { "; a container needs walls, or it is taken for full" } else { "" })
+            }
+            Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
+            Warning::CflExceeded { step_count } => {
+                fmt_counted(f, step_count, "explicit step", "went beyond the CFL bound (Eq. 8)")
+            }
+            Warning::CoarsePositions { voxels } => write!(
+                f,
+                "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
+                significant(voxels)
+            ),
+            Warning::ParticlesOutside { count, particle_count } => write!(
+                f,
+                "{count} of {} are outside the surface: an offset moved it inward, or their positions were smoothed",
+                counted(particle_count, "particle")
+            ),
+            Warning::OutOfBounds { voxel_count } => {
+                write!(f, "the level set leaves its bounds (Eq. 6) at {}", counted(voxel_count, "voxel"))
+            }
+            Warning::VerticesTooNear { count, nearest_voxels } => write!(
+                f,
+                "{} of the mesh nearer than r_min to a particle by more than half a voxel, the nearest at {} voxels",
+                counted(count, "vertex"),
+                significant(nearest_voxels)
+            ),
+            Warning::VerticesTooFar { count, farthest_voxels } => write!(
+                f,
+                "{} of the mesh farther than r_max from all particles by more than half a voxel, the farthest at {} voxels",
+                counted(count, "vertex"),
+                significant(farthest_voxels)
+            ),
+            Warning::NotEnclosed { count } => fmt_counted(f, count, "particle", "outside the surface"),
+            Warning::NotClosed(ref mesh) => {
+                let faults = [
+                    (mesh.boundary_edge_count, "boundary edge"),
+                    (mesh.non_manifold_edge_count, "non-manifold edge"),
+                    (mesh.non_manifold_vertex_count, "non-manifold vertex"),
+                    (mesh.degenerate_triangle_count, "triangle without area"),
+                ];
+                let faults = faults.into_iter().filter(|(count, _)| *count > 0);
+                let faults: Vec<String> = faults.map(|(count, what)| counted(count, what)).collect();
+                write!(f, "the mesh is not closed and manifold: {}", faults.join(", "))
+            }
+            // All others have their sentences above.
+            _ => Ok(()),
+        }
+    }
+}
+
+impl fmt::Display for ObstacleFinding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ObstacleFinding::Open { edge_count, encloses_nothing: true } => write!(
+                f,
+                "{edge_count} open edges, and it encloses nothing: an obstacle is what a mesh encloses, so give it a thickness"
+            ),
+            ObstacleFinding::Open { edge_count, encloses_nothing: false } => {
+                write!(f, "{edge_count} open edges: holes are closed where its winding number is 1/2")
+            }
+            ObstacleFinding::Turned { triangle_count } => {
+                write!(f, "{triangle_count} triangles faced the other way, and were turned")
+            }
+            ObstacleFinding::Unasked { part_count } => write!(
+                f,
+                "{part_count} parts seem to face inwards, and were left so: it has too many parts to tell cavities"
+            ),
+            ObstacleFinding::Broken { triangle_count } => {
+                write!(f, "{triangle_count} triangles left out: a corner is not finite, or does not exist")
+            }
+            ObstacleFinding::Flat => f.write_str("no triangle has an area, so there is nothing in the way"),
+            ObstacleFinding::Rebuilt(reason) => reason.fmt(f),
+            ObstacleFinding::NarrowBand { known_voxels } => write!(
+                f,
+                "its distances are known to {known_voxels:.2} h only, and its surface may be off by as much: make it with a wider band"
+            ),
+            ObstacleFinding::OutOfReach { obstacle, particles } => {
+                let [obstacle, particles] = [*obstacle, *particles].map(box_text);
+                write!(f, "touches nothing of the frame: it spans {obstacle}, and the particles {particles}")
+            }
+        }
+    }
+}
+
+/// A box in four digits.
+fn box_text(corners: [DVec3; 2]) -> String {
+    let short = |value: f64| format!("{value:.3e}").parse::<f64>().unwrap_or(value).to_string();
+    let [min, max] = corners.map(|corner| corner.to_array().map(short).join(", "));
+    format!("({min}) to ({max})")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn warnings_of_one_variant_are_reported_once_for_each_name() {
+        let mut reported = ReportedWarnings::default();
+        let sentence = |text: &str| Warning::Sentence(text.to_owned());
+        let about = |path: &str, finding| Warning::Obstacle { path: path.into(), finding };
+        for (warning, is_new) in [
+            (Warning::SmallRadii { count: 1, radius_min: 0.1 }, true),
+            (Warning::SmallRadii { count: 2, radius_min: 0.2 }, false),
+            (Warning::InvalidRadii { count: 1 }, true),
+            (Warning::NotInVdb { name: "id".to_owned() }, true),
+            (Warning::NotInVdb { name: "age".to_owned() }, true),
+            (Warning::NotInVdb { name: "id".to_owned() }, false),
+            (sentence("3 columns are not read"), true),
+            (sentence("14 columns are not read"), false),
+            (sentence("3 rows are not read"), true),
+            (about("a.obj", ObstacleFinding::Flat), true),
+            (about("b.obj", ObstacleFinding::Flat), true),
+            (about("a.obj", ObstacleFinding::Turned { triangle_count: 1 }), true),
+            (about("a.obj", ObstacleFinding::Turned { triangle_count: 9 }), false),
+        ] {
+            assert_eq!(reported.is_new(&warning), is_new, "{warning}");
+        }
+    }
+}
