@@ -10,13 +10,7 @@ pub(super) const FRAMES_IN_VIEW: usize = 20;
 pub(super) fn described(job: &Job, report: &FrameReport) -> String {
     let skin = &report.skin;
     let particles = counted(skin.particle_count, "particle");
-    let seconds = report.read_seconds
-        + skin.seconds.rasterize
-        + skin.seconds.smooth
-        + skin.seconds.contour
-        + skin.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds)
-        + report.write_seconds
-        + report.preview_seconds;
+    let seconds = report.seconds.total() + skin.transfer.as_ref().map_or(0.0, |transfer| transfer.seconds);
     let mesh = format!(
         "{}, {}",
         counted(skin.mesh.vertex_count, "vertex"),

@@ -18,7 +18,7 @@ use meniscus_formats::UpAxis;
 use meniscus_formats::vdb::Compression;
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::json::write_json;
+use crate::pipeline::files::json::write_json;
 use crate::pipeline::{
     CameraChoice, GENERATOR_AND_VERSION, Job, METERS_PER_UNIT, MeasuredSpacing, OutputFormat, OutputOptions,
     PictureOptions, file_of, open_regular, write_whole,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::pipeline::json::write_json;
+use crate::pipeline::files::json::write_json;
 use crate::pipeline::{FrameState, Inspection, ObstacleFiles, inspect, write_whole};
 
 use super::plan::Plan;

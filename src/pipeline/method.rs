@@ -12,13 +12,13 @@ use crate::surface::skin::{
     Unfit,
 };
 
-use super::frame::Cause;
-use super::frame_input::{FrameInput, LevelSetInput};
-use super::level_set_file::level_set_limits;
-use super::obstacles::FrameObstacles;
-use super::outputs::{OutputFormat, OutputOptions};
-use super::stored::stored;
-use super::writing::VDB_HALF_WIDTH_VOXELS;
+use crate::pipeline::error::Cause;
+use crate::pipeline::input::frame_input::{FrameInput, LevelSetInput};
+use crate::pipeline::input::level_set_file::level_set_limits;
+use crate::pipeline::input::obstacles::FrameObstacles;
+use crate::pipeline::output::writing::VDB_HALF_WIDTH_VOXELS;
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
+use crate::pipeline::target::stored::stored;
 
 /// The three stages of the method. Tests put a quick or a failing one in its place.
 ///
@@ -48,17 +48,13 @@ pub trait Method: Sync {
         plan: &Plan,
         scratch: &Path,
     ) -> Result<Self::Rasterized, Cause>;
-    /// The second stage.
-    fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause>;
     /// The second stage; `advanced` hears how much of it is done, from 0 to 1.
-    fn smooth_observed(
+    fn smooth(
         &self,
         rasterized: Self::Rasterized,
         settings: &Settings,
-        _advanced: &mut dyn FnMut(f64),
-    ) -> Result<Self::Smoothed, Cause> {
-        self.smooth(rasterized, settings)
-    }
+        advanced: &mut dyn FnMut(f64),
+    ) -> Result<Self::Smoothed, Cause>;
     /// The third stage, for what is to be written.
     fn contour(
         &self,
@@ -152,11 +148,7 @@ impl Method for LevelSetSkinning {
         Ok(Skinned::Tiled(Box::new(frame)))
     }
 
-    fn smooth(&self, rasterized: Self::Rasterized, settings: &Settings) -> Result<Self::Smoothed, Cause> {
-        self.smooth_observed(rasterized, settings, &mut |_| {})
-    }
-
-    fn smooth_observed(
+    fn smooth(
         &self,
         rasterized: Self::Rasterized,
         settings: &Settings,

@@ -4,7 +4,8 @@ use std::fmt;
 
 use crate::surface::skin::Plan;
 
-use super::frame::{Frame, Stage};
+use crate::pipeline::error::Stage;
+use crate::pipeline::input::frame::Frame;
 
 /// Is notified of how frames advance, on the threads of the stages: it must be quick.
 pub trait Observer: fmt::Debug + Sync {

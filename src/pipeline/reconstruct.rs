@@ -8,16 +8,16 @@ use crate::surface::options::Settings;
 use crate::surface::particles::{Cloud, Particles};
 use crate::surface::skin::Surface;
 
-use super::attributes::Wanted;
-use super::frame::{Cause, FrameError, Stage};
-use super::frame_input::FrameInput;
-use super::frame_warnings::left_out;
-use super::method::{LevelSetSkinning, Method};
-use super::obstacles::ObstacleFiles;
-use super::outputs::OutputOptions;
-use super::reading::{ReadFrame, parse_particles, read_file};
-use super::warning::Warning;
-use super::writing::surface_warnings;
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::attributes::Wanted;
+use crate::pipeline::input::frame_input::FrameInput;
+use crate::pipeline::input::obstacles::ObstacleFiles;
+use crate::pipeline::input::reading::{ReadFrame, parse_particles, read_file};
+use crate::pipeline::method::{LevelSetSkinning, Method};
+use crate::pipeline::output::writing::surface_warnings;
+use crate::pipeline::records::frame_warnings::left_out;
+use crate::pipeline::target::outputs::OutputOptions;
+use crate::pipeline::warning::Warning;
 
 /// A frame that was read, to be skinned any number of times.
 #[derive(Debug)]
@@ -100,7 +100,7 @@ impl LoadedFrame {
         let plan = stage(path, Stage::Read, || method.plan(&given, &loaded, settings, memory_bytes))?;
         let rasterize = || method.rasterize(given, loaded, settings, &plan, &outputs.folder);
         let rasterized = stage(path, Stage::Rasterize, rasterize)?;
-        let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings))?;
+        let smoothed = stage(path, Stage::Smooth, || method.smooth(rasterized, settings, &mut |_| {}))?;
         let surface = stage(path, Stage::Contour, || method.contour(smoothed, settings, outputs))?;
         warnings.extend(surface_warnings(&surface, outputs, settings));
         warnings.extend(left_out(&surface.report));

@@ -186,6 +186,9 @@ impl fmt::Display for Warning {
         if self.breaks_guarantee() {
             f.write_str("the result breaks a guarantee: ")?;
         }
+        if let Some((count, noun, what)) = self.counted() {
+            return write!(f, "{} {what}", counted(count, noun));
+        }
         match self {
             Warning::Sentence(text) => f.write_str(text),
             Warning::MissingAttribute { name, available } => {
@@ -209,12 +212,37 @@ impl fmt::Display for Warning {
     }
 }
 
-/// A warning that begins with how many there are of something.
-fn fmt_counted(f: &mut fmt::Formatter<'_>, count: usize, noun: &str, what: &str) -> fmt::Result {
-    write!(f, "{} {what}", counted(count, noun))
-}
-
 impl Warning {
+    /// How many there are of what, and what about them, of the warnings that say no more.
+    fn counted(&self) -> Option<(usize, &'static str, &'static str)> {
+        Some(match *self {
+            Warning::SmallRadii { count, .. } => {
+                (count, "particle", "too small for the grid: r_min = √3·h was taken")
+            }
+            Warning::InvalidRadii { count } => {
+                (count, "particle", "without a radius that is a positive number: the least was taken")
+            }
+            Warning::LargeRadii { count } => {
+                (count, "particle", "too large for the grid: the largest radius that it holds was taken")
+            }
+            Warning::NotStretched { count } => (count, "particle", "not stretched: no finite velocity"),
+            Warning::ValuesNotFinite { count } => {
+                (count, "value", "of particles not finite: no part of the surface's attributes")
+            }
+            Warning::VerticesWithoutAttributes { count } => {
+                (count, "vertex", "too far from all particles for attributes: 0, or none")
+            }
+            Warning::VoxelsWithoutAttributes { count } => {
+                (count, "place", "in the .vdb too far from all particles for attributes: 0")
+            }
+            Warning::CflExceeded { step_count } => {
+                (step_count, "explicit step", "went beyond the CFL bound (Eq. 8)")
+            }
+            Warning::NotEnclosed { count } => (count, "particle", "outside the surface"),
+            _ => return None,
+        })
+    }
+
     /// Warnings about the surface as a whole.
     fn fmt_surface(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -259,12 +287,12 @@ impl Warning {
                 "all of the {particle_count} particles are within {width_voxels} voxels: voxels of {} are large beside them",
                 significant(*voxel_size)
             ),
-            _ => self.fmt_particles(f),
+            _ => self.fmt_frame(f),
         }
     }
 
-    /// Warnings about particles and their attributes.
-    fn fmt_particles(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+    /// Warnings about files, and about a single frame.
+    fn fmt_frame(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Warning::RoundedPositions { voxels, storage } => {
                 write!(f, "vertices are moved by up to {voxels:.3} voxels in {storage}")
@@ -273,61 +301,20 @@ impl Warning {
                 f,
                 "{name} is not in the .vdb: its grids are of numbers that can be averaged, one or three for each voxel"
             ),
-            Warning::SmallRadii { count, .. } => {
-                fmt_counted(f, count, "particle", "too small for the grid: r_min = √3·h was taken")
-            }
-            Warning::InvalidRadii { count } => fmt_counted(
-                f,
-                count,
-                "particle",
-                "without a radius that is a positive number: the least was taken",
-            ),
-            Warning::LargeRadii { count } => fmt_counted(
-                f,
-                count,
-                "particle",
-                "too large for the grid: the largest radius that it holds was taken",
-            ),
-            Warning::NotStretched { count } => {
-                fmt_counted(f, count, "particle", "not stretched: no finite velocity")
-            }
-            Warning::ValuesNotFinite { count } => {
-                fmt_counted(f, count, "value", "of particles not finite: no part of the surface's attributes")
-            }
-            Warning::VerticesWithoutAttributes { count } => {
-                fmt_counted(f, count, "vertex", "too far from all particles for attributes: 0, or none")
-            }
-            Warning::VoxelsWithoutAttributes { count } => {
-                fmt_counted(f, count, "place", "in the .vdb too far from all particles for attributes: 0")
-            }
-            _ => self.fmt_frame(f),
-        }
-    }
-
-    /// Warnings about a single frame.
-    fn fmt_frame(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
             Warning::LeftOut { count, near } => {
-                fmt_counted(f, count, "particle", "left out: not finite, or too far away")?;
+                write!(f, "{} left out: not finite, or too far away", counted(count, "particle"))?;
                 near.map_or(Ok(()), |near| {
                     let [x, y, z] = near.to_array().map(significant);
                     write!(f, "; one is near ({x}, {y}, {z})")
                 })
             }
             Warning::ParticlesInObstacles { count, are_most } => {
-                fmt_counted(
-                    f,
-                    count,
-                    "particle",
-                    "inside obstacles: the surface goes around these all the same",
-                )?;
+                let particles = counted(count, "particle");
+                write!(f, "{particles} inside obstacles: the surface goes around these all the same")?;
                 // The mesh of a container may be its inner side alone.
                 f.write_str(if are_most { "; a container needs walls, or it is taken for full" } else { "" })
             }
             Warning::NotConverged => f.write_str("the conjugate gradients did not reach their tolerance"),
-            Warning::CflExceeded { step_count } => {
-                fmt_counted(f, step_count, "explicit step", "went beyond the CFL bound (Eq. 8)")
-            }
             Warning::CoarsePositions { voxels } => write!(
                 f,
                 "parts of this frame lie so far apart that the 32-bit positions of some vertices are off by up to {} voxels",
@@ -353,7 +340,6 @@ impl Warning {
                 counted(count, "vertex"),
                 significant(farthest_voxels)
             ),
-            Warning::NotEnclosed { count } => fmt_counted(f, count, "particle", "outside the surface"),
             Warning::NotClosed(ref mesh) => {
                 let faults = [
                     (mesh.boundary_edge_count, "boundary edge"),

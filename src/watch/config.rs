@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::json::path;
+use crate::pipeline::files::json::path;
 use crate::pipeline::{Job, OutputOptions, is_level_set};
 use crate::surface::options::MethodOptions;
 

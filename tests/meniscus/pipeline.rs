@@ -66,7 +66,7 @@ impl Method for Quick {
         Ok(self.pass(Stage::Rasterize, particles.len()))
     }
 
-    fn smooth(&self, count: usize, _settings: &Settings) -> Result<usize, Cause> {
+    fn smooth(&self, count: usize, _settings: &Settings, _: &mut dyn FnMut(f64)) -> Result<usize, Cause> {
         Ok(self.pass(Stage::Smooth, count))
     }
 

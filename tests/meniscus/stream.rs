@@ -51,7 +51,7 @@ impl<H: Fn(Stage, usize) + Sync> Method for Told<H> {
         Ok(particles.len())
     }
 
-    fn smooth(&self, count: usize, _settings: &Settings) -> Result<usize, Cause> {
+    fn smooth(&self, count: usize, _settings: &Settings, _: &mut dyn FnMut(f64)) -> Result<usize, Cause> {
         self.0(Stage::Smooth, count);
         Ok(count)
     }

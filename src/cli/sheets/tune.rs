@@ -205,7 +205,7 @@ impl<'a> Tuning<'a> {
                 Ok((made, settings, picture)) => {
                     tally.done_count += 1;
                     let of_settings = settings.warnings().into_iter().map(Warning::Sentence);
-                    for warning in of_settings.chain(made.warnings) {
+                    for warning in of_settings.chain(made.warnings.iter().cloned()) {
                         if reported.is_new(&warning) {
                             console.warn(format_args!("warning: cell {number}: {}", with_remedy(&warning)));
                         }

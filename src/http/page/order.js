@@ -1,4 +1,4 @@
-// The order of names: the daemon's own (natural_order in src/pipeline/source.rs). tests/natural_order.txt holds both to it.
+// The order of names: the daemon's own (natural_order in src/pipeline/input/source.rs). tests/natural_order.txt holds both to it.
 
 /** Compares names with their runs of digits as numbers, however long; equal numbers with fewer zeros in front come first. */
 export function natural(a, b) {

@@ -3,9 +3,10 @@
 use crossbeam::channel::{Receiver, Sender};
 use meniscus_formats::{Limits, read_particles};
 
-use crate::pipeline::frame::{Cause, Frame, FrameError, Stage};
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::frame::Frame;
+use crate::pipeline::input::steps::{by_lines_of_file, file_of};
 use crate::pipeline::method::Method;
-use crate::pipeline::steps::{by_lines_of_file, file_of};
 use crate::surface::skin::Surface;
 
 use super::shared::{Finished, Inlet, InputInfo, Outlet, Place, Read, Staged, Stages, WorkItem, outcome_of};
@@ -57,7 +58,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
                             observer.advanced(frame, Stage::Smooth, fraction);
                         }
                     };
-                    let made = shared.method.smooth_observed(rasterized, &frame.settings, advanced);
+                    let made = shared.method.smooth(rasterized, &frame.settings, advanced);
                     staged(made, frame, Stage::Smooth)
                 }
             });
@@ -117,7 +118,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
 
 /// What a stage made of a surface, or why it failed.
 fn staged<T>(made: Result<T, Cause>, frame: &Frame, stage: Stage) -> Result<Staged<T>, FrameError> {
-    made.map(Staged::Surface).map_err(|cause| FrameError::of_stage(frame, stage, cause))
+    made.map(Staged::Surface).map_err(|cause| frame.failed(stage, cause))
 }
 
 fn parsed<T>(bytes: &[u8], frame: &Frame) -> Result<Staged<T>, FrameError> {

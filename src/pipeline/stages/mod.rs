@@ -36,13 +36,13 @@ use std::thread;
 use crossbeam::channel::bounded;
 use rayon::ThreadPool;
 
-use super::frame::{Frame, Outcome};
-use super::memory::default_memory_bytes;
-use super::method::Method;
-use super::observer::Observer;
-use super::output_states::OutputStates;
-use super::scheduler::{Scheduler, TaskQueue};
-use super::steps::StepsFoundBy;
+use crate::pipeline::input::frame::{Frame, Outcome};
+use crate::pipeline::input::steps::StepsFoundBy;
+use crate::pipeline::memory::default_memory_bytes;
+use crate::pipeline::method::Method;
+use crate::pipeline::observer::Observer;
+use crate::pipeline::records::output_states::OutputStates;
+use crate::pipeline::scheduler::{Scheduler, TaskQueue};
 
 use shared::{Finished, Shared, Stages, is_failure, link};
 

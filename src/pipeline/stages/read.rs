@@ -10,17 +10,19 @@ use std::time::Instant;
 use crossbeam::channel::Sender;
 use twox_hash::XxHash3_128;
 
-use crate::pipeline::attributes::Wanted;
-use crate::pipeline::frame::{Cause, Frame, FrameError, Job, Outcome, ReadInput, Stage};
-use crate::pipeline::frame_input::{FileParticles, FrameInput, LevelSetInput};
-use crate::pipeline::inspection::certified_fault;
-use crate::pipeline::level_set_file::{level_set_limits, other_grids, read_input};
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::files::input_file::{InputFile, read_unchanged};
+use crate::pipeline::input::attributes::Wanted;
+use crate::pipeline::input::frame::{Frame, Job, Outcome, ReadInput};
+use crate::pipeline::input::frame_input::{FileParticles, FrameInput, LevelSetInput, read_input};
+use crate::pipeline::input::level_set_file::{level_set_limits, other_grids};
+use crate::pipeline::input::obstacles::FoundObstacles;
+use crate::pipeline::input::out_of_reach::out_of_reach;
+use crate::pipeline::input::reading::{parse_particles, read_frame_unchanged};
+use crate::pipeline::input::steps::{reading_bytes, step_of};
 use crate::pipeline::method::Method;
-use crate::pipeline::obstacle_warnings::out_of_reach;
-use crate::pipeline::obstacles::FoundObstacles;
-use crate::pipeline::provenance::is_done;
-use crate::pipeline::reading::{InputFile, parse_particles, read_frame_unchanged, read_unchanged};
-use crate::pipeline::steps::{reading_bytes, step_of};
+use crate::pipeline::records::inspection::certified_fault;
+use crate::pipeline::records::provenance::is_done;
 use crate::pipeline::warning::Warning;
 use crate::surface::options::Settings;
 
@@ -134,7 +136,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let failed = |error: meniscus_formats::Error| {
             Outcome::Failed(FrameError::file(&frame.input, Stage::Read, error))
         };
-        let of_obstacle = |error| FrameError::of_stage(frame, Stage::Read, Cause::Obstacle(Box::new(error)));
+        let of_obstacle = |error| frame.failed(Stage::Read, Cause::Obstacle(Box::new(error)));
         let found = frame.obstacles.find(frame.number);
         let obstacles = found.map_err(|error| Outcome::Failed(of_obstacle(error)))?;
         let wanted = Wanted::by(&frame.settings);
@@ -204,7 +206,7 @@ impl<'scope, 'env: 'scope, M: Method> Stages<'_, 'scope, 'env, M> {
         let planned = self.scheduler.run(number, move || {
             let (given, mut noted) = parse()?;
             let warnings = &mut noted.warnings;
-            let failed = |cause| FrameError::of_stage(&frame, Stage::Read, cause);
+            let failed = |cause| frame.failed(Stage::Read, cause);
             let loaded = frame.obstacles.load(found, &frame.settings, allowed_bytes);
             let mut obstacles = loaded.map_err(|error| failed(Cause::Obstacle(Box::new(error))))?;
             warnings.append(&mut obstacles.warnings);

@@ -10,9 +10,10 @@ use crossbeam::channel::{Receiver, Sender, bounded};
 use meniscus_formats::ParticleFrame;
 
 use crate::pipeline::budget::{Budget, Reservation};
-use crate::pipeline::frame::{Cause, Frame, FrameError, Outcome, ReadInput, Stage};
-use crate::pipeline::frame_input::FrameInput;
-use crate::pipeline::obstacles::FrameObstacles;
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::input::frame::{Frame, Outcome, ReadInput};
+use crate::pipeline::input::frame_input::FrameInput;
+use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::scheduler::Scheduler;
 use crate::pipeline::semaphore::{Permit, Semaphore};
 use crate::pipeline::warning::Warning;

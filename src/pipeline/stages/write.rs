@@ -10,16 +10,17 @@ use crossbeam::channel::Sender;
 use glam::DVec3;
 use meniscus_formats::ParticleFrame;
 
-use crate::pipeline::frame::{Frame, FrameError, FrameReport, Job, Outcome, Stage};
-use crate::pipeline::frame_warnings::fault;
+use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::files::open::require_no_links;
+use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
 use crate::pipeline::memory::peak_memory_bytes;
-use crate::pipeline::open::require_no_links;
-use crate::pipeline::outputs::OutputFormat;
-use crate::pipeline::particle_files::{particle_warnings, write_particles};
-use crate::pipeline::picture::Scene;
-use crate::pipeline::provenance::provenance;
+use crate::pipeline::output::particle_files::{particle_warnings, write_particles};
+use crate::pipeline::output::writing::{Written, surface_warnings, write_files, write_surface};
+use crate::pipeline::records::frame_warnings::fault;
+use crate::pipeline::records::provenance::provenance;
+use crate::pipeline::target::outputs::OutputFormat;
+use crate::pipeline::target::picture::Scene;
 use crate::pipeline::warning::Warning;
-use crate::pipeline::writing::{Written, surface_warnings, write_files, write_surface};
 use crate::surface::skin::Surface;
 use crate::surface::space::Lattice;
 
@@ -67,7 +68,7 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
                 let warnings = particle_warnings(particles, &frame.outputs.formats);
                 let mut report = report(frame, info, (written, warnings));
                 report.skin.particle_count = particles.positions.len();
-                report.write_seconds = start.elapsed().as_secs_f64();
+                report.seconds.write = start.elapsed().as_secs_f64();
                 Outcome::Converted(Box::new(report))
             }
             Err(error) => Outcome::Failed(error),
@@ -111,8 +112,14 @@ impl<'scope, 'env: 'scope, M> Stages<'_, 'scope, 'env, M> {
         match written.flatten() {
             Ok((written, warnings)) => Outcome::Converted(Box::new(FrameReport {
                 skin: surface.report.clone(),
-                write_seconds: start.elapsed().saturating_sub(preview_time).as_secs_f64(),
-                preview_seconds: preview_time.as_secs_f64(),
+                seconds: Seconds {
+                    read: info.read_seconds,
+                    rasterize: surface.report.seconds.rasterize,
+                    smooth: surface.report.seconds.smooth,
+                    contour: surface.report.seconds.contour,
+                    write: start.elapsed().saturating_sub(preview_time).as_secs_f64(),
+                    preview: preview_time.as_secs_f64(),
+                },
                 ..report(frame, info, (written, warnings))
             })),
             Err(error) => Outcome::Failed(error),
@@ -141,7 +148,7 @@ fn report(frame: &Frame, info: InputInfo<'_>, (written, warnings): (Written, Vec
         obstacles,
         obstacle_open_edge_count,
         voxel_size: matches!(frame.job, Job::LevelSet { .. }).then_some(frame.settings.voxel_size),
-        read_seconds: info.read_seconds,
+        seconds: Seconds { read: info.read_seconds, ..Seconds::default() },
         peak_memory_bytes: peak_memory_bytes(),
         outputs: written.paths,
         output_bytes: written.sizes_bytes,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::FrameReport;
+use crate::pipeline::{FrameReport, Seconds};
 use crate::surface::grid::LEAF_VOXELS;
 
 /// What was measured on a frame that was converted, as it is shown and as the journal keeps it. Lengths in voxels, times in seconds, sizes in bytes.
@@ -30,24 +30,6 @@ pub struct Figures {
     pub notes: Vec<String>,
 }
 
-/// Seconds in each stage; with several frames under way, they overlap.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Seconds {
-    /// Of reading.
-    pub read: f64,
-    /// Of rasterizing.
-    pub rasterize: f64,
-    /// Of smoothing.
-    pub smooth: f64,
-    /// Of contouring.
-    pub contour: f64,
-    /// Of writing, without pictures.
-    pub write: f64,
-    /// Of pictures: rendered and written.
-    #[serde(default)]
-    pub preview: f64,
-}
-
 /// What was checked of the result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CertificateView {
@@ -72,14 +54,7 @@ impl Figures {
             vertices: skin.mesh.vertex_count,
             triangles: skin.mesh.triangle_count,
             components: skin.mesh.component_count,
-            seconds: Seconds {
-                read: report.read_seconds,
-                rasterize: skin.seconds.rasterize,
-                smooth: skin.seconds.smooth,
-                contour: skin.seconds.contour,
-                write: report.write_seconds,
-                preview: report.preview_seconds,
-            },
+            seconds: report.seconds,
             peak_memory_bytes: report.peak_memory_bytes,
             certificate: CertificateView {
                 holds: skin.certificate.holds(),
@@ -89,12 +64,5 @@ impl Figures {
             },
             notes: report.warnings.iter().map(ToString::to_string).collect(),
         }
-    }
-}
-
-impl Seconds {
-    /// In the order of the stages.
-    pub fn by_stage(&self) -> [f64; 6] {
-        [self.read, self.rasterize, self.smooth, self.contour, self.write, self.preview]
     }
 }

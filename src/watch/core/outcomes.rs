@@ -45,8 +45,7 @@ impl Core {
         }
         self.guard.on_success();
         let skin = &report.skin;
-        let seconds =
-            report.read_seconds + skin.seconds.total() + report.write_seconds + report.preview_seconds;
+        let seconds = report.seconds.total();
         let figures = Arc::new(Figures::of(report));
         let (input_bytes, output_bytes) = (report.input.stamp.size, report.output_bytes.iter().sum());
         let counted = Arc::clone(&figures);

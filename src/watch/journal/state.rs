@@ -11,7 +11,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::pipeline::json::{hex, path, text};
+use crate::pipeline::files::json::{hex, path, text};
 use crate::pipeline::{CameraChoice, FileStamp, Framed, MeasuredSpacing, OutputState};
 use crate::watch::board::Figures;
 use crate::watch::config::{Patience, Watch};

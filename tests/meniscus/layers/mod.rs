@@ -20,10 +20,6 @@ const FORMATS_VISIBLE_FROM: u32 = 3;
 const KNOWN_CYCLES: &[&str] = &[
     "src/cli: args, camera_file, choices, convert, destination, particles_only, print_settings, \
      resolving, resurfacing, selecting, sequence, sheets, standard_input, studio",
-    "src/pipeline: certificate_file, provenance, record",
-    "src/pipeline: file_set, sink, temporary",
-    "src/pipeline: bounds, frame, frame_input, framing, level_set_file, obstacle_notes, obstacles, outputs, \
-     reading, source, steps",
     "src/surface/anisotropy: half_axes, neighborhoods",
     "src/surface/contour: dual_contouring, quads",
     "src/surface/obstacle: surface, tree, winding",

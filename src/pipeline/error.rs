@@ -1,0 +1,165 @@
+//! Why a frame was not converted.
+
+use std::any::Any;
+use std::fmt;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use crate::surface::skin::{TooFine, TooLarge};
+
+use crate::pipeline::files::out_folder::is_disk_full;
+use crate::pipeline::files::shown::shown;
+
+/// The stages of a frame, as users know them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// File to particles.
+    Read,
+    /// Particles to level sets.
+    Rasterize,
+    /// Smoothing.
+    Smooth,
+    /// Level set to mesh.
+    Contour,
+    /// Mesh and level set to files.
+    Write,
+    /// Level set to pictures.
+    Preview,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Stage::Read => "read",
+            Stage::Rasterize => "rasterize",
+            Stage::Smooth => "smooth",
+            Stage::Contour => "contour",
+            Stage::Write => "write",
+            Stage::Preview => "preview",
+        })
+    }
+}
+
+/// Why a frame was not converted.
+#[derive(Debug)]
+pub struct FrameError {
+    /// The file at fault: the input, or the output that could not be written. Of [`Cause::Scratch`], the
+    /// outputs without their extension: they lie where what does not fit into memory was to be.
+    pub path: PathBuf,
+    /// The stage that failed.
+    pub during: Stage,
+    /// Why.
+    pub cause: Cause,
+}
+
+/// What went wrong.
+#[derive(Debug)]
+pub enum Cause {
+    /// The file: its content, or the system's refusal.
+    File(meniscus_formats::Error),
+    /// The input was written, replaced or removed while it was read.
+    Changed,
+    /// An obstacle.
+    Obstacle(Box<ObstacleError>),
+    /// The particles lack an attribute, or any use of it, without which they cannot be skinned as asked.
+    Missing(String),
+    /// The frame does not fit into the memory that it may take.
+    TooLarge(TooLarge),
+    /// The voxels are too small for the frame.
+    TooFine(TooFine),
+    /// What does not fit into memory could not be put on the disk, beside the outputs.
+    Scratch(io::Error),
+    /// This program: a broken invariant, told by the panic's message.
+    Panic(String),
+}
+
+/// What is wrong with an obstacle of a frame.
+#[derive(Debug)]
+pub struct ObstacleError {
+    /// Its file; of those that move, the one that the frame was to have.
+    pub path: PathBuf,
+    /// Why it cannot be read; `None` if it was written while it was read.
+    pub source: Option<meniscus_formats::Error>,
+}
+
+impl fmt::Display for ObstacleError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "obstacle {}: ", self.path.display())?;
+        match &self.source {
+            Some(source) => source.fmt(f),
+            None => f.write_str("changed while it was read"),
+        }
+    }
+}
+
+impl FrameError {
+    /// A failure on account of a file.
+    pub fn file(path: &Path, during: Stage, source: impl Into<meniscus_formats::Error>) -> FrameError {
+        FrameError { path: path.to_owned(), during, cause: Cause::File(source.into()) }
+    }
+
+    /// Whether an output could not be written because the disk, or what its owner may use of it, is
+    /// full: it will go better once there is room.
+    pub fn is_disk_full(&self) -> bool {
+        let source = match &self.cause {
+            Cause::File(meniscus_formats::Error::Io(source)) if self.during == Stage::Write => source,
+            Cause::Scratch(source) => source,
+            _ => return false,
+        };
+        is_disk_full(source)
+    }
+
+    /// Does `work` on the frame at `path`; a panic becomes an error of this frame.
+    ///
+    /// # Errors
+    /// The panic's message.
+    pub fn catch<T>(path: &Path, during: Stage, work: impl FnOnce() -> T) -> Result<T, FrameError> {
+        // What was under way when the panic came is dropped with the frame: nobody sees it broken.
+        catch_unwind(AssertUnwindSafe(work)).map_err(|payload| FrameError {
+            path: path.to_owned(),
+            during,
+            cause: Cause::Panic(panic_message(&*payload)),
+        })
+    }
+}
+
+fn panic_message(payload: &(dyn Any + Send)) -> String {
+    let text = payload.downcast_ref::<&str>().copied();
+    text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("no message").to_owned()
+}
+
+impl fmt::Display for FrameError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let FrameError { path, during, cause } = self;
+        let path = shown(path);
+        match cause {
+            Cause::File(source) if *during == Stage::Read => write!(f, "{}: {source}", path),
+            Cause::File(source) => write!(f, "{}: cannot {during}: {source}", path),
+            Cause::Changed => write!(f, "{}: changed while it was read", path),
+            Cause::Obstacle(error) => write!(f, "{}: {error}", path),
+            Cause::Missing(what) => write!(f, "{}: {what}", path),
+            Cause::TooLarge(too_large) => write!(f, "{}: {too_large}", path),
+            Cause::TooFine(too_fine) => write!(f, "{}: {too_fine}", path),
+            Cause::Scratch(source) => {
+                write!(f, "{}: cannot keep what does not fit into memory here: {source}", path)
+            }
+            Cause::Panic(what) => {
+                write!(f, "{}: a fault in this program, in the {during} stage: {what}", path)
+            }
+        }
+    }
+}
+
+impl std::error::Error for FrameError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match &self.cause {
+            Cause::File(source) => Some(source),
+            Cause::Obstacle(error) => error.source.as_ref().map(|source| source as _),
+            Cause::TooLarge(source) => Some(source),
+            Cause::TooFine(source) => Some(source),
+            Cause::Scratch(source) => Some(source),
+            Cause::Changed | Cause::Missing(_) | Cause::Panic(_) => None,
+        }
+    }
+}

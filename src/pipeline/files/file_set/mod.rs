@@ -1,0 +1,534 @@
+//! Files that replace others together: after a failure or a kill, the folder has all the old files or all the new ones.
+//!
+//! A rename replaces one file at once; several renames can be cut off between two of them. So before the first:
+//!
+//! ```text
+//!   .meniscus-set-9f3c…       the record: the names, and which files will replace them; locked, and on the disk
+//!   .meniscus-set-9f3c….0     another name of the old dam.0012.glb      hard links
+//!   .meniscus-set-9f3c….1     another name of the old dam.0012.vdb
+//!            │
+//!            │ rename each new file, then put the folder on the disk
+//!            ▼
+//!   remove the record         from here on the new files stay
+//!   remove the old files
+//! ```
+//!
+//! A rename that fails puts the old files back; a name that was free becomes free again. A process that is killed leaves its
+//! record without a lock: [`sweep_temporaries`](crate::pipeline::files::sweep::sweep_temporaries) finds it and goes on with the renames,
+//! so that no output that somebody has seen is taken away. Where that is impossible, for a new file is gone, it puts the old files back. That
+//! happens when a daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames,
+//! readers can see a mixed set; a certificate, which has the hashes of all files of its frame, tells them.
+//!
+//! A record is used only if this user made it, it has one name, and this version can read it. Any other is left in place with
+//! its old files, and the sweep returns a warning.
+//!
+//! The record has the size, the time of the last write and the inode of each new and old file. A file that is neither was
+//! written later, and stays. If all names have later files, the set is superseded, and its record and old files are removed:
+//! so it is when a run could not read the record and made the frame again. If only some names have, their old files stay, and
+//! so does the record.
+//!
+//! Where the file system has no hard links the old file is renamed instead, and for a moment its name does not exist.
+
+use std::collections::HashSet;
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File, Metadata};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::sync::MutexGuard;
+
+use crate::pipeline::files::staged_file::{StagedFile, sync_folder};
+use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::files::temporary::{
+    Temporary, is_temporary_name, leave_behind, lock_abandoned, random_number, remove_if_there, under_way,
+};
+
+/// What the name of a record begins with; 16 hexadecimal digits follow.
+const RECORD_PREFIX: &str = ".meniscus-set-";
+
+/// The first words of a record.
+const RECORD_HEAD: &[u8] = b"meniscus set 2\0";
+/// The last word of one that is whole.
+const RECORD_END: &[u8] = b"end\0";
+
+/// Longer than any record: a frame has a dozen names.
+const RECORD_BYTES_MAX: u64 = 1 << 20;
+
+/// So often it is tried to put the old files back before that is left for later.
+const UNDO_ATTEMPTS: usize = 3;
+
+/// A name, and the file that is to appear there. Stamps tell these files from others that have their names later; a rename keeps
+/// them, but for the status change time. Size and time alone would not do: on some file systems the time has a resolution of two
+/// seconds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Member {
+    name: Box<OsStr>,
+    /// The name of the new file until then.
+    temporary: Box<OsStr>,
+    new: FileStamp,
+    /// Of the file that had the name before, if there was one.
+    old: Option<FileStamp>,
+}
+
+/// Lets several files of one folder appear under their names.
+///
+/// # Errors
+/// The path that cannot be replaced, and why. All names have the files that they had before, unless the error says
+/// otherwise.
+pub(crate) fn replace_together(files: &[StagedFile]) -> Result<(), (PathBuf, io::Error)> {
+    let Some(first) = files.first() else { return Ok(()) };
+    let folder = first.path().parent().unwrap_or(Path::new(""));
+    let members = files.iter().map(member).collect::<Result<Vec<_>, _>>()?;
+    let at_first = |error| (first.path().to_owned(), error);
+    let record = write_record(folder, &members).map_err(at_first)?;
+    let set = FileSet { record_path: record.path().to_owned(), members };
+
+    // Locked for all renames: a stop comes before the first or after the last.
+    let locked = under_way();
+    let error = match set.replace(files) {
+        Ok(()) => {
+            drop(locked);
+            sync_folder(folder);
+            match set.commit(&record) {
+                Ok(()) => {
+                    set.remove_old_files();
+                    return Ok(());
+                }
+                Err(error) => at_first(error),
+            }
+        }
+        // Still locked: a stop that took the record now would take the way back.
+        Err(error) => return Err(set.undo_after(error, record, locked)),
+    };
+    Err(set.undo_after(error, record, under_way()))
+}
+
+/// What is known of a file and of its name before anything is replaced.
+fn member(file: &StagedFile) -> Result<Member, (PathBuf, io::Error)> {
+    let failed = |error| (file.path().to_owned(), error);
+    let name = file.path().file_name().ok_or_else(|| failed(io::ErrorKind::InvalidFilename.into()))?;
+    let temporary = file.written_path().file_name().unwrap_or_default();
+    let old = stamp_of(file.path()).map_err(failed)?;
+    Ok(Member {
+        name: name.into(),
+        temporary: temporary.into(),
+        new: file.stamp().without_status_change(),
+        old,
+    })
+}
+
+/// Writes the record: onto the disk where files will be replaced, for a crash of the machine must not come between these.
+fn write_record(folder: &Path, members: &[Member]) -> io::Result<Temporary> {
+    let record = Temporary::create_named(&folder.join("record"), || {
+        format!("{RECORD_PREFIX}{:016x}", random_number())
+    })?;
+    record.file().write_all(&record_bytes(members))?;
+    if members.iter().any(|member| member.old.is_some()) {
+        record.file().sync_all()?;
+    }
+    Ok(record)
+}
+
+fn record_bytes(members: &[Member]) -> Vec<u8> {
+    let mut bytes = RECORD_HEAD.to_vec();
+    let text = |it: &FileStamp| format!("{} {} {}", it.size, it.modified_ns, it.inode);
+    for Member { name, temporary, new, old } in members {
+        let old = old.as_ref().map(text).unwrap_or_default();
+        for part in
+            [name.as_encoded_bytes(), temporary.as_encoded_bytes(), text(new).as_bytes(), old.as_bytes()]
+        {
+            bytes.extend(part);
+            bytes.push(0);
+        }
+    }
+    bytes.extend(RECORD_END);
+    bytes
+}
+
+/// What the bytes of a record say.
+#[derive(Debug, PartialEq, Eq)]
+enum Parsed {
+    /// The files to replace.
+    Whole(Vec<Member>),
+    /// It is empty, or its end is missing: no file was replaced, or all were.
+    CutOff,
+    /// Another version of this program wrote it, or it is damaged.
+    Unknown,
+}
+
+fn parse_record(bytes: &[u8]) -> Parsed {
+    if let Some(members) = parse_members(bytes) {
+        return Parsed::Whole(members);
+    }
+    let is_begun = RECORD_HEAD.starts_with(bytes) || bytes.starts_with(RECORD_HEAD);
+    let is_too_long = bytes.len() as u64 >= RECORD_BYTES_MAX;
+    match is_begun && !is_too_long && !bytes.ends_with(RECORD_END) {
+        true => Parsed::CutOff,
+        false => Parsed::Unknown,
+    }
+}
+
+fn parse_members(bytes: &[u8]) -> Option<Vec<Member>> {
+    let lines = bytes.strip_prefix(RECORD_HEAD)?.strip_suffix(RECORD_END)?;
+    let parts: Option<Vec<&[u8]>> =
+        lines.split_inclusive(|byte| *byte == 0).map(|part| part.strip_suffix(&[0])).collect();
+    parts?.chunks(4).map(parse_member).collect()
+}
+
+fn parse_member(parts: &[&[u8]]) -> Option<Member> {
+    let &[name, temporary, new, old] = parts else { return None };
+    // Nothing outside the folder is touched, and nothing that is not ours is renamed, whoever wrote the record.
+    let plain = |bytes: &[u8]| {
+        name_of_bytes(bytes)
+            .filter(|name| Path::new(name).file_name() == Some(name) && !bytes.contains(&b'/'))
+    };
+    let temporary = plain(temporary)?;
+    if !is_temporary_name(&temporary.to_string_lossy()) {
+        return None;
+    }
+    let old = match old {
+        b"" => None,
+        old => Some(parse_stamp(old)?),
+    };
+    Some(Member { name: plain(name)?.into(), temporary: temporary.into(), new: parse_stamp(new)?, old })
+}
+
+fn parse_stamp(bytes: &[u8]) -> Option<FileStamp> {
+    let numbers: Vec<&str> = str::from_utf8(bytes).ok()?.split(' ').collect();
+    let [size, modified_ns, inode] = numbers[..] else { return None };
+    let (size, modified_ns) = (size.parse().ok()?, modified_ns.parse().ok()?);
+    Some(FileStamp { size, modified_ns, inode: inode.parse().ok()?, changed_ns: None })
+}
+
+#[cfg(unix)]
+fn name_of_bytes(bytes: &[u8]) -> Option<OsString> {
+    Some(std::os::unix::ffi::OsStringExt::from_vec(bytes.to_vec()))
+}
+
+#[cfg(not(unix))]
+fn name_of_bytes(bytes: &[u8]) -> Option<OsString> {
+    str::from_utf8(bytes).ok().map(OsString::from)
+}
+
+/// Names that get other files together.
+#[derive(Debug)]
+struct FileSet {
+    record_path: PathBuf,
+    members: Vec<Member>,
+}
+
+impl FileSet {
+    fn path(&self, member: &Member) -> PathBuf {
+        self.record_path.with_file_name(&member.name)
+    }
+
+    fn temporary_path(&self, member: &Member) -> PathBuf {
+        self.record_path.with_file_name(&member.temporary)
+    }
+
+    /// Where the old file of a member is kept.
+    fn old_path(&self, index: usize) -> PathBuf {
+        let mut path = self.record_path.clone().into_os_string();
+        path.push(format!(".{index}"));
+        path.into()
+    }
+
+    /// Keeps the old files, and renames the new ones.
+    fn replace(&self, files: &[StagedFile]) -> Result<(), (PathBuf, io::Error)> {
+        let mut is_kept = vec![true; files.len()];
+        for (index, file) in files.iter().enumerate() {
+            if self.members[index].old.is_some() {
+                match change::hard_link(file.path(), &self.old_path(index)) {
+                    // Somebody else has just removed it.
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                    linked => is_kept[index] = linked.is_ok(),
+                }
+            }
+        }
+        for (index, file) in files.iter().enumerate() {
+            let moved = match is_kept[index] {
+                true => Ok(()),
+                false => change::rename(file.path(), &self.old_path(index)),
+            };
+            let renamed = moved.and_then(|()| change::rename(file.written_path(), file.path()));
+            renamed.map_err(|error| (file.path().to_owned(), error))?;
+        }
+        Ok(())
+    }
+
+    /// From here on the new files stay.
+    fn commit(&self, record: &Temporary) -> io::Result<()> {
+        // One that is not whole counts as none.
+        change::remove(&self.record_path).or_else(|error| change::empty(record.file()).map_err(|_| error))
+    }
+
+    fn remove_old_files(&self) {
+        for (index, member) in self.members.iter().enumerate() {
+            let old = self.old_path(index);
+            if member.old.is_some() && remove_if_there(&old).is_err() {
+                leave_behind(old);
+            }
+        }
+    }
+
+    /// Puts the old files back because of this error. Where that fails the record stays, so that it is done later.
+    fn undo_after(
+        &self,
+        (path, error): (PathBuf, io::Error),
+        record: Temporary,
+        mut locked: MutexGuard<'_, HashSet<PathBuf>>,
+    ) -> (PathBuf, io::Error) {
+        let mut undone = self.undo();
+        for _ in 1..UNDO_ATTEMPTS {
+            undone = undone.or_else(|_| self.undo());
+        }
+        let of_undo = match undone {
+            Ok(kept) if kept.is_empty() => {
+                // Removing the record takes the lock.
+                drop(locked);
+                return (path, error);
+            }
+            Ok(kept) => io::Error::other(said_of_kept(&kept)),
+            Err(of_undo) => of_undo,
+        };
+        for member in &self.members {
+            // Else the set could be completed later, which has failed.
+            let _ = remove_if_there(&self.temporary_path(member));
+        }
+        locked.remove(&self.record_path);
+        drop(locked);
+        record.keep();
+        let what = format!("{error}; the files that were replaced are not put back yet: {of_undo}");
+        (path, io::Error::new(error.kind(), what))
+    }
+
+    /// Whether some new files have their names, and the others can still get theirs.
+    fn can_be_completed(&self) -> io::Result<bool> {
+        let mut is_begun = false;
+        for (index, member) in self.members.iter().enumerate() {
+            let found = stamp_of(&self.path(member))?;
+            if found == Some(member.new) {
+                is_begun = true;
+                continue;
+            }
+            let is_as_before = found == member.old || found.is_none() && exists(&self.old_path(index))?;
+            if !is_as_before || stamp_of(&self.temporary_path(member))? != Some(member.new) {
+                return Ok(false);
+            }
+        }
+        Ok(is_begun)
+    }
+
+    /// Whether every name has a later file.
+    fn is_superseded(&self) -> io::Result<bool> {
+        for member in &self.members {
+            let found = stamp_of(&self.path(member))?;
+            if found.is_none() || found == Some(member.new) || found == member.old {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+
+    /// Renames the new files that do not have their names yet.
+    fn complete(&self) -> io::Result<()> {
+        for member in &self.members {
+            let path = self.path(member);
+            if stamp_of(&path)? != Some(member.new) {
+                change::rename(&self.temporary_path(member), &path)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts the old files back, as far as nobody else has replaced the new ones. May be done again, and after any part of
+    /// it. Returns the old files that another program's file kept from their names: they may be the only copies, so they and the
+    /// record have to stay.
+    fn undo(&self) -> io::Result<Vec<PathBuf>> {
+        let mut kept = Vec::new();
+        for (index, member) in self.members.iter().enumerate() {
+            let (path, old) = (self.path(member), self.old_path(index));
+            let found = stamp_of(&path)?;
+            let is_new = found == Some(member.new);
+            match (member.old.is_some(), exists(&old)?) {
+                (true, true) => {
+                    if is_new || found.is_none() {
+                        change::rename(&old, &path)?;
+                    }
+                    // Renaming one name of a file to another does nothing.
+                    let [named, backup] = [stamp_of(&path)?, stamp_of(&old)?];
+                    if backup.is_none() || named == member.old || named == backup {
+                        change::remove(&old)?;
+                    } else {
+                        kept.push(old);
+                    }
+                }
+                (false, _) if is_new => change::remove(&path)?,
+                // Put back already, or not yet replaced.
+                _ => {}
+            }
+        }
+        Ok(kept)
+    }
+}
+
+/// What is wrong with these old files.
+fn said_of_kept(kept: &[PathBuf]) -> String {
+    let kept: Vec<_> = kept.iter().map(|path| path.display().to_string()).collect();
+    format!(
+        "another program has replaced outputs meanwhile; the files that had their names are {}",
+        kept.join(", ")
+    )
+}
+
+/// What has this name; `None` if it is free.
+fn stamp_of(path: &Path) -> io::Result<Option<FileStamp>> {
+    match path.symlink_metadata() {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        found => Ok(Some(FileStamp::of(&found?).without_status_change())),
+    }
+}
+
+/// Whether this user made the file, and it has one name.
+#[cfg(unix)]
+fn is_own_file(metadata: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    metadata.uid() == rustix::process::geteuid().as_raw() && metadata.nlink() == 1
+}
+
+#[cfg(not(unix))]
+fn is_own_file(_metadata: &Metadata) -> bool {
+    true
+}
+
+/// Whether a name is taken.
+fn exists(path: &Path) -> io::Result<bool> {
+    Ok(stamp_of(path)?.is_some())
+}
+
+/// Whether this is the name of a record.
+pub(crate) fn is_record_name(name: &str) -> bool {
+    name.strip_prefix(RECORD_PREFIX).is_some_and(is_number)
+}
+
+/// The path of the record, if this is an old file that is kept.
+pub(crate) fn record_of_old_file(path: &Path) -> Option<PathBuf> {
+    let (record, index) = path.file_name()?.to_str()?.rsplit_once('.')?;
+    let is_index = !index.is_empty() && index.bytes().all(|byte| byte.is_ascii_digit());
+    (is_index && is_record_name(record)).then(|| path.with_file_name(record))
+}
+
+fn is_number(text: &str) -> bool {
+    text.len() == 16 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+}
+
+/// What became of a record.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Recovery {
+    /// The set was completed, undone or superseded, and the record removed.
+    Done,
+    /// Another process is using the record.
+    InUse,
+    /// The record cannot be trusted, or cannot be read. It and all its files were left in place. Says why, and what to do.
+    Left(String),
+}
+
+/// Completes a set whose process was killed, or puts its old files back.
+///
+/// # Errors
+/// When the system refuses: then all that is needed stays, and it can be tried again.
+pub(crate) fn recover(record_path: &Path) -> io::Result<Recovery> {
+    let Some(mut file) = lock_abandoned(record_path)? else { return Ok(Recovery::InUse) };
+    let left = |why: &str| {
+        let (path, name) = (record_path.display(), record_path.file_name().unwrap_or_default().display());
+        Recovery::Left(format!(
+            "{path}: {why}; left in place with the files {name}.0, {name}.1, …, which may be the only copies of replaced outputs"
+        ))
+    };
+    // A record has one name. In a shared folder another account could plant one, or link to one from elsewhere.
+    if !is_own_file(&file.metadata()?) {
+        return Ok(left(
+            "this record of an interrupted conversion belongs to another user or has a second name",
+        ));
+    }
+    let mut bytes = Vec::new();
+    (&mut file).take(RECORD_BYTES_MAX).read_to_end(&mut bytes)?;
+    let members = match parse_record(&bytes) {
+        Parsed::Whole(members) => members,
+        Parsed::CutOff => Vec::new(),
+        Parsed::Unknown => {
+            return Ok(left(
+                "this record of an interrupted conversion is damaged or from another version of meniscus: run that \
+                 version to restore the files",
+            ));
+        }
+    };
+    let set = FileSet { record_path: record_path.to_owned(), members };
+    let completed = if set.is_superseded()? {
+        Ok(Vec::new())
+    } else if set.can_be_completed()? {
+        set.complete().map(|()| Vec::new())
+    } else {
+        set.undo()
+    };
+    let kept = match completed {
+        // Somebody else removed a new file meanwhile.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => set.undo()?,
+        completed => completed?,
+    };
+    if !kept.is_empty() {
+        return Ok(Recovery::Left(format!(
+            "{}: record of an interrupted conversion: {}; to restore one, rename it, then remove the record",
+            record_path.display(),
+            said_of_kept(&kept)
+        )));
+    }
+    sync_folder(record_path.parent().unwrap_or(Path::new("")));
+    change::remove(record_path)?;
+    set.remove_old_files();
+    Ok(Recovery::Done)
+}
+
+/// Removes an old file whose set is complete; whether it was.
+///
+/// # Errors
+/// When the system refuses.
+pub(crate) fn remove_old_file(old: &Path, record_path: &Path) -> io::Result<bool> {
+    // A record is there before the old files, and until they are not needed.
+    if exists(record_path)? {
+        return Ok(false);
+    }
+    remove_if_there(old)?;
+    Ok(true)
+}
+
+/// What changes a folder. Tests let each of these fail, or the process end before it.
+mod change {
+    use super::*;
+
+    pub(crate) fn rename(from: &Path, to: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(false)?;
+        fs::rename(from, to)
+    }
+
+    pub(crate) fn hard_link(from: &Path, to: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(true)?;
+        fs::hard_link(from, to)
+    }
+
+    pub(crate) fn remove(path: &Path) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(false)?;
+        remove_if_there(path)
+    }
+
+    pub(crate) fn empty(file: &File) -> io::Result<()> {
+        #[cfg(test)]
+        super::tests::before_change(false)?;
+        file.set_len(0)
+    }
+}
+
+#[cfg(test)]
+mod tests;

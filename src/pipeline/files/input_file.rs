@@ -1,0 +1,356 @@
+//! A file that is read while others may write it: nothing is known of it until it is looked at again.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use meniscus_formats::ReadAt;
+use twox_hash::XxHash3_128;
+use twox_hash::xxhash3_128::Hasher;
+
+use crate::pipeline::files::open::{open_regular, require_regular};
+use crate::pipeline::files::stamp::FileStamp;
+
+/// The bytes of a file and its stamp; `None` when it was written, replaced or removed meanwhile.
+///
+/// # Errors
+/// When the system refuses.
+pub(crate) fn read_unchanged(path: &Path) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    read_between_stamps(path, |file| {
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes)?;
+        Ok(bytes)
+    })
+}
+
+/// The first bytes of a file, no more than `most`, and its stamp; `None` when it was written, replaced or removed
+/// meanwhile.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for what is no regular file, such as a pipe, which may have no end.
+pub(crate) fn read_start_unchanged(path: &Path, most: u64) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    require_regular(&path.metadata()?)?;
+    read_start_between_stamps(path, most, |file| {
+        let mut bytes = Vec::new();
+        file.take(most).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    })
+}
+
+/// Reads between two looks at the file.
+fn read_between_stamps(
+    path: &Path,
+    read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
+) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    read_start_between_stamps(path, u64::MAX, read)
+}
+
+/// The same of no more than so many bytes.
+fn read_start_between_stamps(
+    path: &Path,
+    most: u64,
+    read: impl FnOnce(&mut &File) -> io::Result<Vec<u8>>,
+) -> io::Result<Option<(Vec<u8>, FileStamp)>> {
+    let input = InputFile::open(path)?;
+    let bytes = read(&mut &input.file)?;
+    let is_whole = !input.is_regular || bytes.len() as u64 == input.stamp.size.min(most);
+    let has_same_bytes = || Ok(input.hash_of_start(bytes.len() as u64)? == XxHash3_128::oneshot(&bytes));
+    Ok((is_whole && input.is_unchanged_or(has_same_bytes)?).then_some((bytes, input.stamp)))
+}
+
+/// A file of particles that is open, and can be read at any place by several threads at once.
+///
+/// Nothing is known of a file that may be written meanwhile until it is looked at again:
+/// [`is_unchanged`](InputFile::is_unchanged) comes after the last byte that was read.
+#[derive(Debug)]
+pub struct InputFile {
+    file: File,
+    path: PathBuf,
+    stamp: FileStamp,
+    /// A pipe has no state that it could be in again, and no places.
+    is_regular: bool,
+    /// The hash of the whole file, once it was computed.
+    known_hash: OnceLock<u128>,
+}
+
+impl InputFile {
+    /// Opens the file at `path`.
+    ///
+    /// # Errors
+    /// Those of [`open_regular`].
+    pub fn open(path: &Path) -> io::Result<InputFile> {
+        let file = open_regular(path)?;
+        let metadata = file.metadata()?;
+        let (stamp, is_regular) = (FileStamp::of(&metadata), metadata.is_file());
+        Ok(InputFile { file, path: path.to_owned(), stamp, is_regular, known_hash: OnceLock::new() })
+    }
+
+    /// What the file system said of it when it was opened.
+    pub fn stamp(&self) -> FileStamp {
+        self.stamp
+    }
+
+    /// Whether it has places, unlike a pipe.
+    pub fn is_regular(&self) -> bool {
+        self.is_regular
+    }
+
+    /// Whether it was neither written, replaced nor removed since it was opened, as far as the open file and
+    /// what its name leads to can tell. Where only the status change time differs, the bytes are compared if
+    /// [`hash`](InputFile::hash) was called before.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn is_unchanged(&self) -> io::Result<bool> {
+        self.is_unchanged_or(|| match self.known_hash.get() {
+            Some(&known) => Ok(self.hash_of_start(self.stamp.size)? == known),
+            None => Ok(false),
+        })
+    }
+
+    /// The same. `has_same_bytes` reads the open file again and compares: it is called where only the status change time
+    /// differs. `chmod` and new hard links change that, and so does a write whose modification time was set back.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub(crate) fn is_unchanged_or(&self, has_same_bytes: impl Fn() -> io::Result<bool>) -> io::Result<bool> {
+        if !self.is_regular {
+            return Ok(true);
+        }
+        let mut seen = self.stamp;
+        // A backup makes a hard link and removes it later: that may happen while the bytes are compared.
+        for _ in 0..COMPARISONS_MAX {
+            match self.stamp_now()? {
+                Some(now) if now == seen => return Ok(true),
+                Some(now) if now.without_status_change() == self.stamp.without_status_change() => seen = now,
+                _ => return Ok(false),
+            }
+            match has_same_bytes() {
+                Ok(true) => {}
+                Ok(false) => return Ok(false),
+                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(false),
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(self.stamp_now()? == Some(seen))
+    }
+
+    /// The present stamp; `None` if the name leads to another file, or to none.
+    fn stamp_now(&self) -> io::Result<Option<FileStamp>> {
+        let at_name = match FileStamp::of_path(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            at_name => at_name?,
+        };
+        let open = FileStamp::of(&self.file.metadata()?);
+        Ok((open == at_name).then_some(open))
+    }
+
+    /// The hash of the whole file, the same as of its bytes in memory. It is never there whole: a piece is read
+    /// after the other.
+    ///
+    /// # Errors
+    /// When the system refuses; `UnexpectedEof` if the file has become shorter.
+    pub fn hash(&self) -> io::Result<u128> {
+        let hash = self.hash_of_start(self.stamp.size)?;
+        Ok(*self.known_hash.get_or_init(|| hash))
+    }
+
+    /// The hash of the first bytes.
+    fn hash_of_start(&self, byte_count: u64) -> io::Result<u128> {
+        let mut hasher = Hasher::new();
+        let mut piece = vec![0; HASHED_BYTES];
+        let mut at = 0;
+        while at < byte_count {
+            let length = usize::try_from(byte_count - at).map_or(HASHED_BYTES, |left| left.min(HASHED_BYTES));
+            self.read_exact_at(&mut piece[..length], at)?;
+            hasher.write(&piece[..length]);
+            at += length as u64;
+        }
+        Ok(hasher.finish_128())
+    }
+}
+
+/// So often the bytes of a file are compared whose status change time goes on changing.
+const COMPARISONS_MAX: usize = 4;
+
+impl ReadAt for InputFile {
+    fn size_bytes(&self) -> io::Result<u64> {
+        Ok(self.stamp.size)
+    }
+
+    #[cfg(unix)]
+    fn read_exact_at(&self, out: &mut [u8], offset: u64) -> io::Result<()> {
+        std::os::unix::fs::FileExt::read_exact_at(&self.file, out, offset)
+    }
+
+    #[cfg(windows)]
+    fn read_exact_at(&self, mut out: &mut [u8], mut offset: u64) -> io::Result<()> {
+        while !out.is_empty() {
+            match std::os::windows::fs::FileExt::seek_read(&self.file, out, offset) {
+                Ok(0) => return Err(io::ErrorKind::UnexpectedEof.into()),
+                Ok(length) => {
+                    out = &mut out[length..];
+                    offset += length as u64;
+                }
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Bytes that are hashed at once: few enough to be in the cache, many enough for the system's calls not to matter.
+const HASHED_BYTES: usize = 1 << 18;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    use meniscus_formats::{Limits, ParticleBatch, ParticleBatches, ParticleFrame, Positions};
+    use rayon::prelude::*;
+    use std::io::Write;
+    use std::time::{Duration, SystemTime};
+
+    /// Reads the file, which `meddle` changes when it is half read.
+    fn read_while(path: &Path, meddle: impl FnOnce()) -> Option<Vec<u8>> {
+        let read = read_between_stamps(path, |file| {
+            let mut bytes = vec![0; 2];
+            file.read_exact(&mut bytes)?;
+            meddle();
+            file.read_to_end(&mut bytes)?;
+            Ok(bytes)
+        });
+        read.expect("readable").map(|(bytes, _)| bytes)
+    }
+
+    #[test]
+    fn a_file_that_changes_while_it_is_read_is_found_out() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.ply");
+        let other = folder.path().join("other.ply");
+        let write = || fs::write(&path, "text").expect("written");
+        let append = || {
+            let mut file = File::options().append(true).open(&path).expect("there");
+            file.write_all(b"more").expect("written");
+        };
+        let write_again = || {
+            let later = SystemTime::now() + Duration::from_secs(1);
+            fs::write(&path, "TEXT").expect("written");
+            File::options().write(true).open(&path).expect("there").set_modified(later).expect("set");
+        };
+        #[cfg(unix)]
+        let write_unseen = || {
+            let modified = fs::metadata(&path).expect("there").modified().expect("a time");
+            // Until the clock of the file system goes on, a change has the time of the one before.
+            let changed = || FileStamp::of_path(&path).expect("there").changed_ns;
+            let before = changed();
+            while changed() == before {
+                fs::write(&path, "TEXT").expect("written");
+            }
+            File::options().write(true).open(&path).expect("there").set_modified(modified).expect("set");
+        };
+        let replace = || {
+            let modified = fs::metadata(&path).expect("there").modified().expect("a time");
+            fs::write(&other, "text").expect("written");
+            File::options().write(true).open(&other).expect("there").set_modified(modified).expect("set");
+            fs::rename(&other, &path).expect("renamed");
+        };
+        let shorten = || File::options().write(true).open(&path).expect("there").set_len(1).expect("cut");
+        let remove = || fs::remove_file(&path).expect("removed");
+        let meddles: &[&dyn Fn()] = &[
+            &append,
+            &write_again,
+            #[cfg(unix)]
+            &write_unseen,
+            &replace,
+            &shorten,
+            &remove,
+        ];
+        for (index, meddle) in meddles.iter().enumerate() {
+            write();
+            assert_eq!(read_while(&path, meddle), None, "case {index}");
+        }
+        write();
+        assert_eq!(read_while(&path, || ()).as_deref(), Some(&b"text"[..]));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn chmod_while_a_file_is_read_is_no_change() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.ply");
+        let set_mode = |mode| fs::set_permissions(&path, fs::Permissions::from_mode(mode)).expect("set");
+        // The file system's clock ticks every few milliseconds.
+        let touch_status = || {
+            let changed = || FileStamp::of_path(&path).expect("there").changed_ns;
+            let before = changed();
+            while changed() == before {
+                set_mode(0o600);
+                set_mode(0o644);
+            }
+        };
+        fs::write(&path, "text").expect("written");
+        assert_eq!(read_while(&path, touch_status).as_deref(), Some(&b"text"[..]), "read whole");
+        let streamed = InputFile::open(&path).expect("there");
+        let hash = streamed.hash().expect("readable");
+        touch_status();
+        assert!(streamed.is_unchanged().expect("readable"), "streamed");
+        let modified = fs::metadata(&path).expect("there").modified().expect("a time");
+        fs::write(&path, "TEXT").expect("written");
+        File::options().write(true).open(&path).expect("there").set_modified(modified).expect("set");
+        touch_status();
+        assert!(!streamed.is_unchanged().expect("readable"), "other bytes under the old modification time");
+        assert_ne!(InputFile::open(&path).and_then(|file| file.hash()).expect("readable"), hash);
+    }
+
+    #[test]
+    fn a_file_has_the_hash_of_its_bytes() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.ply");
+        for length in [0, 1, 17, 240, 241, HASHED_BYTES, HASHED_BYTES + 1, 3 * HASHED_BYTES + 12_345] {
+            let bytes: Vec<u8> = (0..length).map(|index| (index * 31 % 251) as u8).collect();
+            fs::write(&path, &bytes).expect("written");
+            let input = InputFile::open(&path).expect("there");
+            assert_eq!(input.hash().expect("readable"), twox_hash::XxHash3_128::oneshot(&bytes), "{length}");
+            assert!(input.is_unchanged().expect("there"));
+        }
+        let input = InputFile::open(&path).expect("there");
+        File::options().write(true).open(&path).expect("there").set_len(5).expect("cut");
+        assert_eq!(input.hash().expect_err("short").kind(), io::ErrorKind::UnexpectedEof);
+        assert!(!input.is_unchanged().expect("there"));
+    }
+
+    #[test]
+    fn a_file_is_read_in_batches_by_several_threads() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("f.bgeo");
+        let positions: Vec<[f32; 3]> = (0..5000).map(|n| [n as f32, 0.5, -1.0]).collect();
+        let frame =
+            ParticleFrame { positions: Positions::F32(positions.clone()), ..ParticleFrame::default() };
+        let mut bytes = Vec::new();
+        meniscus_formats::bgeo::write(&frame, &mut bytes).expect("written");
+        fs::write(&path, &bytes).expect("written");
+        let input = InputFile::open(&path).expect("there");
+        let batches = ParticleBatches::open(&input, "f.bgeo", &Limits::default(), 1 << 12).expect("good");
+        let batches = batches.expect("of fixed records");
+        let read = |index: usize| {
+            let mut batch = ParticleBatch::default();
+            batches.read_batch(index, &mut batch).expect("there");
+            batch.positions
+        };
+        let found: Vec<Positions> = (0..batches.batch_count()).into_par_iter().map(read).collect();
+        let found: Vec<[f32; 3]> = found.into_iter().flat_map(single).collect();
+        assert_eq!(found, positions);
+    }
+
+    fn single(positions: Positions) -> Vec<[f32; 3]> {
+        match positions {
+            Positions::F32(positions) => positions,
+            Positions::F64(_) => Vec::new(),
+        }
+    }
+}

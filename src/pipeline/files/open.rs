@@ -1,0 +1,294 @@
+//! How files are opened: never waiting at a named pipe, and this program's own files never through a link.
+//!
+//! ```text
+//!   inputs, outputs, plans, settings    open_regular   links are followed; only a regular file is opened
+//!   temporary files, served outputs     open_itself    the last part of the path is not a link, either
+//!   lock, journal                       open_own       nor is the folder that it lies in
+//! ```
+//!
+//! Opening a named pipe waits until a process opens its other end, which may be never. Opening a file for writing through a
+//! link that another account has made overwrites a file of the account that this program runs as. So every path that another
+//! process can change is opened by one of these.
+
+use std::fs::{File, FileType, Metadata, OpenOptions};
+use std::io::{self, Read};
+use std::path::Path;
+
+/// Opens a regular file for reading. Links are followed. A pipe is opened only where this process has it open already: shells
+/// write `<(zcat dam.ply.gz)` as `/dev/fd/63`.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for what is not a regular file.
+pub fn open_regular(path: &Path) -> io::Result<File> {
+    if is_own_descriptor(path) {
+        return File::open(path);
+    }
+    // Looked at first: opening a pipe lets the process at its other end go on, and opening a device may act on it.
+    require_regular(&path.metadata()?)?;
+    let file = match without_waiting(File::options().read(true)).open(path) {
+        // A file server has lent the file to a client, and asks for it back now: that takes a moment.
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => File::open(path),
+        file => file,
+    }?;
+    // Another file may have taken its place meanwhile.
+    require_regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+fn is_own_descriptor(path: &Path) -> bool {
+    cfg!(unix)
+        && (path == Path::new("/dev/stdin")
+            || path.starts_with("/dev/fd")
+            || path.starts_with("/proc/self/fd"))
+}
+
+/// The bytes of a regular file. Links are followed.
+///
+/// # Errors
+/// Those of [`open_regular`], and when the file cannot be read.
+pub fn read_regular(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open_regular(path)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// The text of a regular file. Links are followed.
+///
+/// # Errors
+/// Those of [`read_regular`]; `InvalidData` for what is not UTF-8.
+pub fn read_regular_text(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    open_regular(path)?.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// Opens a regular file, and not the file that a link in its place leads to.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for what is not a regular file.
+pub fn open_itself(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
+    match path.symlink_metadata() {
+        Ok(metadata) => require_regular(&metadata)?,
+        // It may be created.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        Err(error) => return Err(error),
+    }
+    let file = without_links(options).open(path)?;
+    require_regular(&file.metadata()?)?;
+    Ok(file)
+}
+
+/// Opens a file that only this program writes, under a name that everybody knows: neither it nor the folder that it lies in
+/// may be a link.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for a link and for what is not a regular file.
+pub fn open_own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
+    require_own_folder(path)?;
+    let file = open_itself(path, options)?;
+    // Whoever exchanged the folder for a link while the file was opened has to be found out before anything is written.
+    require_own_folder(path)?;
+    let [there, opened] = [path.symlink_metadata()?, file.metadata()?];
+    if !is_same_file(&there, &opened) {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "replaced while it was opened"));
+    }
+    Ok(file)
+}
+
+/// Requires the folder of a file to be a folder, and not a link to one.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for a link.
+pub(crate) fn require_own_folder(path: &Path) -> io::Result<()> {
+    let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) else { return Ok(()) };
+    if folder.symlink_metadata()?.is_symlink() {
+        let what = format!("{} is a symbolic link, which may lead anywhere: remove it", folder.display());
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+    }
+    Ok(())
+}
+
+/// Requires the last `depth` folders of this path to be no links, as far as they exist.
+///
+/// # Errors
+/// When the system refuses; `InvalidInput` for a link.
+pub(crate) fn require_no_links(folder: &Path, depth: usize) -> io::Result<()> {
+    for part in folder.ancestors().take(depth) {
+        match part.symlink_metadata() {
+            Ok(metadata) if metadata.is_symlink() => {
+                let what =
+                    format!("{} is a symbolic link: outputs are not written through it", part.display());
+                return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+            }
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Whether the file has other names as well: what is written into it changes those, too.
+#[cfg(unix)]
+pub fn has_other_names(metadata: &Metadata) -> bool {
+    std::os::unix::fs::MetadataExt::nlink(metadata) > 1
+}
+
+/// Whether the file has other names as well: what is written into it changes those, too.
+#[cfg(not(unix))]
+pub fn has_other_names(_metadata: &Metadata) -> bool {
+    false
+}
+
+/// Requires a regular file.
+///
+/// # Errors
+/// What it is instead.
+pub(crate) fn require_regular(metadata: &Metadata) -> io::Result<()> {
+    if metadata.is_file() {
+        return Ok(());
+    }
+    let kind = match metadata.is_dir() {
+        true => io::ErrorKind::IsADirectory,
+        false => io::ErrorKind::InvalidInput,
+    };
+    Err(io::Error::new(kind, format!("not a regular file: {}", name_of_kind(metadata.file_type()))))
+}
+
+fn name_of_kind(kind: FileType) -> &'static str {
+    match kind {
+        kind if kind.is_dir() => "a folder",
+        kind if kind.is_symlink() => "a symbolic link",
+        kind => name_of_special(kind),
+    }
+}
+
+#[cfg(unix)]
+fn name_of_special(kind: FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    match kind {
+        kind if kind.is_fifo() => "a pipe",
+        kind if kind.is_socket() => "a socket",
+        _ => "a device",
+    }
+}
+
+#[cfg(not(unix))]
+fn name_of_special(_kind: FileType) -> &'static str {
+    "something else"
+}
+
+#[cfg(unix)]
+fn without_waiting(options: &mut OpenOptions) -> &mut OpenOptions {
+    use std::os::unix::fs::OpenOptionsExt;
+    options.custom_flags(rustix::fs::OFlags::NONBLOCK.bits() as i32)
+}
+
+#[cfg(not(unix))]
+fn without_waiting(options: &mut OpenOptions) -> &mut OpenOptions {
+    options
+}
+
+#[cfg(unix)]
+fn without_links(options: &mut OpenOptions) -> &mut OpenOptions {
+    use rustix::fs::OFlags;
+    use std::os::unix::fs::OpenOptionsExt;
+    options.custom_flags((OFlags::NONBLOCK | OFlags::NOFOLLOW).bits() as i32)
+}
+
+#[cfg(not(unix))]
+fn without_links(options: &mut OpenOptions) -> &mut OpenOptions {
+    options
+}
+
+#[cfg(unix)]
+fn is_same_file(a: &Metadata, b: &Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+#[cfg(not(unix))]
+fn is_same_file(_a: &Metadata, _b: &Metadata) -> bool {
+    true
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+    use std::fs;
+    use std::os::unix::fs::symlink;
+    use std::path::PathBuf;
+    use std::sync::mpsc::channel;
+    use std::thread;
+    use std::time::Duration;
+
+    use rustix::fs::{CWD, Mode, mkfifoat};
+
+    /// The result, of something that must not wait.
+    #[track_caller]
+    fn at_once<T: Send + 'static>(act: impl FnOnce() -> T + Send + 'static) -> T {
+        let (sender, result) = channel();
+        thread::spawn(move || sender.send(act()));
+        result.recv_timeout(Duration::from_secs(60)).expect("it does not wait")
+    }
+
+    fn words<T>(result: io::Result<T>) -> String {
+        result.err().map(|error| error.to_string()).unwrap_or_default()
+    }
+
+    #[test]
+    fn pipe_folder_and_device_are_refused_without_waiting() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        mkfifoat(CWD, path("pipe"), Mode::RUSR | Mode::WUSR).expect("a pipe");
+        symlink(path("pipe"), path("link")).expect("a link");
+        let cases: [(PathBuf, &str); 4] = [
+            (path("pipe"), "a pipe"),
+            (path("link"), "a pipe"),
+            (folder.path().to_owned(), "a folder"),
+            ("/dev/zero".into(), "a device"),
+        ];
+        for (path, kind) in cases {
+            let expected = format!("not a regular file: {kind}");
+            assert_eq!(words(at_once(move || open_regular(&path))), expected);
+        }
+        let pipe = path("pipe");
+        let own = at_once(move || open_own(&pipe, OpenOptions::new().read(true).write(true).create(true)));
+        assert_eq!(words(own), "not a regular file: a pipe");
+    }
+
+    #[test]
+    fn own_file_that_is_a_link_is_refused_and_its_target_unchanged() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("precious"), "precious").expect("written");
+        symlink(path("precious"), path("link")).expect("a link");
+        assert_eq!(
+            fs::read(open_regular(&path("link")).map(|_| path("link")).expect("followed")).expect("read"),
+            b"precious"
+        );
+        let open = |path: &Path| open_own(path, OpenOptions::new().write(true).create(true).truncate(true));
+        assert_eq!(words(open(&path("link"))), "not a regular file: a symbolic link");
+        // A link that leads nowhere would make a file there.
+        symlink(path("nowhere"), path("dangling")).expect("a link");
+        assert!(open(&path("dangling")).is_err() && !path("nowhere").exists());
+        fs::create_dir(path("inner")).expect("made");
+        symlink(path("inner"), path("linked")).expect("a link");
+        assert!(words(open(&path("linked/journal"))).contains("linked is a symbolic link"));
+        assert!(!path("inner/journal").exists());
+        open(&path("inner/journal")).expect("no link");
+        assert_eq!(fs::read(path("precious")).expect("there"), b"precious");
+    }
+
+    #[test]
+    fn links_below_the_out_folder_are_refused_and_above_are_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir_all(path("real/a/b")).expect("made");
+        symlink(path("real"), path("out")).expect("a link");
+        symlink(path("real/a"), path("real/c")).expect("a link");
+        assert!(require_no_links(&path("out/a/b"), 2).is_ok());
+        assert!(require_no_links(&path("out/new/b"), 2).is_ok());
+        assert!(words(require_no_links(&path("out/c/b"), 2)).contains("c is a symbolic link"));
+        assert!(words(require_no_links(&path("out/c"), 1)).contains("c is a symbolic link"));
+    }
+}

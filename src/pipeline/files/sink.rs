@@ -1,0 +1,264 @@
+//! Files that appear whole or not at all.
+//!
+//! ```text
+//!   .dam.0012.glb.tmp-9f3c…  written, flushed, on the disk
+//!            │ rename
+//!            ▼
+//!   dam.0012.glb             never seen half written, whatever stops the program
+//! ```
+//!
+//! Files that belong together are all written before the first is renamed; then all are, in a row, and
+//! [`file_set`](super::file_set) sees that a failure leaves all the old files or all the new ones. A
+//! program that is about to be stopped takes its temporary files with it, by [`stop_writing`].
+
+use std::fs::{self, File};
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::channel;
+use std::thread;
+use std::time::Duration;
+
+use meniscus_formats::Result;
+
+use crate::pipeline::files::file_set::replace_together;
+use crate::pipeline::files::open::require_own_folder;
+use crate::pipeline::files::staged_file::{StagedFile, sync_folder, write_temporary};
+use crate::pipeline::files::sweep::remove_left_behind;
+use crate::pipeline::files::temporary::under_way;
+
+/// Writes the file at `path`, replacing what is there, once `write` has written all of it.
+///
+/// # Errors
+/// What `write` returns, or what the system refuses. Nothing is left behind then, and a file that
+/// was at `path` before is still there, untouched.
+pub fn write_whole(path: &Path, write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>) -> Result<()> {
+    publish(vec![stage(path, write)?]).map_err(|(_, error)| error)?;
+    Ok(())
+}
+
+/// Writes a file of this program's own, whose name everybody knows, once `write` has written all of it: as
+/// [`write_whole`] does, and not into a folder that a link has replaced. Returns what `write` returns.
+///
+/// # Errors
+/// What `write` returns, or what the system refuses. Nothing is left behind then, and a file that
+/// was at `path` before is still there, untouched.
+pub fn replace_own<T>(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<T>,
+) -> io::Result<T> {
+    require_own_folder(path)?;
+    remove_left_behind();
+    let (temporary, written) = write_temporary(path, write)?;
+    require_own_folder(path)?;
+    rename_locked(temporary.path(), path)?;
+    Ok(written)
+}
+
+/// Writes what is to appear at `path` when it is [published](publish).
+///
+/// # Errors
+/// What `write` returns, or what the system refuses. Nothing is left behind then.
+pub(crate) fn stage(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&File>) -> Result<()>,
+) -> Result<StagedFile> {
+    remove_left_behind();
+    StagedFile::write(path, write)
+}
+
+/// Locked: a stop comes before or after.
+fn rename_locked(from: &Path, to: &Path) -> io::Result<()> {
+    let under_way = under_way();
+    let renamed = fs::rename(from, to);
+    drop(under_way);
+    renamed
+}
+
+/// Lets files of one folder appear under their names, in a row, replacing what is there. Returns their
+/// paths.
+///
+/// # Errors
+/// The path that cannot be replaced, and why; then none of the files appears, and those that they were to replace are
+/// there as before.
+pub(crate) fn publish(files: Vec<StagedFile>) -> std::result::Result<Vec<PathBuf>, (PathBuf, io::Error)> {
+    // What is sure to fail is found before anything is replaced.
+    if let Some(file) = files.iter().find(|file| file.path().symlink_metadata().is_ok_and(|m| m.is_dir())) {
+        return Err((file.path().to_owned(), io::ErrorKind::IsADirectory.into()));
+    }
+    if let [file] = &*files {
+        rename_locked(file.written_path(), file.path()).map_err(|error| (file.path().to_owned(), error))?;
+        sync_folder(file.path().parent().unwrap_or(Path::new("")));
+    } else {
+        replace_together(&files)?;
+    }
+    Ok(files.iter().map(|file| file.path().to_owned()).collect())
+}
+
+/// Removes all files that are not yet whole, and lets no other begin or appear: for a process that ends
+/// at once. Whoever is writing waits from now on. A file system that does not answer is not waited for: what is left there
+/// is swept at the next start.
+pub fn stop_writing() {
+    let (done, is_done) = channel();
+    let stop = move || {
+        let under_way = under_way();
+        for path in under_way.iter() {
+            // There is nobody left to tell.
+            let _ = fs::remove_file(path);
+        }
+        remove_left_behind();
+        std::mem::forget(under_way);
+        let _ = done.send(());
+    };
+    // Without a thread nothing is removed; nor is anything when the time is up.
+    if thread::Builder::new().name("stop".into()).spawn(stop).is_ok() {
+        let _ = is_done.recv_timeout(STOP_PATIENCE);
+    }
+}
+
+/// Longer than a file system takes that answers.
+const STOP_PATIENCE: Duration = Duration::from_secs(5);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::files::staged_file::BUFFER_BYTES;
+    use std::io::Write;
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
+    fn names_in(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).expect("the folder is there");
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
+    }
+
+    fn write(path: &Path, text: &str) -> Result<()> {
+        write_whole(path, |out| Ok(out.write_all(text.as_bytes())?))
+    }
+
+    #[test]
+    fn a_file_appears_whole_and_replaces_the_one_before() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        for text in ["first", "second"] {
+            write(&path, text).expect("written");
+            assert_eq!(fs::read_to_string(&path).expect("readable"), text);
+        }
+        assert_eq!(names_in(folder.path()), ["a.glb"]);
+    }
+
+    #[test]
+    fn a_writer_that_fails_leaves_nothing_and_the_old_file_as_it_was() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        write(&path, "old").expect("written");
+        let disk_full = |out: &mut BufWriter<&File>| {
+            out.write_all(&vec![0; 2 * BUFFER_BYTES])?;
+            Err(io::Error::from(io::ErrorKind::StorageFull).into())
+        };
+        assert!(write_whole(&path, disk_full).is_err());
+        let panicked = catch_unwind(AssertUnwindSafe(|| write_whole(&path, |_| panic!("a broken writer"))));
+        assert!(panicked.is_err());
+        assert_eq!(fs::read_to_string(&path).expect("readable"), "old");
+        assert_eq!(names_in(folder.path()), ["a.glb"]);
+    }
+
+    #[test]
+    fn a_folder_in_the_way_leaves_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        fs::create_dir(&path).expect("made");
+        assert!(write(&path, "text").is_err());
+        assert_eq!(names_in(folder.path()), ["a.glb"]);
+        assert!(write(&folder.path().join("missing/a.glb"), "text").is_err());
+    }
+
+    #[test]
+    fn files_that_belong_together_appear_together_or_not_at_all() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        let unseen =
+            |name: &str| stage(&path(name), |out| Ok(out.write_all(name.as_bytes())?)).expect("written");
+        let names = ["a.glb", "a.vdb", "a.obj"];
+        let files: Vec<StagedFile> = names.map(unseen).into();
+        assert!(names.iter().all(|name| !path(name).exists()));
+        assert_eq!(files[1].size_bytes(), 5);
+        assert_eq!(publish(files).expect("published"), names.map(path));
+        assert_eq!(names_in(folder.path()).len(), 3);
+        // A folder in the way is seen before anything is replaced; what can be seen only by trying
+        // leaves the others as they were.
+        fs::write(path("a.glb"), "old").expect("written");
+        fs::remove_file(path("a.vdb")).expect("removed");
+        fs::create_dir(path("a.vdb")).expect("made");
+        let (culprit, _) = publish(names.map(unseen).into()).expect_err("a folder is in the way");
+        assert_eq!(culprit, path("a.vdb"));
+        assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
+        fs::remove_dir(path("a.vdb")).expect("removed");
+        let files: Vec<StagedFile> = names.map(unseen).into();
+        fs::remove_file(files[2].written_path()).expect("removed");
+        fs::write(path("a.obj"), "old").expect("written");
+        assert_eq!(publish(files).expect_err("the last is gone").0, path("a.obj"));
+        let mut names = names_in(folder.path());
+        names.sort();
+        assert_eq!(names, ["a.glb", "a.obj"]);
+        assert_eq!(fs::read_to_string(path("a.glb")).expect("readable"), "old");
+    }
+
+    #[test]
+    fn second_rename_that_fails_keeps_the_old_files() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        let names = ["a.glb", "a.vdb", "a.obj"];
+        for name in names {
+            fs::write(path(name), "old").expect("written");
+        }
+        let unseen = |name: &str| stage(&path(name), |out| Ok(out.write_all(b"new")?)).expect("written");
+        let files: Vec<StagedFile> = names.map(unseen).into();
+        fs::remove_file(files[1].written_path()).expect("removed");
+        assert_eq!(publish(files).expect_err("the second is gone").0, path("a.vdb"));
+        assert_eq!(names_in(folder.path()).len(), 3);
+        for name in names {
+            assert_eq!(fs::read_to_string(path(name)).expect("readable"), "old");
+        }
+    }
+
+    /// Set in the child of the test below.
+    const CHILD: &str = "MENISCUS_TEST_STOP";
+
+    #[test]
+    fn stop_does_not_wait_for_a_writer_that_hangs() {
+        let name = "stop_does_not_wait_for_a_writer_that_hangs";
+        if std::env::var_os(CHILD).is_some() {
+            // As one that is in a rename on a file system that does not answer.
+            let _held = under_way();
+            thread::spawn(|| {
+                stop_writing();
+                std::process::exit(3);
+            });
+            loop {
+                thread::park();
+            }
+        }
+        let mut child = std::process::Command::new(std::env::current_exe().expect("this test"));
+        let mut child =
+            child.arg(name).env(CHILD, "1").stdout(std::process::Stdio::null()).spawn().expect("a child");
+        let start = std::time::Instant::now();
+        while child.try_wait().expect("a child").is_none() && start.elapsed() < 12 * STOP_PATIENCE {
+            thread::sleep(Duration::from_millis(10));
+        }
+        // One that has ended does not mind.
+        let _ = child.kill();
+        assert_eq!(child.wait().expect("ended").code(), Some(3), "it waits");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn links_are_replaced_and_never_written_through() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let precious = folder.path().join("precious");
+        fs::write(&precious, "precious").expect("written");
+        let path = folder.path().join("a.glb");
+        std::os::unix::fs::symlink(&precious, &path).expect("linked");
+        write(&path, "text").expect("written");
+        assert_eq!(fs::read_to_string(&precious).expect("readable"), "precious");
+        assert!(!path.is_symlink());
+    }
+}

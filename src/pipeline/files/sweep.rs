@@ -1,0 +1,208 @@
+//! Removes what processes left that were killed: temporary files, and sets of files that were replaced only in part.
+
+use std::fmt;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::pipeline::files::file_set::{
+    Recovery, is_record_name, record_of_old_file, recover, remove_old_file,
+};
+use crate::pipeline::files::temporary::{
+    is_temporary_name, leave_behind, left_behind_count, lock_abandoned, remove_if_there, take_left_behind,
+};
+
+/// Tries again to remove what could not be removed before. Returns how many files are left.
+pub fn remove_left_behind() -> usize {
+    // Not locked meanwhile: the disk may take its time.
+    for path in take_left_behind() {
+        let is_record = is_record_name(&path.file_name().unwrap_or_default().to_string_lossy());
+        let removed = if is_record { recover(&path).map(|_| ()) } else { remove_if_there(&path) };
+        if removed.is_err() {
+            leave_behind(path);
+        }
+    }
+    left_behind_count()
+}
+
+/// What [`sweep_temporaries`] did.
+#[derive(Debug, Default)]
+pub struct Swept {
+    /// How many temporary files it removed, and sets of files it completed or undid.
+    pub count: usize,
+    /// Records that it left in place: which, why, and what to do.
+    pub warnings: Vec<String>,
+}
+
+/// Why a folder cannot be swept.
+#[derive(Debug)]
+pub enum SweepError {
+    /// It cannot be listed.
+    Folder(io::Error),
+    /// Files that an interrupted process replaced only in part cannot be put back.
+    Recover {
+        /// The record of these files.
+        record: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl fmt::Display for SweepError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            SweepError::Folder(source) => source.fmt(f),
+            SweepError::Recover { record, source } => write!(
+                f,
+                "{}: an interrupted conversion replaced only some of the files in this record, and the others cannot be \
+                 put back: {source}; remove the cause and start again, or remove the record to keep the files as they are",
+                record.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for SweepError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            SweepError::Folder(source) | SweepError::Recover { source, .. } => Some(source),
+        }
+    }
+}
+
+/// Whether a file disappeared between two calls.
+fn is_gone(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::StaleNetworkFileHandle)
+}
+
+/// Removes the temporary files in a folder that nobody is writing, of whatever process or machine, after it has completed each
+/// set of files whose process was killed, or put the old files back. Where the file system has no locks, that is
+/// those that nobody has written to for a day. Those that may not be removed are left.
+///
+/// # Errors
+/// When the folder cannot be read, or files cannot be put back.
+pub fn sweep_temporaries(folder: &Path) -> Result<Swept, SweepError> {
+    let (mut records, mut temporaries, mut old_files) = (Vec::new(), Vec::new(), Vec::new());
+    for entry in fs::read_dir(folder).map_err(SweepError::Folder)? {
+        let entry = match entry {
+            Err(error) if is_gone(&error) => continue,
+            entry => entry.map_err(SweepError::Folder)?,
+        };
+        let name = entry.file_name().to_string_lossy().into_owned();
+        // One whose type is unknown is gone, or cannot be opened, either.
+        let is_file = || entry.file_type().is_ok_and(|kind| kind.is_file());
+        if let Some(record) = record_of_old_file(&entry.path()) {
+            old_files.push((entry.path(), record));
+        } else if is_record_name(&name) && is_file() {
+            records.push(entry.path());
+        } else if is_temporary_name(&name) && is_file() {
+            temporaries.push(entry.path());
+        }
+    }
+    let (mut swept, mut is_other_at_it, mut failure) = (Swept::default(), false, None);
+    for path in records {
+        match recover(&path) {
+            Ok(Recovery::Done) => swept.count += 1,
+            Ok(Recovery::InUse) => is_other_at_it = true,
+            Ok(Recovery::Left(warning)) => {
+                is_other_at_it = true;
+                swept.warnings.push(warning);
+            }
+            // It belongs to another account.
+            Err(error) if error.kind() == io::ErrorKind::PermissionDenied => is_other_at_it = true,
+            // Another process, such as another shard, has just recovered it.
+            Err(error) if is_gone(&error) => is_other_at_it = true,
+            Err(source) => failure = Some(SweepError::Recover { record: path, source }),
+        }
+    }
+    // Whoever completes a set needs its temporary files.
+    if !is_other_at_it && failure.is_none() {
+        swept.count += temporaries.iter().filter(|path| sweep(path).unwrap_or(false)).count();
+    }
+    for (path, record) in old_files {
+        let _ = remove_old_file(&path, &record);
+    }
+    failure.map_or(Ok(swept), Err)
+}
+
+/// Removes a temporary file that nobody is writing.
+fn sweep(path: &Path) -> io::Result<bool> {
+    let Some(_locked) = lock_abandoned(path)? else { return Ok(false) };
+    // Locked until it is gone: whoever created it just now finds that out.
+    fs::remove_file(path)?;
+    Ok(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::files::sink::stage;
+    use crate::pipeline::files::temporary::{Temporary, temporary_name};
+    use std::time::Duration;
+    use tempfile::tempdir;
+
+    #[test]
+    fn only_what_nobody_writes_is_swept() {
+        let folder = tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        let written = Temporary::create(&path).expect("created");
+        let left = folder.path().join(temporary_name("a.glb", 7));
+        fs::write(&left, "half a fra").expect("written");
+        let others = [
+            "a.glb.tmp-0123456789abcdef",
+            ".a.tmp-0123456789abcdeg",
+            ".a.tmp-012",
+            ".tmp",
+            ".a.glb",
+            "a.glb",
+        ];
+        for name in others {
+            fs::write(folder.path().join(name), "of somebody else").expect("written");
+        }
+        fs::create_dir(folder.path().join(temporary_name("folder", 7))).expect("made");
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
+        assert!(!left.exists() && written.path().exists());
+        assert_eq!(fs::read_dir(folder.path()).expect("there").count(), others.len() + 2);
+        // As when its process was killed: the file stays and the lock goes.
+        let killed = written.path().to_owned();
+        written.file().unlock().expect("unlocked");
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 1);
+        assert!(!killed.exists());
+        assert!(sweep_temporaries(&folder.path().join("missing")).is_err());
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_link_is_not_followed_and_not_swept() {
+        let folder = tempdir().expect("a folder");
+        let precious = folder.path().join("precious");
+        fs::write(&precious, "precious").expect("written");
+        let link = folder.path().join(temporary_name("a.glb", 7));
+        std::os::unix::fs::symlink(&precious, &link).expect("linked");
+        assert_eq!(sweep_temporaries(folder.path()).expect("readable").count, 0);
+        assert!(link.is_symlink() && precious.exists());
+    }
+
+    /// The folder that it lies in is exchanged for a file: then nothing in it can be removed.
+    #[test]
+    #[cfg(unix)]
+    fn file_that_cannot_be_removed_is_removed_later() {
+        let folder = tempdir().expect("a folder");
+        let [inner, away] = ["inner", "away"].map(|name| folder.path().join(name));
+        fs::create_dir(&inner).expect("made");
+        let temporary = Temporary::create(&inner.join("a.glb")).expect("created");
+        let name = temporary.path().file_name().expect("a name").to_owned();
+        fs::rename(&inner, &away).expect("renamed");
+        fs::write(&inner, "in the way").expect("written");
+        drop(temporary);
+        assert!(away.join(&name).exists() && remove_left_behind() > 0);
+        fs::remove_file(&inner).expect("removed");
+        fs::rename(&away, &inner).expect("renamed");
+        // Any writer tries again.
+        let start = std::time::Instant::now();
+        while inner.join(&name).exists() {
+            assert!(start.elapsed() < Duration::from_secs(60), "it is left");
+            drop(stage(&folder.path().join("b.glb"), |_| Ok(())).expect("created"));
+        }
+    }
+}

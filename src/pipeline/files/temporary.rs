@@ -1,0 +1,272 @@
+//! Files that are being written, under names that nobody looks for.
+//!
+//! A temporary file lies in the folder of the file that it becomes, so that the rename stays within one file
+//! system. Its name begins with a dot: programs that watch for frames do not take it for one. It ends in a
+//! random number, because several machines may write into one shared folder, and what another one is writing
+//! must not be touched.
+//!
+//! ```text
+//!   .dam.0012.glb.tmp-9f3c02d1a47be658
+//!   └ hidden      └ 16 hexadecimal digits, another number each time
+//! ```
+//!
+//! Who writes one holds an advisory lock on it until it is renamed. A process that is killed leaves its files
+//! and loses its locks: so [`sweep_temporaries`](crate::pipeline::files::sweep::sweep_temporaries) knows which nobody will finish.
+//!
+//! A file that cannot be removed is remembered; [`remove_left_behind`](crate::pipeline::files::sweep::remove_left_behind) tries again.
+
+use std::collections::HashSet;
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime};
+
+use crate::pipeline::files::open::open_itself;
+use crate::pipeline::files::stamp::FileStamp;
+
+/// A file that is removed unless it is renamed: also when the writer panics.
+pub(crate) struct Temporary {
+    path: PathBuf,
+    file: File,
+}
+
+impl Temporary {
+    /// Creates a file beside `path`.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub(crate) fn create(path: &Path) -> io::Result<Temporary> {
+        let name = path.file_name().ok_or(io::ErrorKind::InvalidFilename)?.to_string_lossy();
+        Temporary::create_named(path, || temporary_name(&name, random_number()))
+    }
+
+    /// Creates a file beside `path`, under the first of these names that is free.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub(crate) fn create_named(path: &Path, mut next_name: impl FnMut() -> String) -> io::Result<Temporary> {
+        // Locked until the file is known: a stop misses none.
+        let mut under_way = under_way();
+        let mut attempt_count = 0;
+        loop {
+            let temporary = path.with_file_name(next_name());
+            attempt_count += 1;
+            let found = match create_locked(&temporary) {
+                Ok(Some(file)) => {
+                    under_way.insert(temporary.clone());
+                    return Ok(Temporary { path: temporary, file });
+                }
+                Ok(None) => io::ErrorKind::AlreadyExists.into(),
+                Err(error) => error,
+            };
+            if found.kind() != io::ErrorKind::AlreadyExists || attempt_count == ATTEMPTS_MAX {
+                return Err(found);
+            }
+        }
+    }
+
+    /// Where it is.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file, open for writing.
+    pub(crate) fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Gives up the lock and leaves the file to [`remove_left_behind`](crate::pipeline::files::sweep::remove_left_behind).
+    pub(crate) fn keep(mut self) {
+        let path = std::mem::take(&mut self.path);
+        under_way().remove(&path);
+        drop(self);
+        leave_behind(path);
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if self.path.as_os_str().is_empty() {
+            return;
+        }
+        // The error that led here is the one worth telling; after a rename the file has another name.
+        if remove_if_there(&self.path).is_err() {
+            leave_behind(self.path.clone());
+        }
+        under_way().remove(&self.path);
+    }
+}
+
+/// Removes a file, if there is one.
+///
+/// # Errors
+/// When the system refuses.
+pub(crate) fn remove_if_there(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        result => result,
+    }
+}
+
+/// Files of this process that could not be removed.
+fn left_behind() -> MutexGuard<'static, HashSet<PathBuf>> {
+    static LEFT_BEHIND: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
+    // As below.
+    LEFT_BEHIND.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Takes all files of this process that could not be removed.
+pub(crate) fn take_left_behind() -> HashSet<PathBuf> {
+    std::mem::take(&mut *left_behind())
+}
+
+/// How many files of this process are left that could not be removed.
+pub(crate) fn left_behind_count() -> usize {
+    left_behind().len()
+}
+
+/// Remembers a file that could not be removed.
+pub(crate) fn leave_behind(path: PathBuf) {
+    left_behind().insert(path);
+}
+
+/// The temporary files of this process.
+pub(crate) fn under_way() -> MutexGuard<'static, HashSet<PathBuf>> {
+    static UNDER_WAY: LazyLock<Mutex<HashSet<PathBuf>>> = LazyLock::new(Mutex::default);
+    // A set of names is in order whatever panicked beside it.
+    UNDER_WAY.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A new file with its lock; `None` where somebody swept it away before it was locked.
+fn create_locked(path: &Path) -> io::Result<Option<File>> {
+    // Only ever a new file: never one that somebody else is writing, and never through a link that
+    // somebody laid there.
+    let file = OpenOptions::new().write(true).create_new(true).open(path)?;
+    match file.try_lock() {
+        Err(TryLockError::WouldBlock) => return Ok(None),
+        Ok(()) => {}
+        // A file system without locks: those who sweep see that, too.
+        Err(TryLockError::Error(_)) => {}
+    }
+    Ok(is_still_at(path, &file).then_some(file))
+}
+
+/// Whether the name leads to this file.
+fn is_still_at(path: &Path, file: &File) -> bool {
+    let stamps = FileStamp::of_path(path).and_then(|there| Ok((there, FileStamp::of(&file.metadata()?))));
+    stamps.is_ok_and(|(there, ours)| there.inode == ours.inode)
+}
+
+/// A file that a process has left, locked; `None` where its process lives.
+///
+/// # Errors
+/// When the system refuses.
+pub(crate) fn lock_abandoned(path: &Path) -> io::Result<Option<File>> {
+    // Some file systems lock only what is open for writing.
+    let file = match open_itself(path, OpenOptions::new().read(true).write(true)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        file => file?,
+    };
+    let age = SystemTime::now().duration_since(file.metadata()?.modified()?).unwrap_or(Duration::ZERO);
+    let is_abandoned = is_abandoned(file.try_lock(), age);
+    Ok((is_abandoned && is_still_at(path, &file)).then_some(file))
+}
+
+fn is_abandoned(locked: Result<(), TryLockError>, age: Duration) -> bool {
+    match locked {
+        Ok(()) => true,
+        Err(TryLockError::WouldBlock) => false,
+        Err(TryLockError::Error(_)) => age > UNLOCKED_AGE_MAX,
+    }
+}
+
+/// A hidden name for what will be called `name`; as much of that as fits.
+pub(crate) fn temporary_name(name: &str, number: u64) -> String {
+    let suffix = format!("{TEMPORARY_MARK}{number:016x}");
+    let bytes_max = NAME_BYTES_MAX - 1 - suffix.len();
+    let kept_bytes = (0..=bytes_max.min(name.len())).rev().find(|&end| name.is_char_boundary(end));
+    format!(".{}{suffix}", &name[..kept_bytes.unwrap_or(0)])
+}
+
+/// Whether a file may be called so only as a temporary one of this program.
+pub(crate) fn is_temporary_name(name: &str) -> bool {
+    let is_digit = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
+    let number = name.strip_prefix('.').and_then(|name| name.rsplit_once(TEMPORARY_MARK));
+    number.is_some_and(|(_, number)| number.len() == 16 && number.bytes().all(is_digit))
+}
+
+/// Another number at each call, in each process and on each machine.
+pub(crate) fn random_number() -> u64 {
+    // The keys of hash maps come from the system's randomness.
+    RandomState::new().hash_one(std::process::id())
+}
+
+/// What stands before the number.
+const TEMPORARY_MARK: &str = ".tmp-";
+
+/// The longest file name on most file systems.
+const NAME_BYTES_MAX: usize = 255;
+
+/// Random names that are taken one after the other mean that something else is wrong.
+const ATTEMPTS_MAX: usize = 16;
+
+/// No frame takes so long to write.
+const UNLOCKED_AGE_MAX: Duration = Duration::from_secs(24 * 60 * 60);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tempfile::tempdir;
+
+    #[test]
+    fn what_somebody_else_is_writing_is_left_alone() {
+        let folder = tempdir().expect("a folder");
+        let path = folder.path().join("a.glb");
+        let taken = folder.path().join(temporary_name("a.glb", 0));
+        fs::write(&taken, "of somebody else").expect("written");
+        let mut number = 0;
+        let mut count_up = || {
+            number += 1;
+            temporary_name("a.glb", number - 1)
+        };
+        let temporary = Temporary::create_named(&path, &mut count_up).expect("created");
+        assert_eq!(temporary.path, folder.path().join(temporary_name("a.glb", 1)));
+        drop(temporary);
+        assert_eq!(fs::read_to_string(&taken).expect("still there"), "of somebody else");
+        assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 1);
+        let always_taken = Temporary::create_named(&path, || temporary_name("a.glb", 0));
+        assert_eq!(always_taken.err().map(|error| error.kind()), Some(io::ErrorKind::AlreadyExists));
+    }
+
+    #[test]
+    fn without_locks_only_what_is_old_is_abandoned() {
+        let unsupported = || Err(TryLockError::Error(io::ErrorKind::Unsupported.into()));
+        assert!(!is_abandoned(unsupported(), Duration::from_secs(3600)));
+        assert!(is_abandoned(unsupported(), Duration::from_secs(25 * 3600)));
+        assert!(!is_abandoned(Err(TryLockError::WouldBlock), Duration::from_secs(25 * 3600)));
+    }
+
+    #[test]
+    fn a_file_that_was_swept_before_it_was_locked_is_not_used() {
+        let folder = tempdir().expect("a folder");
+        let path = folder.path().join("a");
+        let file = File::create(&path).expect("created");
+        assert!(is_still_at(&path, &file));
+        fs::remove_file(&path).expect("removed");
+        assert!(!is_still_at(&path, &file));
+        fs::write(&path, "of somebody else").expect("written");
+        assert!(!cfg!(unix) || !is_still_at(&path, &file));
+    }
+
+    #[test]
+    fn long_names_are_no_hindrance() {
+        let folder = tempdir().expect("a folder");
+        for name in ["a".repeat(251) + ".glb", "ü".repeat(125) + ".glb", String::from("a")] {
+            let temporary = Temporary::create(&folder.path().join(&name)).expect("created");
+            let name = temporary.path.file_name().expect("a name").to_string_lossy().into_owned();
+            assert!(name.len() <= NAME_BYTES_MAX && is_temporary_name(&name), "{name}");
+        }
+    }
+}

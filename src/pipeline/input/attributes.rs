@@ -1,0 +1,302 @@
+//! Which attributes of a file a frame needs, and their values as the method has them.
+
+use std::sync::Arc;
+
+use meniscus_formats::columns::aliases;
+use meniscus_formats::{Attribute as FileAttribute, Role, Values};
+
+use crate::surface::options::{Anisotropy, AttributeSelection, OwnRadii, Settings};
+use crate::surface::particles::{Attribute, AttributeValues, Meaning, attribute_of};
+
+use crate::pipeline::warning::Warning;
+
+/// What a frame needs of the attributes in its file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Wanted {
+    /// The attributes without which it cannot be skinned.
+    needed: Vec<Needed>,
+    /// Those that its surface is to have.
+    selected: Option<AttributeSelection>,
+}
+
+/// An attribute without which a frame cannot be skinned.
+#[derive(Clone, Debug, PartialEq)]
+struct Needed {
+    name: String,
+    /// Numbers for each particle.
+    arity: usize,
+    /// What asks for it.
+    option: &'static str,
+    /// Whether it must be a positive number for one particle at least.
+    is_length: bool,
+}
+
+impl Needed {
+    /// What to say where it is not among these attributes.
+    fn why_missing(&self, all: &[Attribute]) -> String {
+        let Needed { name, arity, option, .. } = self;
+        let kind = if *arity == 1 { "one number" } else { "a vector of three numbers" };
+        match all.iter().find(|attribute| attribute.is_called(name)) {
+            None => {
+                let names: Vec<&str> = all.iter().map(|attribute| &*attribute.name).collect();
+                let there = if all.is_empty() { "none".to_owned() } else { names.join(", ") };
+                format!("the particles have no attribute `{name}`, which {option} needs: it has {there}")
+            }
+            Some(Attribute { name, values: AttributeValues::Strings { .. }, .. }) => {
+                format!("the particles' attribute `{name}` is text, and {option} needs {kind} for each")
+            }
+            Some(Attribute { name, arity: 1, .. }) => {
+                format!("the particles' attribute `{name}` is one number for each, and {option} needs {kind}")
+            }
+            Some(Attribute { name, arity, .. }) => {
+                format!(
+                    "the particles' attribute `{name}` has {arity} numbers for each, and {option} needs {kind}"
+                )
+            }
+        }
+    }
+
+    fn is(&self, attribute: &Attribute) -> bool {
+        attribute.is_called(&self.name) && attribute.has_numbers(self.arity)
+    }
+
+    /// What to say where it is there, and of no use for any particle.
+    fn why_useless(&self, attribute: &Attribute) -> Option<String> {
+        let numbers = attribute.values.numbers().unwrap_or_default();
+        let is_useful = |number: &f32| number.is_finite() && *number > 0.0;
+        let is_useless = self.is_length && !numbers.is_empty() && !numbers.iter().any(is_useful);
+        let Needed { option, .. } = self;
+        let name = &attribute.name;
+        is_useless.then(|| {
+            format!("the particles' attribute `{name}` has no positive number for any of them, and {option} needs a radius")
+        })
+    }
+}
+
+impl Wanted {
+    /// What these settings ask for.
+    pub fn by(settings: &Settings) -> Wanted {
+        let mut needed = Wanted::radii(settings.own_radii.as_ref()).needed;
+        if matches!(settings.anisotropy, Anisotropy::Velocity { .. }) {
+            let name = "velocity".to_owned();
+            needed.push(Needed { name, arity: 3, option: "--anisotropy velocity", is_length: false });
+        }
+        Wanted { needed, selected: settings.attributes.clone() }
+    }
+
+    /// The particles' own radii only.
+    pub(crate) fn radii(own: Option<&OwnRadii>) -> Wanted {
+        let needed = |own: &OwnRadii| Needed {
+            name: own.attribute.clone(),
+            arity: 1,
+            option: "--radius-attribute",
+            is_length: true,
+        };
+        Wanted { needed: own.map(needed).into_iter().collect(), selected: None }
+    }
+
+    /// These, and the particles' radii where there are any.
+    pub(crate) fn and_radius(self) -> Wanted {
+        Wanted { selected: Some(AttributeSelection::Named(vec!["radius".to_owned()])), ..self }
+    }
+
+    /// Whether positions are enough.
+    pub fn is_nothing(&self) -> bool {
+        self.needed.is_empty() && self.selected.is_none()
+    }
+
+    /// Those of a file's attributes that are wanted, and what a user should know of them.
+    ///
+    /// # Errors
+    /// What is missing, or of no use, where the frame cannot be skinned without.
+    pub(crate) fn of(
+        &self,
+        attributes: Vec<FileAttribute>,
+    ) -> Result<(Vec<Attribute>, Vec<Warning>), String> {
+        if self.is_nothing() {
+            return Ok((Vec::new(), Vec::new()));
+        }
+        let all: Vec<Attribute> = attributes.into_iter().map(attribute).collect();
+        let available = || all.iter().map(|attribute| attribute.name.clone()).collect::<Vec<_>>();
+        let is_there = |name: &str| all.iter().any(|attribute| attribute.is_called(name));
+        for needed in &self.needed {
+            let why = match attribute_of(&all, &needed.name, needed.arity) {
+                Some(attribute) => needed.why_useless(attribute),
+                None => Some(needed.why_missing(&all)),
+            };
+            if let Some(why) = why {
+                return Err(why);
+            }
+        }
+        let named: &[String] = match &self.selected {
+            Some(AttributeSelection::Named(names)) => names,
+            _ => &[],
+        };
+        let missing = named.iter().filter(|name| !is_there(name));
+        let missing =
+            missing.map(|name| Warning::MissingAttribute { name: name.clone(), available: available() });
+        let missing: Vec<Warning> = missing.collect();
+        // Of `v` and `velocity`, `--attributes v` means the one that is called so, and not the one that means it.
+        let has_own = |name: &String| all.iter().any(|attribute| attribute.name.eq_ignore_ascii_case(name));
+        let is_named = |attribute: &Attribute| {
+            named.iter().any(|name| match has_own(name) {
+                true => attribute.name.eq_ignore_ascii_case(name),
+                false => attribute.is_called(name),
+            })
+        };
+        let is_all = self.selected == Some(AttributeSelection::All);
+        let keep: Vec<bool> = all
+            .iter()
+            .map(|attribute| {
+                let is_needed = self.needed.iter().any(|needed| needed.is(attribute));
+                is_needed || is_all || is_named(attribute)
+            })
+            .collect();
+        let kept = all.into_iter().zip(keep).filter_map(|(attribute, keep)| keep.then_some(attribute));
+        Ok((kept.collect(), missing))
+    }
+
+    /// Whether the surface is to have the velocities of the particles, which have this name.
+    pub(crate) fn has_velocity(&self, name: &str) -> bool {
+        let asked = |asked: &String| {
+            let is = |other: &str| asked.eq_ignore_ascii_case(other);
+            is(name) || aliases(Role::Velocity).iter().any(|alias| is(alias))
+        };
+        match &self.selected {
+            None => false,
+            Some(AttributeSelection::All) => true,
+            Some(AttributeSelection::Named(names)) => names.iter().any(asked),
+        }
+    }
+
+    /// Whether the surface is to have this attribute.
+    pub fn is_selected(&self, attribute: &Attribute) -> bool {
+        self.selected.as_ref().is_some_and(|selection| selection.selects(attribute))
+    }
+}
+
+/// A file's attribute as the method has it: reals in 32 bits, colours from 0 to 1.
+fn attribute(attribute: FileAttribute) -> Attribute {
+    let FileAttribute { name, arity, role, values } = attribute;
+    let meaning = match role {
+        Some(Role::Velocity) => Meaning::Velocity,
+        Some(Role::Color) => Meaning::Color,
+        Some(Role::Radius) => Meaning::Radius,
+        Some(Role::Id) => Meaning::Id,
+        Some(Role::Normal | Role::Density | Role::Mass | Role::Kind) | None => Meaning::Other,
+    };
+    let is_color = meaning == Meaning::Color;
+    let values = match values {
+        Values::F32(values) => AttributeValues::Numbers(values),
+        Values::F64(values) => {
+            AttributeValues::Numbers(values.into_iter().map(|value| value as f32).collect())
+        }
+        Values::U8(values) if is_color => {
+            AttributeValues::Numbers(values.into_iter().map(|value| f32::from(value) / 255.0).collect())
+        }
+        Values::U8(values) => AttributeValues::Integers(values.into_iter().map(i64::from).collect()),
+        Values::I32(values) => AttributeValues::Integers(values.into_iter().map(i64::from).collect()),
+        Values::I64(values) => AttributeValues::Integers(values),
+        Values::Strings { table, indices } => AttributeValues::Strings { table: Arc::from(table), indices },
+    };
+    Attribute { name, meaning, arity, values }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::options::MethodOptions;
+
+    fn file_attribute(name: &str, role: Option<Role>, arity: usize, values: Values) -> FileAttribute {
+        FileAttribute { name: name.to_owned(), arity, role, values }
+    }
+
+    fn two_particles() -> Vec<FileAttribute> {
+        vec![
+            file_attribute("vel", Some(Role::Velocity), 3, Values::F64(vec![1.0, 2.0, 3.0, -1.0, 0.0, 0.5])),
+            file_attribute("rgb", Some(Role::Color), 3, Values::U8(vec![255, 0, 51, 0, 0, 0])),
+            file_attribute("pscale", Some(Role::Radius), 1, Values::F32(vec![0.5, 1.0])),
+            file_attribute("Kind", None, 1, Values::I32(vec![7, -1])),
+        ]
+    }
+
+    fn wanted(choices: MethodOptions) -> Wanted {
+        Wanted::by(&Settings::paper(1.0, &choices).expect("sound"))
+    }
+
+    /// The method knows no formats, so it has the names of its own: they must be those of the readers.
+    #[test]
+    fn velocities_and_colors_are_called_as_the_readers_call_them() {
+        for (role, meaning) in [(Role::Velocity, Meaning::Velocity), (Role::Color, Meaning::Color)] {
+            let values = AttributeValues::Numbers(vec![0.0; 3]);
+            let attribute = Attribute { name: "some name".to_owned(), meaning, arity: 3, values };
+            for alias in aliases(role) {
+                assert!(attribute.is_called(alias) && attribute.is_called(&alias.to_uppercase()), "{alias}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_wanted_is_kept_under_any_of_its_names() {
+        let named = |names: &[&str]| {
+            let names = names.iter().map(|&name| name.to_owned()).collect();
+            wanted(MethodOptions {
+                attributes: Some(AttributeSelection::Named(names)),
+                ..MethodOptions::default()
+            })
+        };
+        let kept = |wanted: &Wanted| -> Vec<String> {
+            let (kept, _) = wanted.of(two_particles()).expect("nothing is needed");
+            kept.into_iter().map(|attribute| attribute.name).collect()
+        };
+        assert_eq!(kept(&wanted(MethodOptions::default())), [""; 0]);
+        assert_eq!(kept(&named(&["velocity", "kind"])), ["vel", "Kind"]);
+        assert_eq!(kept(&named(&["Cd", "VEL"])), ["vel", "rgb"]);
+        let all =
+            wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
+        assert_eq!(kept(&all), ["vel", "rgb", "pscale", "Kind"]);
+        let (_, missing) = named(&["age"]).of(two_particles()).expect("nothing is needed");
+        let missing = missing[0].to_string();
+        assert!(missing.contains("`age`") && missing.contains("vel, rgb, pscale, Kind"), "{missing}");
+    }
+
+    #[test]
+    fn what_is_needed_must_be_there() {
+        let by_radius = |name: &str| {
+            wanted(MethodOptions { radius_attribute: Some(name.to_owned()), ..MethodOptions::default() })
+        };
+        let (kept, _) = by_radius("radius").of(two_particles()).expect("there");
+        assert_eq!(kept.len(), 1);
+        assert_eq!(kept[0].values, AttributeValues::Numbers(vec![0.5, 1.0]));
+        // A whole number is one, a colour is none.
+        assert!(by_radius("Kind").of(two_particles()).is_ok());
+        let error = by_radius("rgb").of(two_particles()).expect_err("three numbers");
+        assert!(error.contains("`rgb` has 3 numbers") && error.contains("needs one number"), "{error}");
+        let error = by_radius("kind").of(vec![file_attribute(
+            "kind",
+            None,
+            1,
+            Values::Strings { table: vec!["a".to_owned()], indices: vec![0] },
+        )]);
+        assert!(error.expect_err("words").contains("`kind` is text"));
+        let useless = |values: &[f32]| {
+            let radii = file_attribute("pscale", Some(Role::Radius), 1, Values::F32(values.to_vec()));
+            by_radius("radius").of(vec![radii])
+        };
+        let error = useless(&[0.0, -1.0, f32::NAN, f32::INFINITY]).expect_err("no radius");
+        assert!(error.contains("`pscale` has no positive number") && error.contains("--radius-attribute"));
+        // One will do, and where there are no particles there are no radii.
+        assert!(useless(&[0.0, 0.5]).is_ok() && useless(&[]).is_ok());
+        let error = by_radius("size").of(two_particles()).expect_err("not there");
+        assert!(error.contains("`size`") && error.contains("--radius-attribute"), "{error}");
+    }
+
+    #[test]
+    fn values_are_those_of_the_method() {
+        let all =
+            wanted(MethodOptions { attributes: Some(AttributeSelection::All), ..MethodOptions::default() });
+        let (kept, _) = all.of(two_particles()).expect("nothing is needed");
+        assert_eq!(kept[1].values, AttributeValues::Numbers(vec![1.0, 0.0, 0.2, 0.0, 0.0, 0.0]));
+        assert_eq!(kept[3].values, AttributeValues::Integers(vec![7, -1]));
+    }
+}

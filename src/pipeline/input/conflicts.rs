@@ -1,0 +1,138 @@
+//! Which outputs would replace an input, an obstacle or each other.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::pipeline::files::path_identity::{Identity, entry, identities};
+use crate::pipeline::input::obstacles::ObstacleFiles;
+use crate::pipeline::input::steps::file_of;
+use crate::pipeline::target::outputs::{OutputOptions, output_path};
+
+/// Why a run must not begin.
+#[derive(Debug)]
+pub enum Conflict {
+    /// An output would replace an input.
+    ReplacesInput {
+        /// The output.
+        output: PathBuf,
+        /// The input.
+        input: PathBuf,
+    },
+    /// An output would replace an obstacle, or what is taken for one later.
+    ReplacesObstacle {
+        /// The output.
+        output: PathBuf,
+        /// The obstacle, as it was asked for.
+        obstacle: PathBuf,
+    },
+    /// Two inputs have outputs of one name.
+    SameOutput {
+        /// The output.
+        output: PathBuf,
+        /// What it would be made from, twice.
+        makers: [PathBuf; 2],
+    },
+    /// Something else that is written, such as the report, has the name of an output.
+    ReplacesOutput {
+        /// The output.
+        output: PathBuf,
+        /// The input that it would be made from.
+        input: PathBuf,
+        /// What else.
+        what: &'static str,
+    },
+}
+
+impl fmt::Display for Conflict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Conflict::ReplacesInput { output, input } => write!(
+                f,
+                "the output {} would replace the input {}: choose another folder",
+                output.display(),
+                input.display()
+            ),
+            Conflict::ReplacesObstacle { output, obstacle } => write!(
+                f,
+                "the output {} would replace the obstacle {}: choose another folder or format",
+                output.display(),
+                obstacle.display()
+            ),
+            Conflict::SameOutput { output, makers: [first, second] } => write!(
+                f,
+                "{} and {} would both become {}: convert them one by one, into different folders",
+                first.display(),
+                second.display(),
+                output.display()
+            ),
+            Conflict::ReplacesOutput { output, input, what } => write!(
+                f,
+                "{what} and the result of {} would both become {}: choose another name for {what}",
+                input.display(),
+                output.display()
+            ),
+        }
+    }
+}
+
+impl std::error::Error for Conflict {}
+
+/// Checks that the outputs of all planned frames (input and stem), and whatever else is written (what it is, and where),
+/// replace neither one of `inputs` nor an obstacle nor each other. The folder must exist: only then is it known
+/// where its path leads.
+///
+/// # Errors
+/// The first conflict found.
+pub fn check_outputs(
+    planned: &[(PathBuf, String)],
+    inputs: &[PathBuf],
+    obstacles: &ObstacleFiles,
+    options: &OutputOptions,
+    written: Option<(&'static str, &Path)>,
+) -> Result<(), Conflict> {
+    let mut input_of: HashMap<Identity, &Path> = HashMap::new();
+    let mut files: Vec<&Path> = inputs.iter().map(|input| file_of(input)).collect();
+    files.dedup(); // the steps of one stand together
+    for input in files {
+        input_of.extend(identities(input).into_iter().map(|identity| (identity, input)));
+    }
+    let outputs = planned.iter().flat_map(|(input, stem)| {
+        options.formats.iter().map(move |&format| (output_path(&options.folder, stem, format), &**input))
+    });
+    let refuse_loss = |output: &Path| {
+        if let Some(input) = identities(output).iter().find_map(|identity| input_of.get(identity)) {
+            return Err(Conflict::ReplacesInput { output: output.to_owned(), input: (*input).to_owned() });
+        }
+        obstacles.refuse_output(output)
+    };
+    let mut maker_of: HashMap<PathBuf, &Path> = HashMap::new();
+    for (output, maker) in outputs {
+        refuse_loss(&output)?;
+        if let Some(other) = maker_of.insert(entry(&output), maker) {
+            return Err(Conflict::SameOutput { output, makers: [other.to_owned(), maker.to_owned()] });
+        }
+    }
+    let Some((what, path)) = written else { return Ok(()) };
+    refuse_loss(path)?;
+    match maker_of.get(&entry(path)) {
+        Some(&input) => {
+            Err(Conflict::ReplacesOutput { output: path.to_owned(), input: input.to_owned(), what })
+        }
+        None => Ok(()),
+    }
+}
+
+impl ObstacleFiles {
+    /// Refuses an output that would replace an obstacle, or would be taken for one.
+    ///
+    /// # Errors
+    /// Which obstacle that is.
+    pub fn refuse_output(&self, output: &Path) -> Result<(), Conflict> {
+        let conflict = |obstacle: &Path| Conflict::ReplacesObstacle {
+            output: output.to_owned(),
+            obstacle: obstacle.to_owned(),
+        };
+        self.replaced_by(output).map_or(Ok(()), |obstacle| Err(conflict(obstacle)))
+    }
+}

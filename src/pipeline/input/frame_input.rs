@@ -1,0 +1,250 @@
+//! What a frame is made from: particles in memory, or in the file that they are read from again and again; or a level set.
+
+use std::borrow::Cow;
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+use glam::DVec3;
+use meniscus_formats::{Error, Limits, ParticleBatch, ParticleBatches, Positions};
+
+use crate::surface::grid::Leaf;
+use crate::surface::level_set::NarrowBand;
+use crate::surface::particles::{self, Cloud, ParticleSource, Shapes};
+
+use crate::surface::options::Settings;
+use crate::surface::report::Shaping;
+use crate::surface::skin::{self, ShapedSource};
+
+use crate::pipeline::error::{Cause, FrameError, Stage};
+use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::input::frame::{Frame, Job};
+use crate::pipeline::input::level_set_file::LevelSetFile;
+use crate::pipeline::target::outputs::OutputFormat;
+use crate::pipeline::warning::Warning;
+
+/// What a frame is made from.
+#[derive(Debug)]
+pub enum FrameInput {
+    /// All of its particles.
+    InMemory(Cloud),
+    /// Those in a file whose records can be read one by one.
+    OnDisk(Box<FileParticles>),
+    /// A level set, and no particles.
+    LevelSet(Box<LevelSetInput>),
+}
+
+/// A level set that was read.
+#[derive(Debug)]
+pub struct LevelSetInput {
+    pub(crate) band: NarrowBand,
+    /// Where its voxel (0, 0, 0) is, world units.
+    pub(crate) origin: DVec3,
+    /// By how much smoothing may move its surface, in voxels.
+    pub(crate) slack_voxels: f32,
+}
+
+impl LevelSetInput {
+    pub(crate) fn new(file: LevelSetFile, job: &Job) -> LevelSetInput {
+        LevelSetInput {
+            origin: file.origin(),
+            slack_voxels: job.slack_voxels() as f32,
+            band: file.into_band(),
+        }
+    }
+}
+
+/// The level set in the bytes of a frame's file, with no more memory than this; and the frame with the voxel size and the origin
+/// of the file.
+///
+/// # Errors
+/// When there is no level set that is read, or its surface cannot be made with the settings or written in a format of the frame.
+pub(crate) fn read_input(
+    frame: &Frame,
+    bytes: &[u8],
+    memory_bytes: u64,
+) -> Result<(Frame, LevelSetFile), FrameError> {
+    let file = LevelSetFile::of_bytes(&frame.input, bytes, false, memory_bytes)?;
+    let refused =
+        |what: String| FrameError::file(&frame.input, Stage::Read, Error::unsupported("OpenVDB", what));
+    file.require_level_set().map_err(refused)?;
+    let settings = frame.settings.with_voxel_size(file.voxel_size());
+    let settings = settings.map_err(|error| refused(error.to_string()))?;
+    if frame.outputs.formats.contains(&OutputFormat::Vdb) && file.origin() != DVec3::ZERO {
+        let [x, y, z] = file.origin().to_array();
+        return Err(refused(format!(
+            "its voxels are moved by ({x}, {y}, {z}) from the world's lattice, on which a .vdb is written: leave vdb out of --format"
+        )));
+    }
+    let job = Job::LevelSet { slack_voxels: frame.job.slack_voxels(), origin: file.origin() };
+    Ok((Frame { settings: settings.into(), job, ..frame.clone() }, file))
+}
+
+/// The particles in a file.
+#[derive(Debug)]
+pub struct FileParticles {
+    file: Arc<InputFile>,
+    batches: ParticleBatches<Arc<InputFile>>,
+}
+
+/// Bytes of a file that are read at a time: some ten thousand particles.
+const BATCH_BYTES: usize = 512 << 10;
+
+impl FileParticles {
+    /// The particles in an open file; `None` where it has to be read whole.
+    ///
+    /// # Errors
+    /// Those of the format's reader.
+    pub(crate) fn open(path: &Path, file: InputFile) -> meniscus_formats::Result<Option<FileParticles>> {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let file = Arc::new(file);
+        let batches = ParticleBatches::open(Arc::clone(&file), &name, &Limits::default(), BATCH_BYTES)?;
+        Ok(batches.map(|batches| FileParticles { file, batches }))
+    }
+
+    /// What a user should know of the file.
+    pub(crate) fn warnings(&self) -> Vec<Warning> {
+        self.batches.notes().iter().cloned().map(Warning::Sentence).collect()
+    }
+
+    /// The name of the velocities, which are not read.
+    pub(crate) fn unused_velocity(&self) -> Option<String> {
+        self.batches.velocity().map(str::to_owned)
+    }
+}
+
+impl FrameInput {
+    /// The number of particles.
+    pub fn len(&self) -> usize {
+        match self {
+            FrameInput::InMemory(cloud) => cloud.positions.len(),
+            FrameInput::OnDisk(file) => file.batches.particle_count(),
+            FrameInput::LevelSet(_) => 0,
+        }
+    }
+
+    /// Whether there is no particle.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Memory that is taken while they wait, in bytes.
+    pub(crate) fn size_bytes(&self) -> u64 {
+        match self {
+            FrameInput::InMemory(cloud) => cloud.size_bytes() as u64,
+            FrameInput::OnDisk(_) => 0,
+            FrameInput::LevelSet(level_set) => (level_set.band.phi.leaves.len() * size_of::<Leaf>()) as u64,
+        }
+    }
+
+    /// Bytes of those attributes of a particle that its surface is to have.
+    pub(crate) fn attribute_bytes(&self, settings: &Settings) -> f64 {
+        let (FrameInput::InMemory(cloud), Some(selection)) = (self, &settings.attributes) else {
+            return 0.0;
+        };
+        let selected = cloud.attributes.iter().filter(|attribute| selection.selects(attribute));
+        let bytes: usize = selected.map(|attribute| attribute.values.size_bytes()).sum();
+        bytes as f64 / cloud.positions.len().max(1) as f64
+    }
+
+    /// The same particles where and as the settings ask for them.
+    ///
+    /// # Errors
+    /// When they are on disk and cannot be read.
+    pub fn shaped(self, settings: &Settings) -> Result<(ShapedSource<FrameInput>, Shaping), Cause> {
+        let started = Instant::now();
+        let (particles, shaping) = self.shaped_by_attributes(settings);
+        let (shaped, mut shaping) = skin::shape_by_neighbors(particles, shaping, settings)?;
+        if settings.has_shapes() || settings.uses_neighbors() {
+            shaping.seconds = started.elapsed().as_secs_f64();
+        }
+        Ok((shaped, shaping))
+    }
+
+    fn shaped_by_attributes(self, settings: &Settings) -> (FrameInput, Shaping) {
+        match self {
+            FrameInput::InMemory(cloud) => {
+                let (cloud, shaping) = skin::shape_by_attributes(cloud, settings);
+                (FrameInput::InMemory(cloud), shaping)
+            }
+            // What needs attributes is never read in batches.
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => (self, Shaping::default()),
+        }
+    }
+
+    /// Fails if the file was written meanwhile. To be asked after the last batch.
+    ///
+    /// # Errors
+    /// [`Cause::Changed`], or the system's refusal.
+    pub fn check_unchanged(&self) -> Result<(), Cause> {
+        match self {
+            FrameInput::InMemory(_) | FrameInput::LevelSet(_) => Ok(()),
+            FrameInput::OnDisk(file) => match file.file.is_unchanged() {
+                Ok(true) => Ok(()),
+                Ok(false) => Err(Cause::Changed),
+                Err(error) => Err(Cause::File(error.into())),
+            },
+        }
+    }
+}
+
+impl ParticleSource for FrameInput {
+    type Error = Cause;
+
+    fn batch_count(&self) -> usize {
+        match self {
+            FrameInput::InMemory(cloud) => cloud.batch_count(),
+            FrameInput::OnDisk(file) => file.batches.batch_count(),
+            FrameInput::LevelSet(_) => 0,
+        }
+    }
+
+    fn batch(&self, index: usize) -> Result<particles::Positions<'_>, Cause> {
+        match self {
+            FrameInput::InMemory(cloud) => {
+                let Ok(positions) = cloud.batch(index);
+                Ok(positions)
+            }
+            FrameInput::OnDisk(file) => {
+                let mut batch = ParticleBatch::default();
+                file.batches.read_batch(index, &mut batch).map_err(|error| file.cause(error))?;
+                Ok(match batch.positions {
+                    Positions::F32(positions) => particles::Positions::F32(Cow::Owned(positions)),
+                    Positions::F64(positions) => particles::Positions::F64(Cow::Owned(positions)),
+                })
+            }
+            FrameInput::LevelSet(_) => Ok(particles::Positions::F32(Cow::Borrowed(&[]))),
+        }
+    }
+
+    fn count_of(&self, batch: usize) -> usize {
+        match self {
+            FrameInput::InMemory(cloud) => cloud.count_of(batch),
+            FrameInput::OnDisk(file) => file.batches.particles_of(batch).len(),
+            FrameInput::LevelSet(_) => 0,
+        }
+    }
+
+    fn has_shapes(&self) -> bool {
+        match self {
+            FrameInput::InMemory(cloud) => cloud.has_shapes(),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => false,
+        }
+    }
+
+    fn shapes_of(&self, batch: usize) -> Shapes {
+        match self {
+            FrameInput::InMemory(cloud) => cloud.shapes_of(batch),
+            FrameInput::OnDisk(_) | FrameInput::LevelSet(_) => Shapes::Balls,
+        }
+    }
+}
+
+impl FileParticles {
+    /// A file that was whole when it was opened, and cannot be read now, was changed, as a rule.
+    fn cause(&self, error: meniscus_formats::Error) -> Cause {
+        let is_changed = |unchanged: io::Result<bool>| unchanged.is_ok_and(|unchanged| !unchanged);
+        if is_changed(self.file.is_unchanged()) { Cause::Changed } else { Cause::File(error) }
+    }
+}

@@ -1,0 +1,233 @@
+//! From a .vdb to a level set, as pictures and surfaces need it.
+
+use std::ops::RangeInclusive;
+use std::path::Path;
+
+use glam::{DVec3, IVec3};
+use meniscus_formats::vdb::{self, LevelSetData, Transform, VectorGridData};
+use meniscus_formats::{Error, Limits};
+use twox_hash::XxHash3_128;
+
+use crate::surface::grid::{Field, LEAF_EDGE, Leaf, Topology};
+use crate::surface::level_set::{
+    NarrowBand, RebuildReason, StoredLevelSet, TooManyLeaves, rebuilding_leaf_count_max, rebuilt,
+};
+use crate::surface::space::{INDEX_LIMIT, Lattice};
+
+use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::input::reading::read_file;
+use crate::pipeline::memory::default_memory_bytes;
+use crate::pipeline::target::picture::Scene;
+use crate::pipeline::warning::Warning;
+
+/// A level set that was read from a file.
+#[derive(Clone, Debug)]
+pub struct LevelSetFile {
+    band: NarrowBand,
+    lattice: Lattice,
+    origin: DVec3,
+    velocity: Option<[Field; 3]>,
+    /// What the grid is called.
+    name: String,
+    /// What the file says that it is.
+    class: String,
+    /// The XXH3 hash of the file, 128 bits.
+    pub hash: u128,
+    /// What a user should know though the file was read.
+    pub warnings: Vec<Warning>,
+}
+
+impl LevelSetFile {
+    /// Reads the level set of a .vdb, and its velocities if they are wanted.
+    ///
+    /// # Errors
+    /// When the system refuses, or there is no level set that is read.
+    pub fn read(path: &Path, wants_velocity: bool) -> Result<LevelSetFile, FrameError> {
+        LevelSetFile::of_bytes(path, &read_file(path)?, wants_velocity, default_memory_bytes())
+    }
+
+    /// The same of the bytes of the file, with so much memory.
+    ///
+    /// # Errors
+    /// When there is no level set that is read, or it takes more memory.
+    pub(crate) fn of_bytes(
+        path: &Path,
+        bytes: &[u8],
+        wants_velocity: bool,
+        memory_bytes: u64,
+    ) -> Result<LevelSetFile, FrameError> {
+        let fail = |error| FrameError::file(path, Stage::Read, error);
+        let hash = XxHash3_128::oneshot(bytes);
+        let limits = level_set_limits(memory_bytes);
+        let data = vdb::read_level_set(bytes, None, &limits).map_err(fail)?;
+        let (transform, name, class) = (data.transform, data.name.clone(), data.class.clone());
+        let rebuilding_bytes = memory_bytes.saturating_sub(bytes.len() as u64 + data.memory_bytes());
+        let (band, lattice, origin, rebuilt) = level_set(data, rebuilding_leaf_count_max(rebuilding_bytes))
+            .map_err(|what| fail(Error::unsupported("OpenVDB", what)))?;
+        let warnings = rebuilt.into_iter().map(Warning::Rebuilt).collect();
+        let mut file = LevelSetFile { band, lattice, origin, velocity: None, name, class, hash, warnings };
+        if wants_velocity {
+            let vectors = vdb::read_vectors(bytes, &VELOCITY_NAMES, &limits).map_err(fail)?;
+            match vectors.map(|vectors| velocities(&vectors, &transform, &file.band)) {
+                Some(Ok(velocity)) => file.velocity = Some(velocity),
+                Some(Err(why)) => file.warnings.push(Warning::VelocitiesNotShown(why)),
+                None => {}
+            }
+        }
+        Ok(file)
+    }
+
+    /// The same, without the rest of the file.
+    pub(crate) fn into_band(self) -> NarrowBand {
+        self.band
+    }
+
+    /// The edge of its voxels, world units.
+    pub(crate) fn voxel_size(&self) -> f64 {
+        self.lattice.voxel_size
+    }
+
+    /// Fails where the file says that its grid is something else than a level set.
+    ///
+    /// # Errors
+    /// What to do about it.
+    pub(crate) fn require_level_set(&self) -> Result<(), String> {
+        match &*self.class {
+            "level set" => Ok(()),
+            _ => Err(format!("the class of the grid \"{}\" is not \"level set\": save it as one", self.name)),
+        }
+    }
+
+    /// Where its voxel (0, 0, 0) is, world units.
+    pub(crate) fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
+    /// What there is to take pictures of.
+    pub fn scene(&self) -> Scene<'_> {
+        Scene {
+            band: &self.band,
+            lattice: self.lattice,
+            origin: self.origin,
+            velocity: self.velocity.as_ref(),
+        }
+    }
+}
+
+/// Whether a file is a level set, by its name.
+pub fn is_level_set(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("vdb"))
+}
+
+/// A warning about a file with several grids: one was taken.
+pub(crate) fn other_grids(bytes: &[u8]) -> Option<Warning> {
+    let grids = vdb::grids(bytes, &Limits::default()).unwrap_or_default();
+    let count = grids.len().saturating_sub(1);
+    (count > 0).then_some(Warning::OtherGrids { count })
+}
+
+/// What grids of velocities are called.
+const VELOCITY_NAMES: [&str; 3] = ["velocity", "vel", "v"];
+
+/// What a level set may ask for with so much memory.
+pub(crate) fn level_set_limits(memory_bytes: u64) -> Limits {
+    Limits { level_set_bytes: memory_bytes, ..Limits::default() }
+}
+
+/// A level set in voxels, its lattice and origin, and why it was rebuilt, if it was.
+type InVoxels = (NarrowBand, Lattice, DVec3, Option<RebuildReason>);
+
+fn level_set(data: LevelSetData, rebuilt_leaf_count_max: usize) -> Result<InVoxels, String> {
+    let LevelSetData { name, class, transform, background, origins, leaves, tiles, .. } = data;
+    if class == "fog volume" {
+        return Err(format!("the grid \"{name}\" is a fog volume, and no level set"));
+    }
+    let voxel_size = voxel_size(&transform)
+        .ok_or_else(|| format!("the grid \"{name}\" has voxels that are no cubes along the axes"))?;
+    let half_width = (f64::from(background) / voxel_size) as f32;
+    if !(half_width.is_finite() && half_width > 0.0) {
+        return Err(format!(
+            "the grid \"{name}\" has the background {background}; a level set has a positive one"
+        ));
+    }
+    let places: Vec<IVec3> = origins.iter().map(|&origin| IVec3::from(origin)).collect();
+    let is_place = |origin: &IVec3| {
+        let limit = IVec3::splat(INDEX_LIMIT);
+        origin.cmpge(-limit).all() && origin.cmplt(limit).all() && (*origin & (LEAF_EDGE - 1)) == IVec3::ZERO
+    };
+    if !places.iter().all(is_place) {
+        return Err(format!("the grid \"{name}\" has voxels farther away than there are indices"));
+    }
+    if !leaves.iter().flatten().all(|value| value.is_finite()) {
+        return Err(format!("the grid \"{name}\" has values that are no numbers"));
+    }
+    let origin = DVec3::from(transform.translation);
+    let tiles: Vec<_> =
+        tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect();
+    let stored = StoredLevelSet { origins: &places, leaves: &leaves, tiles: &tiles, background, voxel_size };
+    match rebuilt(&stored, rebuilt_leaf_count_max) {
+        Ok(None) => {}
+        Ok(Some((band, reason))) => {
+            return Ok((band, Lattice { voxel_size }, origin, Some(reason)));
+        }
+        Err(TooManyLeaves) => {
+            return Err(format!(
+                "the grid \"{name}\" has signs without distances over a surface of more than \
+                 {rebuilt_leaf_count_max} leaves: allow more memory (--memory), or save it with a narrow band"
+            ));
+        }
+    }
+    let topology = Topology::new(places.clone());
+    let mut phi = Field::splat(topology.len(), half_width);
+    let scale = (1.0 / voxel_size) as f32;
+    for (origin, values) in places.into_iter().zip(leaves) {
+        if let Some(index) = topology.find(origin) {
+            let values = values.map(|value| (value * scale).clamp(-half_width, half_width));
+            phi.leaves[index] = Leaf { values };
+        }
+    }
+    let band = NarrowBand { topology: topology.into(), phi, half_width };
+    Ok((band, Lattice { voxel_size }, origin, None))
+}
+
+/// The velocities at the voxels of a band.
+fn velocities(
+    vectors: &VectorGridData,
+    transform: &Transform,
+    band: &NarrowBand,
+) -> Result<[Field; 3], String> {
+    if vectors.class == "staggered" {
+        return Err("they are on the faces of voxels".to_owned());
+    }
+    if vectors.transform != *transform {
+        return Err("their voxels are not those of the level set".to_owned());
+    }
+    if !vectors.leaves.iter().flatten().flatten().all(|number| number.is_finite()) {
+        return Err("some are no numbers".to_owned());
+    }
+    let mut fields = vectors.background.map(|number| Field::splat(band.topology.len(), number));
+    for (&origin, values) in vectors.origins.iter().zip(&vectors.leaves) {
+        // Far from the surface nothing asks for them.
+        let Some(leaf) = band.topology.find(IVec3::from(origin)) else { continue };
+        for (axis, field) in fields.iter_mut().enumerate() {
+            field.leaves[leaf] = Leaf { values: values.map(|value| value[axis]) };
+        }
+    }
+    Ok(fields)
+}
+
+/// The edge of a voxel; `None` where they are no cubes along the axes.
+fn voxel_size(transform: &Transform) -> Option<f64> {
+    let [[x, a, b], [c, y, d], [e, f, z]] = transform.axes;
+    let is_straight = [a, b, c, d, e, f].iter().all(|across| across.abs() <= SKEW_MAX * x);
+    let is_even = (y - x).abs() <= SKEW_MAX * x && (z - x).abs() <= SKEW_MAX * x;
+    let is_placed = transform.translation.iter().all(|along| along.abs() <= PLACE_MAX);
+    (VOXEL_SIZES.contains(&x) && is_straight && is_even && is_placed).then_some(x)
+}
+
+/// World units; others are the work of chance.
+const VOXEL_SIZES: RangeInclusive<f64> = 1e-15..=1e15;
+const PLACE_MAX: f64 = 1e15;
+
+/// Steps that differ by more than this part are of different lengths, or not along the axes.
+const SKEW_MAX: f64 = 1e-4;

@@ -1,0 +1,339 @@
+//! The particle spacing of a sequence, where nobody gave one.
+//!
+//! Twice the median radius, where the particles have an attribute with radii that fits their positions; else measured by
+//! these: on the first, the middle and the last frame that can be read, and then the same for all frames: a spacing of
+//! each frame's own would make the surface flicker. All frames of the sequence count, whichever are converted: a part of
+//! a sequence is converted like the whole.
+//!
+//! ```text
+//!   frame     1   2   3   4   5   6   7   8   9
+//!             ×   ●───┐         ●             ●         × one particle, or unreadable: the next one
+//!                     └────┬────┴─────────────┘
+//!                 median by confidence, rounded to two digits: 0.0498 ▶ 0.05
+//! ```
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::surface::options::{self, OwnRadii};
+use crate::surface::particles::{Attribute, Meaning};
+use crate::surface::spacing::{
+    CONFIDENCE_MIN, Estimate, Sample, SequenceEstimate, combine_estimates, estimate_spacing, median, rounded,
+};
+use crate::surface::words::significant;
+
+use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::json::{path, text};
+use crate::pipeline::input::attributes::Wanted;
+use crate::pipeline::input::frame_input::{FileParticles, FrameInput};
+use crate::pipeline::input::reading::{ReadFrame, parse_particles, read_file};
+use crate::pipeline::input::steps::{frame_name, step_of};
+
+/// Frames that are read for the middle one, and for the last one, where others cannot be measured.
+const TRIES_MAX: usize = 8;
+
+/// The particle spacing of a sequence, and where it is from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeasuredSpacing {
+    /// The particle spacing, world units, rounded to two significant digits.
+    #[serde(with = "text")]
+    pub spacing: f64,
+    /// How sure the spacing is, from 0 to 1: see [`SequenceEstimate::confidence`].
+    pub confidence: f64,
+    /// The median r_min of particles with radii of their own, world units.
+    #[serde(with = "text::option", default, skip_serializing_if = "Option::is_none")]
+    pub radius_median: Option<f64>,
+    /// The first frame that it was measured on.
+    #[serde(with = "path")]
+    pub measured_on: PathBuf,
+    /// What should make a user check the spacing: frames that disagree, or little confidence. Not recorded.
+    #[serde(skip)]
+    pub warnings: Vec<String>,
+}
+
+impl From<&MeasuredSpacing> for options::Measured {
+    fn from(measured: &MeasuredSpacing) -> options::Measured {
+        options::Measured { spacing: measured.spacing, radius_median: measured.radius_median }
+    }
+}
+
+/// Why there is none.
+#[derive(Debug)]
+pub struct NoSpacing {
+    /// How many frames could be read, but had too few particles.
+    pub sparse_count: usize,
+    /// How many could not be read.
+    pub unreadable_count: usize,
+    /// Why the first of those could not.
+    pub unreadable: Option<FrameError>,
+}
+
+impl fmt::Display for NoSpacing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let NoSpacing { sparse_count, unreadable_count, unreadable } = self;
+        match unreadable {
+            None => f.write_str(
+                "no frame has two particles in different places to measure their spacing on: \
+                 give --spacing",
+            ),
+            // A voxel size would not help: what is wrong is the files.
+            Some(error) if *sparse_count == 0 => match unreadable_count {
+                ..=1 => write!(f, "{error}"),
+                _ => write!(f, "{error}; none of the {unreadable_count} frames can be read"),
+            },
+            Some(error) => write!(
+                f,
+                "no frame that can be read has two particles in different places to measure their spacing on: \
+                 give --spacing; {unreadable_count} cannot be read: {error}"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for NoSpacing {}
+
+/// The spacing of the particles in these frames of a sequence, in its order.
+///
+/// # Errors
+/// When it can be measured on none of them. A frame that cannot be read, or lacks the radii, is skipped: converting it
+/// will say why.
+pub fn measure_spacing<'a>(
+    files: impl IntoIterator<Item = &'a Path>,
+    own_radii: Option<&OwnRadii>,
+) -> Result<MeasuredSpacing, NoSpacing> {
+    let files: Vec<&Path> = files.into_iter().collect();
+    let mut none = NoSpacing { sparse_count: 0, unreadable_count: 0, unreadable: None };
+    let note = |_: &Path, attempt: Attempt| match attempt {
+        Attempt::Measured => {}
+        Attempt::Sparse => none.sparse_count += 1,
+        Attempt::Unreadable(error) => {
+            none.unreadable_count += 1;
+            none.unreadable.get_or_insert(error);
+        }
+    };
+    measure_sequence(&files, own_radii, note).ok_or(none)
+}
+
+/// What came of measuring a frame.
+#[derive(Debug)]
+pub(crate) enum Attempt {
+    /// It counts.
+    Measured,
+    /// It has fewer than two particles in different places.
+    Sparse,
+    /// It cannot be read.
+    Unreadable(FrameError),
+}
+
+/// The particle spacing of a sequence by its first, middle and last frame, or those next to them where these cannot be
+/// measured; `note` gets every frame that was read. `None` where none can be measured.
+pub(crate) fn measure_sequence(
+    files: &[&Path],
+    own_radii: Option<&OwnRadii>,
+    mut note: impl FnMut(&Path, Attempt),
+) -> Option<MeasuredSpacing> {
+    let mut is_read = vec![false; files.len()];
+    let mut find = |candidates: &mut dyn Iterator<Item = usize>| {
+        for index in candidates {
+            if std::mem::replace(&mut is_read[index], true) {
+                continue;
+            }
+            let (attempt, frame) = match measured(files[index], own_radii) {
+                Ok(Some(frame)) => (Attempt::Measured, Some((index, frame))),
+                Ok(None) => (Attempt::Sparse, None),
+                Err(error) => (Attempt::Unreadable(error), None),
+            };
+            note(files[index], attempt);
+            if frame.is_some() {
+                return frame;
+            }
+        }
+        None
+    };
+    let (first, first_frame) = find(&mut (0..files.len()))?;
+    let (last, last_frame) = find(&mut (first + 1..files.len()).rev().take(TRIES_MAX)).unzip();
+    let last = last.unwrap_or(first);
+    let mut between: Vec<usize> = (first + 1..last).collect();
+    between.sort_by_key(|&index| index.abs_diff(first.midpoint(last)));
+    let middle_frame = find(&mut between.into_iter().take(TRIES_MAX)).map(|(_, frame)| frame);
+    combined(&[Some(first_frame), middle_frame, last_frame].into_iter().flatten().collect::<Vec<_>>())
+}
+
+/// What was measured on a frame.
+#[derive(Debug)]
+struct Measured {
+    path: PathBuf,
+    estimate: Estimate,
+    /// An attribute with radii that do not fit the positions, and twice its median.
+    doubted: Option<(String, f64)>,
+    radius_median: Option<f64>,
+}
+
+/// Measures a frame; `None` where it has too few particles.
+fn measured(path: &Path, own_radii: Option<&OwnRadii>) -> Result<Option<Measured>, FrameError> {
+    let measure = || {
+        if own_radii.is_none()
+            && let Some(particles) = large_file(path)?
+        {
+            let failed = |cause| FrameError { path: path.to_owned(), during: Stage::Read, cause };
+            let particles = FrameInput::OnDisk(Box::new(particles));
+            let sample = Sample::of(&particles, particles.len()).map_err(failed)?;
+            let estimate = sample.estimate(&particles).map_err(failed)?;
+            let of_estimate =
+                |estimate| Measured { path: path.to_owned(), estimate, doubted: None, radius_median: None };
+            return Ok(estimate.map(of_estimate));
+        }
+        let bytes = read_file(path)?;
+        let read = parse_particles(path, &bytes, &Wanted::radii(own_radii).and_radius())?;
+        Ok(measured_of(path, &read, own_radii))
+    };
+    FrameError::catch(path, Stage::Read, measure).flatten()
+}
+
+/// The particles of a file that is so large that it is not read whole, if its format can be read in parts.
+fn large_file(path: &Path) -> Result<Option<FileParticles>, FrameError> {
+    let failed = |error| FrameError::file(path, Stage::Read, error);
+    if step_of(path).is_some() {
+        return Ok(None);
+    }
+    let file = InputFile::open(path).map_err(|error| failed(error.into()))?;
+    match file.is_regular() && file.stamp().size >= SAMPLED_FROM_BYTES {
+        true => FileParticles::open(path, file).map_err(failed),
+        false => Ok(None),
+    }
+}
+
+/// Files of this size and more are measured by a sample of their positions, without their radii.
+const SAMPLED_FROM_BYTES: u64 = 256 << 20;
+
+fn measured_of(path: &Path, read: &ReadFrame, own_radii: Option<&OwnRadii>) -> Option<Measured> {
+    let by_positions = estimate_spacing(&read.cloud.positions);
+    let radius = match own_radii {
+        Some(own) => read.cloud.attribute_of(&own.attribute, 1),
+        None => read.cloud.attributes.iter().find(|attribute| attribute.meaning == Meaning::Radius),
+    };
+    let by_radius = radius.and_then(|radius| Some((radius.name.clone(), 2.0 * median(positive(radius))?)));
+    let of_radius = |spacing| Estimate { spacing, confidence: 1.0 };
+    let (estimate, doubted) = match (by_positions, by_radius) {
+        (Some(estimate), Some((name, spacing))) => {
+            let ratio = spacing / estimate.spacing;
+            let fits = (1.0 / RADIUS_FACTOR_MAX..=RADIUS_FACTOR_MAX).contains(&ratio);
+            match (fits, estimate.confidence < CONFIDENCE_MIN) {
+                (true, _) => (of_radius(spacing), None),
+                (false, true) => (Estimate { spacing, ..estimate }, None),
+                (false, false) => (estimate, Some((name, spacing))),
+            }
+        }
+        (Some(estimate), None) => (estimate, None),
+        (None, Some((_, spacing))) => (of_radius(spacing), None),
+        (None, None) => return None,
+    };
+    let radius_median = own_radii.and_then(|own| median(own.radii_min(&read.cloud.attributes)));
+    Some(Measured { path: path.to_owned(), estimate, doubted, radius_median })
+}
+
+/// The positive values of an attribute.
+fn positive(attribute: &Attribute) -> Vec<f64> {
+    let numbers = attribute.values.numbers().unwrap_or_default();
+    let numbers = numbers.iter().map(|&number| f64::from(number));
+    numbers.filter(|number| number.is_finite() && *number > 0.0).collect()
+}
+
+/// Twice the radius is the spacing where it is so many times that of the positions, at most, or as small a part of it, at
+/// least: simulations set their particles' radius by the spacing, but some files have radii for another purpose. Positions that
+/// tell little have no say.
+const RADIUS_FACTOR_MAX: f64 = 1.5;
+
+/// The spacing by these frames; `None` of no frames.
+fn combined(frames: &[Measured]) -> Option<MeasuredSpacing> {
+    let measured_on = frames.first()?.path.clone();
+    let estimates: Vec<Estimate> = frames.iter().map(|frame| frame.estimate).collect();
+    let estimate = combine_estimates(&estimates)?;
+    Some(MeasuredSpacing {
+        spacing: rounded(estimate.spacing),
+        confidence: estimate.confidence,
+        radius_median: median(frames.iter().filter_map(|frame| frame.radius_median).collect()),
+        measured_on,
+        warnings: warnings(frames, &estimate),
+    })
+}
+
+/// What makes the spacing of a sequence doubtful.
+fn warnings(frames: &[Measured], estimate: &SequenceEstimate) -> Vec<String> {
+    let order = |a: &&Measured, b: &&Measured| a.estimate.spacing.total_cmp(&b.estimate.spacing);
+    let mut warnings = Vec::new();
+    if let Some((frame, (name, spacing))) =
+        frames.iter().find_map(|frame| Some((frame, frame.doubted.as_ref()?)))
+    {
+        warnings.push(format!(
+            "{}: by the attribute `{name}` particles are {} apart, but by their positions, which count, {}: give --spacing",
+            frame_name(&frame.path),
+            significant(rounded(*spacing)),
+            significant(rounded(frame.estimate.spacing))
+        ));
+    }
+    if let (true, Some(least), Some(greatest)) =
+        (estimate.frames_disagree(), frames.iter().min_by(order), frames.iter().max_by(order))
+    {
+        let spacing = |frame: &Measured| significant(rounded(frame.estimate.spacing));
+        warnings.push(format!(
+            "particles are {} apart in {} but {} in {}: give --spacing",
+            spacing(least),
+            frame_name(&least.path),
+            spacing(greatest),
+            frame_name(&greatest.path)
+        ));
+    } else if estimate.confidence < CONFIDENCE_MIN {
+        warnings.push(format!(
+            "particles are about {} apart, which is uncertain: they are few or unevenly spread; give --spacing if you know it",
+            significant(rounded(estimate.spacing))
+        ));
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::particles::{AttributeValues, Cloud, Particles};
+
+    #[test]
+    fn radii_of_the_particles_own_have_a_median() {
+        let count = 6 * 6 * 6;
+        let positions = (0..count).map(|i| [i % 6, i / 6 % 6, i / 36].map(f64::from)).collect();
+        // Radii that are none have no say.
+        let of_radii = |radii: [f32; 3]| {
+            let mut values = vec![f32::NAN; count as usize];
+            values.iter_mut().zip(radii.iter().cycle()).take(90).for_each(|(value, radius)| *value = *radius);
+            let radii = Attribute {
+                name: "pscale".into(),
+                meaning: Meaning::Radius,
+                arity: 1,
+                values: AttributeValues::Numbers(values),
+            };
+            let positions = Particles::Double(Vec::clone(&positions));
+            let cloud = Cloud { attributes: vec![radii], ..Cloud::from(positions) };
+            ReadFrame { cloud, warnings: Vec::new(), unused_velocity: None }
+        };
+        let of_frame = |read: &ReadFrame, own: Option<&OwnRadii>| {
+            combined(&[measured_of(Path::new("a"), read, own).expect("enough")]).expect("a frame")
+        };
+        let own = OwnRadii { attribute: "pscale".into(), scale: 2.0 };
+        assert_eq!(of_frame(&of_radii([0.25, 0.01, 40.0]), Some(&own)).radius_median, Some(0.5));
+        assert_eq!(of_frame(&of_radii([3.0, 2.0, 1.0]), Some(&own)).radius_median, Some(4.0));
+        assert_eq!(of_frame(&of_radii([0.0, -1.0, f32::NAN]), Some(&own)).radius_median, None);
+        assert_eq!(of_frame(&of_radii([0.25, 0.01, 40.0]), None).radius_median, None);
+        // Twice the radius is the spacing where that is near to what positions say.
+        for (radius, spacing, is_doubted) in
+            [(0.5, 1.0, false), (0.6, 1.2, false), (0.35, 0.7, false), (0.01, 1.0, true), (40.0, 1.0, true)]
+        {
+            let measured = of_frame(&of_radii([radius; 3]), None);
+            assert_eq!((measured.spacing, measured.warnings.len()), (spacing, usize::from(is_doubted)));
+            assert!(measured.warnings.iter().all(|warning| warning.contains("`pscale`")));
+        }
+        assert_eq!(of_frame(&of_radii([f32::NAN; 3]), None).warnings, [""; 0]);
+    }
+}

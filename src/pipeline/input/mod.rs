@@ -1,0 +1,26 @@
+//! What frames are made from: files, their steps and sequences, and what stands in the way.
+//!
+//! ```text
+//!   source      which files are frames, in which order, of which sequence    steps  of a file that has several
+//!   frame       what is done with one, and its outcome   frame_input  particles or a level set, in memory or on disk
+//!   reading     bytes to particles                       attributes   what else is needed of each particle
+//!   level_set_file  level sets from .vdb                 mesh_file    meshes of any program
+//!   obstacles   what a frame goes around                 obstacle_warnings, out_of_reach  what is odd about these
+//!   measured_spacing  the spacing of a sequence          bounds       the box of a frame, and of a sequence
+//!   conflicts   outputs that would replace inputs
+//! ```
+
+pub(super) mod attributes;
+pub(super) mod bounds;
+pub(super) mod conflicts;
+pub(super) mod frame;
+pub(super) mod frame_input;
+pub(super) mod level_set_file;
+pub(super) mod measured_spacing;
+pub(super) mod mesh_file;
+pub(super) mod obstacle_warnings;
+pub(super) mod obstacles;
+pub(super) mod out_of_reach;
+pub(super) mod reading;
+pub(super) mod source;
+pub(super) mod steps;

@@ -1,0 +1,591 @@
+//! The files of what stands in the way: which of them are a frame's, and what is in them.
+//!
+//! ```text
+//!   floor.obj          in the way of every frame; read once, and again when the file was written again
+//!   body.####.obj      moves: each frame has the file with its own number, or fails
+//! ```
+//!
+//! Of a frame they are found and hashed first. Only if it is not done already is there any need to know what is
+//! in them.
+//!
+//! The buffers of a `.gltf` may be files beside it. They are a part of it: hashed with it, and read again when one of
+//! them was written again.
+
+use std::collections::{HashMap, HashSet};
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf, absolute};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::{DVec3, IVec3};
+use meniscus_formats::vdb::LevelSetData;
+use meniscus_formats::{ObstacleData, gltf, read_obstacle};
+use twox_hash::XxHash3_128;
+use twox_hash::xxhash3_128::Hasher;
+
+use crate::surface::obstacle::{LevelSetSource, Obstacle, Obstacles, Sampled, Shape, Solid};
+use crate::surface::options::Settings;
+
+use crate::pipeline::error::ObstacleError;
+use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
+use crate::pipeline::files::number_pattern::{NumberPattern, may_be_file};
+use crate::pipeline::files::path_identity::{are_one_file, entry};
+use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::input::level_set_file::level_set_limits;
+use crate::pipeline::input::obstacle_warnings::findings_of;
+use crate::pipeline::warning::Warning;
+
+/// The obstacles of a sequence.
+#[derive(Debug, Default)]
+pub struct ObstacleFiles {
+    paths: Vec<PathBuf>,
+    /// What is known of those that stand still.
+    known: Mutex<Vec<Option<Known>>>,
+    /// The files beside a `.gltf`, and what that was when it told of them.
+    beside: Mutex<HashMap<PathBuf, (FileStamp, Vec<PathBuf>)>>,
+}
+
+/// What the files of a frame are at a time.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ObstacleStamps {
+    /// In short: equal ones mean that none was written since.
+    pub text: String,
+    /// Whether none is missing.
+    pub are_all_there: bool,
+}
+
+/// A file that was read.
+#[derive(Clone)]
+struct Known {
+    /// All files that it was read from, as they were.
+    files: Vec<(PathBuf, FileStamp)>,
+    hash: u128,
+    obstacle: Arc<Obstacle>,
+}
+
+impl fmt::Debug for Known {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Known").field("hash", &self.hash).finish_non_exhaustive()
+    }
+}
+
+/// The obstacles of a frame, found and hashed.
+#[derive(Default)]
+pub(crate) struct FoundObstacles {
+    found: Vec<FoundObstacle>,
+}
+
+/// A file of these.
+struct FoundObstacle {
+    path: PathBuf,
+    /// It, and those beside it, as they were.
+    files: Vec<(PathBuf, FileStamp)>,
+    hash: u128,
+    content: Content,
+    /// Where it is among the paths, if it stands still.
+    still: Option<usize>,
+}
+
+/// What is there of it.
+enum Content {
+    /// Its own bytes, and those of each file beside it.
+    Bytes(Vec<u8>, HashMap<String, Vec<u8>>),
+    Obstacle(Arc<Obstacle>),
+}
+
+/// What a frame is to go around.
+#[derive(Clone, Default)]
+pub struct FrameObstacles {
+    /// All of them.
+    pub obstacles: Obstacles,
+    /// What a user should know of those that were read for this frame.
+    pub(crate) warnings: Vec<Warning>,
+    /// The file of each of them.
+    pub(crate) paths: Vec<PathBuf>,
+    /// What is recorded of them: names and hashes. Empty if there is none.
+    pub(crate) recorded: String,
+    /// Edges at which meshes are open.
+    pub(crate) open_edge_count: usize,
+    /// Memory that those take which are this frame's only, and that all take, in bytes.
+    pub(crate) own_bytes: u64,
+    pub(crate) all_bytes: u64,
+}
+
+impl ObstacleFiles {
+    /// Obstacles at these paths. Where there is no such file, and the name has a place for a number as in
+    /// `body.####.obj`, each frame has the file with its own.
+    pub fn new(mut paths: Vec<PathBuf>) -> ObstacleFiles {
+        // What stands in the way twice is there once, and what is wrong with it is told once.
+        let mut seen = HashSet::new();
+        paths.retain(|path| seen.insert(absolute(path).unwrap_or_else(|_| path.clone())));
+        let known = Mutex::new(vec![None; paths.len()]);
+        ObstacleFiles { paths, known, beside: Mutex::default() }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.paths.is_empty()
+    }
+
+    /// The first path that no frame can have: there is no such file, and no place for a number in its name.
+    pub fn missing(&self) -> Option<&Path> {
+        let is_missing = |path: &&PathBuf| !path.is_file() && pattern_of(path).is_none();
+        self.paths.iter().find(is_missing).map(PathBuf::as_path)
+    }
+
+    /// The obstacle that an output would replace, or would be taken for: of those that move, that is any file with a number of
+    /// theirs.
+    pub(crate) fn replaced_by(&self, output: &Path) -> Option<&Path> {
+        let is_member = |path: &Path, pattern: NumberPattern| {
+            let (entry, of_pattern) = (entry(output), entry(path));
+            let name = entry.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+            entry.parent() == of_pattern.parent() && pattern.span_in(name).is_some()
+        };
+        let is_in_the_way = |path: &&PathBuf| {
+            are_one_file(path, output)
+                || !may_be_file(path) && pattern_of(path).is_some_and(|pattern| is_member(path, pattern))
+                || self.files_beside(path).iter().any(|beside| are_one_file(beside, output))
+        };
+        self.paths.iter().find(is_in_the_way).map(PathBuf::as_path)
+    }
+
+    /// Whether all of them stand still: then each frame has the same.
+    pub fn stand_still(&self) -> bool {
+        self.paths.iter().all(|path| may_be_file(path) || pattern_of(path).is_none())
+    }
+
+    /// What the files of a frame are now.
+    pub fn stamps(&self, number: Option<u64>) -> ObstacleStamps {
+        let mut stamps = ObstacleStamps { text: String::new(), are_all_there: true };
+        let mut tell = |path: &Path, stamp: Option<FileStamp>| {
+            stamps.are_all_there &= stamp.is_some();
+            stamps.text += &match stamp {
+                Some(stamp) => format!("{}: {}\n", path.display(), text_of(&stamp)),
+                None => format!("{}: none\n", path.display()),
+            };
+        };
+        for path in &self.paths {
+            let at = file_of(path, number).ok();
+            tell(path, at.as_deref().and_then(stamp_of));
+            let beside = at.map(|at| self.files_beside(&at)).unwrap_or_default();
+            beside.iter().for_each(|path| tell(path, stamp_of(path)));
+        }
+        stamps
+    }
+
+    /// The files beside one, as far as it can be read now.
+    fn files_beside(&self, path: &Path) -> Vec<PathBuf> {
+        if !is_gltf_text(path) {
+            return Vec::new();
+        }
+        let lock = || self.beside.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((stamp, files)) = lock().get(path)
+            && stamp_of(path) == Some(*stamp)
+        {
+            return files.clone();
+        }
+        let Ok(Some((bytes, stamp))) = read_unchanged(path) else { return Vec::new() };
+        let files = gltf::files_beside(&bytes).unwrap_or_default();
+        let files: Vec<PathBuf> = files.iter().map(|file| folder_of(path).join(&file.path)).collect();
+        lock().insert(path.to_owned(), (stamp, files.clone()));
+        files
+    }
+
+    /// Memory that it may take to load those of a frame that are not known yet, in bytes.
+    pub(crate) fn loading_bytes(&self, number: Option<u64>) -> u64 {
+        let size = |path: &Path| path.metadata().map_or(0, |metadata| metadata.len());
+        let of_one = |(index, path): (usize, &PathBuf)| {
+            if self.known_of(index).is_some_and(|known| known.is_as_it_was()) {
+                return 0;
+            }
+            let Ok(at) = file_of(path, number) else { return 0 };
+            let beside = self.files_beside(&at);
+            let bytes = beside.iter().map(|path| size(path)).fold(size(&at), u64::saturating_add);
+            bytes.saturating_mul(loading_factor(&at))
+        };
+        self.paths.iter().enumerate().map(of_one).fold(0, u64::saturating_add)
+    }
+
+    /// Whether all obstacles of the frame of this number are there.
+    pub fn are_there(&self, number: Option<u64>) -> bool {
+        self.stamps(number).are_all_there
+    }
+
+    /// Finds and hashes those of a frame.
+    pub(crate) fn find(&self, number: Option<u64>) -> Result<FoundObstacles, ObstacleError> {
+        let found = self.paths.iter().enumerate().map(|(index, path)| {
+            let at = file_of(path, number)?;
+            let still = (at == *path).then_some(index);
+            match still.and_then(|index| self.known_of(index)) {
+                Some(known) if known.is_as_it_was() => Ok(FoundObstacle {
+                    path: at,
+                    files: known.files,
+                    hash: known.hash,
+                    content: Content::Obstacle(known.obstacle),
+                    still,
+                }),
+                _ => read(at, still),
+            }
+        });
+        Ok(FoundObstacles { found: found.collect::<Result<_, _>>()? })
+    }
+
+    /// What is in them. Reading a level set, beside the obstacles before it, may take no more than `memory_bytes`, and the
+    /// leaves that are kept of all together a small part of that.
+    pub(crate) fn load(
+        &self,
+        found: FoundObstacles,
+        settings: &Settings,
+        memory_bytes: u64,
+    ) -> Result<FrameObstacles, ObstacleError> {
+        let mut all = FrameObstacles { recorded: found.recorded(), ..FrameObstacles::default() };
+        let kept_bytes_max = memory_bytes / OBSTACLE_SHARE / found.found.len().max(1) as u64;
+        for file in found.found {
+            all.paths.push(file.path.clone());
+            let (data, file_bytes) = match file.content {
+                Content::Obstacle(obstacle) => {
+                    all.all_bytes += obstacle.size_bytes_max() as u64;
+                    all.open_edge_count += open_edges(obstacle.shape());
+                    all.obstacles.members.push(obstacle);
+                    continue;
+                }
+                Content::Bytes(bytes, beside) => {
+                    let left_bytes = memory_bytes.saturating_sub(all.all_bytes);
+                    (parse(&file.path, &bytes, beside, left_bytes)?, bytes.len() as u64)
+                }
+            };
+            let shape = shape_of(data, memory_bytes.saturating_sub(file_bytes + all.all_bytes))
+                .map_err(|what| failed(&file.path, meniscus_formats::Error::unsupported("OpenVDB", what)))?;
+            let about = |finding| Warning::Obstacle { path: file.path.clone(), finding };
+            all.warnings.extend(findings_of(&shape, settings).into_iter().map(about));
+            all.open_edge_count += open_edges(&shape);
+            let obstacle =
+                Arc::new(Obstacle::new(shape, usize::try_from(kept_bytes_max).unwrap_or(usize::MAX)));
+            let bytes = obstacle.size_bytes_max() as u64;
+            all.all_bytes += bytes;
+            match file.still {
+                Some(index) => {
+                    let known = Known { files: file.files, hash: file.hash, obstacle: Arc::clone(&obstacle) };
+                    if let Some(place) =
+                        self.known.lock().unwrap_or_else(PoisonError::into_inner).get_mut(index)
+                    {
+                        *place = Some(known);
+                    }
+                }
+                None => all.own_bytes += bytes,
+            }
+            all.obstacles.members.push(obstacle);
+        }
+        Ok(all)
+    }
+
+    fn known_of(&self, index: usize) -> Option<Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner).get(index).cloned().flatten()
+    }
+}
+
+impl Known {
+    /// Whether none of its files was written since.
+    fn is_as_it_was(&self) -> bool {
+        self.files.iter().all(|(path, stamp)| stamp_of(path) == Some(*stamp))
+    }
+}
+
+impl FoundObstacles {
+    /// What is recorded of them: the same from wherever they are read.
+    pub(crate) fn recorded(&self) -> String {
+        let one = |file: &FoundObstacle| format!("{} xxh3-128:{:032x}", name_of(&file.path), file.hash);
+        self.found.iter().map(one).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// The pattern that a path's name is.
+fn pattern_of(path: &Path) -> Option<NumberPattern<'_>> {
+    NumberPattern::find(path.file_name()?.to_str()?)
+}
+
+/// The file that a path stands for in a frame with this number.
+fn file_of(path: &Path, number: Option<u64>) -> Result<PathBuf, ObstacleError> {
+    let missing =
+        |path: &Path, what: String| Err(failed(path, io::Error::new(io::ErrorKind::NotFound, what).into()));
+    if may_be_file(path) {
+        return Ok(path.to_owned());
+    }
+    let Some(pattern) = pattern_of(path) else {
+        return missing(path, if path.is_dir() { "it is a folder".into() } else { "no such file".into() });
+    };
+    let Some(number) = number else {
+        return missing(path, "the frame has no number, so none of these files is its own".into());
+    };
+    match pattern.file_of(folder_of(path), number).map_err(|error| failed(path, error.into()))? {
+        Some(file) => Ok(file),
+        None => {
+            let expected = folder_of(path).join(pattern.name_of(number));
+            missing(&expected, format!("no such file, and frame {number} needs its own of {}", name_of(path)))
+        }
+    }
+}
+
+fn stamp_of(path: &Path) -> Option<FileStamp> {
+    FileStamp::of_path(path).ok()
+}
+
+/// A stamp within the fingerprint of a frame's settings. Journals remember that, so this text may not change. It lacks the
+/// status change time: `chmod` and new hard links, which change no content, would have every frame converted again.
+fn text_of(stamp: &FileStamp) -> String {
+    let FileStamp { size, modified_ns, inode, changed_ns: _ } = stamp;
+    format!("FileStamp {{ size: {size}, modified_ns: {modified_ns}, inode: {inode} }}")
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
+}
+
+fn read(path: PathBuf, still: Option<usize>) -> Result<FoundObstacle, ObstacleError> {
+    let unchanged = read_unchanged(&path).map_err(|error| failed(&path, error.into()))?;
+    let (bytes, stamp) = unchanged.ok_or_else(|| changed(&path))?;
+    let mut hash = XxHash3_128::oneshot(&bytes);
+    let mut files = vec![(path.clone(), stamp)];
+    let mut contents = HashMap::new();
+    if is_gltf_text(&path) {
+        let mut hasher: Option<Hasher> = None;
+        for gltf::FileBeside { path: relative, byte_count } in
+            gltf::files_beside(&bytes).map_err(|error| failed(&path, error))?
+        {
+            let at = folder_of(&path).join(&relative);
+            let unchanged = read_start_unchanged(&at, byte_count).map_err(|error| {
+                let what = format!("its buffer {relative}: {error}");
+                failed(&path, io::Error::new(error.kind(), what).into())
+            })?;
+            let (bytes, stamp) = unchanged.ok_or_else(|| changed(&at))?;
+            hasher.get_or_insert_with(Hasher::new).write(&bytes);
+            files.push((at, stamp));
+            contents.insert(relative, bytes);
+        }
+        hash ^= hasher.map_or(0, |hasher| hasher.finish_128());
+    }
+    Ok(FoundObstacle { path, files, hash, content: Content::Bytes(bytes, contents), still })
+}
+
+/// Only these may have their buffers in files of their own.
+fn is_gltf_text(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("gltf"))
+}
+
+/// What is in the bytes of a file, with those of the files beside it.
+fn parse(
+    path: &Path,
+    bytes: &[u8],
+    beside: HashMap<String, Vec<u8>>,
+    memory_bytes: u64,
+) -> Result<ObstacleData, ObstacleError> {
+    let beside = Mutex::new(beside);
+    // Each is asked for once.
+    let take = |relative: &str| {
+        let bytes = beside.lock().unwrap_or_else(PoisonError::into_inner).remove(relative);
+        bytes.ok_or_else(|| {
+            io::Error::new(io::ErrorKind::Unsupported, "only a .gltf may have files beside it; use .glb")
+        })
+    };
+    read_obstacle(bytes, &name_of(path), &level_set_limits(memory_bytes), &take)
+        .map_err(|error| failed(path, error))
+}
+
+/// What is in the way; `memory_bytes` is for a level set and for all that rebuilding it takes.
+fn shape_of(data: ObstacleData, memory_bytes: u64) -> Result<Shape, String> {
+    Ok(match data {
+        ObstacleData::Mesh(mesh) => Shape::Solid(Solid::new(&mesh.positions, &mesh.triangles)),
+        ObstacleData::LevelSet(data) => {
+            let name = data.name.clone();
+            let rebuilding_bytes = memory_bytes.saturating_sub(data.memory_bytes());
+            Shape::Sampled(
+                Sampled::new(source_of(*data), rebuilding_bytes)
+                    .map(Box::new)
+                    .map_err(|what| format!("the grid \"{name}\" {what}"))?,
+            )
+        }
+    })
+}
+
+fn source_of(data: LevelSetData) -> LevelSetSource {
+    LevelSetSource {
+        origins: data.origins.into_iter().map(IVec3::from).collect(),
+        leaves: data.leaves,
+        tiles: data.tiles.into_iter().map(|tile| (IVec3::from(tile.origin), tile.size, tile.value)).collect(),
+        background: data.background,
+        axes: data.transform.axes.map(DVec3::from),
+        translation: DVec3::from(data.transform.translation),
+    }
+}
+
+/// What leaves of obstacles are kept may take one part in so many of the memory that a frame may take.
+const OBSTACLE_SHARE: u64 = 16;
+
+/// Memory for reading an obstacle and making it one, in sizes of its file: about 320 bytes for a triangle. Measured on
+/// two million of them, and on a level set of 15 million values.
+fn loading_factor(path: &Path) -> u64 {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    match &*extension {
+        "vdb" => 5,
+        "obj" => 9,
+        // Of what is packed nobody knows before how large it is.
+        "gz" | "vtp" | "vtu" => 45,
+        _ => 18,
+    }
+}
+
+fn open_edges(shape: &Shape) -> usize {
+    match shape {
+        Shape::Solid(solid) => solid.findings().open_edge_count,
+        Shape::Sampled(_) => 0,
+    }
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn failed(path: &Path, error: meniscus_formats::Error) -> ObstacleError {
+    ObstacleError { path: path.to_owned(), source: Some(error) }
+}
+
+fn changed(path: &Path) -> ObstacleError {
+    ObstacleError { path: path.to_owned(), source: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fingerprint_text_of_stamp_is_that_of_older_versions() {
+        let stamp = FileStamp { size: 1, modified_ns: -2, inode: 3, changed_ns: Some(4) };
+        assert_eq!(text_of(&stamp), "FileStamp { size: 1, modified_ns: -2, inode: 3 }");
+    }
+    use std::fs;
+
+    /// A triangle in a file beside the document.
+    const DOCUMENT: &str = r#"{"asset":{"version":"2.0"},"scenes":[{"nodes":[0]}],"nodes":[{"mesh":0}],
+        "meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],
+        "accessors":[{"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"}],
+        "bufferViews":[{"buffer":0,"byteLength":36}],"buffers":[{"byteLength":36,"uri":"URI"}]}"#;
+
+    fn triangle(size: f32) -> Vec<u8> {
+        let numbers = [0.0, 0.0, 0.0, size, 0.0, 0.0, 0.0, size, 0.0];
+        numbers.iter().flat_map(|number: &f32| number.to_le_bytes()).collect()
+    }
+
+    #[test]
+    fn files_beside_are_a_part_of_the_obstacle() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, buffer) = (folder.path().join("a.gltf"), folder.path().join("a.bin"));
+        fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
+        fs::write(&buffer, triangle(1.0)).expect("written");
+        let settings =
+            Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
+        let files = ObstacleFiles::new(vec![path.clone()]);
+        let find = || files.find(None).expect("both files");
+        let is_known = |found: &FoundObstacles| matches!(found.found[0].content, Content::Obstacle(_));
+        let first = find();
+        let (recorded, stamps) = (first.recorded(), files.stamps(None));
+        let loaded = files.load(first, &settings, 1 << 24).expect("a triangle");
+        assert_eq!(loaded.open_edge_count, 3);
+        let again = find();
+        assert!(is_known(&again));
+        assert_eq!((again.recorded(), files.stamps(None)), (recorded.clone(), stamps.clone()));
+        // Longer than the buffer: what is behind it is not read, but the file is another.
+        fs::write(&buffer, [triangle(1.0), vec![1; 8]].concat()).expect("written");
+        assert_ne!(files.stamps(None), stamps);
+        let longer = find();
+        assert!(!is_known(&longer));
+        assert_eq!(longer.recorded(), recorded);
+        fs::write(&buffer, triangle(2.0)).expect("written");
+        let other = find();
+        assert!(!is_known(&other));
+        assert_ne!(other.recorded(), recorded);
+        // Who did not see it before knows of it, too.
+        assert_eq!(ObstacleFiles::new(vec![path]).stamps(None), files.stamps(None));
+    }
+
+    #[test]
+    fn outputs_that_would_be_obstacles_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("inner")).expect("made");
+        for name in ["still.obj", "body.0001.obj"] {
+            fs::write(at(name), "v 0 0 0\n").expect("written");
+        }
+        fs::write(at("a.gltf"), DOCUMENT.replace("URI", "a.glb")).expect("written");
+        let names = ["inner/../still.obj", "body.####.obj", "missing.obj", "a.gltf"];
+        let files = ObstacleFiles::new(names.map(at).to_vec());
+        for (output, is_refused) in [
+            ("still.obj", true),
+            ("inner/../still.obj", true),
+            ("still.ply", false),
+            ("inner/still.obj", false),
+            ("body.0001.obj", true),
+            ("body.0002.obj", true),
+            ("inner/../body.0003.obj", true),
+            ("body.2.obj", false),
+            ("body.0002.glb", false),
+            ("inner/body.0002.obj", false),
+            ("missing.obj", true),
+            ("a.glb", true),
+        ] {
+            assert_eq!(files.replaced_by(&at(output)).is_some(), is_refused, "{output}");
+        }
+        assert!(!files.stand_still() && ObstacleFiles::new(vec![at("still.obj")]).stand_still());
+    }
+
+    #[test]
+    fn what_is_given_twice_is_there_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.obj");
+        fs::write(&path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
+        let files = ObstacleFiles::new(vec![path.clone(), folder.path().join("./a.obj"), path.clone()]);
+        let settings =
+            Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
+        let loaded = files.load(files.find(None).expect("there"), &settings, 1 << 24).expect("a triangle");
+        assert_eq!(loaded.obstacles.members.len(), 1);
+        // What is known needs no more memory to be loaded, until it is another.
+        let size = path.metadata().expect("there").len();
+        assert_eq!(ObstacleFiles::new(vec![path.clone()]).loading_bytes(None), 9 * size);
+        assert_eq!(files.loading_bytes(None), 0);
+        fs::write(&path, "v 0 0 0\n").expect("written");
+        assert_eq!(files.loading_bytes(None), 9 * 8);
+        assert_eq!(ObstacleFiles::new(vec![folder.path().join("b.obj")]).loading_bytes(None), 0);
+        let [note] = &loaded.warnings[..] else { panic!("{:?}", loaded.warnings) };
+        let note = note.to_string();
+        assert!(note.contains(&*path.to_string_lossy()) && note.contains("3 open edges"), "{note}");
+    }
+
+    #[test]
+    fn a_document_names_no_files_elsewhere() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let inner = folder.path().join("inner");
+        fs::create_dir_all(inner.join("b.bin")).expect("made");
+        fs::write(folder.path().join("a.bin"), triangle(1.0)).expect("written");
+        let path = inner.join("a.gltf");
+        let absolute_uri = folder.path().join("a.bin").display().to_string().replace('\\', "/");
+        for (uri, word) in [
+            ("../a.bin", "not beside"),
+            (absolute_uri.as_str(), "not beside"),
+            ("b.bin", "not a regular file"),
+            ("c.bin", "c.bin"),
+        ] {
+            fs::write(&path, DOCUMENT.replace("URI", uri)).expect("written");
+            let error = ObstacleFiles::new(vec![path.clone()]).find(None).err().expect(uri).to_string();
+            assert!(error.contains(word), "{error}");
+        }
+        // Under another name it is asked for nothing.
+        let path = inner.join("a.json");
+        fs::write(&path, DOCUMENT.replace("URI", "a.bin")).expect("written");
+        fs::write(inner.join("a.bin"), triangle(1.0)).expect("written");
+        let files = ObstacleFiles::new(vec![path]);
+        let settings =
+            Settings::paper(0.1, &crate::surface::options::MethodOptions::default()).expect("settings");
+        let found = files.find(None).expect("readable");
+        let error = files.load(found, &settings, 1 << 24).err().expect("a buffer elsewhere").to_string();
+        assert!(error.contains("only a .gltf"), "{error}");
+    }
+}

@@ -1,0 +1,85 @@
+//! Which obstacles are nowhere near the particles.
+//!
+//! An obstacle in other units, or with another axis up, is no error: the surface simply does not meet it. Boxes tell:
+//!
+//! ```text
+//!   ┌────────────┐               ┌───┐
+//!   │ particles  │◀── reach ──▶  │   │     farther than anything of the frame can come: it touches nothing
+//!   └────────────┘               └───┘
+//! ```
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
+use crate::surface::particles::{ParticleSource, Positions};
+
+use crate::pipeline::error::Cause;
+use crate::pipeline::input::frame_input::FrameInput;
+use crate::pipeline::input::obstacles::FrameObstacles;
+use crate::pipeline::warning::{ObstacleFinding, Warning};
+
+/// A warning for each obstacle that nothing of a frame can touch.
+///
+/// # Errors
+/// Those of reading the particles.
+pub(crate) fn out_of_reach(
+    obstacles: &FrameObstacles,
+    particles: &FrameInput,
+    settings: &Settings,
+) -> Result<Vec<Warning>, Cause> {
+    if obstacles.paths.is_empty() {
+        return Ok(Vec::new());
+    }
+    let Some(of_particles) = box_of(particles)? else { return Ok(Vec::new()) };
+    let reach = reach(settings);
+    let members = obstacles.paths.iter().zip(&obstacles.obstacles.members);
+    let warnings = members.filter_map(|(path, obstacle)| {
+        let of_obstacle = obstacle.shape().bounds()?;
+        let is_near = (0..3).all(|axis| {
+            of_obstacle[0][axis] - reach <= of_particles[1][axis]
+                && of_particles[0][axis] <= of_obstacle[1][axis] + reach
+        });
+        let finding = ObstacleFinding::OutOfReach { obstacle: of_obstacle, particles: of_particles };
+        (!is_near).then(|| Warning::Obstacle { path: path.clone(), finding })
+    });
+    Ok(warnings.collect())
+}
+
+/// How far from a particle anything is done, at most, in world units.
+fn reach(settings: &Settings) -> f64 {
+    let h = settings.voxel_size;
+    let radius = match settings.own_radii {
+        Some(_) => settings.radius_max.max(RADIUS_MAX_VOXELS * h),
+        None => settings.radius_max,
+    };
+    let stretch = match settings.anisotropy {
+        Anisotropy::None => 1.0,
+        Anisotropy::Neighbors { max_stretch, .. } | Anisotropy::Velocity { max_stretch, .. } => max_stretch,
+    };
+    let moved = settings.position_smoothing * settings.neighbor_radius + settings.offset.max(0.0);
+    radius * stretch + moved + (settings.void_threshold + BAND_VOXELS) * h
+}
+
+/// Half the thickness of what is written of a level set, in voxels.
+const BAND_VOXELS: f64 = 3.0;
+
+/// The least and the greatest corner of the box around the particles that are somewhere.
+fn box_of(particles: &FrameInput) -> Result<Option<[DVec3; 2]>, Cause> {
+    fn around(points: impl Iterator<Item = DVec3>) -> Option<[DVec3; 2]> {
+        points.filter(|point| point.is_finite()).map(|point| [point; 2]).reduce(both)
+    }
+    let of_batch = |batch: usize| {
+        Ok(match particles.batch(batch)? {
+            Positions::F32(points) => around(points.iter().map(|&point| glam::Vec3::from(point).as_dvec3())),
+            Positions::F64(points) => around(points.iter().map(|&point| DVec3::from(point))),
+        })
+    };
+    let of_batches = (0..particles.batch_count()).into_par_iter().map(of_batch);
+    of_batches.try_reduce(|| None, |one, other| Ok(one.into_iter().chain(other).reduce(both)))
+}
+
+/// The box around two boxes.
+fn both(one: [DVec3; 2], other: [DVec3; 2]) -> [DVec3; 2] {
+    [one[0].min(other[0]), one[1].max(other[1])]
+}

@@ -1,0 +1,519 @@
+//! File names: which files are the frames of one sequence, and in which order.
+//!
+//! ```text
+//!   dam.0012.bgeo.gz
+//!   └stem──┘└extension┘          the stem names the outputs: dam.0012.glb
+//!       └──┘                     the frame's number (`frame_number.rs` says which it is)
+//!   dam.{}.bgeo.gz               what is left when it is taken out names the sequence
+//!
+//!   dump.lammpstrj/step=1000     a step of a file with several: its outputs are called dump.1000, and its number is 1000
+//!   dump.lammpstrj/step={}       the steps of a file are a sequence of their own
+//! ```
+//!
+//! Natural order compares runs of digits as numbers: frame 9 comes before frame 10.
+
+use std::cmp::Ordering;
+use std::collections::{BTreeMap, HashMap, HashSet};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use meniscus_formats::compression::unpacked_name;
+
+use crate::pipeline::files::frame_number::{
+    frame_number, numbers_behind_shots, varying_number, without_numbers,
+};
+use crate::pipeline::input::steps::{STEP, name_of, step_in, step_of};
+use crate::pipeline::target::outputs::OutputFormat;
+
+/// A file that holds, or should hold, a frame of particles; or a step of one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FrameFile {
+    /// Where it is, as it was asked for.
+    pub path: PathBuf,
+    /// Where in the file name the frame's number stands, and its subframe: bytes of [`FrameFile::name`].
+    number_span: Option<Range<usize>>,
+    /// A pattern says so, and not the name.
+    is_number_given: bool,
+    /// What its outputs are called, where that is not what the file is called.
+    output_stem: Option<String>,
+    /// Whether it is a step of a file; the file system is asked once.
+    is_step: bool,
+}
+
+impl FrameFile {
+    /// A file whose name says which number is the frame's.
+    pub fn new(path: PathBuf) -> FrameFile {
+        let is_step = step_of(&path).is_some();
+        FrameFile::known(path, is_step)
+    }
+
+    /// The same where it is known whether the path is that of a step: the file system is not asked.
+    pub fn known(path: PathBuf, is_step: bool) -> FrameFile {
+        let name = name_of(&path, is_step);
+        let number_span = match step_in(&path, is_step) {
+            None => frame_number(numbered_part(&name)),
+            // What follows a dot tells steps of one number apart.
+            Some((_, step)) => {
+                let start = name.len() - step.len();
+                let digits = step.find('.').unwrap_or(step.len());
+                let is_number = digits > 0 && step.as_bytes()[..digits].iter().all(u8::is_ascii_digit);
+                is_number.then_some(start..start + digits)
+            }
+        };
+        FrameFile { path, number_span, is_number_given: false, output_stem: None, is_step }
+    }
+
+    /// A file whose frame number stands at a known place: bytes of the file name, all digits.
+    pub fn with_number_at(path: PathBuf, number_span: Range<usize>) -> FrameFile {
+        let is_step = step_of(&path).is_some();
+        FrameFile { path, number_span: Some(number_span), is_number_given: true, output_stem: None, is_step }
+    }
+
+    /// The same file, with outputs of this name.
+    pub fn with_output_stem(self, stem: String) -> FrameFile {
+        FrameFile { output_stem: Some(stem), ..self }
+    }
+
+    /// The file name, without its folder; of a step, what tells it from others behind that.
+    pub fn name(&self) -> String {
+        name_of(&self.path, self.is_step)
+    }
+
+    /// The file of a step, and what tells it from others of this file; `None` for a frame that is a file.
+    fn step(&self) -> Option<(&Path, &str)> {
+        step_in(&self.path, self.is_step)
+    }
+
+    /// What outputs are called: the file name without its extension, unless another name was given.
+    pub fn stem(&self) -> String {
+        if let Some(stem) = &self.output_stem {
+            return stem.clone();
+        }
+        match self.step() {
+            Some((file, step)) => format!("{}.{step}", stem(&name_of(file, false))),
+            None => {
+                let name = self.name();
+                // Level sets are no frames of particles, and lose their extension all the same.
+                strip_extension(&name, ".vdb").unwrap_or_else(|| stem(&name)).to_owned()
+            }
+        }
+    }
+
+    /// The frame's number, where the name has one of up to 64 bits. Subframes have the number of their frame.
+    pub fn number(&self) -> Option<u64> {
+        let span = self.number_span.clone()?;
+        self.name().get(span)?.split('.').next()?.parse().ok()
+    }
+
+    /// Whether the name has the digits of a subframe, zero or not.
+    fn has_subframe(&self) -> bool {
+        let name = self.name();
+        self.number_span.clone().and_then(|span| name.get(span)).is_some_and(|number| number.contains('.'))
+    }
+
+    /// The digits of the subframe, which is a fraction of a frame: `5` of `dam.0001.50`. Empty for a whole frame.
+    fn subframe(&self) -> String {
+        let name = self.name();
+        let number = self.number_span.clone().and_then(|span| name.get(span)).unwrap_or_default();
+        number.split_once('.').map_or("", |(_, digits)| digits.trim_end_matches('0')).to_owned()
+    }
+
+    /// The folder, and the name without its numbers: what files share that differ in their numbers only. `None` where a
+    /// pattern says which number is the frame's, of steps, and of names without a number.
+    pub fn kin(&self) -> Option<(PathBuf, String)> {
+        if self.is_number_given || self.number_span.is_none() || self.is_step {
+            return None;
+        }
+        Some((self.path.parent().map(Path::to_owned).unwrap_or_default(), without_numbers(&self.name())))
+    }
+
+    /// What the files of a sequence share: their folder, and the name with `{}` for the frame's number.
+    pub fn sequence(&self) -> (PathBuf, String) {
+        if let Some((file, _)) = self.step() {
+            return (
+                file.parent().map(Path::to_owned).unwrap_or_default(),
+                format!("{}/{STEP}{{}}", name_of(file, false)),
+            );
+        }
+        let mut name = self.name();
+        if let Some(span) = self.number_span.clone() {
+            name.replace_range(span, "{}");
+        }
+        (self.path.parent().map(Path::to_owned).unwrap_or_default(), name)
+    }
+}
+
+/// Files whose names differ only in the frame's number, ordered by it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sequence {
+    /// What to call it: the file's name, or `dam.{}.bgeo` where there are several.
+    pub name: String,
+    /// At least one frame.
+    pub frames: Vec<FrameFile>,
+}
+
+/// Sorts files into sequences; the sequences, too, are in natural order. Which number of a name is the frame's depends on
+/// the other names: see `use_varying_numbers`.
+pub fn sequences(mut files: Vec<FrameFile>) -> Vec<Sequence> {
+    use_varying_numbers(&mut files);
+    files.sort_by(|a, b| natural_order(&a.path.to_string_lossy(), &b.path.to_string_lossy()));
+    let mut sequences: Vec<Sequence> = Vec::new();
+    let mut place_of: HashMap<(PathBuf, String), usize> = HashMap::new();
+    for file in files {
+        let key = file.sequence();
+        let place = *place_of.entry(key).or_insert(sequences.len());
+        match sequences.get_mut(place) {
+            Some(sequence) => sequence.frames.push(file),
+            None => sequences.push(Sequence { name: file.name(), frames: vec![file] }),
+        }
+    }
+    for sequence in &mut sequences {
+        order_subframes(&mut sequence.frames, FrameFile::clone);
+        if sequence.frames.len() > 1 {
+            sequence.name = sequence.frames[0].sequence().1;
+        }
+    }
+    sequences
+}
+
+/// Puts the subframes of a sequence, which is in natural order, behind their frames.
+pub fn order_subframes<T>(frames: &mut [T], file: impl Fn(&T) -> FrameFile) {
+    if frames.iter().any(|frame| !file(frame).subframe().is_empty()) {
+        frames.sort_by_cached_key(|frame| {
+            let file = file(frame);
+            (file.number(), file.subframe())
+        });
+    }
+}
+
+/// Where the names of a folder say that another number than [`FrameFile::new`] found is the frame's, because it is the
+/// only one in which names differ, that one is taken: of `dam_0001_b7.ply` and `dam_0002_b7.ply` it is the first. Where
+/// they say that what it took for subframes are frames of a shot, the last is taken: of `shot.0100.9.ply` and
+/// `shot.0100.10.ply`.
+fn use_varying_numbers(files: &mut [FrameFile]) {
+    let mut kin: HashMap<(PathBuf, String), Vec<usize>> = HashMap::new();
+    for (index, file) in files.iter().enumerate() {
+        if let Some(key) = file.kin() {
+            kin.entry(key).or_default().push(index);
+        }
+    }
+    let is_whole = |file: &&FrameFile| file.number_span.is_some() && !file.has_subframe();
+    let whole: HashSet<(PathBuf, String)> = files.iter().filter(is_whole).map(FrameFile::sequence).collect();
+    for members in kin.into_values().filter(|members| members.len() > 1) {
+        let names: Vec<String> = members.iter().map(|&index| files[index].name()).collect();
+        let stems: Vec<&str> = names.iter().map(|name| numbered_part(name)).collect();
+        let spans: Vec<Range<usize>> =
+            members.iter().filter_map(|&index| files[index].number_span.clone()).collect();
+        let belongs_to_whole =
+            |index: &usize| files[*index].has_subframe() && whole.contains(&files[*index].sequence());
+        let is_shot_possible = !members.iter().any(belongs_to_whole);
+        if let Some(last) = numbers_behind_shots(&stems, &spans, is_shot_possible) {
+            for (index, span) in members.iter().zip(last) {
+                files[*index].number_span = Some(span);
+            }
+            continue;
+        }
+        for (index, span) in members.iter().zip(varying_number(&stems).unwrap_or_default()) {
+            let span_now = &mut files[*index].number_span;
+            // A subframe may vary within one frame.
+            if span_now.as_ref().is_none_or(|now| !(now.start <= span.start && span.end <= now.end)) {
+                *span_now = Some(span);
+            }
+        }
+    }
+}
+
+/// Folders in which most sequences of names that differ in their numbers only have one frame, and how many have.
+pub fn single_frame_sequences(sequences: &[Sequence]) -> Vec<(PathBuf, usize)> {
+    let mut counts: BTreeMap<(PathBuf, String), (usize, usize)> = BTreeMap::new();
+    for sequence in sequences {
+        if let Some(key) = sequence.frames.first().and_then(FrameFile::kin) {
+            let (count, single_count) = counts.entry(key).or_default();
+            *count += 1;
+            *single_count += usize::from(sequence.frames.len() == 1);
+        }
+    }
+    let fallen_apart = counts.into_iter().filter(|(_, (count, single))| have_fallen_apart(*count, *single));
+    fallen_apart.map(|((folder, _), (_, single_count))| (folder, single_count)).collect()
+}
+
+/// Whether of so many sequences, whose names differ in their numbers only, too many have a single frame.
+pub fn have_fallen_apart(count: usize, single_count: usize) -> bool {
+    single_count > 1 && 2 * single_count > count
+}
+
+/// What to say of a folder that [`single_frame_sequences`] names.
+pub fn single_frames_note(count: usize) -> String {
+    format!(
+        "{count} files form {count} sequences of one frame each, so each gets its own particle spacing; name the frame number with \
+         a pattern such as dam_####_v003.ply, or give --spacing"
+    )
+}
+
+/// Compares text with its runs of digits as numbers, however long; equal numbers with fewer zeros
+/// in front come first.
+pub fn natural_order(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (a.as_bytes(), b.as_bytes());
+    while let (Some(&l), Some(&r)) = (left.first(), right.first()) {
+        let order = if l.is_ascii_digit() && r.is_ascii_digit() {
+            let (number_l, rest_l) = left.split_at(digit_count(left));
+            let (number_r, rest_r) = right.split_at(digit_count(right));
+            (left, right) = (rest_l, rest_r);
+            let (value_l, value_r) = (without_zeros(number_l), without_zeros(number_r));
+            value_l.len().cmp(&value_r.len()).then_with(|| value_l.cmp(value_r))
+        } else {
+            (left, right) = (&left[1..], &right[1..]);
+            l.cmp(&r)
+        };
+        if order != Ordering::Equal {
+            return order;
+        }
+    }
+    left.len().cmp(&right.len()).then_with(|| a.len().cmp(&b.len())).then_with(|| a.cmp(b))
+}
+
+/// Whether a file name ends like one of a file of particles.
+pub fn has_particle_extension(name: &str) -> bool {
+    stem(name).len() < name.len()
+}
+
+/// Whether a file name promises particles so that one without any is broken, and no readme file or log: of names that
+/// these have, too, only the content tells.
+pub fn promises_particles(name: &str) -> bool {
+    let unpacked = unpacked_name(name).to_ascii_lowercase();
+    let may_be_any_text = [".txt", ".dat", ".asc"].iter().any(|extension| unpacked.ends_with(extension));
+    has_particle_extension(name) && !may_be_any_text
+}
+
+/// The file name without its particle extensions; all of it where it has none.
+fn stem(name: &str) -> &str {
+    let unpacked = unpacked_name(name);
+    PARTICLE_EXTENSIONS.iter().find_map(|extension| strip_extension(unpacked, extension)).unwrap_or(name)
+}
+
+/// The file name without its extension, be it one of particles or of results.
+fn numbered_part(name: &str) -> &str {
+    let of_result = |format: OutputFormat| name.strip_suffix(format.extension())?.strip_suffix('.');
+    let found = OutputFormat::ALL.into_iter().find_map(of_result).filter(|left| !left.is_empty());
+    found.unwrap_or_else(|| stem(name))
+}
+
+/// `name` without `extension` in any case, if something is left.
+fn strip_extension<'a>(name: &'a str, extension: &str) -> Option<&'a str> {
+    let cut = name.len().checked_sub(extension.len()).filter(|&cut| cut > 0)?;
+    let (stem, end) = name.split_at_checked(cut)?;
+    end.eq_ignore_ascii_case(extension).then_some(stem)
+}
+
+fn digit_count(text: &[u8]) -> usize {
+    text.iter().take_while(|byte| byte.is_ascii_digit()).count()
+}
+
+fn without_zeros(digits: &[u8]) -> &[u8] {
+    let zeros = digits.iter().take_while(|&&digit| digit == b'0').count();
+    &digits[zeros..]
+}
+
+/// Longer ones first where one ends like another. What is read is decided by content; these only
+/// say where the stem ends, and which files of a folder are frames.
+const PARTICLE_EXTENSIONS: [&str; 21] = [
+    ".bgeo.sc",
+    ".geo.sc",
+    ".bgeo",
+    ".geo",
+    ".bhclassic",
+    ".hclassic",
+    ".ply",
+    ".csv",
+    ".tsv",
+    ".txt",
+    ".dat",
+    ".asc",
+    ".xyz",
+    ".pts",
+    ".vtk",
+    ".vtp",
+    ".vtu",
+    ".npy",
+    ".npz",
+    ".dump",
+    ".lammpstrj",
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(path: &str) -> FrameFile {
+        FrameFile::new(path.into())
+    }
+
+    #[test]
+    fn stems_lose_particle_extensions_only() {
+        for (name, expected) in [
+            ("dam.0012.bgeo", "dam.0012"),
+            ("dam.0012.bgeo.gz", "dam.0012"),
+            ("dam.BGEO.SC", "dam"),
+            ("x.ply.gz", "x"),
+            ("x.ply.zst", "x"),
+            ("x.npz", "x"),
+            ("x.lammpstrj.gz", "x"),
+            ("x.gz", "x.gz"),
+            ("frame.0001", "frame.0001"),
+            ("v1.5", "v1.5"),
+            (".ply", ".ply"),
+            ("größe.csv", "größe"),
+        ] {
+            assert_eq!(stem(name), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn the_last_number_is_the_frame() {
+        for (name, expected) in [
+            ("dam.0012.bgeo", Some(12)),
+            ("take2_frame7.ply", Some(7)),
+            ("frame_12_particles.csv", Some(12)),
+            ("frame.0001", Some(1)),
+            ("dam.ply", None),
+            ("ü3ß.ply", Some(3)),
+            ("x99999999999999999999999.ply", None),
+        ] {
+            assert_eq!(file(name).number(), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn order_is_natural() {
+        // The page of the window sorts the same names (order.js), and is held to the same list.
+        let sorted: Vec<&str> = include_str!("../../../tests/natural_order.txt").lines().collect();
+        assert!(sorted.len() > 30);
+        for (i, left) in sorted.iter().enumerate() {
+            for (j, right) in sorted.iter().enumerate() {
+                assert_eq!(natural_order(left, right), i.cmp(&j), "{left} {right}");
+            }
+        }
+        let huge = "9".repeat(40);
+        assert_eq!(natural_order(&huge, &format!("1{huge}")), Ordering::Less);
+    }
+
+    #[test]
+    fn names_that_differ_in_the_last_number_are_a_sequence() {
+        let names = ["d/b.2.ply", "d/a.10.ply", "d/a.9.ply", "e/a.11.ply", "d/a.1.csv", "d/single.ply"];
+        let found: Vec<(String, Vec<Option<u64>>)> = sequences(names.map(file).to_vec())
+            .into_iter()
+            .map(|s| (s.name, s.frames.iter().map(FrameFile::number).collect()))
+            .collect();
+        let expected = [
+            ("a.1.csv", vec![Some(1)]),
+            ("a.{}.ply", vec![Some(9), Some(10)]),
+            ("b.2.ply", vec![Some(2)]),
+            ("single.ply", vec![None]),
+            ("a.11.ply", vec![Some(11)]),
+        ];
+        assert_eq!(found, expected.map(|(name, numbers)| (name.to_owned(), numbers)));
+    }
+
+    fn grouped(names: &[&str]) -> Vec<(String, Vec<String>)> {
+        let group = |s: Sequence| (s.name, s.frames.iter().map(FrameFile::name).collect());
+        let files: Vec<FrameFile> = names.iter().copied().map(file).collect();
+        let found = sequences(files.clone());
+        // The order in which files are found does not matter.
+        assert_eq!(sequences(files.into_iter().rev().collect()), found);
+        found.into_iter().map(group).collect()
+    }
+
+    #[test]
+    fn ordinary_names_are_one_sequence() {
+        for (names, sequence) in [
+            (&["dam_0001_v003.ply", "dam_0002_v003.ply", "dam_0003_v003.ply"][..], "dam_{}_v003.ply"),
+            (&["dam_0001_b7.ply", "dam_0002_b7.ply"], "dam_{}_b7.ply"),
+            (&["dam.0001.50.ply", "dam.0002.ply", "dam.0002.05.ply", "dam.0002.5.ply"], "dam.{}.ply"),
+            (&["f2_1_points.csv", "f2_2_points.csv", "f2_3_points.csv"], "f2_{}_points.csv"),
+            (&["frame_1_particles.csv", "frame_20_particles.csv"], "frame_{}_particles.csv"),
+        ] {
+            let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+            let refs: Vec<&str> = names.iter().map(String::as_str).collect();
+            assert_eq!(grouped(&refs), [(sequence.to_owned(), names)]);
+        }
+    }
+
+    #[test]
+    fn subframes_follow_their_frame_in_order() {
+        assert_eq!(file("dam.0001.50.glb").number(), Some(1));
+        let names = ["dam.0002.ply", "dam.0010.ply", "dam.0001.5.ply", "dam.0001.25.ply", "dam.0001.ply"];
+        let [sequence] = &sequences(names.map(file).to_vec())[..] else { panic!("one sequence") };
+        let order: Vec<_> = sequence.frames.iter().map(|file| (file.name(), file.number())).collect();
+        let expected = [
+            ("dam.0001.ply", 1),
+            ("dam.0001.25.ply", 1),
+            ("dam.0001.5.ply", 1),
+            ("dam.0002.ply", 2),
+            ("dam.0010.ply", 10),
+        ];
+        assert_eq!(order, expected.map(|(name, number)| (name.to_owned(), Some(number))));
+        // Subframes of a single frame are its subframes, and no frames.
+        let names = ["dam.0001.25.ply", "dam.0001.50.ply"].map(file).to_vec();
+        assert_eq!(sequences(names)[0].frames[1].number(), Some(1));
+    }
+
+    #[test]
+    fn frames_of_a_shot_are_one_sequence_in_counting_order() {
+        for shot in ["shot.010", "shot.0100", "shot.1000"] {
+            let names: Vec<String> = (1..=1200).map(|frame| format!("{shot}.{frame}.ply")).collect();
+            let names: Vec<&str> = names.iter().map(String::as_str).collect();
+            let [(name, found)] = &grouped(&names)[..] else { panic!("one sequence of {shot}") };
+            assert_eq!(*name, format!("{shot}.{{}}.ply"));
+            assert_eq!(*found, names);
+            let found = sequences(names.iter().copied().map(file).collect());
+            assert_eq!(found[0].frames[10].number(), Some(11));
+        }
+        // Whole frames show that these are subframes.
+        let names = ["d.0001.ply", "d.0002.ply", "d.0002.1.ply", "d.0002.2.ply"];
+        assert_eq!(grouped(&names).len(), 1);
+    }
+
+    #[test]
+    fn counts_and_versions_keep_files_apart() {
+        for names in [
+            ["hilbert2_18856_particles.ply", "hilbert2_7954_particles.ply"],
+            ["dam2_v001.ply", "dam2_v002.ply"],
+            ["dam_1_2.ply", "dam_2_3.ply"],
+        ] {
+            assert_eq!(grouped(&names).len(), 2, "{names:?}");
+            let found = sequences(names.map(file).to_vec());
+            assert_eq!(single_frame_sequences(&found), [(PathBuf::new(), 2)], "{names:?}");
+        }
+        // One pair that happens to share a number hides nothing.
+        let names = ["s_1_2.ply", "s_2_3.ply", "s_3_5.ply", "s_3_6.ply"].map(file).to_vec();
+        assert_eq!(single_frame_sequences(&sequences(names)), [(PathBuf::new(), 2)]);
+        for names in [&["a.1.ply", "a.2.ply"][..], &["a.ply", "b.ply"], &["s1.1.ply", "s2.1.ply", "s2.2.ply"]]
+        {
+            let found = sequences(names.iter().copied().map(file).collect());
+            assert_eq!(single_frame_sequences(&found), [], "{names:?}");
+        }
+    }
+
+    #[test]
+    fn steps_are_frames_of_their_file() {
+        let all = ["in/d.7.dump.gz/step=1000", "in/d.7.dump.gz/step=0", "in/d.7.dump.gz/step=-5"];
+        let named = ["in/d.7.dump.gz/step=1000.2", "in/d.7.dump.gz/step=unnumbered"].map(file);
+        let found: Vec<_> = named.iter().map(|step| (step.stem(), step.number())).collect();
+        assert_eq!(found, [("d.7.1000.2".to_owned(), Some(1000)), ("d.7.unnumbered".to_owned(), None)]);
+        let found = sequences(all.map(file).to_vec());
+        let numbers: Vec<_> =
+            found.iter().map(|s| s.frames.iter().map(FrameFile::number).collect::<Vec<_>>()).collect();
+        assert_eq!(numbers, [vec![None, Some(0), Some(1000)]]);
+        assert_eq!(found[0].name, "d.7.dump.gz/step={}");
+        assert_eq!(found[0].frames[0].sequence().0, Path::new("in"));
+    }
+
+    #[test]
+    fn a_number_may_stand_elsewhere() {
+        let numbered = |path: &str, span| FrameFile::with_number_at(path.into(), span);
+        let found = sequences(vec![numbered("f23_900.ply", 1..3), numbered("f9_900.ply", 1..2)]);
+        assert_eq!(found.len(), 1);
+        assert_eq!(found[0].name, "f{}_900.ply");
+        assert_eq!(found[0].frames[0].number(), Some(9));
+    }
+}

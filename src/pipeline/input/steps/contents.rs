@@ -1,0 +1,491 @@
+//! What is in a file that may have several frames, found out by going through it.
+//!
+//! ```text
+//!   before   │ step=0 │ step=1000 │ step=20..│
+//!            ▲ head                    tail ▲      the same bytes at the same places
+//!   now      │ step=0 │ step=1000 │ step=2000 │ step=3000 │
+//!              kept     kept      ▲ from here on it is gone through
+//! ```
+//!
+//! A file that grew is taken to have been appended to where it begins as it did, and still has what stood before its old end.
+//! Its last step may have been cut off then, so that one is looked at again, and those before it are known. So a simulation
+//! may append more often than the whole file could be gone through.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use meniscus_formats::compression::{read_head, unpacked};
+use meniscus_formats::steps::{FoundStep, find_more_steps, find_steps, may_have_steps};
+use meniscus_formats::{Kind, Limits, Probe, Result, probe};
+use twox_hash::XxHash3_128;
+
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::stamp::FileStamp;
+
+/// What is known of a file.
+#[derive(Debug)]
+pub(super) struct Contents {
+    /// The file that it is known of.
+    pub(super) stamp: FileStamp,
+    /// Memory that unpacking takes, in bytes; `None` where the file is not packed.
+    pub(super) unpacking_bytes: Option<u64>,
+    /// In their order.
+    pub(super) steps: Vec<Step>,
+    /// The indices of the steps, sorted by what their names are made of.
+    by_name: Vec<u32>,
+    kind: Kind,
+    /// `None` where nobody can tell later whether it was appended to: it is packed, or became shorter meanwhile.
+    edges: Option<Edges>,
+    /// What it was before it grew, the latest last, and how many of the first steps are as they were then.
+    before: Vec<(FileStamp, usize)>,
+}
+
+/// A step of a file. A file may have a million, so the name is not stored.
+#[derive(Debug)]
+pub(super) struct Step {
+    /// Where it is, in the unpacked file.
+    pub(super) found: FoundStep,
+    /// 1 for the first step with its number, 2 for the second, ..
+    count: u32,
+}
+
+impl Step {
+    /// What tells it from the others: its number, and for the second with that number and later ones, which it is.
+    pub(super) fn name(&self) -> String {
+        let number = self.found.number.map_or_else(|| UNNUMBERED.to_owned(), |number| number.to_string());
+        if self.count == 1 { number } else { format!("{number}.{}", self.count) }
+    }
+
+    /// What the name is made of.
+    fn key(&self) -> (Option<i64>, u32) {
+        (self.found.number, self.count)
+    }
+}
+
+/// What a name is made of; `None` for text that no step is called.
+fn key_of(name: &str) -> Option<(Option<i64>, u32)> {
+    let (number, count) = match name.split_once('.') {
+        Some((number, count)) => (number, count.parse().ok()?),
+        None => (name, 1),
+    };
+    let number = if number == UNNUMBERED { None } else { Some(number.parse().ok()?) };
+    Some((number, count))
+}
+
+/// More states of a file are not remembered. Whoever knows an older one looks at its steps again.
+const BEFORE_MAX: usize = 16;
+
+impl Contents {
+    fn new(stamp: FileStamp, kind: Kind, steps: Vec<FoundStep>) -> Contents {
+        let steps = counted(steps);
+        // Limits keep the number of steps far below 2³².
+        let mut by_name: Vec<u32> = (0..steps.len() as u32).collect();
+        by_name.sort_by_key(|&index| steps[index as usize].key());
+        Contents { stamp, unpacking_bytes: None, steps, by_name, kind, edges: None, before: Vec::new() }
+    }
+
+    /// Those of what has no steps.
+    pub(super) fn none(stamp: FileStamp) -> Contents {
+        Contents::new(stamp, Kind::Unknown, Vec::new())
+    }
+
+    /// The step by this name.
+    pub(super) fn step(&self, name: &str) -> io::Result<&FoundStep> {
+        let step_at = |index: &u32| &self.steps[*index as usize];
+        let found = key_of(name).and_then(|key| {
+            let place = self.by_name.binary_search_by_key(&key, |index| step_at(index).key()).ok()?;
+            // Of `7` and `07` one is the name of a step.
+            Some(step_at(&self.by_name[place])).filter(|step| step.name() == name)
+        });
+        found.map(|step| &step.found).ok_or_else(|| {
+            io::Error::new(io::ErrorKind::NotFound, format!("there is no step {name} in the file"))
+        })
+    }
+
+    /// So many of the first steps are as they were when the file had this stamp.
+    pub(super) fn kept_since(&self, stamp: &FileStamp) -> usize {
+        match *stamp == self.stamp {
+            true => self.steps.len(),
+            false => self.before.iter().rfind(|(before, _)| before == stamp).map_or(0, |(_, count)| *count),
+        }
+    }
+
+    /// Whether a file with this stamp is this one with something appended.
+    fn has_become(&self, file: &mut File, stamp: &FileStamp, kind: Kind) -> bool {
+        let is_larger = stamp.inode == self.stamp.inode && stamp.size > self.stamp.size;
+        let mut is_as_before =
+            || self.edges.as_ref().is_some_and(|edges| edges.are_in(file).unwrap_or(false));
+        is_larger && kind == self.kind && !self.steps.is_empty() && is_as_before()
+    }
+}
+
+/// Goes through a file; what is known of how it was `before` spares the beginning of it.
+///
+/// # Errors
+/// When the system refuses, there are too many steps, or `is_over`.
+pub(super) fn look_through(path: &Path, before: Option<&Contents>, is_over: &AtomicBool) -> Result<Contents> {
+    let mut file = open_regular(path)?;
+    let stamp = FileStamp::of(&file.metadata()?);
+    let Probe { kind, codec } = probe_head(&mut file, path)?;
+    if !may_have_steps(kind) {
+        return Ok(Contents::none(stamp));
+    }
+    let before = before.filter(|before| before.has_become(&mut file, &stamp, kind));
+    let mut known: Vec<FoundStep> =
+        before.map_or_else(Vec::new, |before| before.steps.iter().map(|step| step.found.clone()).collect());
+    let start = known.last().map_or(0, |last| last.range.start);
+    file.seek(SeekFrom::Start(start))?;
+    // What is appended meanwhile belongs to the next look.
+    let mut source = Watched::new((&file).take(stamp.size.saturating_sub(start)), is_over);
+    if codec.is_some() {
+        return look_through_packed(source, stamp, kind);
+    }
+    find_more_steps(
+        kind,
+        BufReader::with_capacity(BUFFER_BYTES, &mut source),
+        &mut known,
+        &Limits::default(),
+    )?;
+    let mut contents = Contents::new(stamp, kind, known);
+    let head = before.and_then(|before| before.edges.as_ref()).map(|edges| edges.head);
+    contents.edges = source.edges(start, head).filter(|edges| edges.tail.end == stamp.size);
+    if let Some(before) = before {
+        let kept_count = before.steps.len() - 1;
+        let earlier = before.before.iter().map(|&(stamp, count)| (stamp, count.min(kept_count)));
+        contents.before = earlier.chain([(before.stamp, kept_count)]).collect();
+        let surplus = contents.before.len().saturating_sub(BEFORE_MAX);
+        contents.before.drain(..surplus);
+    }
+    Ok(contents)
+}
+
+fn look_through_packed(mut source: impl Read, stamp: FileStamp, kind: Kind) -> Result<Contents> {
+    let mut bytes = Vec::new();
+    source.read_to_end(&mut bytes)?;
+    let unpacked = unpacked(&bytes, &Limits::default())?;
+    let found = find_steps(kind, &*unpacked, &Limits::default())?;
+    let unpacking_bytes = Some((bytes.len() + unpacked.len()) as u64);
+    Ok(Contents { unpacking_bytes, ..Contents::new(stamp, kind, found) })
+}
+
+/// What the first bytes of a file say.
+pub(super) fn probe_head(file: &mut File, path: &Path) -> io::Result<Probe> {
+    let head = read_head(file, HEAD_BYTES)?;
+    Ok(probe(&head, &path.file_name().unwrap_or_default().to_string_lossy()))
+}
+
+/// As much as tells what a file is.
+const HEAD_BYTES: u64 = 8 << 10;
+
+/// A buffer that makes the system's calls not matter.
+const BUFFER_BYTES: usize = 1 << 18;
+
+/// The first bytes of a file, and the last of those that were gone through.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Edges {
+    head: Edge,
+    tail: Edge,
+}
+
+/// Bytes of a file: where they are, and their hash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Edge {
+    start: u64,
+    end: u64,
+    hash: u128,
+}
+
+/// A thousand rows, about: nobody writes them twice but by copying.
+const TAIL_BYTES: usize = 64 << 10;
+
+impl Edges {
+    /// Whether a file still has the same bytes there.
+    fn are_in(&self, file: &mut File) -> io::Result<bool> {
+        let mut is_in = |edge: Edge| {
+            file.seek(SeekFrom::Start(edge.start))?;
+            let mut bytes = Vec::new();
+            file.by_ref().take(edge.end - edge.start).read_to_end(&mut bytes)?;
+            io::Result::Ok(Edge::of(edge.start, &bytes) == edge)
+        };
+        Ok(is_in(self.head)? && is_in(self.tail)?)
+    }
+}
+
+impl Edge {
+    fn of(start: u64, bytes: &[u8]) -> Edge {
+        Edge { start, end: start + bytes.len() as u64, hash: XxHash3_128::oneshot(bytes) }
+    }
+}
+
+/// A source that is read until that is not wanted any more, and of which the edges are kept. Those are of the bytes that were
+/// gone through: who reads them afterwards may read what was written over them meanwhile.
+struct Watched<'a, R> {
+    source: R,
+    is_over: &'a AtomicBool,
+    /// So many bytes were read.
+    count: u64,
+    head: Vec<u8>,
+    /// The last bytes, and some before them.
+    tail: Vec<u8>,
+}
+
+impl<'a, R> Watched<'a, R> {
+    fn new(source: R, is_over: &'a AtomicBool) -> Watched<'a, R> {
+        Watched { source, is_over, count: 0, head: Vec::new(), tail: Vec::new() }
+    }
+
+    /// The edges of the file, which was read from this byte on; its head is known if that is not its first.
+    fn edges(&self, start: u64, head: Option<Edge>) -> Option<Edges> {
+        let head = head.or_else(|| (start == 0).then(|| Edge::of(0, &self.head)))?;
+        let kept = &self.tail[self.tail.len().saturating_sub(TAIL_BYTES)..];
+        let tail_start = start + self.count - kept.len() as u64;
+        Some(Edges { head, tail: Edge::of(tail_start, kept) })
+    }
+
+    fn keep(&mut self, bytes: &[u8]) {
+        self.count += bytes.len() as u64;
+        let missing = (HEAD_BYTES as usize).saturating_sub(self.head.len());
+        self.head.extend(&bytes[..bytes.len().min(missing)]);
+        self.tail.extend(&bytes[bytes.len().saturating_sub(TAIL_BYTES)..]);
+        // Not each time: what moves is as much as stays.
+        if self.tail.len() > 2 * TAIL_BYTES {
+            self.tail.drain(..self.tail.len() - TAIL_BYTES);
+        }
+    }
+}
+
+impl<R: Read> Read for Watched<'_, R> {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        if self.is_over.load(Ordering::Relaxed) {
+            return Err(io::Error::other("its steps are not looked for any more"));
+        }
+        let count = self.source.read(bytes)?;
+        self.keep(&bytes[..count]);
+        Ok(count)
+    }
+}
+
+/// The steps, each with how many have had its number up to it.
+fn counted(found: Vec<FoundStep>) -> Vec<Step> {
+    let mut counts: HashMap<Option<i64>, u32> = HashMap::new();
+    let counted = found.into_iter().map(|found| {
+        let count = counts.entry(found.number).or_insert(0);
+        *count += 1;
+        Step { count: *count, found }
+    });
+    counted.collect()
+}
+
+/// What a step without a number is called.
+pub(super) const UNNUMBERED: &str = "unnumbered";
+
+/// The contents of some file with so many steps.
+#[cfg(test)]
+pub(super) fn of_count(stamp: FileStamp, count: usize) -> Contents {
+    let found =
+        |number: usize| FoundStep { number: i64::try_from(number).ok(), range: 0..1, lines_before: 0 };
+    let kind = Kind::Format(meniscus_formats::Format::LammpsDump);
+    Contents::new(stamp, kind, (0..count).map(found).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use meniscus_formats::Format;
+    use std::fs::OpenOptions;
+    use std::io::Write;
+    use std::path::PathBuf;
+    use std::time::{Duration, SystemTime};
+    use std::{fs, iter};
+
+    static GOES_ON: AtomicBool = AtomicBool::new(false);
+
+    /// A step of a dump, or of a trajectory, with so many rows.
+    fn step(kind: Kind, number: usize, rows: usize) -> String {
+        let mut text = match kind {
+            Kind::Format(Format::LammpsDump) => {
+                format!("ITEM: TIMESTEP\n{number}\nITEM: NUMBER OF ATOMS\n{rows}\nITEM: ATOMS x y z\n")
+            }
+            _ => format!("{rows}\nstep {number}\n"),
+        };
+        let row =
+            if kind == Kind::Format(Format::LammpsDump) { "0.5 0.25 0.125\n" } else { "O 0.5 0.25 0.125\n" };
+        text.extend(iter::repeat_n(row, rows));
+        text
+    }
+
+    struct Growing {
+        path: PathBuf,
+        _folder: tempfile::TempDir,
+    }
+
+    impl Growing {
+        fn new(name: &str) -> Growing {
+            let folder = tempfile::tempdir().expect("a folder");
+            Growing { path: folder.path().join(name), _folder: folder }
+        }
+
+        fn append(&self, text: &str) {
+            let file = OpenOptions::new().create(true).append(true).open(&self.path);
+            file.and_then(|mut file| file.write_all(text.as_bytes())).expect("appended");
+        }
+
+        fn look(&self, before: Option<&Contents>) -> Contents {
+            look_through(&self.path, before, &GOES_ON).expect("steps")
+        }
+    }
+
+    fn found(contents: &Contents) -> Vec<(String, &FoundStep)> {
+        contents.steps.iter().map(|step| (step.name(), &step.found)).collect()
+    }
+
+    #[test]
+    fn of_what_is_appended_only_that_is_gone_through() {
+        for (kind, name) in
+            [(Kind::Format(Format::LammpsDump), "d.dump"), (Kind::Format(Format::XyzAtoms), "d.xyz")]
+        {
+            let file = Growing::new(name);
+            let cut = step(kind, 2, 2000);
+            let (start, rest) = cut.split_at(cut.len() / 3);
+            file.append(&step(kind, 0, 2000));
+            file.append(&step(kind, 1, 2000));
+            file.append(start);
+            let first = file.look(None);
+            assert_eq!((first.steps.len(), first.kept_since(&first.stamp)), (3, 3));
+            file.append(rest);
+            file.append(&step(kind, 3, 5));
+            let second = file.look(Some(&first));
+            assert_eq!(found(&second), found(&file.look(None)), "{name}");
+            assert_eq!((second.steps.len(), second.kept_since(&first.stamp)), (4, 2), "{name}");
+            file.append(&step(kind, 1, 1));
+            let third = file.look(Some(&second));
+            assert_eq!(found(&third), found(&file.look(None)), "{name}");
+            let kept = [&first, &second, &third].map(|before| third.kept_since(&before.stamp));
+            assert_eq!(kept, [2, 3, 5], "{name}");
+            // What lies before it is not looked at: a step that begins there now is not seen.
+            let mut bytes = fs::read(&file.path).expect("there");
+            let at = bytes.len() / 4;
+            bytes[at..at + 10].fill(b'\n');
+            bytes.extend(b"0\n\n");
+            fs::write(&file.path, bytes).expect("written");
+            assert!(file.look(Some(&third)).kept_since(&third.stamp) > 0, "{name}");
+        }
+    }
+
+    #[test]
+    fn what_was_written_anew_is_gone_through_from_its_beginning() {
+        let file = Growing::new("d.dump");
+        let dump = |numbers: &[usize]| -> String {
+            numbers.iter().map(|&number| step(Kind::Format(Format::LammpsDump), number, 100)).collect()
+        };
+        file.append(&dump(&[10, 20]));
+        let first = file.look(None);
+        for (what, text) in [
+            ("another beginning", dump(&[11, 20, 30])),
+            ("another end", dump(&[10, 21, 30])),
+            ("shorter", dump(&[10])),
+            ("as long", dump(&[20, 10])),
+            ("another kind", "1\n\nO 0 0 0\n".repeat(1000)),
+        ] {
+            fs::write(&file.path, &text).expect("written");
+            // The clock of a file system may stand still for as long as this takes.
+            let later = SystemTime::now() + Duration::from_secs(1);
+            File::options()
+                .write(true)
+                .open(&file.path)
+                .and_then(|file| file.set_modified(later))
+                .expect("set");
+            let second = file.look(Some(&first));
+            assert_eq!(found(&second), found(&file.look(None)), "{what}");
+            assert_eq!(second.kept_since(&first.stamp), 0, "{what}");
+        }
+    }
+
+    /// The edges are of the bytes that the steps were found in, not of those that stand there when it is at the end.
+    #[test]
+    fn what_is_written_anew_meanwhile_is_gone_through_from_its_beginning() {
+        let file = Growing::new("d.dump");
+        let dump = |numbers: &[usize]| -> String {
+            numbers.iter().map(|&number| step(Kind::Format(Format::LammpsDump), number, 6000)).collect()
+        };
+        let (old, new) = (dump(&[10, 20]), dump(&[11, 21, 30]));
+        for cut in ["ITEM: TIMESTEP\n10".len(), HEAD_BYTES as usize, old.len() / 2, old.len() - 1] {
+            file.append(&old);
+            let stamp = FileStamp::of(&fs::metadata(&file.path).expect("there"));
+            // What a pass sees that has come so far when the file is written anew in its place.
+            let seen = [&old.as_bytes()[..cut], &new.as_bytes()[cut..old.len()]].concat();
+            let mut source = Watched::new(&*seen, &GOES_ON);
+            let mut known = Vec::new();
+            find_more_steps(
+                Kind::Format(Format::LammpsDump),
+                BufReader::new(&mut source),
+                &mut known,
+                &Limits::default(),
+            )
+            .expect("steps");
+            let mut first = Contents::new(stamp, Kind::Format(Format::LammpsDump), known);
+            first.edges = source.edges(0, None);
+            fs::write(&file.path, &new).expect("written");
+            let second = file.look(Some(&first));
+            assert_eq!(found(&second), found(&file.look(None)), "{cut}");
+            assert_eq!(second.kept_since(&first.stamp), 0, "{cut}");
+            fs::write(&file.path, "").expect("emptied");
+        }
+    }
+
+    #[test]
+    fn the_edges_of_what_was_read_are_those_of_the_file() {
+        let file = Growing::new("d.dump");
+        let bytes: Vec<u8> = (0..3 * TAIL_BYTES).map(|index| ((index * index) >> 7) as u8).collect();
+        for (size, piece) in
+            [(0, 1), (1, 1), (5000, 7), (TAIL_BYTES, 4096), (3 * TAIL_BYTES, 1 << 18), (150_000, 999)]
+        {
+            fs::write(&file.path, &bytes[..size]).expect("written");
+            let mut source = Watched::new(&bytes[..size], &GOES_ON);
+            io::copy(&mut BufReader::with_capacity(piece, &mut source), &mut io::sink()).expect("read");
+            let edges = source.edges(0, None).expect("from the beginning");
+            assert_eq!(edges.head, Edge::of(0, &bytes[..size.min(HEAD_BYTES as usize)]), "{size}");
+            let tail_start = size.saturating_sub(TAIL_BYTES);
+            assert_eq!(edges.tail, Edge::of(tail_start as u64, &bytes[tail_start..size]), "{size}");
+            assert!(edges.are_in(&mut File::open(&file.path).expect("there")).expect("read"), "{size}");
+            // What is read from later on has the head that is known, or none.
+            assert_eq!(source.edges(5, None), None);
+            assert_eq!(source.edges(5, Some(edges.head)).map(|later| later.tail.end), Some(5 + size as u64));
+        }
+    }
+
+    #[test]
+    fn of_many_states_the_latest_are_remembered() {
+        let file = Growing::new("d.dump");
+        file.append(&step(Kind::Format(Format::LammpsDump), 0, 1));
+        let mut all = vec![file.look(None)];
+        for number in 1..=BEFORE_MAX + 3 {
+            file.append(&step(Kind::Format(Format::LammpsDump), number, 1));
+            let next = file.look(all.last());
+            all.push(next);
+        }
+        let last = all.last().expect("some");
+        let kept: Vec<usize> = all.iter().map(|before| last.kept_since(&before.stamp)).collect();
+        let expected: Vec<usize> = (0..all.len())
+            .map(|index| if index < 3 { 0 } else { index + usize::from(index + 1 == all.len()) })
+            .collect();
+        assert_eq!(kept, expected);
+    }
+
+    #[test]
+    fn a_file_need_not_be_gone_through_to_its_end() {
+        let is_over = AtomicBool::new(false);
+        let mut source = Watched::new(io::repeat(b'x'), &is_over);
+        let mut piece = [0; 8];
+        source.read_exact(&mut piece).expect("it goes on");
+        is_over.store(true, Ordering::Relaxed);
+        let over = source.read_exact(&mut piece).expect_err("over").to_string();
+        assert!(over.contains("not looked for any more"), "{over}");
+        let file = Growing::new("d.dump");
+        file.append(&step(Kind::Format(Format::LammpsDump), 0, 1));
+        look_through(&file.path, None, &is_over).expect_err("over");
+    }
+}

@@ -1,0 +1,346 @@
+//! The frames of a file that has several.
+//!
+//! ```text
+//!   in/dump.lammpstrj               a file with three time steps
+//!   in/dump.lammpstrj/step=1000     the frame that is one of them ─▶ out/dump.1000.glb
+//! ```
+//!
+//! A frame is known by its path: in journals, plans and reports, and to whoever types it. So a step has one as well, as though
+//! its file were a folder. Nothing else can be at such a path, for a file is no folder; and a file `step=1000` in a folder is a file.
+//!
+//! Where the steps lie is found out by going through the file once, and remembered for as long as the file stays as it is:
+//! each is then read by itself. What is packed has no places, and is unpacked for each step.
+//!
+//! ```text
+//!   contents   what is in a file, and in one that grew       known   what is remembered of files
+//! ```
+
+mod contents;
+mod known;
+
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use meniscus_formats::compression::unpacked;
+use meniscus_formats::steps::may_have_steps;
+use meniscus_formats::{Error, Limits, ReadAt, Result};
+use twox_hash::XxHash3_128;
+
+use crate::pipeline::files::input_file::InputFile;
+use crate::pipeline::files::names::text_of_name;
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::stamp::FileStamp;
+
+use contents::{Contents, UNNUMBERED, probe_head};
+use known::{contents_known, contents_unless, contents_unless_changed};
+
+/// What the last part of the path of a step begins with; what tells it from others of its file follows.
+pub(crate) const STEP: &str = "step=";
+
+/// The file that a frame is read from: itself, or that which the frame is a step of.
+pub fn file_of(frame: &Path) -> &Path {
+    step_of(frame).map_or(frame, |(file, _)| file)
+}
+
+/// The file of a step, and what tells it from others of this file; `None` for a frame that is a file.
+pub fn step_of(frame: &Path) -> Option<(&Path, &str)> {
+    // A folder has files, and no steps, whatever these are called.
+    step_in(frame, true).filter(|(file, _)| !file.is_dir())
+}
+
+/// The same by the path alone, where it is known whether it is that of a step.
+pub(crate) fn step_in(frame: &Path, is_step: bool) -> Option<(&Path, &str)> {
+    let step =
+        frame.file_name()?.to_str()?.strip_prefix(STEP).filter(|step| is_step && may_be_named(step))?;
+    let file = frame.parent().filter(|file| file.file_name().is_some())?;
+    Some((file, step))
+}
+
+/// Whether this tells a step from others: a number or none, and which of those that have it.
+fn may_be_named(step: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let (number, count) = step.split_once('.').map_or((step, None), |(number, count)| (number, Some(count)));
+    let is_named = number == UNNUMBERED || is_number(number.strip_prefix('-').unwrap_or(number));
+    is_named && count.is_none_or(is_number)
+}
+
+/// What a frame is called, without the folder of its file.
+pub fn frame_name(frame: &Path) -> String {
+    name_of(frame, step_of(frame).is_some())
+}
+
+/// The same where it is known whether the path is that of a step.
+pub(crate) fn name_of(frame: &Path, is_step: bool) -> String {
+    let name = |file: &Path| text_of_name(file.file_name().unwrap_or_default());
+    match step_in(frame, is_step) {
+        Some((file, step)) => format!("{}/{STEP}{step}", name(file)),
+        None => name(frame),
+    }
+}
+
+/// The frames of a file: it, or the steps that it has. A file with one step is a frame by its own name.
+///
+/// # Errors
+/// When the file cannot be gone through.
+pub fn frames_in(file: &Path) -> Result<Vec<PathBuf>> {
+    Ok(frames_in_unless(file, &AtomicBool::new(false))?.paths().collect())
+}
+
+/// The frames of a file, and what is known of how they were before it was written again.
+#[derive(Clone, Debug)]
+pub struct FileFrames {
+    file: PathBuf,
+    contents: Arc<Contents>,
+}
+
+impl FileFrames {
+    /// Whether the file has several steps, and is no frame itself.
+    pub fn has_several(&self) -> bool {
+        self.contents.steps.len() > 1
+    }
+
+    /// The file, or the steps that it has. Paths are made one by one: a file may have a million steps.
+    pub fn paths(&self) -> impl Iterator<Item = PathBuf> + use<> {
+        let FileFrames { file, contents } = self.clone();
+        let count = contents.steps.len().max(1);
+        (0..count).map(move |index| match &contents.steps[..] {
+            [] | [_] => file.clone(),
+            steps => file.join(format!("{STEP}{}", steps[index].name())),
+        })
+    }
+
+    /// So many of the first frames are as they were when the file had this stamp: since then something was appended to it.
+    pub fn kept_since(&self, stamp: &FileStamp) -> usize {
+        self.contents.kept_since(stamp)
+    }
+}
+
+/// The same for whoever may not wait for the end of a large file: as soon as `is_over`, it is an error.
+///
+/// # Errors
+/// When the file cannot be gone through, or need not be any more.
+pub fn frames_in_unless(file: &Path, is_over: &AtomicBool) -> Result<FileFrames> {
+    Ok(FileFrames { file: file.to_owned(), contents: contents_unless(file, is_over)? })
+}
+
+/// Whether a file is of a kind that may hold several frames, by its first bytes.
+///
+/// # Errors
+/// When the system refuses.
+pub fn may_hold_several(file: &Path) -> io::Result<bool> {
+    Ok(file.metadata()?.is_file() && may_have_steps(probe_head(&mut open_regular(file)?, file)?.kind))
+}
+
+/// Whether a frame is a step that its file, which is there, does not have. One with a single step has none: it is the
+/// frame itself.
+///
+/// # Errors
+/// When the file cannot be gone through.
+pub fn is_missing_step(frame: &Path) -> Result<bool> {
+    match step_of(frame) {
+        None => Ok(false),
+        Some((file, step)) => {
+            let contents = contents(file)?;
+            Ok(contents.steps.len() < 2 || contents.step(step).is_err())
+        }
+    }
+}
+
+/// The size of a frame: of its file, or of the step within, unpacked.
+///
+/// # Errors
+/// When the system refuses, or there is no such step.
+pub fn size_bytes(frame: &Path) -> Result<u64> {
+    match step_of(frame) {
+        None => Ok(frame.metadata()?.len()),
+        Some((file, step)) => {
+            let contents = contents(file)?;
+            let range = &contents.step(step)?.range;
+            Ok(range.end - range.start)
+        }
+    }
+}
+
+/// Who finds out where the steps are in a file that was written again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StepsFoundBy {
+    /// Whoever reads one of them.
+    Reader,
+    /// Somebody else: for the reader they have changed.
+    Another,
+}
+
+impl StepsFoundBy {
+    fn contents(self, file: &Path) -> Result<Option<Arc<Contents>>> {
+        match self {
+            StepsFoundBy::Reader => contents(file).map(Some),
+            StepsFoundBy::Another => contents_unless_changed(file),
+        }
+    }
+}
+
+/// Memory that it takes to have the bytes of a frame, in bytes; 0 where they cannot be had.
+pub(crate) fn reading_bytes(frame: &Path, by: StepsFoundBy) -> u64 {
+    let of_step = |(file, step): (&Path, &str)| {
+        let contents = by.contents(file).ok()??;
+        let range = &contents.step(step).ok()?.range;
+        Some(contents.unpacking_bytes.unwrap_or(range.end - range.start))
+    };
+    match step_of(frame) {
+        Some(step) => of_step(step).unwrap_or(0),
+        None => frame.metadata().map_or(0, |metadata| metadata.len()),
+    }
+}
+
+/// The bytes of a step, and the stamp of its file; `None` when that was written, replaced or removed meanwhile.
+///
+/// # Errors
+/// When the system refuses, there is no such step, or it cannot be unpacked.
+pub(crate) fn read_step(
+    (file, step): (&Path, &str),
+    by: StepsFoundBy,
+) -> Result<Option<(Vec<u8>, FileStamp)>> {
+    let Some(contents) = by.contents(file)? else { return Ok(None) };
+    let range = contents.step(step)?.range.clone();
+    let input = InputFile::open(file)?;
+    if input.stamp() != contents.stamp {
+        return Ok(None);
+    }
+    let read = |range: Range<u64>| {
+        let length = usize::try_from(range.end - range.start).map_err(io::Error::other)?;
+        let mut bytes = vec![0; length];
+        match input.read_exact_at(&mut bytes, range.start) {
+            // It became shorter since it was looked at.
+            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
+            read => read.map(|()| Some(bytes)),
+        }
+    };
+    let is_packed = contents.unpacking_bytes.is_some();
+    let stored = if is_packed { 0..contents.stamp.size } else { range.clone() };
+    let Some(bytes) = read(stored.clone())? else { return Ok(None) };
+    let hash = XxHash3_128::oneshot(&bytes);
+    let bytes = if is_packed {
+        let whole = unpacked(&bytes, &Limits::default())?;
+        let [start, end] = [range.start, range.end].map(|at| usize::try_from(at).unwrap_or(usize::MAX));
+        // What lies elsewhere than it did is another file.
+        let Some(step) = whole.get(start..end) else { return Ok(None) };
+        step.to_vec()
+    } else {
+        bytes
+    };
+    let has_same_bytes =
+        || Ok(read(stored.clone())?.is_some_and(|again| XxHash3_128::oneshot(&again) == hash));
+    Ok(input.is_unchanged_or(has_same_bytes)?.then_some((bytes, contents.stamp)))
+}
+
+/// An error of a frame: if that is a step, by the lines of its file, where a user looks for it.
+pub(crate) fn by_lines_of_file(frame: &Path, error: Error) -> Error {
+    let lines_before =
+        |(file, step): (&Path, &str)| Some(contents_known(file)?.step(step).ok()?.lines_before);
+    error.lines_later(step_of(frame).and_then(lines_before).unwrap_or(0))
+}
+
+/// What a file holds, as it is now.
+fn contents(file: &Path) -> Result<Arc<Contents>> {
+    contents_unless(file, &AtomicBool::new(false))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ruzstd::encoding::{CompressionLevel, compress_to_vec};
+    use std::fs;
+
+    const BY: StepsFoundBy = StepsFoundBy::Reader;
+
+    /// Rows that cannot be packed well: the first of several steps is longer than a look at the head of a file.
+    fn step(number: &str, x: f64) -> String {
+        let rows = (0..400).map(|row| {
+            let mixed = (f64::from(row) * x * 12.9898).sin() * 43758.5453;
+            format!("{x} {} {}\n", mixed.fract(), (mixed * 7.13).fract())
+        });
+        let head =
+            "ITEM: NUMBER OF ATOMS\n400\nITEM: BOX BOUNDS pp pp pp\n0 1\n0 1\n0 1\nITEM: ATOMS x y z\n";
+        format!("ITEM: TIMESTEP\n{number}\n{head}{}", rows.collect::<String>())
+    }
+
+    #[test]
+    fn a_step_has_a_path() {
+        let step = Path::new("in/dump.7.lammpstrj/step=1000.2");
+        assert_eq!(step_of(step), Some((Path::new("in/dump.7.lammpstrj"), "1000.2")));
+        assert_eq!(file_of(step), Path::new("in/dump.7.lammpstrj"));
+        assert_eq!(frame_name(step), "dump.7.lammpstrj/step=1000.2");
+        for file in [
+            "in/dump.7.lammpstrj",
+            "step=1000",
+            "/step=1000",
+            "in/step",
+            "in/../step=5",
+            "in/step=1.ply",
+            "in/step=x",
+        ] {
+            let file = Path::new(file);
+            assert_eq!((step_of(file), file_of(file)), (None, file));
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("step=1000");
+        assert_eq!(step_of(&file), None);
+    }
+
+    #[test]
+    fn steps_are_read_one_by_one_packed_or_not() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let steps =
+            [step("1000", 1.0), step("x", 2.0), step("1000", 3.0), step("-5", 4.0), step("1000", 5.0)];
+        let packed = |bytes: &[u8]| compress_to_vec(bytes, CompressionLevel::Fastest);
+        assert!(packed(steps[0].as_bytes()).len() > 8 << 10, "the first block is longer than the head");
+        for (name, pack) in [("d.dump", None), ("d.dump.zst", Some(packed))] {
+            let file = folder.path().join(name);
+            let write = |steps: &[String]| {
+                let bytes = steps.concat().into_bytes();
+                fs::write(&file, pack.map_or(bytes.clone(), |pack| pack(&bytes))).expect("written");
+            };
+            write(&steps);
+            let frames = frames_in(&file).expect("steps");
+            let names: Vec<String> = frames.iter().map(|frame| frame_name(frame)).collect();
+            let expected = ["1000", "unnumbered", "1000.2", "-5", "1000.3"];
+            assert_eq!(names, expected.map(|step| format!("{name}/step={step}")));
+            for (frame, text) in frames.iter().zip(&steps) {
+                let read = read_step(step_of(frame).expect("a step"), BY).expect("read").expect("unchanged");
+                assert_eq!(read, (text.as_bytes().to_vec(), FileStamp::of_path(&file).expect("there")));
+                assert_eq!(size_bytes(frame).expect("there"), text.len() as u64);
+                assert!(reading_bytes(frame, BY) >= text.len() as u64);
+            }
+            // What is known is known of the file as it was.
+            write(&[step("1", 1.0), step("2000", 2.0)]);
+            let gone = read_step(step_of(&frames[0]).expect("a step"), BY).expect_err("gone");
+            assert!(matches!(&gone, Error::Io(error) if error.kind() == io::ErrorKind::NotFound));
+            assert!(gone.to_string().contains("no step 1000"), "{gone}");
+            write(&steps[..1]);
+            assert_eq!(frames_in(&file).expect("a frame"), [&*file]);
+            assert!(is_missing_step(&frames[0]).expect("gone through"), "the file is the frame");
+            let [first, again] = [(); 2].map(|()| contents(&file).expect("a step"));
+            assert!(Arc::ptr_eq(&first, &again), "it is gone through once");
+        }
+    }
+
+    #[test]
+    fn a_file_that_was_written_again_is_gone_through_by_whoever_may() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("d.dump");
+        fs::write(&file, step("1", 1.0) + &step("2", 1.0)).expect("written");
+        let frame = file.join("step=1");
+        let read = |by| read_step(step_of(&frame).expect("a step"), by).expect("read");
+        assert!(read(StepsFoundBy::Another).is_some(), "nobody has gone through it");
+        fs::write(&file, step("1", 1.0) + &step("2", 1.0) + &step("3", 1.0)).expect("written");
+        assert!(read(StepsFoundBy::Another).is_none());
+        assert_eq!(reading_bytes(&frame, StepsFoundBy::Another), 0);
+        assert!(read(StepsFoundBy::Reader).is_some());
+        assert!(read(StepsFoundBy::Another).is_some(), "it is known now");
+        let over = frames_in_unless(&file, &AtomicBool::new(true));
+        assert_eq!(over.expect("it is known").paths().count(), 3);
+    }
+}

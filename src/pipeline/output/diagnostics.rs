@@ -1,0 +1,120 @@
+//! What tells of voxels and radii that do not fit the particles.
+//!
+//! ```text
+//!   ●   ●   ●      spheres that do not touch: drops; that barely do: a sponge, or one that is full of hollows
+//!   ●▬●▬▬●  ●
+//!   (●●●●●●●●)     spheres that overlap well: few holes, and nearly all of it in one piece, with or without spray
+//! ```
+//!
+//! It is told from the surface as it is. The spacing would say less: of spray it is large, and nothing is wrong.
+
+use glam::Vec3;
+
+use crate::surface::mesh::Mesh;
+use crate::surface::options::Settings;
+use crate::surface::report::SkinReport;
+
+use crate::pipeline::warning::Warning;
+
+/// A warning about a surface that is empty, in pieces, full of holes, or one blob.
+pub(crate) fn diagnose(mesh: &Mesh, report: &SkinReport, settings: &Settings) -> Option<Warning> {
+    why_empty(report, settings).or_else(|| misfit(mesh, report, settings.voxel_size))
+}
+
+/// Why nothing is left of the surface of a frame that has particles.
+fn why_empty(report: &SkinReport, settings: &Settings) -> Option<Warning> {
+    let SkinReport { edits, contact, .. } = report;
+    if report.particle_count == 0 || report.mesh.vertex_count > 0 {
+        return None;
+    }
+    // What came last had something left to take.
+    Some(if edits.clipped_voxel_count > 0 {
+        Warning::ClippedAway
+    } else if edits.island_count > 0 {
+        Warning::IslandsDropped
+    } else if contact.particle_count > 0 || contact.taken_count > 0 {
+        Warning::SurfaceInsideObstacles
+    } else {
+        // Balls of √3 voxels and more hold voxels wherever they are. So these are smaller.
+        let Settings { voxel_size, radius_min, radius_max, .. } = *settings;
+        Warning::BetweenVoxels { voxel_size, radius_min, radius_max }
+    })
+}
+
+/// What tells of voxels that do not fit the particles: most of these are drops by themselves, or the surface is torn, or
+/// all are one blob.
+fn misfit(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
+    let SkinReport { edits, contact, .. } = report;
+    let particle_count = report.particle_count;
+    let is_whole = edits.clipped_voxel_count == 0
+        && edits.island_count == 0
+        && contact.particle_count == 0
+        && contact.taken_count == 0;
+    if particle_count < CROWD || !is_whole {
+        return None;
+    }
+    let piece_count = report.mesh.component_count;
+    if 2 * piece_count > particle_count {
+        return Some(Warning::Spray { particle_count, piece_count, voxel_size });
+    }
+    torn(mesh, report, voxel_size).or_else(|| {
+        let width_voxels = BLOB_VOXELS;
+        is_blob(mesh, report, voxel_size).then_some(Warning::Blob {
+            particle_count,
+            width_voxels,
+            voxel_size,
+        })
+    })
+}
+
+/// What a surface is that came of spheres which do not overlap, where it looks so.
+fn torn(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> Option<Warning> {
+    let (particle_count, measures) = (report.particle_count, &report.mesh);
+    let few_pieces = particle_count / HOLED_ONE_IN;
+    let few_holes = few_pieces.max(FEW_HOLES);
+    // Of all components together; of a mesh that is open it tells nothing.
+    let handle_count = (2 * measures.component_count as i64 - measures.euler_characteristic) / 2;
+    let handle_count = usize::try_from(handle_count).unwrap_or(0);
+    let is_whole = measures.component_count <= few_pieces && handle_count <= few_holes;
+    if is_whole || !measures.is_closed_manifold() {
+        return None;
+    }
+    let volumes = mesh.component_volumes();
+    let hollow_count = volumes.iter().filter(|volume| **volume < 0.0).count();
+    let hole_count = hollow_count + handle_count;
+    if hole_count > few_holes {
+        return Some(Warning::Holes { particle_count, hole_count, voxel_size });
+    }
+    let filled = || volumes.iter().copied().filter(|volume| *volume > 0.0);
+    let piece_count = filled().count();
+    let is_torn = piece_count > particle_count / PIECES_ONE_IN
+        && 2.0 * filled().fold(0.0, f64::max) < filled().sum::<f64>();
+    is_torn.then_some(Warning::Torn { particle_count, piece_count, voxel_size })
+}
+
+/// Whether all particles are in one blob, as large as one particle's.
+fn is_blob(mesh: &Mesh, report: &SkinReport, voxel_size: f64) -> bool {
+    if mesh.positions.is_empty() || mesh.positions.len() > BLOB_VERTICES {
+        return false;
+    }
+    let low = mesh.positions.iter().copied().reduce(Vec3::min).unwrap_or_default();
+    let high = mesh.positions.iter().copied().reduce(Vec3::max).unwrap_or_default();
+    let width = f64::from((high - low).max_element()) / voxel_size;
+    width - 2.0 * report.certificate.vertex_distance_min <= BLOB_VOXELS
+}
+
+/// Fewer particles may be drops, or one.
+const CROWD: usize = 33;
+
+/// A surface is torn that has a hole for so many particles. At half the spacing, of random particles, there is none.
+const HOLED_ONE_IN: usize = 50;
+
+/// Rings, shells and jugs have some that are their own.
+const FEW_HOLES: usize = 8;
+
+/// A surface may be torn that is in a piece for so many particles: it is where no piece is most of it.
+const PIECES_ONE_IN: usize = 8;
+
+/// As wide as a blob is without what is around its particles, in voxels, and what its mesh has at most.
+const BLOB_VOXELS: f64 = 4.0;
+const BLOB_VERTICES: usize = 1 << 12;

@@ -1,0 +1,44 @@
+//! Particles as they are, in another format: what is written of them, and warnings about it.
+
+use std::io::Write;
+
+use meniscus_formats::{Error, ParticleFrame, Positions};
+
+use crate::pipeline::target::outputs::OutputFormat;
+use crate::pipeline::warning::Warning;
+
+/// Writes particles.
+///
+/// # Errors
+/// When the format holds no particles, or the system refuses.
+pub(crate) fn write_particles(
+    particles: &ParticleFrame,
+    format: OutputFormat,
+    provenance: &[(String, String)],
+    out: &mut impl Write,
+) -> meniscus_formats::Result<()> {
+    match format.particles() {
+        Some(writer) => (writer.write)(particles, provenance, out),
+        None => Err(Error::unsupported("particles", format!("a .{format} holds no particles"))),
+    }
+}
+
+/// Warnings about the file and what became of it in these formats.
+pub(crate) fn particle_warnings(particles: &ParticleFrame, formats: &[OutputFormat]) -> Vec<Warning> {
+    let of_format = |format: &OutputFormat| {
+        format.particles().map(|writer| (writer.notes)(particles)).unwrap_or_default()
+    };
+    let particle_count = particles.positions.len();
+    let count = not_finite_count(&particles.positions);
+    let of_positions = (count > 0).then_some(Warning::PositionsNotFinite { count, particle_count });
+    let of_file = particles.notes.iter().cloned().map(Warning::Sentence);
+    let of_formats = formats.iter().flat_map(of_format).map(Warning::Sentence);
+    of_file.chain(of_positions).chain(of_formats).collect()
+}
+
+fn not_finite_count(positions: &Positions) -> usize {
+    match positions {
+        Positions::F32(positions) => positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count(),
+        Positions::F64(positions) => positions.iter().filter(|p| !p.iter().all(|x| x.is_finite())).count(),
+    }
+}

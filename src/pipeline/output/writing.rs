@@ -1,0 +1,292 @@
+//! From a surface to files, one for each format.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use meniscus_formats::{
+    BandGrid, Content, LeafValues, LevelSetView, MeshEncoder, MeshView, Provenance, Role, VertexAttribute,
+    VertexValues, vdb,
+};
+
+use crate::surface::attributes::BandAttribute;
+use crate::surface::level_set::NarrowBand;
+use crate::surface::mesh::Mesh;
+use crate::surface::options::Settings;
+use crate::surface::particles::{Attribute, AttributeValues, Meaning};
+use crate::surface::report::SkinReport;
+use crate::surface::skin::Surface;
+use crate::surface::space::Lattice;
+
+use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::files::sink::{publish, stage};
+use crate::pipeline::files::staged_file::StagedFile;
+use crate::pipeline::input::bounds::NOTHING;
+use crate::pipeline::input::frame::Frame;
+use crate::pipeline::output::diagnostics::diagnose;
+use crate::pipeline::records::certificate_file::{certificate_path, write_certificate};
+use crate::pipeline::records::provenance::provenance;
+use crate::pipeline::scheduler::Scheduler;
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions, output_path};
+use crate::pipeline::target::picture::{PictureOptions, Scene, encode_picture, up_of, velocities};
+use crate::pipeline::target::stored::{checked_as, rounding};
+use crate::pipeline::warning::Warning;
+
+/// Half the thickness of the band in a .vdb, in voxels: what programs expect of a level set.
+pub(crate) const VDB_HALF_WIDTH_VOXELS: f32 = 3.0;
+
+/// The files of a frame.
+pub(crate) struct Written {
+    pub(crate) paths: Vec<PathBuf>,
+    pub(crate) sizes_bytes: Vec<u64>,
+}
+
+/// Writes a frame in every format, each as `write` does it: all of these files appear, whole and
+/// together, or none; and with them, where `certify` is there, the certificate of the frame from an input with this hash.
+/// Their folder is made where it is missing.
+///
+/// # Errors
+/// The first file that cannot be written.
+pub(crate) fn write_files(
+    frame: &Frame,
+    write: impl Fn(OutputFormat, &mut BufWriter<&File>) -> meniscus_formats::Result<()>,
+    certify: Option<(u128, &SkinReport)>,
+) -> Result<Written, FrameError> {
+    let OutputOptions { folder, formats, .. } = &*frame.outputs;
+    let fail = |path: &Path, error| FrameError::file(path, Stage::Write, error);
+    fs::create_dir_all(folder).map_err(|error| fail(folder, error.into()))?;
+    let write_one = |&format: &OutputFormat| {
+        let path = output_path(folder, &frame.stem, format);
+        stage(&path, |out| write(format, out)).map_err(|error| fail(&path, error))
+    };
+    let mut staged: Vec<StagedFile> = formats.iter().map(write_one).collect::<Result<_, _>>()?;
+    if let Some((input_hash, report)) = certify {
+        let path = certificate_path(folder, &frame.stem);
+        let checked = formats.iter().map(|&format| checked_as(format, &frame.outputs));
+        let outputs: Vec<(&StagedFile, &str)> = staged.iter().zip(checked).collect();
+        let certificate = write_certificate(&path, (&frame.input, input_hash), report, &outputs);
+        staged.push(certificate.map_err(|error| fail(&path, error))?);
+    }
+    let sizes_bytes = staged.iter().map(StagedFile::size_bytes).collect();
+    let paths = publish(staged).map_err(|(path, error)| fail(&path, error.into()))?;
+    Ok(Written { paths, sizes_bytes })
+}
+
+/// Writes one file of a frame. What takes computing is computed in the pool, as pieces that are whole before they
+/// are written: threads that compute do not wait for the disk. No more than a piece is held beside the surface.
+///
+/// # Errors
+/// When the format has no place for so much, or the system refuses.
+pub(crate) fn write_surface<'env>(
+    surface: &Arc<Surface>,
+    (number, frame): (usize, &Frame),
+    made_from: (u128, &str),
+    format: OutputFormat,
+    scheduler: &Scheduler<'_, '_, 'env>,
+    out: &mut impl Write,
+) -> meniscus_formats::Result<()> {
+    let provenance = provenance(frame, made_from, format);
+    let writer = match format.content() {
+        Content::LevelSet => {
+            let (surface, frame) = (Arc::clone(surface), frame.clone());
+            return scheduler.run(number, move || encode_levels(&surface, &frame, &provenance))?.write(out);
+        }
+        Content::Picture(_) => {
+            return write_picture(surface, (number, frame), format, provenance, scheduler, out);
+        }
+        Content::Mesh(writer) => writer,
+    };
+    let quads = if frame.settings.quads { surface.mesh.quads().into() } else { Arc::default() };
+    let options = frame.outputs.mesh(quads);
+    let attributes = vertex_attributes(&surface.attributes.vertices);
+    let mesh = mesh_view(&surface.mesh, &attributes);
+    let MeshEncoder::Batches { count, encode } = writer.encoder else {
+        return writer.write(&mesh, &options, &provenance, out);
+    };
+    for index in 0..count(&mesh, &options) {
+        let (surface, options, provenance) = (Arc::clone(surface), options.clone(), provenance.clone());
+        let encode = move || {
+            let attributes = vertex_attributes(&surface.attributes.vertices);
+            encode(&mesh_view(&surface.mesh, &attributes), &options, &provenance, index)
+        };
+        for text in scheduler.run(number, encode)? {
+            out.write_all(&text)?;
+        }
+    }
+    Ok(())
+}
+
+fn write_picture<'env>(
+    surface: &Arc<Surface>,
+    (number, frame): (usize, &Frame),
+    format: OutputFormat,
+    provenance: Vec<(String, String)>,
+    scheduler: &Scheduler<'_, '_, 'env>,
+    out: &mut impl Write,
+) -> meniscus_formats::Result<()> {
+    let (surface, outputs, origin) = (Arc::clone(surface), Arc::clone(&frame.outputs), frame.job.origin());
+    let lattice = Lattice { voxel_size: frame.settings.voxel_size };
+    let encode = move || {
+        let has_data = format.has_attributes();
+        let velocity = if has_data { velocities(&surface) } else { None };
+        let scene = Scene { band: &surface.band, lattice, origin, velocity: velocity.as_ref() };
+        let PictureOptions { size, camera } = outputs.picture;
+        let bounds = scene.bounds().unwrap_or(NOTHING);
+        let viewpoint = camera.viewpoint(bounds, outputs.picture.aspect(), up_of(outputs.up));
+        let picture = scene.picture(&viewpoint, size, has_data);
+        encode_picture(&picture, Some(&viewpoint), format, &provenance)
+    };
+    Ok(out.write_all(&scheduler.run(number, encode)?)?)
+}
+
+fn encode_levels(
+    surface: &Surface,
+    frame: &Frame,
+    provenance: &Provenance,
+) -> meniscus_formats::Result<vdb::Encoded> {
+    let options = vdb::WriteOptions {
+        half: frame.outputs.vdb_half,
+        compression: frame.outputs.vdb_compression,
+        ..vdb::WriteOptions::default()
+    };
+    encode_level_set(surface, &frame.settings, &options, provenance)
+}
+
+/// The level set of a surface as a .vdb, with those attributes that are known in its band: what is left is to
+/// [write](vdb::Encoded::write) it. The settings are those that it was skinned with: its values are in their voxels.
+///
+/// # Errors
+/// When the format has no place for so much.
+pub fn encode_level_set(
+    surface: &Surface,
+    settings: &Settings,
+    options: &vdb::WriteOptions,
+    provenance: &Provenance,
+) -> meniscus_formats::Result<vdb::Encoded> {
+    let origins = leaf_origins(&surface.band);
+    let voxels: Vec<Voxels> = surface.attributes.band.iter().map(Voxels).collect();
+    let grids = band_grids(&voxels);
+    let levels = LevelSetView {
+        origins: &origins,
+        leaves: surface.band.phi.as_arrays(),
+        half_width_voxels: VDB_HALF_WIDTH_VOXELS,
+        voxel_size: settings.voxel_size,
+        grids: &grids,
+    };
+    vdb::encode(&levels, options, provenance)
+}
+
+/// A mesh as the writers of the formats take it: in world units, relative to its origin, with what is known of its
+/// [vertices](vertex_attributes): for each of them as many values as the attribute's arity, in the mesh's order.
+pub fn mesh_view<'a>(mesh: &'a Mesh, attributes: &'a [VertexAttribute<'a>]) -> MeshView<'a> {
+    MeshView {
+        positions: bytemuck::cast_slice(&mesh.positions),
+        normals: bytemuck::cast_slice(&mesh.normals),
+        triangles: &mesh.triangles,
+        origin: mesh.origin.to_array(),
+        attributes,
+    }
+}
+
+fn leaf_origins(band: &NarrowBand) -> Vec<[i32; 3]> {
+    band.topology.origins().iter().map(|origin| origin.to_array()).collect()
+}
+
+/// What is known of the vertices of a mesh, as the writers of the formats take it: a value for each vertex.
+pub fn vertex_attributes<'a>(attributes: &'a [Attribute]) -> Vec<VertexAttribute<'a>> {
+    let view = |attribute: &'a Attribute| VertexAttribute {
+        name: &attribute.name,
+        role: role(attribute.meaning),
+        arity: attribute.arity,
+        values: match &attribute.values {
+            AttributeValues::Numbers(values) => VertexValues::Numbers(values),
+            AttributeValues::Integers(values) => VertexValues::Integers(values),
+            AttributeValues::Strings { table, indices } => VertexValues::Strings { table, indices },
+        },
+    };
+    attributes.iter().map(view).collect()
+}
+
+/// An attribute at the voxels of the band.
+#[derive(Debug)]
+struct Voxels<'a>(&'a BandAttribute);
+
+impl LeafValues for Voxels<'_> {
+    fn fill(&self, leaf: usize, out: &mut [f32]) {
+        self.0.fill(leaf, out);
+    }
+}
+
+fn band_grids<'a>(voxels: &'a [Voxels<'a>]) -> Vec<BandGrid<'a>> {
+    let grid = |voxels: &'a Voxels<'a>| {
+        let BandAttribute { name, meaning, arity, .. } = voxels.0;
+        BandGrid { name, role: role(*meaning), arity: *arity, values: voxels }
+    };
+    voxels.iter().map(grid).collect()
+}
+
+fn role(meaning: Meaning) -> Option<Role> {
+    match meaning {
+        Meaning::Velocity => Some(Role::Velocity),
+        Meaning::Color => Some(Role::Color),
+        Meaning::Radius => Some(Role::Radius),
+        Meaning::Id => Some(Role::Id),
+        Meaning::Other => None,
+    }
+}
+
+/// Warnings about a surface and its files.
+pub(crate) fn surface_warnings(
+    surface: &Surface,
+    outputs: &OutputOptions,
+    settings: &Settings,
+) -> Vec<Warning> {
+    let about_surface = diagnose(&surface.mesh, &surface.report, settings);
+    let warnings = about_surface.into_iter().chain(attribute_warnings(surface, outputs));
+    warnings.chain(position_warnings(surface, outputs, settings.voxel_size)).collect()
+}
+
+/// Warnings about files that round positions too much.
+fn position_warnings(surface: &Surface, outputs: &OutputOptions, voxel_size: f64) -> Vec<Warning> {
+    let mesh = mesh_view(&surface.mesh, &[]);
+    let warning = |format: OutputFormat| {
+        let rounding = rounding(format, outputs).filter(|_| !mesh.triangles.is_empty())?;
+        let voxels = (rounding.error)(mesh.positions, mesh.origin) / voxel_size;
+        let storage = rounding.reason;
+        (voxels > REPORTED_FROM_VOXELS).then_some(Warning::RoundedPositions { voxels, storage })
+    };
+    written(outputs).filter_map(warning).collect()
+}
+
+/// The formats that are written, in the order of the table.
+fn written(outputs: &OutputOptions) -> impl Iterator<Item = OutputFormat> {
+    OutputFormat::ALL.into_iter().filter(|format| outputs.formats.contains(format))
+}
+
+/// A file that moves vertices by more than this is worth a warning, in voxels.
+const REPORTED_FROM_VOXELS: f64 = 0.02;
+
+/// Warnings about attributes that the files do not hold as they are.
+fn attribute_warnings(surface: &Surface, outputs: &OutputOptions) -> Vec<Warning> {
+    let vertices = vertex_attributes(&surface.attributes.vertices);
+    let mut warnings: Vec<Warning> = Vec::new();
+    for mesh in written(outputs).filter_map(OutputFormat::mesh) {
+        for warning in (mesh.attribute_notes)(&vertices).into_iter().map(Warning::Sentence) {
+            // .glb and .gltf have the same to say.
+            if !warnings.contains(&warning) {
+                warnings.push(warning);
+            }
+        }
+    }
+    if outputs.formats.contains(&OutputFormat::Vdb) {
+        let band = &surface.attributes.band;
+        let names = surface.report.transfer.iter().flat_map(|transfer| &transfer.attributes);
+        let left_out = names.filter(|name| band.iter().all(|attribute| attribute.name != **name));
+        warnings.extend(left_out.map(|name| Warning::NotInVdb { name: name.clone() }));
+        let voxels: Vec<Voxels> = band.iter().map(Voxels).collect();
+        let of_grids = vdb::grid_notes(&band_grids(&voxels), &vdb::WriteOptions::default().name);
+        warnings.extend(of_grids.into_iter().map(Warning::Sentence));
+    }
+    warnings
+}

@@ -1,0 +1,146 @@
+//! Which warnings a frame's measurements give.
+
+use crate::pipeline::input::frame::FrameReport;
+use crate::pipeline::warning::Warning;
+use crate::surface::report::{SkinReport, TransferReport};
+use crate::surface::validation::ParticlesOutside;
+
+impl FrameReport {
+    /// All that a user should know of the frame though it was converted.
+    pub fn all_warnings(&self) -> Vec<Warning> {
+        let skin = &self.skin;
+        let mut warnings = self.warnings.clone();
+        warnings.extend(shape_warnings(skin));
+        warnings.extend(skin.transfer.iter().flat_map(transfer_warnings));
+        warnings.extend(left_out(skin));
+        if skin.contact.particle_count > 0 {
+            let count = skin.contact.particle_count;
+            let are_most = 2 * count > skin.particle_count;
+            warnings.push(Warning::ParticlesInObstacles { count, are_most });
+        }
+        if skin.convergence.is_some_and(|convergence| !convergence.reached) {
+            warnings.push(Warning::NotConverged);
+        }
+        if skin.cfl_exceeded_count > 0 {
+            warnings.push(Warning::CflExceeded { step_count: skin.cfl_exceeded_count });
+        }
+        if skin.certificate.position_rounding > ROUNDING_REPORTED_FROM {
+            warnings.push(Warning::CoarsePositions { voxels: skin.certificate.position_rounding });
+        }
+        warnings.extend(outside(skin));
+        warnings.extend(broken_guarantees(skin));
+        warnings
+    }
+
+    /// Whether all that is promised of the frame's result holds.
+    pub fn keeps_guarantees(&self) -> bool {
+        self.skin.certificate.holds()
+    }
+}
+
+/// How many of the particles are outside the surface, where an offset or smoothed positions leave more than a few there.
+fn outside(report: &SkinReport) -> Option<Warning> {
+    let certificate = &report.certificate;
+    let of_offset = certificate.may_leave_particles_outside.then_some(certificate.particles_outside);
+    let ParticlesOutside { count, .. } = certificate.given_outside.or(of_offset)?;
+    let particle_count = report.particle_count;
+    (count as f64 > OUTSIDE_REPORTED_FROM * particle_count as f64)
+        .then_some(Warning::ParticlesOutside { count, particle_count })
+}
+
+/// A larger part of the particles outside is worth a warning.
+const OUTSIDE_REPORTED_FROM: f64 = 0.02;
+
+/// Less is not worth a warning, in voxels.
+const ROUNDING_REPORTED_FROM: f64 = 1.0 / 256.0;
+
+/// Which particles are not in the surface, if any.
+pub(crate) fn left_out(report: &SkinReport) -> Option<Warning> {
+    let count = report.dropped_count;
+    (count > 0).then_some(Warning::LeftOut { count, near: report.stray })
+}
+
+/// Warnings about the shapes of particles. That stretched ones are raised to what the grid can hold is not one: at the default
+/// radii nearly all are. Nor is it that some are not stretched: drops fly alone.
+fn shape_warnings(report: &SkinReport) -> impl Iterator<Item = Warning> {
+    let shaping = &report.shaping;
+    // Where neighbours were looked at, lone particles are no news.
+    let is_unstretched = shaping.near_count == 0 && 2 * shaping.ball_count > report.particle_count;
+    let not_stretched = if is_unstretched { shaping.ball_count } else { 0 };
+    let radius_min = shaping.small_radius_min;
+    let counted: [(usize, fn(usize, f64) -> Warning); 4] = [
+        (shaping.small_radius_count, |count, radius_min| Warning::SmallRadii { count, radius_min }),
+        (shaping.invalid_radius_count, |count, _| Warning::InvalidRadii { count }),
+        (shaping.large_radius_count, |count, _| Warning::LargeRadii { count }),
+        (not_stretched, |count, _| Warning::NotStretched { count }),
+    ];
+    counted.into_iter().filter(|(count, _)| *count > 0).map(move |(count, of)| of(count, radius_min))
+}
+
+/// Warnings about attributes on the surface.
+fn transfer_warnings(
+    TransferReport { vertices, band, .. }: &TransferReport,
+) -> impl Iterator<Item = Warning> {
+    let counted: [(usize, fn(usize) -> Warning); 3] = [
+        (vertices.left_out_count.max(band.left_out_count), |count| Warning::ValuesNotFinite { count }),
+        (vertices.empty_count, |count| Warning::VerticesWithoutAttributes { count }),
+        (band.empty_count, |count| Warning::VoxelsWithoutAttributes { count }),
+    ];
+    counted.into_iter().filter(|(count, _)| *count > 0).map(|(count, of)| of(count))
+}
+
+/// What does not hold of a frame's result; `None` where all does.
+pub(crate) fn fault(report: &SkinReport) -> Option<String> {
+    (!report.certificate.holds()).then(|| does_not_hold(&report.certificate.fault()))
+}
+
+/// Says that the certificate of a frame does not hold.
+pub(crate) fn does_not_hold(fault: &str) -> String {
+    format!("the certificate does not hold: {fault}")
+}
+
+/// A warning for each guarantee that does not hold.
+fn broken_guarantees(report: &SkinReport) -> Vec<Warning> {
+    let certificate = &report.certificate;
+    let mut broken = Vec::new();
+    if certificate.bound_violation_count > 0 {
+        broken.push(Warning::OutOfBounds { voxel_count: certificate.bound_violation_count });
+    }
+    if certificate.vertices_inside_min > 0 {
+        let nearest_voxels = certificate.vertex_distance_min;
+        broken.push(Warning::VerticesTooNear { count: certificate.vertices_inside_min, nearest_voxels });
+    }
+    if certificate.vertices_outside_max > 0 {
+        let farthest_voxels = certificate.vertex_distance_max;
+        broken.push(Warning::VerticesTooFar { count: certificate.vertices_outside_max, farthest_voxels });
+    }
+    if certificate.particle_violation_count() > 0 {
+        broken.push(Warning::NotEnclosed { count: certificate.particle_violation_count() });
+    }
+    if !report.mesh.is_closed_manifold() {
+        broken.push(Warning::NotClosed(Box::new(report.mesh)));
+    }
+    broken
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn guarantees_that_broke_are_sentences() {
+        let mut report = FrameReport::default();
+        assert_eq!(report.all_warnings(), []);
+        report.skin.certificate.particles_outside.count = 2;
+        report.skin.certificate.vertices_outside_max = 1;
+        report.skin.certificate.vertex_distance_max = 7.25;
+        report.skin.mesh.boundary_edge_count = 3;
+        let notes: Vec<String> = report.all_warnings().iter().map(ToString::to_string).collect();
+        assert_eq!(notes.len(), 3, "{notes:?}");
+        assert!(
+            notes[0].contains("1 vertex of the mesh farther than r_max") && notes[0].contains("7.25 voxels")
+        );
+        assert!(notes[1].ends_with("2 particles outside the surface"));
+        assert!(notes[2].ends_with("not closed and manifold: 3 boundary edges"));
+    }
+}

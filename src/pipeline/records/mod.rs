@@ -1,0 +1,17 @@
+//! What is recorded: in outputs, beside them, and of a run.
+//!
+//! ```text
+//!   provenance        what made an output, in it         certificate_file  what was checked of a frame, beside it
+//!   inspection        what there is of a frame already   output_states     finds outputs with damaged bytes
+//!   record            the report of a run                frame_warnings    warnings from measurements
+//!   shot              all frames in one file             picture_file      pictures from .png
+//! ```
+
+pub(super) mod certificate_file;
+pub(super) mod frame_warnings;
+pub(super) mod inspection;
+pub(super) mod output_states;
+pub(super) mod picture_file;
+pub(super) mod provenance;
+pub(super) mod record;
+pub(super) mod shot;

@@ -1,0 +1,37 @@
+//! From a .png to a picture, for sheets of pictures that are there already.
+
+use std::io::Read;
+use std::path::Path;
+
+use meniscus_formats::{ColorPicture, png};
+use meniscus_formats::{OutputFormat, read_provenance};
+
+use crate::render::Picture;
+
+use crate::pipeline::error::{FrameError, Stage};
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::input::reading::read_file;
+use crate::pipeline::records::provenance::{CAMERA, HEAD_BYTES, SHEET};
+
+/// Reads the colours of a picture. Transparency is left out.
+///
+/// # Errors
+/// When the system refuses, or it is no such picture, or one that is too large.
+pub fn read_picture(path: &Path) -> Result<Picture, FrameError> {
+    let bytes = read_file(path)?;
+    let ColorPicture { size, color } = FrameError::catch(path, Stage::Read, || png::read(&bytes))?
+        .map_err(|error| FrameError::file(path, Stage::Read, error))?;
+    Ok(Picture { size, coverage: vec![1.0; color.len()], color, data: None })
+}
+
+/// Where the picture of a frame was taken from, if it is one of this program and no sheet.
+pub fn camera_of_picture(path: &Path) -> Option<String> {
+    let is_png = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+    if !is_png {
+        return None;
+    }
+    let head = open_regular(path).ok()?.take(HEAD_BYTES);
+    let pairs = read_provenance(OutputFormat::Png, head).ok()?;
+    let value = |wanted: &str| pairs.iter().find(|(name, _)| name == wanted).map(|(_, value)| value.clone());
+    if value(SHEET).is_some() { None } else { value(CAMERA) }
+}

@@ -1,0 +1,471 @@
+//! The report of a run, as JSON.
+//!
+//! What the method measures is written as the method has it, under the names that its types give to serde. Lengths are in world units unless the name says
+//! otherwise; what is infinite or unknown is null.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize, Serializer};
+use serde_json::{Value, json};
+
+use crate::surface::mesh::MeshMeasures;
+use crate::surface::options::Settings;
+use crate::surface::report::{
+    Convergence, EditReport, ParticlesOutside, Shaping, SkinReport, TransferReport,
+};
+use crate::surface::validation::Certificate;
+
+use crate::pipeline::files::json::write_json;
+use crate::pipeline::files::shown::shown;
+use crate::pipeline::files::sink::write_whole;
+use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
+use crate::pipeline::input::measured_spacing::MeasuredSpacing;
+use crate::pipeline::input::obstacles::ObstacleFiles;
+use crate::pipeline::records::provenance::{chosen_options, level_set_pairs};
+use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
+
+/// What is told of a frame whose file was not left alone.
+const CHANGED: &str = "the file was written while it was read";
+
+/// Everything that is reported of a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct RunRecord {
+    version: &'static str,
+    settings: Vec<SequenceRecord>,
+    frames: Vec<FrameRecord>,
+    summary: Summary,
+}
+
+/// The settings of a sequence.
+#[derive(Clone, Debug, Serialize)]
+pub struct SequenceRecord {
+    sequence: String,
+    /// Null where there are no settings.
+    spacing: Option<f64>,
+    /// From 0 to 1; null where the spacing was given, or is not needed.
+    spacing_confidence: Option<f64>,
+    /// Null likewise.
+    spacing_measured_on: Option<String>,
+    /// Of particles with radii of their own, where the spacing was measured; else null.
+    radius_median: Option<f64>,
+    #[serde(flatten)]
+    settings: Option<Object>,
+    error: Option<String>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct FrameRecord {
+    input: String,
+    /// Index into the settings of this report.
+    settings: usize,
+    status: Status,
+    #[serde(flatten)]
+    measured: Option<MeasuredRecord>,
+    error: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Status {
+    Converted,
+    AlreadyDone,
+    Failed,
+    NotStarted,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct MeasuredRecord {
+    outputs: Vec<String>,
+    notes: Vec<String>,
+    /// Of a level set, whose file says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    voxel_size: Option<f64>,
+    particles: usize,
+    dropped: usize,
+    /// Null where all particles are alike.
+    shapes: Option<Shaping>,
+    /// Null where nothing was taken away or added.
+    edits: Option<EditReport>,
+    /// Null where nothing stood in the way.
+    obstacles: Option<ObstaclesRecord>,
+    leaves: usize,
+    voxels: usize,
+    free_voxels: usize,
+    passes: usize,
+    voxel_passes: u64,
+    reach_voxels: Option<u32>,
+    convergence: Option<Convergence>,
+    cfl_exceeded: usize,
+    /// Only where attributes were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attributes: Option<TransferReport>,
+    seconds: Seconds,
+    peak_memory_bytes: Option<u64>,
+    certificate: CertificateRecord,
+    bending_energy: f64,
+    #[serde(flatten)]
+    mesh: MeshMeasures,
+}
+
+/// What stood in the way, and what it changed.
+#[derive(Clone, Debug, Serialize)]
+struct ObstaclesRecord {
+    files: String,
+    open_edges: usize,
+    particles_inside: usize,
+    /// Voxels that were filled since the gap to an obstacle was too narrow.
+    void_voxels_filled: u64,
+    /// Voxels inside that obstacles took from the inner spheres of particles.
+    voxels_taken: u64,
+    /// How deep the deepest vertex is in an obstacle; 0 if none is.
+    deepest_vertex_voxels: f64,
+    /// Vertices that were moved out, where an obstacle is sharper than the grid.
+    vertices_cleared: u64,
+}
+
+/// What was checked, and what came of it.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct CertificateRecord {
+    holds: bool,
+    /// How far the surface was moved outward after its bounds were checked, a length; negative inward.
+    offset: f64,
+    /// The least and the greatest distance, lengths, that vertices were to have to the nearest particle. Null for surfaces of level
+    /// sets.
+    distance_limits: Option<[f64; 2]>,
+    bound_violations: usize,
+    /// Null for an empty mesh.
+    vertex_distance_min_voxels: Option<f64>,
+    /// Null where a vertex has no particle near it: its distance is infinite.
+    vertex_distance_max_voxels: Option<f64>,
+    vertices_inside_min: usize,
+    vertices_outside_max: usize,
+    /// Not finite, or too far from the others: the surface is that of the rest.
+    particles_left_out: usize,
+    /// The positions that were checked.
+    positions: CheckedPositions,
+    particles_outside: ParticlesOutside,
+    /// The offset is so far inward that particles outside are no violation.
+    particles_may_be_outside: bool,
+    /// Null where positions are those that were given.
+    given_outside: Option<ParticlesOutside>,
+    /// Not asked: in an island that was dropped, beyond or beside a box's faces, in or beside an obstacle.
+    particles_exempt: usize,
+    /// Vertices that were out of their bounds, and were moved back.
+    vertices_returned: usize,
+    /// Triangles without area at the positions that are written, which were taken out.
+    flat_triangles_removed: usize,
+    /// Each edge in two triangles, the triangles around each vertex in one ring, none without area.
+    closed_manifold: bool,
+    position_rounding_voxels: f64,
+}
+
+/// Which positions of particles a certificate is about.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum CheckedPositions {
+    /// Those in the file.
+    Given,
+    /// Those to which position smoothing moved the particles.
+    Smoothed,
+}
+
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+struct Summary {
+    frames: usize,
+    converted: usize,
+    already_done: usize,
+    failed: usize,
+    not_started: usize,
+    threads: usize,
+    seconds: f64,
+}
+
+impl RunRecord {
+    /// The record of a run that has not begun.
+    pub fn new(thread_count: usize) -> RunRecord {
+        RunRecord {
+            version: env!("CARGO_PKG_VERSION"),
+            settings: Vec::new(),
+            frames: Vec::new(),
+            summary: Summary { threads: thread_count, ..Summary::default() },
+        }
+    }
+
+    /// Adds a sequence; its index is what frames refer to.
+    pub fn add_sequence(&mut self, sequence: SequenceRecord) -> usize {
+        self.settings.push(sequence);
+        self.settings.len() - 1
+    }
+
+    /// Adds a frame that was found done without looking at its input.
+    pub fn add_done(&mut self, frame: &Frame, sequence_index: usize) {
+        self.add(&frame.input, sequence_index, Status::AlreadyDone, None, None);
+    }
+
+    /// Adds a frame that went through the pipeline. Frames are reported in the order they are added.
+    pub fn add_frame(&mut self, frame: &Frame, sequence_index: usize, outcome: &Outcome) {
+        let (status, measured, error) = match outcome {
+            Outcome::Converted(report) => (Status::Converted, Some(measured(report)), None),
+            Outcome::AlreadyDone { .. } => (Status::AlreadyDone, None, None),
+            Outcome::Changed => (Status::Failed, None, Some(CHANGED.to_owned())),
+            Outcome::Failed(error) => (Status::Failed, None, Some(error.to_string())),
+            Outcome::NotStarted => (Status::NotStarted, None, None),
+        };
+        self.add(&frame.input, sequence_index, status, measured, error);
+    }
+
+    /// Adds a frame that had no settings to be converted with.
+    pub fn add_failed(&mut self, input: &Path, sequence_index: usize, why: &str) {
+        self.add(input, sequence_index, Status::Failed, None, Some(why.to_owned()));
+    }
+
+    /// Adds a frame that was not attempted.
+    pub fn add_not_started(&mut self, input: &Path, sequence_index: usize) {
+        self.add(input, sequence_index, Status::NotStarted, None, None);
+    }
+
+    fn add(
+        &mut self,
+        input: &Path,
+        settings: usize,
+        status: Status,
+        measured: Option<MeasuredRecord>,
+        error: Option<String>,
+    ) {
+        let summary = &mut self.summary;
+        summary.frames += 1;
+        *match status {
+            Status::Converted => &mut summary.converted,
+            Status::AlreadyDone => &mut summary.already_done,
+            Status::Failed => &mut summary.failed,
+            Status::NotStarted => &mut summary.not_started,
+        } += 1;
+        self.frames.push(FrameRecord { input: text(input), settings, status, measured, error });
+    }
+
+    /// Writes the record, whole or not at all.
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn write(mut self, path: &Path, seconds: f64) -> meniscus_formats::Result<()> {
+        self.summary.seconds = seconds;
+        write_whole(path, |out| Ok(write_json(out, &self)?))
+    }
+}
+
+impl SequenceRecord {
+    /// A sequence with settings, and where its voxel size is from unless it was given; what is written, and what stands
+    /// in the way.
+    pub fn new(
+        name: &str,
+        job: &Job,
+        settings: &Settings,
+        measured: Option<&MeasuredSpacing>,
+        written: (&OutputOptions, &ObstacleFiles),
+    ) -> SequenceRecord {
+        if let Job::LevelSet { slack_voxels, .. } = job {
+            let settings = Some(settings_of_level_sets(settings, *slack_voxels, written.0));
+            return SequenceRecord { settings, ..SequenceRecord::named(name) };
+        }
+        SequenceRecord {
+            spacing: Some(settings.spacing),
+            spacing_confidence: measured.map(|measured| measured.confidence),
+            spacing_measured_on: measured.map(|measured| text(&measured.measured_on)),
+            radius_median: measured.and_then(|measured| measured.radius_median),
+            settings: Some(settings_of_particles(settings, written)),
+            ..SequenceRecord::named(name)
+        }
+    }
+
+    /// A sequence for which there are no settings.
+    pub fn without_settings(name: &str, why: &str) -> SequenceRecord {
+        SequenceRecord { error: Some(why.to_owned()), ..SequenceRecord::named(name) }
+    }
+
+    fn named(name: &str) -> SequenceRecord {
+        SequenceRecord {
+            sequence: name.to_owned(),
+            spacing: None,
+            spacing_confidence: None,
+            spacing_measured_on: None,
+            radius_median: None,
+            settings: None,
+            error: None,
+        }
+    }
+}
+
+/// A JSON object whose keys have this order.
+#[derive(Clone, Debug)]
+struct Object(Vec<(&'static str, Value)>);
+
+impl Serialize for Object {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.collect_map(self.0.iter().map(|(key, value)| (key, value)))
+    }
+}
+
+/// The settings of particles: some as numbers, and beyond these what was asked for, by name, as it is typed.
+fn settings_of_particles(
+    settings: &Settings,
+    (outputs, obstacles): (&OutputOptions, &ObstacleFiles),
+) -> Object {
+    let mut named = vec![
+        ("voxel_size", json!(settings.voxel_size)),
+        ("radius_min", json!(settings.radius_min)),
+        ("radius_init", json!(settings.radius_init)),
+        ("radius_max", json!(settings.radius_max)),
+        ("integrator", json!(settings.integrator.name())),
+        ("laplacian_steps", json!(settings.laplacian_steps)),
+        ("steps", json!(settings.steps)),
+        ("step_size", json!(settings.step_size)),
+        ("redistance_every", json!(settings.redistance_every)),
+        ("cg_tolerance", json!(settings.cg_tolerance)),
+        ("contour", json!(settings.contouring.name())),
+    ];
+    // Those depend on the outputs, and on whether there are obstacles.
+    let is_other = |name: &str| name == "quads" || name == "void_threshold";
+    let more = settings.pairs(|name| !is_other(name) && named.iter().all(|(named, _)| *named != name));
+    let mut more: BTreeMap<&str, String> = more.into_iter().collect();
+    if !obstacles.is_empty() {
+        more.insert("void_threshold", settings.void_threshold.to_string());
+    }
+    more.extend(chosen_options(outputs, settings));
+    named.extend([("more", json!(more)), ("warnings", json!(settings.warnings()))]);
+    Object(named)
+}
+
+/// The settings of level sets, each of which has its own voxel size.
+fn settings_of_level_sets(settings: &Settings, slack_voxels: f64, outputs: &OutputOptions) -> Object {
+    let pairs = level_set_pairs(settings, slack_voxels, OutputFormat::Glb);
+    let is_shared = |(name, _): &(&str, String)| !["band_slack", "voxel_size"].contains(name);
+    let mut more: BTreeMap<_, _> = pairs.into_iter().filter(is_shared).collect();
+    more.extend(chosen_options(outputs, settings));
+    Object(vec![("band_slack", json!(slack_voxels)), ("more", json!(more))])
+}
+
+fn measured(report: &FrameReport) -> MeasuredRecord {
+    let SkinReport { mesh, convergence, .. } = &report.skin;
+    MeasuredRecord {
+        outputs: report.outputs.iter().map(|path| text(path)).collect(),
+        notes: report.warnings.iter().map(ToString::to_string).collect(),
+        voxel_size: report.voxel_size,
+        particles: report.skin.particle_count,
+        dropped: report.skin.dropped_count,
+        shapes: Some(report.skin.shaping).filter(|shaping| *shaping != Shaping::default()),
+        edits: Some(report.skin.edits).filter(|edits| *edits != EditReport::default()),
+        obstacles: obstacles_record(report),
+        leaves: report.skin.leaf_count,
+        voxels: report.skin.leaf_count * crate::surface::grid::LEAF_VOXELS,
+        free_voxels: report.skin.free_voxel_count,
+        passes: report.skin.pass_count,
+        voxel_passes: report.skin.moved_count,
+        reach_voxels: report.skin.reach_voxels,
+        convergence: *convergence,
+        cfl_exceeded: report.skin.cfl_exceeded_count,
+        attributes: report.skin.transfer.clone(),
+        seconds: report.seconds,
+        peak_memory_bytes: report.peak_memory_bytes,
+        certificate: certificate_record(&report.skin),
+        bending_energy: report.skin.bending_energy,
+        mesh: *mesh,
+    }
+}
+
+fn obstacles_record(report: &FrameReport) -> Option<ObstaclesRecord> {
+    let SkinReport { contact, depth, .. } = &report.skin;
+    (!report.obstacles.is_empty()).then(|| ObstaclesRecord {
+        files: report.obstacles.clone(),
+        open_edges: report.obstacle_open_edge_count,
+        particles_inside: contact.particle_count,
+        void_voxels_filled: contact.void_count,
+        voxels_taken: contact.taken_count,
+        deepest_vertex_voxels: depth.deepest_voxels,
+        vertices_cleared: depth.moved_count,
+    })
+}
+
+impl CertificateRecord {
+    /// What does not hold, in words; `None` where all does.
+    ///
+    /// # Errors
+    /// Where what it says of the whole is not what its counts say.
+    pub(crate) fn fault(&self) -> Result<Option<String>, String> {
+        let certificate = Certificate {
+            bound_violation_count: self.bound_violations,
+            vertices_inside_min: self.vertices_inside_min,
+            vertices_outside_max: self.vertices_outside_max,
+            particles_outside: self.particles_outside,
+            may_leave_particles_outside: self.particles_may_be_outside,
+            mesh_is_closed_manifold: self.closed_manifold,
+            ..Certificate::default()
+        };
+        let fault = certificate.fault();
+        if (self.positions == CheckedPositions::Smoothed) != self.given_outside.is_some() {
+            return Err("given_outside is for smoothed positions, and for these only".to_owned());
+        }
+        let range = self.vertex_distance_min_voxels.zip(self.vertex_distance_max_voxels);
+        if range.is_some_and(|(least, largest)| least > largest) {
+            return Err("the least distance from a vertex to a particle is above the largest".to_owned());
+        }
+        if self.particles_may_be_outside && self.offset >= 0.0 {
+            return Err("particles may be outside though the surface was not moved inward".to_owned());
+        }
+        match (self.holds, certificate.holds()) {
+            (true, true) => Ok(None),
+            (false, false) => Ok(Some(fault)),
+            (true, false) => Err(format!("holds is true, but: {fault}")),
+            (false, true) => Err("holds is false, but nothing is violated".to_owned()),
+        }
+    }
+}
+
+pub(crate) fn certificate_record(report: &SkinReport) -> CertificateRecord {
+    let certificate = &report.certificate;
+    CertificateRecord {
+        holds: certificate.holds(),
+        offset: certificate.offset,
+        distance_limits: certificate.distance_limits,
+        bound_violations: certificate.bound_violation_count,
+        vertex_distance_min_voxels: Some(certificate.vertex_distance_min).filter(|least| least.is_finite()),
+        vertex_distance_max_voxels: Some(certificate.vertex_distance_max)
+            .filter(|largest| largest.is_finite()),
+        vertices_inside_min: certificate.vertices_inside_min,
+        vertices_outside_max: certificate.vertices_outside_max,
+        particles_left_out: certificate.particles_left_out,
+        positions: match certificate.given_outside {
+            None => CheckedPositions::Given,
+            Some(_) => CheckedPositions::Smoothed,
+        },
+        particles_outside: certificate.particles_outside,
+        particles_may_be_outside: certificate.may_leave_particles_outside,
+        given_outside: certificate.given_outside,
+        particles_exempt: certificate.particles_exempt,
+        vertices_returned: report.vertices_returned,
+        flat_triangles_removed: report.flat_triangles_removed,
+        closed_manifold: certificate.mesh_is_closed_manifold,
+        position_rounding_voxels: certificate.position_rounding,
+    }
+}
+
+fn text(path: &Path) -> String {
+    shown(path).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn certificate_with_infinite_largest_distance_is_read_back() {
+        let mut report = SkinReport::default();
+        report.certificate.vertex_distance_max = f64::INFINITY;
+        report.certificate.vertices_outside_max = 1;
+        report.certificate.mesh_is_closed_manifold = true;
+        let written = serde_json::to_string(&certificate_record(&report)).expect("written");
+        let read: CertificateRecord = serde_json::from_str(&written).expect("read");
+        assert_eq!(read.fault(), Ok(Some("1 vertices too far from particles".to_owned())));
+    }
+}

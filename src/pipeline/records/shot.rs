@@ -1,0 +1,272 @@
+//! A whole shot in one file, gathered from the `.glb` of its frames.
+//!
+//! ```text
+//!   out/dam.0012.glb  out/dam.0013.glb  ..  ──▶  dam.glb     plays in a browser, and in Blender
+//!                                           ──▶  dam.usda    one mesh with time samples
+//! ```
+//!
+//! Frames are taken from their files and from nowhere else: so a shot is the same whether one process made its frames, or many
+//! machines, or some today and some yesterday; and it takes no memory that would depend on how many there are.
+//!
+//! When a frame is shown is told by its number. In a `.usda` that is the time code, for other programs count by it too. In a
+//! `.glb`, which has seconds and no numbers, the greatest step that divides all differences of the numbers is one frame of the
+//! shot: a simulation that writes every hundredth step plays as one that writes each. What is missing leaves its time to the frame
+//! before it.
+
+use std::fmt;
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use meniscus_formats::gltf::{self, FrameFile as GlbFrame, SHOT_FRAMES, ShotFrame};
+use meniscus_formats::usda;
+use meniscus_formats::{OutputFormat, read_provenance};
+
+use crate::pipeline::files::open::open_regular;
+use crate::pipeline::files::path_identity::are_one_file;
+use crate::pipeline::files::sink::write_whole;
+use crate::pipeline::files::stamp::FileStamp;
+use crate::pipeline::records::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
+
+/// A format that holds a shot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShotFormat {
+    /// Binary glTF with an animation.
+    Glb,
+    /// USD as text, with time samples.
+    Usda,
+}
+
+impl ShotFormat {
+    /// The format that the name of a file asks for.
+    pub fn of(path: &Path) -> Option<ShotFormat> {
+        let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
+        match extension.as_str() {
+            "glb" => Some(ShotFormat::Glb),
+            "usda" => Some(ShotFormat::Usda),
+            _ => None,
+        }
+    }
+}
+
+/// The `.glb` of a frame, and its number.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ShotSource {
+    /// Where it is.
+    pub path: PathBuf,
+    /// The frame's number, where it has one.
+    pub number: Option<u64>,
+}
+
+/// How a shot plays in other programs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShotOptions {
+    /// Frames per second.
+    pub fps: f64,
+    /// The length of a world unit in metres, which a .usda says.
+    pub meters_per_unit: f64,
+}
+
+/// What came of a shot.
+#[derive(Debug, Default)]
+pub struct ShotReport {
+    /// Frames that are in it.
+    pub frame_count: usize,
+    /// The size of the file.
+    pub size_bytes: u64,
+    /// Frames that are not, and why.
+    pub left_out: Vec<(PathBuf, String)>,
+    /// What a user should know though the shot was written.
+    pub notes: Vec<String>,
+}
+
+/// Why there is no shot.
+#[derive(Debug)]
+pub struct ShotError {
+    path: PathBuf,
+    what: String,
+}
+
+impl fmt::Display for ShotError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.path.display(), self.what)
+    }
+}
+
+impl std::error::Error for ShotError {}
+
+/// Gathers the frames, in this order, into the file at `path`, which appears whole. A frame that cannot be read is left out,
+/// and told.
+///
+/// # Errors
+/// When no frame can be read, the format has no room for all of them, one of them is written meanwhile, or the file cannot be
+/// written.
+pub fn write_shot(
+    path: &Path,
+    format: ShotFormat,
+    sources: &[ShotSource],
+    options: ShotOptions,
+) -> Result<ShotReport, ShotError> {
+    let ShotOptions { fps, meters_per_unit } = options;
+    let fail = |what: String| ShotError { path: path.to_owned(), what };
+    if sources.iter().any(|source| are_one_file(&source.path, path)) {
+        return Err(fail("the shot would replace a frame of it".to_owned()));
+    }
+    let (there, left_out) = read_frames(sources);
+    if there.is_empty() {
+        return Err(no_frame(&left_out, path));
+    }
+    let mut report = ShotReport { left_out, ..ShotReport::default() };
+    let numbers: Vec<Option<u64>> = there.iter().map(|frame| frame.source.number).collect();
+    let numbers = increasing(&numbers);
+    let codes = match format {
+        ShotFormat::Glb => in_steps(&numbers),
+        ShotFormat::Usda => numbers.clone(),
+    };
+    let provenance = provenance(&numbers, fps);
+    let (mut frames, mut opened) = (Vec::new(), Vec::new());
+    for (SourceFrame { source, stamp, file }, code) in there.into_iter().zip(codes) {
+        let name = source.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        frames.push(ShotFrame { name, code, file });
+        opened.push((&source.path, stamp));
+    }
+    let open = |index: usize| -> io::Result<_> { Ok(BufReader::new(open_regular(opened[index].0)?)) };
+    let written = write_whole(path, |out| {
+        match format {
+            ShotFormat::Glb => gltf::write_sequence(&frames, fps, &provenance, open, out)?,
+            ShotFormat::Usda => {
+                report.notes = usda::write_sequence(&frames, (fps, meters_per_unit), &provenance, open, out)?
+            }
+        }
+        Ok(refuse_written(&opened)?)
+    });
+    written.map_err(|error| fail(error.to_string()))?;
+    report.frame_count = frames.len();
+    report.size_bytes = path.metadata().map_err(|error| fail(error.to_string()))?.len();
+    Ok(report)
+}
+
+/// A frame, and what its file was when it was looked at.
+struct SourceFrame<'a> {
+    source: &'a ShotSource,
+    stamp: FileStamp,
+    file: GlbFrame,
+}
+
+/// What can be read of the frames, and what cannot, and why.
+fn read_frames(sources: &[ShotSource]) -> (Vec<SourceFrame<'_>>, Vec<(PathBuf, String)>) {
+    let read = |path: &Path| -> Result<(FileStamp, GlbFrame), meniscus_formats::Error> {
+        let file = open_regular(path)?;
+        let stamp = FileStamp::of(&file.metadata()?);
+        Ok((stamp, GlbFrame::read(&mut BufReader::new(file))?))
+    };
+    let (mut there, mut left_out) = (Vec::new(), Vec::new());
+    for source in sources {
+        match read(&source.path) {
+            Ok((stamp, file)) => there.push(SourceFrame { source, stamp, file }),
+            Err(error) => left_out.push((source.path.clone(), error.to_string())),
+        }
+    }
+    (there, left_out)
+}
+
+/// The data of a frame are read long after what says where they are.
+fn refuse_written(opened: &[(&PathBuf, FileStamp)]) -> io::Result<()> {
+    for (path, stamp) in opened {
+        if FileStamp::of_path(path)? != *stamp {
+            return Err(io::Error::other(format!("{} was written while it was read", path.display())));
+        }
+    }
+    Ok(())
+}
+
+/// Says of the first frame why it is none.
+fn no_frame(left_out: &[(PathBuf, String)], shot: &Path) -> ShotError {
+    let nothing = "there is no frame to gather";
+    match left_out {
+        [] => ShotError { path: shot.to_owned(), what: nothing.to_owned() },
+        [(path, why)] => ShotError { path: path.clone(), what: format!("{why}; {nothing}") },
+        [(path, why), others @ ..] => {
+            let what = format!("{why}; nor can {} others be read: {nothing}", others.len());
+            ShotError { path: path.clone(), what }
+        }
+    }
+}
+
+/// Whether a file is a shot that this program wrote, by what it says of itself.
+pub fn is_shot(path: &Path) -> bool {
+    let recorded = open_regular(path)
+        .ok()
+        .and_then(|file| read_provenance(OutputFormat::Glb, file.take(HEAD_BYTES)).ok());
+    recorded.is_some_and(|pairs| pairs.iter().any(|(name, _)| name == SHOT_FRAMES))
+}
+
+/// What made the shot; what made each frame is with its mesh.
+fn provenance(numbers: &[u64], fps: f64) -> Vec<(String, String)> {
+    let pair = |name: &str, value: String| (name.to_owned(), value);
+    let number = |number: Option<&u64>| number.copied().unwrap_or_default().to_string();
+    vec![
+        pair("generator", GENERATOR_AND_VERSION.to_owned()),
+        pair(SHOT_FRAMES, numbers.len().to_string()),
+        pair("first", number(numbers.first())),
+        pair("last", number(numbers.last())),
+        pair("fps", fps.to_string()),
+    ]
+}
+
+/// The numbers of the frames. Where some have none, or they do not grow, frames are counted from 1.
+fn increasing(numbers: &[Option<u64>]) -> Vec<u64> {
+    let known = numbers.iter().copied().collect::<Option<Vec<u64>>>();
+    let increasing = known.filter(|known| known.windows(2).all(|pair| pair[0] < pair[1]));
+    increasing.unwrap_or_else(|| (1..=numbers.len() as u64).collect())
+}
+
+/// Which frames of the shot those with these numbers, which grow, are: as they are numbered where the numbers grow by one at least
+/// once, and in steps of the greatest number that divides all differences where they do not.
+fn in_steps(numbers: &[u64]) -> Vec<u64> {
+    let step = numbers.windows(2).map(|pair| pair[1] - pair[0]).fold(0, common_divisor).max(1);
+    let Some(&first) = numbers.first() else { return Vec::new() };
+    let start = if first.is_multiple_of(step) { first / step } else { first };
+    numbers.iter().map(|number| start + (number - first) / step).collect()
+}
+
+fn common_divisor(a: u64, b: u64) -> u64 {
+    if b == 0 { a } else { common_divisor(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_greatest_common_step_is_a_frame() {
+        assert_eq!(in_steps(&[1001, 1002, 1004]), [1001, 1002, 1004]);
+        assert_eq!(in_steps(&[0, 1, 2]), [0, 1, 2]);
+        assert_eq!(in_steps(&[1000, 2000, 4000]), [1, 2, 4]);
+        assert_eq!(in_steps(&[1, 3, 5]), [1, 2, 3]);
+        assert_eq!(in_steps(&[12]), [12]);
+        assert_eq!(in_steps(&[u64::MAX - 1, u64::MAX]), [u64::MAX - 1, u64::MAX]);
+        assert_eq!(in_steps(&[]), [0; 0]);
+    }
+
+    #[test]
+    fn frames_without_an_order_of_their_own_are_counted() {
+        let of = |numbers: &[u64]| increasing(&numbers.iter().copied().map(Some).collect::<Vec<_>>());
+        assert_eq!(of(&[0, 100, 200]), [0, 100, 200]);
+        assert_eq!(of(&[3, 2, 9]), [1, 2, 3]);
+        assert_eq!(of(&[3, 3]), [1, 2]);
+        assert_eq!(increasing(&[Some(7), None]), [1, 2]);
+        assert_eq!(of(&[]), [0; 0]);
+    }
+
+    #[test]
+    fn a_frame_that_is_written_meanwhile_is_noticed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("dam.1.glb");
+        std::fs::write(&path, b"one").expect("written");
+        let opened = [(&path, FileStamp::of_path(&path).expect("there"))];
+        assert!(refuse_written(&opened).is_ok());
+        std::fs::write(&path, b"other").expect("written");
+        let error = refuse_written(&opened).expect_err("it was written");
+        assert!(error.to_string().ends_with("dam.1.glb was written while it was read"), "{error}");
+    }
+}

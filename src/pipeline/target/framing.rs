@@ -1,0 +1,181 @@
+//! The camera of a sequence whose frames are not all known yet: it stays while frames fit into its picture, and is
+//! refitted when one does not.
+//!
+//! ```text
+//!   frame in the picture      ─▶ the camera stays
+//!   frame would be cropped    ─▶ refit around all that was in view and the frame, with a margin where it grew
+//! ```
+//!
+//! The margin makes refits rare: a splash that goes on growing at the same pace needs one each time it has grown by a
+//! quarter. Earlier pictures stay as they are. Which camera a frame gets depends on the frames that were written before
+//! it, so with several of them under way it may differ between runs.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use glam::DVec3;
+
+use crate::render::Up;
+use crate::surface::space::joined;
+
+use crate::pipeline::target::outputs::OutputOptions;
+use crate::pipeline::target::viewpoint::CameraChoice;
+
+/// The camera of a sequence, shared by the frames under way.
+#[derive(Debug)]
+pub struct Framing {
+    /// What the user asked for.
+    asked: CameraChoice,
+    aspect: f64,
+    up: Up,
+    framed: Mutex<Framed>,
+}
+
+/// The camera of a sequence at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Framed {
+    /// Where pictures are taken from now.
+    pub camera: CameraChoice,
+    /// What the camera was placed around, world units; `None` in journals of older versions.
+    pub around: Option<[DVec3; 2]>,
+    /// The cameras before this one: pictures taken by them are still valid.
+    pub earlier: Vec<CameraChoice>,
+}
+
+/// On a side on which what is seen grew, the camera has so much of its extent in view beyond it.
+const GROWTH: f64 = 0.25;
+
+impl Framed {
+    /// The camera for what is within these bounds, as it was asked for in `outputs`.
+    pub fn around(bounds: [DVec3; 2], outputs: &OutputOptions) -> Framed {
+        let camera = outputs.with_camera_around(bounds).picture.camera;
+        Framed { camera, around: Some(bounds), earlier: Vec::new() }
+    }
+}
+
+impl Framing {
+    /// Goes on from `framed`, by what is asked for in `outputs`.
+    pub fn new(outputs: &OutputOptions, framed: Framed) -> Framing {
+        Framing {
+            asked: outputs.picture.camera,
+            aspect: outputs.picture.aspect(),
+            up: outputs.up(),
+            framed: Mutex::new(framed),
+        }
+    }
+
+    /// The camera as it is now.
+    pub fn framed(&self) -> Framed {
+        self.lock().clone()
+    }
+
+    /// The camera for a frame within these bounds, which is refitted if the frame does not fit into its picture.
+    pub(crate) fn camera_for(&self, bounds: Option<[DVec3; 2]>) -> CameraChoice {
+        let mut framed = self.lock();
+        let Some(bounds) = bounds.filter(|bounds| !self.holds(&framed, *bounds)) else {
+            return framed.camera;
+        };
+        let union = framed.around.map_or(bounds, |around| joined(around, bounds));
+        let around = framed.around.map_or(union, |before| with_margin(union, before));
+        let camera = self.asked.viewpoint(around, self.aspect, self.up).into();
+        let before = std::mem::replace(&mut framed.camera, camera);
+        framed.earlier.push(before);
+        framed.around = Some(around);
+        camera
+    }
+
+    /// Whether what is within these bounds is in the picture.
+    fn holds(&self, framed: &Framed, bounds: [DVec3; 2]) -> bool {
+        if !self.asked.is_around() {
+            return true;
+        }
+        let viewpoint = match framed.around {
+            // A user who zooms in wants less than all of it in the picture.
+            Some(around) => self.asked.not_zoomed_in().viewpoint(around, self.aspect, self.up),
+            None => framed.camera.viewpoint(bounds, self.aspect, self.up),
+        };
+        viewpoint.holds(bounds, self.aspect)
+    }
+
+    /// Fields are replaced one by one by code that does not panic, so a poisoned lock is still consistent.
+    fn lock(&self) -> MutexGuard<'_, Framed> {
+        self.framed.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The box with a margin on those sides on which it is larger than before.
+fn with_margin([least, greatest]: [DVec3; 2], [least_before, greatest_before]: [DVec3; 2]) -> [DVec3; 2] {
+    let margin = GROWTH * (greatest - least);
+    [
+        DVec3::select(least.cmplt(least_before), least - margin, least),
+        DVec3::select(greatest.cmpgt(greatest_before), greatest + margin, greatest),
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::OutputFormat;
+
+    fn boxed(least: f64, greatest: f64) -> [DVec3; 2] {
+        [DVec3::splat(least), DVec3::splat(greatest)]
+    }
+
+    fn framing(camera: &str) -> Framing {
+        let mut outputs = OutputOptions::new("out", &[OutputFormat::Png]);
+        outputs.picture.camera = camera.parse().expect("a camera");
+        Framing::new(&outputs, Framed::around(boxed(0.0, 1.0), &outputs))
+    }
+
+    fn shows(framing: &Framing, camera: CameraChoice, bounds: [DVec3; 2]) -> bool {
+        camera.viewpoint(bounds, framing.aspect, framing.up).holds(bounds, framing.aspect)
+    }
+
+    #[test]
+    fn camera_stays_while_frames_are_in_the_picture() {
+        let framing = framing("auto");
+        let before = framing.framed();
+        for bounds in [Some(boxed(0.0, 1.0)), Some(boxed(0.3, 0.5)), Some(boxed(-0.01, 1.01)), None] {
+            assert_eq!(framing.camera_for(bounds), before.camera, "{bounds:?}");
+        }
+        assert_eq!(framing.framed(), before);
+    }
+
+    #[test]
+    fn growing_splash_is_never_cropped_and_refits_are_rare() {
+        for asked in ["auto", "azimuth=120,elevation=60,view=60", "zoom=0.5"] {
+            let framing = framing(asked);
+            for frame in 0..200 {
+                let reach = 1.0 + 0.1 * f64::from(frame);
+                let bounds = [DVec3::new(-reach, 0.0, -reach), DVec3::new(reach, 0.5 * reach, reach)];
+                let camera = framing.camera_for(Some(bounds));
+                assert!(shows(&framing, camera, bounds), "{asked}: frame {frame} is cropped");
+            }
+            let Framed { earlier, around, .. } = framing.framed();
+            assert!(earlier.len() < 20, "{asked}: {} refits", earlier.len());
+            // What was in view before still is.
+            let around = around.expect("known");
+            assert!(around[0].cmple(DVec3::ZERO).all() && around[1].cmpge(DVec3::ONE).all());
+        }
+    }
+
+    #[test]
+    fn zoomed_or_fixed_camera_is_not_refitted_for_what_it_was_to_crop() {
+        let zoomed = framing("zoom=3");
+        assert_eq!(zoomed.camera_for(Some(boxed(0.0, 1.0))), zoomed.framed().camera);
+        assert!(zoomed.framed().earlier.is_empty());
+        let fixed = framing("eye=1:2:3,target=0:0:0");
+        fixed.camera_for(Some(boxed(-50.0, 50.0)));
+        assert!(fixed.framed().earlier.is_empty());
+    }
+
+    #[test]
+    fn camera_of_an_older_journal_is_refitted_around_what_it_crops() {
+        let outputs = OutputOptions::new("out", &[OutputFormat::Png]);
+        let old = Framed { around: None, ..Framed::around(boxed(0.0, 1.0), &outputs) };
+        let framing = Framing::new(&outputs, old.clone());
+        assert_eq!(framing.camera_for(Some(boxed(0.1, 0.9))), old.camera);
+        let camera = framing.camera_for(Some(boxed(-2.0, 3.0)));
+        assert!(camera != old.camera && shows(&framing, camera, boxed(-2.0, 3.0)));
+        assert_eq!(framing.framed().earlier, [old.camera]);
+    }
+}

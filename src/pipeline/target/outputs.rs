@@ -1,0 +1,131 @@
+//! What is written of each frame, and where.
+
+use std::ops::{Not, RangeInclusive};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+pub use meniscus_formats::OutputFormat;
+use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
+
+use crate::render::Up;
+
+use crate::pipeline::files::json::{path, text};
+use crate::pipeline::files::names::name_of_text;
+use crate::pipeline::target::picture::{PictureOptions, up_of};
+
+/// How many metres a world unit may have: from a nanometre to a million kilometres.
+pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;
+
+/// What is written of each frame, and where.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OutputOptions {
+    /// The folder of all outputs. It is made where it is missing.
+    #[serde(with = "path")]
+    pub folder: PathBuf,
+    /// One file for each.
+    pub formats: Vec<OutputFormat>,
+    /// Which axis of the particles points up, for glTF, where it must be y, and for USD, which asks.
+    pub up: UpAxis,
+    /// The length of a world unit in metres, positive and finite: USD says it.
+    #[serde(with = "text", default = "meter", skip_serializing_if = "is_meter")]
+    pub meters_per_unit: f64,
+    /// Small integers in .glb.
+    #[serde(default, skip_serializing_if = "Not::not")]
+    pub quantize: bool,
+    /// 16-bit values in .vdb.
+    pub vdb_half: bool,
+    /// How values are packed in .vdb.
+    pub vdb_compression: vdb::Compression,
+    /// How pictures are taken.
+    #[serde(default)]
+    pub picture: PictureOptions,
+}
+
+fn meter() -> f64 {
+    1.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_meter(meters: &f64) -> bool {
+    *meters == meter()
+}
+
+impl OutputOptions {
+    /// These formats in this folder, and all else as `meniscus convert` has it where nobody asks for anything: y is up,
+    /// nothing is rounded, and .vdb is packed by Blosc.
+    pub fn new(folder: impl Into<PathBuf>, formats: &[OutputFormat]) -> OutputOptions {
+        OutputOptions {
+            folder: folder.into(),
+            formats: formats.to_vec(),
+            up: UpAxis::Y,
+            meters_per_unit: 1.0,
+            quantize: false,
+            vdb_half: false,
+            vdb_compression: vdb::Compression::Blosc,
+            picture: PictureOptions::default(),
+        }
+    }
+
+    /// Whether pictures are written.
+    pub fn has_pictures(&self) -> bool {
+        self.formats.iter().any(|format| format.is_picture())
+    }
+
+    /// Whether pictures are written whose camera is not fixed yet.
+    pub fn needs_camera(&self) -> bool {
+        self.has_pictures() && self.picture.camera.needs_bounds()
+    }
+
+    /// Whether an option changes any of the files that are written.
+    pub fn has_option(&self, option: WriteOption) -> bool {
+        self.formats.iter().any(|format| format.has_option(option))
+    }
+
+    /// The value of an option as text, as it is typed and recorded. Quads are a setting of the method: on, if given.
+    pub fn value(&self, option: WriteOption) -> String {
+        match option {
+            WriteOption::Quads => true.to_string(),
+            WriteOption::Up => self.up.name().to_owned(),
+            WriteOption::MetersPerUnit => self.meters_per_unit.to_string(),
+            WriteOption::Quantize => self.quantize.to_string(),
+            WriteOption::Half => self.vdb_half.to_string(),
+            WriteOption::Compression => self.vdb_compression.name().to_owned(),
+            WriteOption::Size => {
+                let [width, height] = self.picture.size;
+                format!("{width}x{height}")
+            }
+            WriteOption::Camera => self.picture.camera.to_string(),
+        }
+    }
+
+    /// Whether an option has the value that it has where it is not given.
+    pub fn is_default(&self, option: WriteOption) -> bool {
+        self.value(option) == OutputOptions::new("", &[]).value(option)
+    }
+
+    /// How meshes are written, with these triangles as halves of quads.
+    pub(crate) fn mesh(&self, quads: Arc<[bool]>) -> MeshOptions {
+        let OutputOptions { up, meters_per_unit, quantize, .. } = *self;
+        MeshOptions { up, meters_per_unit, quantize, quads, ..MeshOptions::default() }
+    }
+
+    /// Which way is up.
+    pub fn up(&self) -> Up {
+        self.picture.camera.up_or(up_of(self.up))
+    }
+
+    /// The same, with a camera that has what is within these bounds, least and greatest corner in world units.
+    pub fn with_camera_around(&self, bounds: [DVec3; 2]) -> OutputOptions {
+        let PictureOptions { size, camera } = self.picture;
+        let viewpoint = camera.viewpoint(bounds, self.picture.aspect(), up_of(self.up));
+        OutputOptions { picture: PictureOptions { size, camera: viewpoint.into() }, ..self.clone() }
+    }
+}
+
+/// Where the output in `format` of the frame called `stem` goes.
+pub fn output_path(folder: &Path, stem: &str, format: OutputFormat) -> PathBuf {
+    folder.join(name_of_text(&format!("{stem}.{}", format.extension())))
+}

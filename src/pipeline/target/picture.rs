@@ -1,0 +1,145 @@
+//! Pictures of frames, and their files.
+//!
+//! ```text
+//!   level set ──▶ Picture ──▶ .png    colours
+//!                        └──▶ .exr    colours, coverage, depth, normals, position, velocity, curvature
+//! ```
+
+use glam::DVec3;
+use meniscus_formats::{
+    Content, Error, OutputFormat, PictureLayer, PictureView, Provenance, Samples, UpAxis,
+};
+
+use serde::{Deserialize, Serialize};
+
+use crate::render::{self, Layers, Picture, Up};
+use crate::surface::attributes::BandAttribute;
+use crate::surface::grid::Field;
+use crate::surface::level_set::NarrowBand;
+use crate::surface::particles::Meaning;
+use crate::surface::skin::Surface;
+use crate::surface::space::Lattice;
+
+use crate::pipeline::files::json::text;
+use crate::pipeline::target::viewpoint::{CameraChoice, Viewpoint};
+
+/// How pictures are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PictureOptions {
+    /// Width and height, pixels.
+    pub size: [usize; 2],
+    /// Where from. One that is not fixed is placed by the bounds of each frame.
+    #[serde(with = "text")]
+    pub camera: CameraChoice,
+}
+
+impl Default for PictureOptions {
+    fn default() -> PictureOptions {
+        PictureOptions { size: [1280, 720], camera: CameraChoice::default() }
+    }
+}
+
+impl PictureOptions {
+    /// How many times as wide as high.
+    pub fn aspect(&self) -> f64 {
+        self.size[0] as f64 / self.size[1] as f64
+    }
+}
+
+/// A level set to take pictures of.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene<'a> {
+    /// The level set.
+    pub band: &'a NarrowBand,
+    /// Its voxels.
+    pub lattice: Lattice,
+    /// Where voxel (0, 0, 0) is, world units.
+    pub origin: DVec3,
+    /// Velocities at the voxels of the band, x, y and z, world units per second.
+    pub velocity: Option<&'a [Field; 3]>,
+}
+
+impl Scene<'_> {
+    /// A picture from here, with what is known of its pixels if that is wanted.
+    pub fn picture(&self, viewpoint: &Viewpoint, size: [usize; 2], data: bool) -> Picture {
+        let view = viewpoint.moved(-self.origin).view(size);
+        let mut picture =
+            render::render(self.band, &self.lattice, &view, Layers { data, velocity: self.velocity });
+        if self.origin != DVec3::ZERO
+            && let Some(data) = &mut picture.data
+        {
+            let there = data.positions.iter_mut().zip(&data.depth).filter(|(_, depth)| **depth < render::FAR);
+            there.for_each(|(position, _)| {
+                *position = (DVec3::from(position.map(f64::from)) + self.origin).as_vec3().to_array();
+            });
+        }
+        picture
+    }
+}
+
+/// The velocities of a surface, if it has any, as pictures take them.
+pub fn velocities(surface: &Surface) -> Option<[Field; 3]> {
+    let is_velocity =
+        |attribute: &&BandAttribute| attribute.meaning == Meaning::Velocity && attribute.arity == 3;
+    let attribute = surface.attributes.band.iter().find(is_velocity)?;
+    let mut fields: [Field; 3] = std::array::from_fn(|_| Field::splat(surface.band.topology.len(), 0.0));
+    let mut voxels = [0.0; 3 * crate::surface::grid::LEAF_VOXELS];
+    for leaf in 0..surface.band.topology.len() {
+        attribute.fill(leaf, &mut voxels);
+        for (axis, field) in fields.iter_mut().enumerate() {
+            let along = voxels[axis..].iter().step_by(3);
+            field.leaves[leaf].values.iter_mut().zip(along).for_each(|(value, along)| *value = *along);
+        }
+    }
+    Some(fields)
+}
+
+/// The bytes of a picture's file. `camera` is where it was taken from, if that is one place.
+///
+/// # Errors
+/// When the format is not one of pictures, or has no place for it.
+pub fn encode_picture(
+    picture: &Picture,
+    camera: Option<&Viewpoint>,
+    format: OutputFormat,
+    provenance: &Provenance,
+) -> meniscus_formats::Result<Vec<u8>> {
+    let aspect = picture.size[0] as f64 / picture.size[1].max(1) as f64;
+    let layers = layers(picture);
+    let view = PictureView {
+        size: picture.size,
+        color: &picture.color,
+        layers: &layers,
+        camera: camera.map(|viewpoint| viewpoint.matrices(aspect)),
+        provenance,
+    };
+    let mut bytes = Vec::new();
+    match format.content() {
+        Content::Picture(write) => write(&view, &mut bytes)?,
+        Content::Mesh(_) | Content::LevelSet => {
+            return Err(Error::unsupported("picture", format!(".{format} is not a format of pictures")));
+        }
+    }
+    Ok(bytes)
+}
+
+fn layers(picture: &Picture) -> Vec<PictureLayer<'_>> {
+    let layer = |name, channel, samples| PictureLayer { name, channel, samples };
+    let mut layers = vec![layer("coverage", "Y", Samples::HalfNumbers(&picture.coverage))];
+    if let Some(data) = &picture.data {
+        layers.push(layer("depth", "Z", Samples::Numbers(&data.depth)));
+        layers.push(layer("normals", "N", Samples::HalfVectors(&data.normals)));
+        layers.push(layer("position", "P", Samples::Vectors(&data.positions)));
+        layers.extend(data.velocities.iter().map(|v| layer("velocity", "V", Samples::Vectors(v))));
+        layers.push(layer("curvature", "Y", Samples::Numbers(&data.curvatures)));
+    }
+    layers
+}
+
+/// Which way is up for particles whose up is this axis.
+pub fn up_of(axis: UpAxis) -> Up {
+    match axis {
+        UpAxis::Y => Up::Y,
+        UpAxis::Z => Up::Z,
+    }
+}
