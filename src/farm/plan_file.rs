@@ -61,13 +61,13 @@ struct Head {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Outputs {
-    formats: Vec<String>,
-    up: String,
+    formats: Vec<OutputFormat>,
+    up: UpAxis,
     #[serde(default = "one", skip_serializing_if = "is_one")]
     meters_per_unit: f64,
     quantize: bool,
     vdb_half: bool,
-    vdb_compression: String,
+    vdb_compression: Compression,
     picture_size: [usize; 2],
 }
 
@@ -243,52 +243,37 @@ fn is_one(number: &f64) -> bool {
 
 impl Outputs {
     fn of(options: &OutputOptions) -> Outputs {
-        Outputs {
-            formats: options.formats.iter().map(|format| format.extension().to_owned()).collect(),
-            up: options.up.name().to_owned(),
-            meters_per_unit: options.meters_per_unit,
-            quantize: options.quantize,
-            vdb_half: options.vdb_half,
-            vdb_compression: options.vdb_compression.name().to_owned(),
-            picture_size: options.picture.size,
-        }
+        let OutputOptions { up, meters_per_unit, quantize, vdb_half, vdb_compression, .. } = *options;
+        let (formats, picture_size) = (options.formats.clone(), options.picture.size);
+        Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size }
     }
 
     fn into_options(self, folder: PathBuf) -> Result<OutputOptions, PlanError> {
-        let mut formats = Vec::new();
-        for (index, name) in self.formats.iter().enumerate() {
-            let found = OutputFormat::from_extension(name);
-            let place = format!("/outputs/formats/{index}");
-            match found {
-                None => return Err(PlanError::at(place, format!("`{name}` is no format"))),
-                Some(format) if formats.contains(&format) => {
-                    return Err(PlanError::at(place, format!("`{name}` is there already")));
-                }
-                Some(format) => formats.push(format),
-            }
-        }
+        let Outputs { formats, up, meters_per_unit, quantize, vdb_half, vdb_compression, picture_size } =
+            self;
         if formats.is_empty() {
             return Err(PlanError::at("/outputs/formats", "there are none"));
         }
-        let up = UpAxis::ALL.into_iter().find(|up| up.name() == self.up);
-        let compression = Compression::ALL.into_iter().find(|way| way.name() == self.vdb_compression);
-        if !self.picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
+        if let Some(index) = (1..formats.len()).find(|&index| formats[..index].contains(&formats[index])) {
+            let what = format!("`{}` is there already", formats[index]);
+            return Err(PlanError::at(format!("/outputs/formats/{index}"), what));
+        }
+        if !picture_size.iter().all(|edge| PICTURE_EDGES.contains(edge)) {
             return Err(PlanError::at("/outputs/picture_size", "each must be 16 to 8192"));
         }
-        if !METERS_PER_UNIT.contains(&self.meters_per_unit) {
+        if !METERS_PER_UNIT.contains(&meters_per_unit) {
             return Err(PlanError::at("/outputs/meters_per_unit", "it must be from 1e-9 to 1e9"));
         }
-        let unknown = |place: &str, name: &str| PlanError::at(place, format!("`{name}` is not known"));
+        let picture = PictureOptions { size: picture_size, camera: CameraChoice::default() };
         Ok(OutputOptions {
             folder,
             formats,
-            up: up.ok_or_else(|| unknown("/outputs/up", &self.up))?,
-            meters_per_unit: self.meters_per_unit,
-            quantize: self.quantize,
-            vdb_half: self.vdb_half,
-            vdb_compression: compression
-                .ok_or_else(|| unknown("/outputs/vdb_compression", &self.vdb_compression))?,
-            picture: PictureOptions { size: self.picture_size, camera: CameraChoice::default() },
+            up,
+            meters_per_unit,
+            quantize,
+            vdb_half,
+            vdb_compression,
+            picture,
         })
     }
 }

@@ -577,9 +577,9 @@ fn edits() -> Vec<(&'static str, Value, &'static str)> {
         ("/generator", json!("meniscus 0.0.1"), "/generator: this is a plan of `meniscus 0.0.1`"),
         ("/out", json!("out"), "/out: `out` is no absolute path"),
         ("/out", Value::Null, "invalid type: null"),
-        ("/outputs/formats", json!(["glb", "exe"]), "/outputs/formats/1: `exe` is no format"),
+        ("/outputs/formats", json!(["glb", "exe"]), "`exe` is not a format"),
         ("/outputs/formats", json!([]), "/outputs/formats: there are none"),
-        ("/outputs/up", json!("x"), "/outputs/up: `x` is not known"),
+        ("/outputs/up", json!("x"), "unknown variant `x`"),
         ("/outputs/picture_size", json!([1, 99999999]), "/outputs/picture_size: each must be 16 to 8192"),
         ("/sequences", json!([]), "/sequences: there are none"),
         (
