@@ -9,8 +9,8 @@ use meniscus_formats::ReadAt;
 use twox_hash::XxHash3_128;
 use twox_hash::xxhash3_128::Hasher;
 
-use crate::pipeline::files::open::{open_regular, require_regular};
-use crate::pipeline::files::stamp::FileStamp;
+use super::open::{open_regular, require_regular};
+use super::stamp::FileStamp;
 
 /// The bytes of a file and its stamp; `None` when it was written, replaced or removed meanwhile.
 ///

@@ -7,8 +7,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::pipeline::files::sweep::{SweepError, sweep_temporaries};
-use crate::pipeline::files::temporary::Temporary;
+use super::sweep::{SweepError, sweep_temporaries};
+use super::temporary::Temporary;
 
 /// Why a folder takes no results.
 #[derive(Debug)]

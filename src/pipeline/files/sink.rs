@@ -20,11 +20,11 @@ use std::time::Duration;
 
 use meniscus_formats::Result;
 
-use crate::pipeline::files::file_set::replace_together;
-use crate::pipeline::files::open::require_own_folder;
-use crate::pipeline::files::staged_file::{StagedFile, sync_folder, write_temporary};
-use crate::pipeline::files::sweep::remove_left_behind;
-use crate::pipeline::files::temporary::under_way;
+use super::file_set::replace_together;
+use super::open::require_own_folder;
+use super::staged_file::{StagedFile, sync_folder, write_temporary};
+use super::sweep::remove_left_behind;
+use super::temporary::under_way;
 
 /// Writes the file at `path`, replacing what is there, once `write` has written all of it.
 ///

@@ -4,8 +4,8 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::files::temporary::Temporary;
+use super::stamp::FileStamp;
+use super::temporary::Temporary;
 
 /// Large enough that the system call does not matter beside the copy.
 pub(crate) const BUFFER_BYTES: usize = 1 << 18;

@@ -5,10 +5,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::pipeline::files::file_set::{
-    Recovery, is_record_name, record_of_old_file, recover, remove_old_file,
-};
-use crate::pipeline::files::temporary::{
+use super::file_set::{Recovery, is_record_name, record_of_old_file, recover, remove_old_file};
+use super::temporary::{
     is_temporary_name, leave_behind, left_behind_count, lock_abandoned, remove_if_there, take_left_behind,
 };
 

@@ -11,9 +11,9 @@
 //! ```
 //!
 //! Who writes one holds an advisory lock on it until it is renamed. A process that is killed leaves its files
-//! and loses its locks: so [`sweep_temporaries`](crate::pipeline::files::sweep::sweep_temporaries) knows which nobody will finish.
+//! and loses its locks: so [`sweep_temporaries`](super::sweep::sweep_temporaries) knows which nobody will finish.
 //!
-//! A file that cannot be removed is remembered; [`remove_left_behind`](crate::pipeline::files::sweep::remove_left_behind) tries again.
+//! A file that cannot be removed is remembered; [`remove_left_behind`](super::sweep::remove_left_behind) tries again.
 
 use std::collections::HashSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -23,8 +23,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
-use crate::pipeline::files::open::open_itself;
-use crate::pipeline::files::stamp::FileStamp;
+use super::open::open_itself;
+use super::stamp::FileStamp;
 
 /// A file that is removed unless it is renamed: also when the writer panics.
 pub(crate) struct Temporary {
@@ -77,7 +77,7 @@ impl Temporary {
         &self.file
     }
 
-    /// Gives up the lock and leaves the file to [`remove_left_behind`](crate::pipeline::files::sweep::remove_left_behind).
+    /// Gives up the lock and leaves the file to [`remove_left_behind`](super::sweep::remove_left_behind).
     pub(crate) fn keep(mut self) {
         let path = std::mem::take(&mut self.path);
         under_way().remove(&path);

@@ -8,10 +8,10 @@ use std::path::Path;
 
 use glam::DVec3;
 
+use super::attributes::Wanted;
+use super::level_set_file::{LevelSetFile, is_level_set};
+use super::reading::{parse_particles, read_file};
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::input::attributes::Wanted;
-use crate::pipeline::input::level_set_file::{LevelSetFile, is_level_set};
-use crate::pipeline::input::reading::{parse_particles, read_file};
 use crate::pipeline::target::picture::Scene;
 use crate::surface::grid::{LeafMask, negative_masks};
 use crate::surface::particles::Particles;

@@ -4,9 +4,9 @@ use std::collections::HashMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use super::obstacles::ObstacleFiles;
+use super::steps::file_of;
 use crate::pipeline::files::path_identity::{Identity, entry, identities};
-use crate::pipeline::input::obstacles::ObstacleFiles;
-use crate::pipeline::input::steps::file_of;
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 
 /// Why a run must not begin.

@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 use crate::surface::options::Settings;
 use crate::surface::report::SkinReport;
 
+use super::level_set_file::is_level_set;
+use super::obstacles::ObstacleFiles;
+use super::source::FrameFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::input::level_set_file::is_level_set;
-use crate::pipeline::input::obstacles::ObstacleFiles;
-use crate::pipeline::input::source::FrameFile;
 use crate::pipeline::target::framing::Framing;
 use crate::pipeline::target::outputs::{OutputOptions, output_path};
 use crate::pipeline::target::picture::PictureOptions;

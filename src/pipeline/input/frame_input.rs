@@ -17,10 +17,10 @@ use crate::surface::options::Settings;
 use crate::surface::report::Shaping;
 use crate::surface::skin::{self, ShapedSource};
 
+use super::frame::{Frame, Job};
+use super::level_set_file::LevelSetFile;
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
-use crate::pipeline::input::frame::{Frame, Job};
-use crate::pipeline::input::level_set_file::LevelSetFile;
 use crate::pipeline::target::outputs::OutputFormat;
 use crate::pipeline::warning::Warning;
 

@@ -14,8 +14,8 @@ use crate::surface::level_set::{
 };
 use crate::surface::space::{INDEX_LIMIT, Lattice};
 
+use super::reading::read_file;
 use crate::pipeline::error::{FrameError, Stage};
-use crate::pipeline::input::reading::read_file;
 use crate::pipeline::memory::default_memory_bytes;
 use crate::pipeline::target::picture::Scene;
 use crate::pipeline::warning::Warning;

@@ -24,13 +24,13 @@ use crate::surface::spacing::{
 };
 use crate::surface::words::significant;
 
+use super::attributes::Wanted;
+use super::frame_input::{FileParticles, FrameInput};
+use super::reading::{ReadFrame, parse_particles, read_file};
+use super::steps::{frame_name, step_of};
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::json::{path, text};
-use crate::pipeline::input::attributes::Wanted;
-use crate::pipeline::input::frame_input::{FileParticles, FrameInput};
-use crate::pipeline::input::reading::{ReadFrame, parse_particles, read_file};
-use crate::pipeline::input::steps::{frame_name, step_of};
 
 /// Frames that are read for the middle one, and for the last one, where others cannot be measured.
 const TRIES_MAX: usize = 8;

@@ -26,13 +26,13 @@ use twox_hash::xxhash3_128::Hasher;
 use crate::surface::obstacle::{LevelSetSource, Obstacle, Obstacles, Sampled, Shape, Solid};
 use crate::surface::options::Settings;
 
+use super::level_set_file::level_set_limits;
+use super::obstacle_warnings::findings_of;
 use crate::pipeline::error::ObstacleError;
 use crate::pipeline::files::input_file::{read_start_unchanged, read_unchanged};
 use crate::pipeline::files::number_pattern::{NumberPattern, may_be_file};
 use crate::pipeline::files::path_identity::{are_one_file, entry};
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::input::level_set_file::level_set_limits;
-use crate::pipeline::input::obstacle_warnings::findings_of;
 use crate::pipeline::warning::Warning;
 
 /// The obstacles of a sequence.

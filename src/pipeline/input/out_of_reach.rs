@@ -14,9 +14,9 @@ use rayon::prelude::*;
 use crate::surface::options::{Anisotropy, RADIUS_MAX_VOXELS, Settings};
 use crate::surface::particles::{ParticleSource, Positions};
 
+use super::frame_input::FrameInput;
+use super::obstacles::FrameObstacles;
 use crate::pipeline::error::Cause;
-use crate::pipeline::input::frame_input::FrameInput;
-use crate::pipeline::input::obstacles::FrameObstacles;
 use crate::pipeline::warning::{ObstacleFinding, Warning};
 
 /// A warning for each obstacle that nothing of a frame can touch.

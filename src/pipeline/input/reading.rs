@@ -8,12 +8,12 @@ use meniscus_formats::{Limits, ParticleFrame, Positions, Role, read_particles, r
 
 use crate::surface::particles::{Cloud, Particles, Shapes};
 
+use super::attributes::Wanted;
+use super::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
 use crate::pipeline::error::{Cause, FrameError, Stage};
 use crate::pipeline::files::input_file::read_unchanged;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::input::attributes::Wanted;
-use crate::pipeline::input::steps::{StepsFoundBy, by_lines_of_file, file_of, read_step, step_of};
 use crate::pipeline::warning::Warning;
 
 /// What the pipeline needs of a file.

@@ -19,10 +19,10 @@ use std::path::{Path, PathBuf};
 
 use meniscus_formats::compression::unpacked_name;
 
+use super::steps::{STEP, name_of, step_in, step_of};
 use crate::pipeline::files::frame_number::{
     frame_number, numbers_behind_shots, varying_number, without_numbers,
 };
-use crate::pipeline::input::steps::{STEP, name_of, step_in, step_of};
 use crate::pipeline::target::outputs::OutputFormat;
 
 /// A file that holds, or should hold, a frame of particles; or a step of one.

@@ -19,12 +19,12 @@ use crate::surface::report::SkinReport;
 use crate::surface::skin::Surface;
 use crate::surface::space::Lattice;
 
+use super::diagnostics::diagnose;
 use crate::pipeline::error::{FrameError, Stage};
 use crate::pipeline::files::sink::{publish, stage};
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::bounds::NOTHING;
 use crate::pipeline::input::frame::Frame;
-use crate::pipeline::output::diagnostics::diagnose;
 use crate::pipeline::records::certificate_file::{certificate_path, write_certificate};
 use crate::pipeline::records::provenance::provenance;
 use crate::pipeline::scheduler::Scheduler;

@@ -21,14 +21,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::surface::report::SkinReport;
 
+use super::provenance::{GENERATOR_AND_VERSION, hash_text};
+use super::record::{CertificateRecord, certificate_record};
 use crate::pipeline::files::input_file::{InputFile, read_start_unchanged};
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::files::names::name_of_text;
 use crate::pipeline::files::sink::stage;
 use crate::pipeline::files::staged_file::StagedFile;
 use crate::pipeline::input::steps::frame_name;
-use crate::pipeline::records::provenance::{GENERATOR_AND_VERSION, hash_text};
-use crate::pipeline::records::record::{CertificateRecord, certificate_record};
 
 /// Another number, another form of the file.
 const VERSION: u32 = 3;

@@ -21,14 +21,14 @@ use std::sync::Arc;
 use meniscus_formats::{Error, is_whole, read_provenance};
 use twox_hash::XxHash3_128;
 
+use super::certificate_file::{CertifiedFrame, certificate_path, read_certificate};
+use super::frame_warnings::does_not_hold;
+use super::provenance::{hash_text, provenance};
 use crate::pipeline::files::input_file::InputFile;
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::input::frame::{Frame, Job};
 use crate::pipeline::input::level_set_file::LevelSetFile;
 use crate::pipeline::input::steps::{StepsFoundBy, read_step, step_of};
-use crate::pipeline::records::certificate_file::{CertifiedFrame, certificate_path, read_certificate};
-use crate::pipeline::records::frame_warnings::does_not_hold;
-use crate::pipeline::records::provenance::{hash_text, provenance};
 use crate::pipeline::target::outputs::{OutputFormat, output_path};
 
 /// What there is of a frame; a sentence where it is not all there should be.

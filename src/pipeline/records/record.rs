@@ -16,13 +16,13 @@ use crate::surface::report::{
 };
 use crate::surface::validation::Certificate;
 
+use super::provenance::{chosen_options, level_set_pairs};
 use crate::pipeline::files::json::write_json;
 use crate::pipeline::files::shown::shown;
 use crate::pipeline::files::sink::write_whole;
 use crate::pipeline::input::frame::{Frame, FrameReport, Job, Outcome, Seconds};
 use crate::pipeline::input::measured_spacing::MeasuredSpacing;
 use crate::pipeline::input::obstacles::ObstacleFiles;
-use crate::pipeline::records::provenance::{chosen_options, level_set_pairs};
 use crate::pipeline::target::outputs::{OutputFormat, OutputOptions};
 
 /// What is told of a frame whose file was not left alone.

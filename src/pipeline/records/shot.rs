@@ -21,11 +21,11 @@ use meniscus_formats::gltf::{self, FrameFile as GlbFrame, SHOT_FRAMES, ShotFrame
 use meniscus_formats::usda;
 use meniscus_formats::{OutputFormat, read_provenance};
 
+use super::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 use crate::pipeline::files::open::open_regular;
 use crate::pipeline::files::path_identity::are_one_file;
 use crate::pipeline::files::sink::write_whole;
 use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::records::provenance::{GENERATOR_AND_VERSION, HEAD_BYTES};
 
 /// A format that holds a shot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

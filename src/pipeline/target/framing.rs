@@ -17,8 +17,8 @@ use glam::DVec3;
 use crate::render::Up;
 use crate::surface::space::joined;
 
-use crate::pipeline::target::outputs::OutputOptions;
-use crate::pipeline::target::viewpoint::CameraChoice;
+use super::outputs::OutputOptions;
+use super::viewpoint::CameraChoice;
 
 /// The camera of a sequence, shared by the frames under way.
 #[derive(Debug)]

@@ -12,9 +12,9 @@ use meniscus_formats::{MeshOptions, UpAxis, WriteOption, vdb};
 
 use crate::render::Up;
 
+use super::picture::{PictureOptions, up_of};
 use crate::pipeline::files::json::{path, text};
 use crate::pipeline::files::names::name_of_text;
-use crate::pipeline::target::picture::{PictureOptions, up_of};
 
 /// How many metres a world unit may have: from a nanometre to a million kilometres.
 pub const METERS_PER_UNIT: RangeInclusive<f64> = 1e-9..=1e9;

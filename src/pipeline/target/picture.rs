@@ -20,8 +20,8 @@ use crate::surface::particles::Meaning;
 use crate::surface::skin::Surface;
 use crate::surface::space::Lattice;
 
+use super::viewpoint::{CameraChoice, Viewpoint};
 use crate::pipeline::files::json::text;
-use crate::pipeline::target::viewpoint::{CameraChoice, Viewpoint};
 
 /// How pictures are taken.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

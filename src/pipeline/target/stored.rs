@@ -6,7 +6,7 @@ use meniscus_formats::{Content, OutputFormat, Rounding};
 
 use crate::surface::skin::Stored;
 
-use crate::pipeline::target::outputs::OutputOptions;
+use super::outputs::OutputOptions;
 
 /// How a format rounds positions, if it does.
 pub(crate) fn rounding(format: OutputFormat, outputs: &OutputOptions) -> Option<&'static Rounding> {

@@ -14,7 +14,7 @@
 //! ```
 //!
 //! A rename that fails puts the old files back; a name that was free becomes free again. A process that is killed leaves its
-//! record without a lock: [`sweep_temporaries`](crate::pipeline::files::sweep::sweep_temporaries) finds it and goes on with the renames,
+//! record without a lock: [`sweep_temporaries`](super::sweep::sweep_temporaries) finds it and goes on with the renames,
 //! so that no output that somebody has seen is taken away. Where that is impossible, for a new file is gone, it puts the old files back. That
 //! happens when a daemon starts, when `convert` begins, and when a shard begins, in their folder. Until then, and between two renames,
 //! readers can see a mixed set; a certificate, which has the hashes of all files of its frame, tells them.
@@ -36,9 +36,9 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::MutexGuard;
 
-use crate::pipeline::files::staged_file::{StagedFile, sync_folder};
-use crate::pipeline::files::stamp::FileStamp;
-use crate::pipeline::files::temporary::{
+use super::staged_file::{StagedFile, sync_folder};
+use super::stamp::FileStamp;
+use super::temporary::{
     Temporary, is_temporary_name, leave_behind, lock_abandoned, random_number, remove_if_there, under_way,
 };
 
