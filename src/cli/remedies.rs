@@ -23,7 +23,7 @@ fn remedy(warning: &Warning) -> Option<String> {
             format!("--voxel-size {} would hold them all", rounded_down(radius_min / 3f64.sqrt()))
         }
         Warning::BetweenVoxels { voxel_size, .. } => {
-            format!("--radius-min {} would hold them all", significant(3f64.sqrt() * voxel_size))
+            format!("all are held by --radius-min {}", significant(3f64.sqrt() * voxel_size))
         }
         Warning::Spray { .. } | Warning::Blob { .. } => of_spacing.to_owned(),
         Warning::Holes { .. } | Warning::Torn { .. } => {
