@@ -243,6 +243,11 @@ impl Warning {
         })
     }
 
+    /// Whether it is about one thing at least, and not about a count of 0.
+    pub(crate) fn is_about_any(&self) -> bool {
+        self.counted().is_none_or(|(count, ..)| count > 0)
+    }
+
     /// Warnings about the surface as a whole.
     fn fmt_surface(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -67,26 +67,25 @@ fn shape_warnings(report: &SkinReport) -> impl Iterator<Item = Warning> {
     // Where neighbours were looked at, lone particles are no news.
     let is_unstretched = shaping.near_count == 0 && 2 * shaping.ball_count > report.particle_count;
     let not_stretched = if is_unstretched { shaping.ball_count } else { 0 };
-    let radius_min = shaping.small_radius_min;
-    let counted: [(usize, fn(usize, f64) -> Warning); 4] = [
-        (shaping.small_radius_count, |count, radius_min| Warning::SmallRadii { count, radius_min }),
-        (shaping.invalid_radius_count, |count, _| Warning::InvalidRadii { count }),
-        (shaping.large_radius_count, |count, _| Warning::LargeRadii { count }),
-        (not_stretched, |count, _| Warning::NotStretched { count }),
+    let warnings = [
+        Warning::SmallRadii { count: shaping.small_radius_count, radius_min: shaping.small_radius_min },
+        Warning::InvalidRadii { count: shaping.invalid_radius_count },
+        Warning::LargeRadii { count: shaping.large_radius_count },
+        Warning::NotStretched { count: not_stretched },
     ];
-    counted.into_iter().filter(|(count, _)| *count > 0).map(move |(count, of)| of(count, radius_min))
+    warnings.into_iter().filter(Warning::is_about_any)
 }
 
 /// Warnings about attributes on the surface.
 fn transfer_warnings(
     TransferReport { vertices, band, .. }: &TransferReport,
 ) -> impl Iterator<Item = Warning> {
-    let counted: [(usize, fn(usize) -> Warning); 3] = [
-        (vertices.left_out_count.max(band.left_out_count), |count| Warning::ValuesNotFinite { count }),
-        (vertices.empty_count, |count| Warning::VerticesWithoutAttributes { count }),
-        (band.empty_count, |count| Warning::VoxelsWithoutAttributes { count }),
+    let warnings = [
+        Warning::ValuesNotFinite { count: vertices.left_out_count.max(band.left_out_count) },
+        Warning::VerticesWithoutAttributes { count: vertices.empty_count },
+        Warning::VoxelsWithoutAttributes { count: band.empty_count },
     ];
-    counted.into_iter().filter(|(count, _)| *count > 0).map(|(count, of)| of(count))
+    warnings.into_iter().filter(Warning::is_about_any)
 }
 
 /// What does not hold of a frame's result; `None` where all does.
