@@ -21,7 +21,7 @@ pub(crate) fn significant(value: f64) -> String {
     if is_plain { rounded.to_string() } else { format!("{rounded:e}") }
 }
 
-#[cfg(any(test, feature = "pipeline"))]
+#[cfg(any(test, feature = "cli"))]
 /// A positive number to three significant digits, and not above it.
 pub(crate) fn rounded_down(value: f64) -> String {
     let near: f64 = format!("{value:.2e}").parse().unwrap_or(value);
